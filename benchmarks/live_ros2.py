@@ -29,10 +29,9 @@ from benchmarks.live import POSE, recording
 from handsight.bridge.bridge import carried
 from handsight.bridge.message_types import message_type
 from handsight.bridge.network import Network
-from handsight.live.answers import DIAGNOSTICS, DIAGNOSTICS_TOPIC
-from handsight.messages import RawMessage
+from handsight.messages import OwnTopic, RawMessage, RosType
 from handsight.messages.decode import typestore
-from handsight.messages.topics import POSE_COVARIANCE, rig_topics
+from handsight.messages.topics import rig_topics
 from handsight.recording.mcap import McapSource
 from handsight.rig import Rig
 from tests.ros.ros2 import ALONE, BOTH_WAYS, Processes, processes
@@ -54,7 +53,7 @@ def listen(told: Connection, environment: Mapping[str, str]) -> None:
         DataReader(
             joined.participant, Topic(joined.participant, carried(topic), message_type(kind)), BOTH_WAYS
         )
-        for topic, kind in ((POSE, POSE_COVARIANCE), (DIAGNOSTICS_TOPIC, DIAGNOSTICS))
+        for topic, kind in ((POSE, RosType.POSE_COVARIANCE), (OwnTopic.DIAGNOSTICS, RosType.DIAGNOSTICS))
     ]
     filled = WaitSet(joined.participant)
     for reader in readers:
@@ -66,10 +65,12 @@ def listen(told: Connection, environment: Mapping[str, str]) -> None:
         filled.wait(50_000_000)
         taken, now = readers[0].take(100), time.time_ns()
         found += [
-            (stamp_of(each.data), now) for each in taken if isinstance(each, message_type(POSE_COVARIANCE))
+            (stamp_of(each.data), now)
+            for each in taken
+            if isinstance(each, message_type(RosType.POSE_COVARIANCE))
         ]
         for each in readers[1].take(10):
-            last = each.data if isinstance(each, message_type(DIAGNOSTICS)) else last
+            last = each.data if isinstance(each, message_type(RosType.DIAGNOSTICS)) else last
     told.send((found, last))
 
 
@@ -111,7 +112,7 @@ def measured(running: Processes, follower: Any, messages: list[RawMessage], name
     found, last = ours.recv()
     listener.join()
     late = 1e-6 * np.array([came - sent[stamp] for stamp, came in found if stamp in sent])
-    told = typestore("cdr").deserialize_cdr(last, DIAGNOSTICS).status[1].values
+    told = typestore("cdr").deserialize_cdr(last, RosType.DIAGNOSTICS).status[1].values
     numbers = {each.key: each.value for each in told if re.fullmatch(r"[\d.]+", each.value)}
     middle, most, worst = np.percentile(late, [50, 90, 99])
     return (

@@ -7,7 +7,7 @@ import numpy as np
 
 import handsight as hs
 from handsight.objects import Facts, Library
-from handsight.objects.library.symmetry_notation import declared
+from handsight.objects.symmetry_search import declared
 
 folder = Path(tempfile.mkdtemp())
 corners = 30.0 * np.array([(x, y, z) for x in (-1, 1) for y in (-1.5, 1.5) for z in (-2, 2)])  # millimetres

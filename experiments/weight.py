@@ -34,7 +34,6 @@ from handsight.simulation import Nuisances, Scenario, simulate
 from handsight.simulation.motion import MOTION, WEIGH_LEGS
 from handsight.simulation.payload import Payload, center_of_mass
 from handsight.tracking import JointOffsets
-from handsight.tracking.shared_errors import together
 from shared import report, wrong_weights, ycb
 from shared.grasp_trials import exact_model, fingertips, rig, trial_of
 from shared.report import Array, Row, Rows
@@ -146,7 +145,7 @@ def shared(run: Run, sample: Any, weigher: Weigher, answer: Any) -> Row:
     if weighing is None or given is None or trial.touch.by_error is None or not answer.weight_fits:
         return errors_of(run, sample, answer.T_palm_object)
     touch, offsets = (trial.contacts, trial.touch.by_error), JointOffsets.of(rig())
-    found = together(run.model, answer, touch, trial.vision, (weighing, given), offsets)
+    found = offsets.shared(run.model, answer, touch, trial.vision, (weighing, given))
     return errors_of(run, sample, found.T_palm_object)
 
 

@@ -1,6 +1,6 @@
 """Deprecated: this room is now `handsight.forces`."""
 
+from handsight import forces
 from handsight._deprecated import renamed
 
-_NAMES = ("Carried", "Slip", "SlipDetector", "Unknowns", "Weigher", "Weighing", "slip_twist", "weigh")
-__getattr__ = renamed(__name__, {name: f"handsight.forces.{name}" for name in _NAMES})
+__getattr__ = renamed(__name__, {name: f"handsight.forces.{name}" for name in forces.__all__})

@@ -1,4 +1,4 @@
-"""A pose with its covariance, and what frames, time and other measurements do to it.
+"""A pose with its covariance, and how a change of frame, process noise and a measurement change both.
 
 The covariance is 6 x 6, of the perturbation (δp [m], δθ [rad]) with `p + δp` and `exp(δθ) R`, both along the axes of
 the outer frame (ROS' PoseWithCovariance has the same convention).
@@ -45,17 +45,29 @@ class GaussianPose:
         )
 
     def inflated(self, variance: Array) -> "GaussianPose":
-        """Returns the pose where it may be off by `variance` (6,) more [m², rad²]: process noise, or doubt."""
+        """Returns the pose with process noise of `variance` (6,) added to its covariance [m², rad²]."""
         return GaussianPose(self.T_a_b, self.covariance + np.diag(variance))
 
     def fused(self, measurement: "GaussianPose") -> "GaussianPose":
-        """Returns the posterior after an independent measurement of the same pose: one Kalman update, linearised here.
+        """Returns the posterior after an independent measurement of the same pose, linearised at this one.
 
         At least one of the two covariances must be positive definite.
         """
-        S = self.covariance + measurement.covariance
-        gain = np.linalg.solve(S, self.covariance).T
-        keep = np.eye(6) - gain
-        covariance = keep @ self.covariance @ keep.T + gain @ measurement.covariance @ gain.T
         residual = se3.difference(measurement.T_a_b, self.T_a_b)
-        return GaussianPose(se3.moved(self.T_a_b, gain @ residual), covariance)
+        step, covariance = kalman_update(self.covariance, np.eye(6), residual, measurement.covariance)
+        return GaussianPose(se3.moved(self.T_a_b, step), covariance)
+
+
+def kalman_update(
+    covariance: Array, H: Array, residual: Array, measurement_covariance: Array
+) -> tuple[Array, Array]:
+    """Returns the step (n,) of the mean and the covariance (n, n) after a linear measurement of m numbers.
+
+    `covariance` (n, n) is that before it, `H` (m, n) the measurement's derivative by the state, `residual` (m,) what
+    was measured less what was expected, and `measurement_covariance` (m, m) that of its noise. The covariance is in
+    Joseph's form, which rounding leaves positive semidefinite.
+    """
+    gain = np.linalg.solve(H @ covariance @ H.T + measurement_covariance, H @ covariance).T
+    keep = np.eye(len(covariance)) - gain @ H
+    after = keep @ covariance @ keep.T + gain @ measurement_covariance @ gain.T
+    return gain @ residual, (after + after.T) / 2

@@ -14,7 +14,7 @@ from handsight.rig import Rig
 from handsight.rig.save import write as write_rig
 from handsight.simulation import Scenario, rig_of
 from handsight.simulation.camera import displacement
-from handsight.tracking.camera_calibration import calibrate_camera
+from handsight.tracking import calibrate_camera
 
 
 @pytest.fixture(scope="session")

@@ -9,9 +9,9 @@ import pytest
 from cli.commands import called
 from cli.tracks import assert_results_agree, observations, recorded
 from handsight import se3
-from handsight.messages.topics import POSE_COVARIANCE, TF
+from handsight.messages import RosType
+from handsight.messages.encode import Message, header, pose, pose_with_covariance
 from handsight.recording import Recording, RecordingWriter
-from handsight.recording.write import Message, header, pose, pose_with_covariance
 from handsight.rig.save import write as write_rig
 from handsight.tracking import Tracker
 
@@ -139,10 +139,10 @@ def test_huge_numbers_of_vision_and_tf_are_left_out_and_the_rest_is_tracked(
             body = Message(translation=palm.position, rotation=palm.orientation)
             link = Message(header=top, child_frame_id=rig.frames["palm"], transform=body)
             if k % 5 == 4:
-                writer.append(rig.topics.tf, TF, seen.stamp - 1e-3, transforms=[link])
+                writer.append(rig.topics.tf, RosType.TF, seen.stamp - 1e-3, transforms=[link])
             far = pose_with_covariance(se3.compose(np.eye(3), np.full(3, 1e20)), None)
             top = header(seen.stamp, rig.frames["camera"])
-            writer.append(rig.topics.vision, POSE_COVARIANCE, seen.stamp, header=top, pose=far)
+            writer.append(rig.topics.vision, RosType.POSE_COVARIANCE, seen.stamp, header=top, pose=far)
     assert called(monkeypatch, folder, "track", "can.mcap", "--object", "can") == 0
     assert_results_agree(folder / "can-track")
     assert "Traceback" not in capsys.readouterr().err

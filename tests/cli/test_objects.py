@@ -112,12 +112,12 @@ def test_a_full_disk_ends_an_add_with_its_own_code(library, asked, monkeypatch):
     import errno
     import os
 
-    from handsight.objects.library import store
+    from handsight.objects.library import folder
 
     def full(_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(store.os, "fsync", full)
+    monkeypatch.setattr(folder.os, "fsync", full)
     _, said = asked("objects", "add", "block.off", "--name", "b", expect=74)
     assert "obj_000003.ply: cannot be written: No space left on device" in said
 

@@ -7,7 +7,7 @@ import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight.objects.files.ply import ply_shape, ply_sigmas
+from handsight.objects.files import read_shape
 from handsight.observation import Observation
 from handsight.rig import MountedCamera
 from handsight.rig.save import write as write_rig
@@ -55,10 +55,10 @@ def test_what_stands_on_a_table_becomes_a_model(asked, tmp_path, rig, around):
     assert "wrote can.ply" in said
     content = (tmp_path / "can.ply").read_bytes()
     assert b"property uchar measured\n" in content[:400]
-    points, normals, faces = ply_shape(content)
-    assert normals is None
-    assert faces is None
-    sigmas = ply_sigmas(content)
+    shape = read_shape(tmp_path / "can.ply")
+    assert shape.normals is None
+    assert shape.faces is None
+    points, sigmas = shape.vertices, shape.sigmas
     assert set(sigmas) == {5e-4, 1.5e-3}
     assert (sigmas[points[:, 2] == 0] == 1.5e-3).all()
     model = hs.ObjectModel.from_file(tmp_path / "can.ply")
@@ -153,5 +153,5 @@ def test_what_the_hand_turns_becomes_a_model(asked, tmp_path, rig):
     write_rig(seen, tmp_path / "turned.rig.yaml")
     said = asked("reconstruct", "turned.mcap", "--in-hand", "-o", "can.ply", columns=200).err
     assert "10 views fused of 10 depth images, 0 did not fit" in said
-    points, _, _ = ply_shape((tmp_path / "can.ply").read_bytes())
+    points = read_shape(tmp_path / "can.ply").vertices
     assert np.ptp(points, axis=0).max() < 0.14  # the hand is 20 cm long

@@ -17,8 +17,7 @@ from handsight.hand import Hand
 from handsight.observation import PoseMeasurement
 from handsight.recording import TrackRow
 from handsight.rig import Finger, MountedCamera, Rig
-from handsight.tracking import TrackerSettings
-from handsight.tracking.camera_calibration import calibrate_camera
+from handsight.tracking import TrackerSettings, calibrate_camera
 from handsight.tracking.replay import Tally, replay
 from tests.corpus.door import Case, Door, check_covariance, check_pose, spoilt_value
 

@@ -12,7 +12,7 @@ from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem, descents_at
 from handsight.errors import InvalidInput, InvalidObject
 from handsight.objects import Symmetries
-from handsight.objects.weight import kept_center
+from handsight.objects.symmetry import kept_center
 from scenes import box, can
 
 T_TRUE = se3.compose(se3.rotation_exp(np.array([0.2, -0.1, 0.3])), np.array([0.01, -0.08, 0.09]))

@@ -9,7 +9,7 @@ from forces.weighed import CENTER, MASS, TILTS, Held, contacts, rig, touched
 from handsight import se3
 from handsight.forces import Weigher
 from handsight.forces.loads import load_sum
-from handsight.forces.odometry import moved_with_tips, small_motion
+from handsight.forces.object_motion import moved_with_tips, small_motion
 
 JOINTS = len(rig().hand.moving)
 KNOWN = np.zeros(JOINTS), rig().sigma_joint_offset * np.eye(JOINTS)

@@ -11,7 +11,7 @@ from handsight import se3
 from handsight.forces import Carried, Unknowns, weigh
 from handsight.forces.loads import accelerations, load_sum
 from handsight.forces.weigher import WEIGHER
-from handsight.forces.weight import _chance
+from handsight.forces.weight import score_test
 
 JOINTS = len(rig().hand.moving)
 STAY = np.zeros(JOINTS)
@@ -71,8 +71,8 @@ def test_what_unknowns_would_explain_is_what_they_do_explain():
     rng = np.random.default_rng(0)
     H, columns, y = rng.normal(size=(20, 7)), rng.normal(size=(20, 3)), rng.normal(size=20)
     left, least = (y - A @ np.linalg.lstsq(A, y)[0] for A in (H, np.hstack([H, columns])))
-    chance = _chance(columns, left, H, np.linalg.inv(H.T @ H))
-    assert chance == pytest.approx(chi2.sf(left @ left - least @ least, 3))
+    p = score_test(columns, left, H, np.linalg.inv(H.T @ H))
+    assert p == pytest.approx(chi2.sf(left @ left - least @ least, 3))
 
 
 @pytest.mark.parametrize("extra", [(0.25, 0, 0), (0, 0.25, 0), (0, 0, 0.25)])
@@ -82,8 +82,8 @@ def test_what_presses_from_a_place_in_the_palm_is_noticed(extra):
         for force in ((0, 0, 0), extra)
     )
     assert alone.consistent
-    assert pressed.chance_fixed < 0.05 * alone.chance_fixed
-    assert pressed.chance_fixed < pressed.chance
+    assert pressed.p_fixed < 0.05 * alone.p_fixed
+    assert pressed.p_fixed < pressed.p_value
 
 
 def test_accelerations_are_those_of_the_way():

@@ -26,8 +26,7 @@ from handsight.correction import DepthPoints, WeightEvidence, modes, solve
 from handsight.correction.outside import NO_OUTSIDE, OUTSIDE
 from handsight.correction.problem import Problem, descents_at, poses_of
 from handsight.objects import Symmetries
-from handsight.objects.symmetry import nearest
-from handsight.objects.weight import kept_center
+from handsight.objects.symmetry import kept_center, nearest
 from kept_kernels import kept
 from oracles import correction as oracle
 

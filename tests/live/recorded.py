@@ -6,9 +6,9 @@ import numpy as np
 
 from handsight.cli.demo import DATA
 from handsight.live import LiveTracker
-from handsight.messages import ObservationStream
+from handsight.messages import ObservationStream, RosType
 from handsight.messages.decode import typestore
-from handsight.messages.topics import POSE_COVARIANCE, rig_topics
+from handsight.messages.topics import rig_topics
 from handsight.recording.mcap import McapSource
 from handsight.rig import Rig
 from handsight.tracking import Tracker
@@ -63,7 +63,7 @@ def answered(tracker, messages, *, at_once=1):
         for each in messages[k : k + at_once]:
             tracker.put(each)
         answers += tracker.step(0.0)
-    tracker._heard -= 2.0  # nothing has come for long
+    tracker._came -= 2.0  # nothing has come for long
     return answers + tracker.step(0.0)
 
 
@@ -75,7 +75,7 @@ def poses(answers, encoding="cdr"):
     """By stamp: position, quaternion and covariance."""
     found = {}
     for each in answers:
-        if each.type == POSE_COVARIANCE:
+        if each.type == RosType.POSE_COVARIANCE:
             message = read(each, encoding)
             stamp, pose = message.header.stamp, message.pose.pose
             p, q = pose.position, pose.orientation

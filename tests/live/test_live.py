@@ -9,15 +9,13 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
 
-from handsight.live import LiveTracker, inbox
-from handsight.messages import RawMessage, prompt
+from handsight.live import LiveTracker
+from handsight.live.live_tracker import Inbox
+from handsight.messages import RawMessage, RosType, clocks
 from handsight.messages.decode import typestore
-from handsight.messages.topics import POSE_COVARIANCE
-from handsight.recording.write import header, pose_with_covariance
+from handsight.messages.encode import Message, header, pose_with_covariance
 from handsight.tracking import TrackerSettings
 from tests.live.recorded import START, answered, in_ros1, live, model, poses, read, rig, said, tracked
-
-Message = type(header(0.0))
 
 
 def sentences(tracker, encoding="cdr"):
@@ -82,7 +80,9 @@ def test_behind_the_newest_joint_state_is_answered_and_every_sight_and_the_rest_
 
 def test_without_waiting_an_observation_has_all_of_its_stamp_and_nothing_later(monkeypatch):
     """Each instant's messages come in any order, joint states before their wrenches too."""
-    monkeypatch.setattr(prompt, "WAIT", 10.0)  # however busy the machine is
+    monkeypatch.setattr(
+        clocks, "CLOCKS", clocks.CLOCKS._replace(max_wait=10.0)
+    )  # however busy the machine is
     rng, tracker = np.random.default_rng(1), live()
     given = followed(tracker)
     stamps = sorted({each.log_time for each in said()})
@@ -108,8 +108,8 @@ def read_wrench(message):
 
 
 def test_joint_states_wait_so_long_and_no_longer(monkeypatch):
-    assert prompt.WAIT == 0.002
-    monkeypatch.setattr(prompt, "WAIT", 0.3)  # however busy the machine is
+    assert clocks.CLOCKS.max_wait == 0.002
+    monkeypatch.setattr(clocks, "CLOCKS", clocks.CLOCKS._replace(max_wait=0.3))  # however busy the machine is
     tracker = live()
     for each in said():
         tracker.put(each)
@@ -185,18 +185,16 @@ def test_a_wrong_message_is_named(spoil, expected):
     assert any("/th/wrench: 1 of 1 messages" in said and expected in said for said in sentences(tracker))
 
 
-def test_too_many_messages_are_dropped_the_oldest_first_and_counted(monkeypatch):
-    monkeypatch.setattr(inbox, "MAX_WAITING", 100)
-    box = inbox.Inbox()
+def test_too_many_messages_are_dropped_the_oldest_first_and_counted():
+    box = Inbox(max_waiting=100)
     for k in range(130):
         box.put(RawMessage("/a" if k < 20 else "/b", "", "cdr", float(k), b"x"), 0.0)
     assert [message.log_time for _, message in box.take(0.0)] == list(map(float, range(30, 130)))
     assert box.dropped == {"/a": 20, "/b": 10}
 
 
-def test_what_the_messages_hold_is_bounded_too(monkeypatch):
-    monkeypatch.setattr(inbox, "MAX_WAITING_BYTES", 1000)
-    box = inbox.Inbox()
+def test_what_the_messages_hold_is_bounded_too():
+    box = Inbox(max_bytes=1000)
     for k in range(30):
         box.put(RawMessage("/image", "", "cdr", float(k), bytes(100)), 0.0)
     assert len(box.take(0.0)) == 10
@@ -253,7 +251,7 @@ def test_a_users_pose_begins_a_track_without_vision():
     tracker, T = live(equal=True), np.eye(4)
     T[:3, 3] = 0.0, -0.05, 0.1
     pose = pose_with_covariance(T, None)
-    tracker.put(asked("/handsight/start", POSE_COVARIANCE, header=header(0.0, "palm"), pose=pose))
+    tracker.put(asked("/handsight/start", RosType.POSE_COVARIANCE, header=header(0.0, "palm"), pose=pose))
     wait_for(tracker, "begun anew from the user's pose")
     without = [each for each in said(seconds=0.4) if each.topic != "/vision/object"]
     found = poses(answered(tracker, without, at_once=50))
@@ -268,11 +266,11 @@ def test_a_users_pose_begins_a_track_without_vision():
         (asked("/handsight/reset", "std_msgs/msg/Empty"), "begun anew: vision's next pose starts"),
         (asked("/handsight/object", "std_msgs/msg/String", data="can"), "the object is can"),
         (
-            asked("/handsight/start", POSE_COVARIANCE, header=header(0.0, "moon"), pose=pose_with_covariance(np.eye(4), None)),
+            asked("/handsight/start", RosType.POSE_COVARIANCE, header=header(0.0, "moon"), pose=pose_with_covariance(np.eye(4), None)),
             "unknown frame 'moon'; valid: 'camera' (camera), 'world' (world), 'palm' (palm)",
         ),
         (
-            asked("/handsight/start", POSE_COVARIANCE, header=header(0.0, "world"), pose=pose_with_covariance(np.eye(4), None)),
+            asked("/handsight/start", RosType.POSE_COVARIANCE, header=header(0.0, "world"), pose=pose_with_covariance(np.eye(4), None)),
             "expected a pose in the palm, as the palm's pose in the world is not known",
         ),
     ],

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from handsight import se3
-from messages.ros import START, Messages, heard, rig, touched
+from handsight.messages import ObservationStream
+from handsight.messages.clocks import PromptBuffer
+from messages.ros import START, Messages, heard, raw, rig, touched
 
 M = Messages()
 WRENCH = np.arange(1.0, 7.0)
@@ -217,6 +219,20 @@ def test_one_or_two_stamps_far_back_are_late_and_begin_nothing(count):
     assert len(observations) == 100 - count
     assert stream.report.topics["/joint_states"].late == count
     assert stream.report.backwards is None
+
+
+def test_a_camera_that_is_more_than_a_second_late_takes_no_wrenches_from_a_live_robot():
+    rows = joints(grid(300))
+    rows += [("/ff/wrench", s, M.wrench(s, np.full(6, s - START))) for s in grid(75, rate=25.0)]
+    pixels = np.zeros((2, 2, 3), np.uint8)
+    rows += [("/color", s + 1.5, M.image(s, pixels, "rgb8")) for s in grid(30, rate=20.0)]
+    stream, observations = ObservationStream(rig(), order=PromptBuffer), []
+    for topic, log, message in by_log(rows):
+        stream.order.now = log
+        observations += stream.put(raw(topic, log, message))
+    assert len(observations) > 280
+    assert all("ff" in seen.wrenches for seen in observations)
+    assert stream.report.topics["/color"].stale == 30
 
 
 def test_one_stamp_far_ahead_does_not_silence_what_follows():

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from handsight.contact import TaxelArray
-from handsight.messages import ObservationStream, RawMessage
+from handsight.messages import ObservationStream, RawMessage, RosType
 from handsight.messages.decode import typestore
-from handsight.messages.topics import ARRAY, IMAGE
-from handsight.messages.touch import taxel_fields
-from handsight.recording.write import header
+from handsight.messages.encode import header, taxel_fields
 from messages.ros import START, Messages, raw, rig
 
 M = Messages()
@@ -25,14 +23,13 @@ def robot():
     return replace(listening, skin={"palm": TAXELS})
 
 
-def said(message, kind=ARRAY, encoding="cdr"):
+def said(message, kind=RosType.ARRAY, encoding="cdr"):
     data = getattr(typestore(encoding), f"serialize_{encoding}")(Message(**message), kind)
     return RawMessage("/skin", kind, encoding, START, bytes(data))
 
 
 def image(pixels, encoding):
     top, height, width = header(START), *pixels.shape
-    top.seq = 0
     data = np.frombuffer(pixels.tobytes(), dtype=np.uint8)
     layout = {"is_bigendian": 0, "step": len(data) // height, "data": data}
     return {"header": top, "height": height, "width": width, "encoding": encoding, **layout}
@@ -57,7 +54,7 @@ def test_an_array_is_in_the_observation_at_the_time_it_was_logged(encoding):
     ("name", "kind"), [("mono8", "u1"), ("8UC1", "u1"), ("mono16", "u2"), ("16UC1", "u2"), ("32FC1", "f4")]
 )
 def test_an_image_is_one_too(name, kind, encoding):
-    observations, _ = heard(said(image(READING.astype(kind), name), IMAGE, encoding))
+    observations, _ = heard(said(image(READING.astype(kind), name), RosType.IMAGE, encoding))
     np.testing.assert_array_equal(observations[0].skin["palm"], READING)
 
 
@@ -85,6 +82,6 @@ def test_a_message_of_another_array_is_left_out_and_told(values, sizes, reason):
 
 def test_colour_is_no_reading():
     pixels = np.zeros((2, 9), np.uint8)
-    observations, topic = heard(said({**image(pixels, "rgb8"), "width": 3}, IMAGE))
+    observations, topic = heard(said({**image(pixels, "rgb8"), "width": 3}, RosType.IMAGE))
     assert not observations[0].skin
     assert "expected encoding mono8, 8UC1" in next(iter(topic.reasons))

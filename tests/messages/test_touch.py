@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from handsight.messages import ObservationStream, RawMessage
+from handsight.messages import ObservationStream, RawMessage, RosType
 from handsight.messages.decode import typestore
-from handsight.messages.topics import CONTACT
-from handsight.recording.write import Message, header, parts
+from handsight.messages.encode import Message, header, parts
 from messages.ros import START, Messages, raw, rig
 
 M = Messages()
@@ -18,18 +17,16 @@ def robot():
 
 
 def said(stamp, frame="", force=1.0, point=(0.001, 0.002, 0.003), normal=NORMAL, encoding="cdr"):
-    top = header(stamp, frame)
-    top.seq = 0
     message = Message(
-        header=top,
+        header=header(stamp, frame),
         tangential_force=parts("xyz", np.zeros(3)),
         contact_position=parts("xyz", np.array(point)),
         contact_normal=parts("xyz", np.array(normal)),
         f_normal=force,
         l_torque=0.0,
     )
-    data = getattr(typestore(encoding), f"serialize_{encoding}")(message, CONTACT)
-    return RawMessage("/th/contact", CONTACT, encoding, stamp, bytes(data))
+    data = getattr(typestore(encoding), f"serialize_{encoding}")(message, RosType.CONTACT)
+    return RawMessage("/th/contact", RosType.CONTACT, encoding, stamp, bytes(data))
 
 
 def heard(*contacts):

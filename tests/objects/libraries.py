@@ -7,8 +7,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 
-from handsight.objects.files.read import Shape
-from handsight.objects.files.write import ply_bytes
+from handsight.objects.files import Shape, ply_bytes
 from objects.object_shapes import box_mesh
 
 HALF_TURN = [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]

@@ -11,9 +11,8 @@ import pytest
 
 from handsight.errors import NotWritten
 from handsight.objects import Facts, Library
-from handsight.objects.library import store
-from handsight.objects.library.add import add, new_object
-from handsight.objects.library.folder import Folder
+from handsight.objects.library import folder as folders
+from handsight.objects.library.folder import Folder, new_object
 from objects.libraries import block, bop
 
 RENAMES = 3
@@ -72,11 +71,11 @@ def test_threads_at_the_same_time_lose_nothing(tmp_path):
 def test_whoever_reads_meanwhile_finds_each_object_with_all_that_is_known_of_it(tmp_path):
     folder, library = Folder(tmp_path / "library"), Library(tmp_path / "library")
     new = new_object(block(tmp_path), Facts(name="block", mass=0.5), 1.0, None)
-    add(folder, new)
+    folder.add(new)
 
     def write():
         for k in range(60):
-            add(folder, new._replace(facts=new.facts | {"name": f"block {k}"}))
+            folder.add(new._replace(facts=new.facts | {"name": f"block {k}"}))
 
     writer = threading.Thread(target=write)
     writer.start()
@@ -133,7 +132,7 @@ def test_a_full_disk_is_said_and_leaves_the_library_as_it_was(tmp_path, monkeypa
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         fsync(number)
 
-    monkeypatch.setattr(store.os, "fsync", full)
+    monkeypatch.setattr(folders.os, "fsync", full)
     with pytest.raises(
         NotWritten, match=r"library/models/\w+\.\w+: cannot be written: No space left on device$"
     ):
@@ -162,9 +161,9 @@ def test_a_file_that_the_system_refuses_to_grow_is_said(tmp_path, monkeypatch):
 
 def test_a_lock_that_is_held_is_waited_for_and_then_told_of(tmp_path, monkeypatch):
     library, file = Library(tmp_path), block(tmp_path)
-    monkeypatch.setattr(store, "LOCK_SECONDS", 0.2)
+    monkeypatch.setattr(folders, "LOCK_SECONDS", 0.2)
     with (
-        store.locked(tmp_path / "models"),
+        folders.locked(tmp_path / "models"),
         pytest.raises(
             NotWritten, match=r"models: cannot be written: another process has been adding to it for 0\.2 s$"
         ),
@@ -177,7 +176,7 @@ def test_a_folder_without_locks_is_refused(tmp_path, monkeypatch):
     def none(_):
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
-    monkeypatch.setattr(store, "_take", none)
+    monkeypatch.setattr(folders, "_lock", none)
     with pytest.raises(NotWritten, match="models: cannot be written: No locks available"):
         Library(tmp_path / "library").add(block(tmp_path), Facts(name="block"))
 

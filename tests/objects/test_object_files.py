@@ -8,8 +8,9 @@ import trimesh
 from handsight.errors import InvalidFile, InvalidInput, InvalidObject
 from handsight.objects import ObjectModel, ObjectWarning
 from handsight.objects.files import read as object_files
+from handsight.objects.files import read_shape
 from handsight.objects.files.pcd import lzf_unpacked
-from handsight.objects.files.read import read_shape
+from handsight.objects.files.shape import BadText
 from objects.object_shapes import box_mesh
 
 VERTICES, FACES = box_mesh((60, 90, 50))
@@ -278,5 +279,5 @@ def test_unpacking_follows_the_format():
     assert lzf_unpacked(bytes([0]) + b"a" + bytes([1 << 5, 0]), 4) == b"aaaa"
     assert lzf_unpacked(bytes([1]) + b"ab" + bytes([7 << 5, 1, 1]), 12) == b"ab" * 6
     for packed in (b"\x05a", bytes([0x20]), bytes([0xE0, 1]), bytes([0, 97, 1 << 5, 9]), bytes([0, 97])):
-        with pytest.raises(ValueError, match="compressed|unpacked"):
+        with pytest.raises(BadText, match="compressed|unpacked"):
             lzf_unpacked(packed, 4)

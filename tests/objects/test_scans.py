@@ -9,12 +9,9 @@ import trimesh
 import handsight as hs
 from handsight._kernels.mesh.patches import blended
 from handsight.objects import ObjectModel
-from handsight.objects.cloud import cloud_geometry
-from handsight.objects.meshes.mesh_geometry import mesh_geometry
-from handsight.objects.scans.noise import measured_noise
+from handsight.objects.scans.noise import Noise, Points, flat_patches, measured_noise, spacing_of, widened
 from handsight.objects.scans.patches import fitted
 from handsight.objects.scans.scan import scanned, smoothed
-from handsight.objects.scans.windows import Noise, Points, spacing_of, started, widened
 from handsight.objects.surface import Triangles, diameter
 from oracles import fields
 
@@ -103,7 +100,7 @@ def test_a_quadric_is_exact_on_a_plane_a_cylinder_and_a_ball(name, window):
     inner &= np.abs(normals[:, 2]) < 0.5 if name == "can" else True
     centres, facing = points[inner][:200], normals[inner][:200]
     turned = facing + 0.1 * rng.normal(size=facing.shape)
-    patches = started(centres, turned / np.linalg.norm(turned, axis=1, keepdims=True))
+    patches = flat_patches(centres, turned / np.linalg.norm(turned, axis=1, keepdims=True))
     given = as_points(points, normals)
     widened(given, patches, np.array([window] * 9), variance=1e-10, together=1.0, bend=1e6, free=True)
     expected = {"plane": (0.0, 0.0), "can": (1 / 0.033, 0.0), "ball": (1 / 0.035, 1 / 0.035)}[name]
@@ -154,7 +151,7 @@ def off_edges(name, rng):
 def test_the_surface_is_better_than_its_points_and_says_how_good(name, sigma, given):
     points, normals, rng = drawn(name, 4000, 6)
     noisy = points + sigma * rng.normal(size=points.shape)
-    scan = cloud_geometry(noisy, normals if given else None)
+    scan = ObjectModel.from_points(noisy, normals if given else None)
     places, facing = off_edges(name, rng)
     distance, gradient, _ = scan.fine.evaluate(places)
     angle2 = (np.cross(gradient, facing) ** 2).sum(axis=1) / 2 / (gradient**2).sum(axis=1)
@@ -168,7 +165,7 @@ def test_the_surface_is_better_than_its_points_and_says_how_good(name, sigma, gi
 
 def test_points_with_normals_and_no_noise_are_taken_as_they_are():
     points, normals = BOX.sample(3000)
-    geometry = cloud_geometry(points, normals)
+    geometry = ObjectModel.from_points(points, normals)
     np.testing.assert_array_equal(geometry.surface.vertices, points)
     assert not geometry.field_error.values[..., 2:].any()
     assert (
@@ -263,13 +260,11 @@ def test_a_mesh_with_noisy_vertices_is_brought_to_its_surface(name, noise):
 def test_a_scanned_mesh_says_of_itself_what_a_scanned_cloud_does():
     mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.035)
     rng = np.random.default_rng(0)
-    geometry = mesh_geometry(
-        Triangles(mesh.vertices + 5e-4 * rng.normal(size=mesh.vertices.shape), mesh.faces)
-    )
+    geometry = ObjectModel.from_mesh(mesh.vertices + 5e-4 * rng.normal(size=mesh.vertices.shape), mesh.faces)
     assert geometry.closed
     assert len(geometry.faces) == len(mesh.faces)
     assert (geometry.field_error.values[..., 2:] > 0).all()
-    assert mesh_geometry(Triangles(mesh.vertices, mesh.faces)).field_error.values[..., 2:].max() == 0
+    assert ObjectModel.from_mesh(mesh.vertices, mesh.faces).field_error.values[..., 2:].max() == 0
 
 
 def hostile():
@@ -295,7 +290,7 @@ def hostile():
 def test_any_cloud_is_an_object_with_finite_fields(name, points):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", hs.objects.ObjectWarning)
-        geometry = cloud_geometry(points, None)
+        geometry = ObjectModel.from_points(points, None)
     assert np.isfinite(geometry.coarse.values).all()
     assert np.isfinite(geometry.fine.values).all()
     assert np.isfinite(geometry.field_error.values).all()
@@ -335,7 +330,7 @@ def test_detail_that_points_are_too_few_for_is_said_to_be_missing_in_the_normals
     way, places = (
         given / np.linalg.norm(given, axis=1, keepdims=True) for given in rng.normal(size=(2, 2600, 3))
     )
-    scan = cloud_geometry(dented(way), None)
+    scan = ObjectModel.from_points(dented(way), None)
     slope = -height * np.sin(0.035 * places @ waves + phases) @ waves.T
     facing = places - slope + (slope * places).sum(axis=1, keepdims=True) * places
     gradient = scan.fine.evaluate(dented(places)).gradient
@@ -351,7 +346,7 @@ def without_a_base(sigma, seed):
     points, normals, rng = drawn("can", 4000, seed)
     seen = normals[:, 2] > -0.5
     noisy = points + sigma * rng.normal(size=points.shape)
-    return cloud_geometry(noisy[seen], normals[seen]), points[~seen]
+    return ObjectModel.from_points(noisy[seen], normals[seen]), points[~seen]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -365,7 +360,7 @@ def test_where_a_scan_has_no_points_it_says_that_it_knows_nothing(seed):
     assert (said[:, 1] > 0.5**2).mean() > 0.9
     # Where there are points all around, it knows what a scan of all of it does.
     points, normals, rng = drawn("can", 4000, seed)
-    closed = cloud_geometry(points + 1e-3 * rng.normal(size=points.shape), normals)
+    closed = ObjectModel.from_points(points + 1e-3 * rng.normal(size=points.shape), normals)
     assert closed.closed
     side, _ = off_edges("can", rng)
     side = side[side[:, 2] > 0]

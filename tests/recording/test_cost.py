@@ -3,18 +3,20 @@
 import time
 import tracemalloc
 
+import numpy as np
 import pytest
 
 from handsight.recording import open_recording
-from messages.ros import rig, touched
+from messages.ros import START, Messages, rig, touched
 from recording.bags import read, save
 
 
 def test_memory_does_not_grow_with_the_recording(tmp_path):
-    peaks = []
-    for count in (5000, 12000):  # one chunk and a bit, and three
-        path = save(tmp_path, touched(count, fingers=("ff",)))
-        with open_recording(path, rig()) as recording:
+    peaks, names, messages = [], [f"joint{k}" for k in range(200)], Messages()
+    for count in (500, 1200):  # three chunks, and six
+        stamps = [START + k / 100 for k in range(count)]
+        rows = [("/joint_states", s, messages.joints(s, names, np.full(200, s - START))) for s in stamps]
+        with open_recording(save(tmp_path, rows), rig()) as recording:
             tracemalloc.start()
             assert sum(1 for _ in recording.observations()) == count
             peaks.append(tracemalloc.get_traced_memory()[1])

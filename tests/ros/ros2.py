@@ -18,15 +18,19 @@ from handsight.bridge.bridge import carried
 from handsight.bridge.message_types import message_type
 from handsight.bridge.network import Network
 from handsight.live import Answer
-from handsight.live.answers import DIAGNOSTICS, DIAGNOSTICS_TOPIC, MARKERS, MARKERS_TOPIC, POSE_TOPIC
+from handsight.messages import OwnTopic, RosType
 from handsight.messages.decode import typestore
-from handsight.messages.topics import POSE_COVARIANCE, TF
 from tests.live.recorded import poses
 from tests.ros.ros1 import Graph
 
 ROOT = Path(__file__).parents[2]
 NODE = ROOT / "ros" / "handsight_ros2" / "handsight_ros2" / "node.py"
-ANSWERED = {POSE_TOPIC: POSE_COVARIANCE, "/tf": TF, MARKERS_TOPIC: MARKERS, DIAGNOSTICS_TOPIC: DIAGNOSTICS}
+ANSWERED = {
+    OwnTopic.POSE: RosType.POSE_COVARIANCE,
+    OwnTopic.TF: RosType.TF,
+    OwnTopic.MARKERS: RosType.MARKERS,
+    OwnTopic.DIAGNOSTICS: RosType.DIAGNOSTICS,
+}
 DOMAIN = 1 + os.getpid() % 100
 """Of each worker its own."""
 ALONE = {
@@ -138,7 +142,10 @@ class Robot:
         """All that the diagnostics said."""
         read = typestore("cdr").deserialize_cdr
         statuses = [
-            s for each in self.heard if each.type == DIAGNOSTICS for s in read(each.data, each.type).status
+            s
+            for each in self.heard
+            if each.type == RosType.DIAGNOSTICS
+            for s in read(each.data, each.type).status
         ]
         return {s.message for s in statuses} | {value.value for s in statuses for value in s.values}
 

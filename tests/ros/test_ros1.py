@@ -14,8 +14,8 @@ pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gym
 from rosbags import rosbag1
 
 from handsight.cli.demo import DATA
+from handsight.messages import RosType
 from handsight.messages.decode import typestore
-from handsight.messages.topics import WRENCH
 from tests.live.recorded import in_ros1, said, tracked
 from tests.ros.pages import free_port, gone, served
 from tests.ros.ros1 import PACKAGE, graph, messages_of, needs_ros1, poses_of, read_until
@@ -131,7 +131,7 @@ def test_what_happens_in_a_lab_ends_nothing(tmp_path):
             for status in each.status
             for value in status.values
         ]
-        wrong = f"/th/wrench: expected {WRENCH}, got std_msgs/msg/Header"
+        wrong = f"/th/wrench: expected {RosType.WRENCH}, got std_msgs/msg/Header"
         assert any(wrong in sentence for sentence in told), told[-20:]
         assert "registered anew" in node.log.read_text()
 

@@ -11,7 +11,7 @@ pytest.importorskip("cyclonedds", reason="the bridge needs cyclonedds")
 pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
 
 from handsight.cli.demo import DATA
-from handsight.messages.topics import WRENCH
+from handsight.messages import RosType
 from tests.live.recorded import poses, read, said, tracked
 from tests.ros.pages import free_port, gone, served
 from tests.ros.ros2 import KNOWN_AFTER, Robot, network, processes, same
@@ -60,7 +60,7 @@ def test_a_wrong_type_is_named_a_robot_that_dies_is_outlived_and_reset_is_a_topi
         robot = Robot(joined, messages, as_type={"/th/wrench": "std_msgs/msg/String"})
         heard_by_the_bridge(running, robot, "/joint_states", "/ff/wrench", "/tf")
         robot.play()
-        wrong = f"/th/wrench: 1 of 1 messages left out: expected {WRENCH}, got std_msgs/msg/String"
+        wrong = f"/th/wrench: 1 of 1 messages left out: expected {RosType.WRENCH}, got std_msgs/msg/String"
         running.wait_for(lambda: wrong in robot.told(), "the wrong type's name", bridge)
         late = said()[-1].log_time - 0.5
         running.wait_for(lambda: max(poses(robot.heard), default=0.0) > late, "poses until the end", bridge)

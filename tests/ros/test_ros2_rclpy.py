@@ -12,9 +12,9 @@ pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gym
 
 from handsight.cli.demo import DATA
 from handsight.live import Answer
+from handsight.messages import RosType
 from handsight.messages.decode import typestore
-from handsight.messages.topics import POSE_COVARIANCE, WRENCH
-from handsight.recording.write import header, pose_with_covariance
+from handsight.messages.encode import Message, header, pose_with_covariance
 from tests.live.recorded import read, said, tracked
 from tests.ros.ros2 import processes, same
 
@@ -28,7 +28,7 @@ STRING, A = "std_msgs/msg/String", b"\0\1\0\0\2\0\0\0a\0\0\0"
 def users_pose():
     """A pose in the palm."""
     at = {"header": header(0.0, "palm"), "pose": pose_with_covariance(np.eye(4), None)}
-    return bytes(typestore("cdr").serialize_cdr(type(header(0.0))(**at), POSE_COVARIANCE))
+    return bytes(typestore("cdr").serialize_cdr(Message(**at), RosType.POSE_COVARIANCE))
 
 
 def robot(running, release, folder, *steps):
@@ -78,7 +78,7 @@ def test_the_node_serves_names_a_wrong_type_and_subscribes_to_what_comes_late(tm
     ]
     half = len(play) // 2
     touch = [each for each in play[:half] if each[0] != "/vision/object"]
-    named = f"{wrong}: 1 of 1 messages left out: expected {WRENCH}, got {STRING}"
+    named = f"{wrong}: 1 of 1 messages left out: expected {RosType.WRENCH}, got {STRING}"
     with processes(tmp_path) as running:
         asks = robot(
             running,
@@ -99,7 +99,7 @@ def test_the_node_serves_names_a_wrong_type_and_subscribes_to_what_comes_late(tm
             ("told", "/handsight/object: object: expected one of the rig (can)"),
             ("say", [("/handsight/reset", "std_msgs/msg/Empty", 0.0, b"\0\1\0\0\0")]),
             ("told", "begun anew: vision's next pose starts"),
-            ("say", [("/handsight/start", POSE_COVARIANCE, 0.0, users_pose())]),
+            ("say", [("/handsight/start", RosType.POSE_COVARIANCE, 0.0, users_pose())]),
             ("told", "begun anew from the user's pose"),
         )
         node = running.node(RIG, object="can")

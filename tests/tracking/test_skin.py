@@ -9,7 +9,7 @@ import handsight as hs
 from handsight.errors import InvalidInput
 from handsight.recording import RecordingWriter, open_recording
 from handsight.simulation import Scenario, model_of, rig_of
-from handsight.tracking.skin import SkinSensors
+from handsight.tracking.skin import NOTHING, SkinSensors
 
 SCENARIO = Scenario(object="can", seed=1, motion="grasp", rate=50, skin=True)
 RIG = rig_of(SCENARIO)
@@ -57,11 +57,12 @@ def test_a_recording_brings_the_readings_back(grasp, tmp_path):
 def test_offsets_and_dead_taxels_are_learnt_before_the_first_touch():
     array, rng = RIG.skin["palm"], np.random.default_rng(0)
     sensors, offset = SkinSensors(RIG), rng.normal(size=array.shape)
-    observation = hs.Observation(0.0)
+    observation, skin = hs.Observation(0.0), NOTHING
 
     def observed(reading, *, touched):
-        seen = replace(observation, skin={"palm": reading})
-        return sensors.observed(seen, touched=touched).touches["palm"][0]
+        nonlocal skin
+        skin = sensors.observed(replace(observation, skin={"palm": reading}), skin, touched=touched)
+        return skin.touches["palm"][0]
 
     for _ in range(10):
         reading = offset + 0.001 * rng.normal(size=array.shape)

@@ -15,8 +15,8 @@ from handsight.evaluation import Truths, pose_errors, track_errors
 from handsight.hand import Hand
 from handsight.observation import PoseMeasurement
 from handsight.tracking import Tracker, TrackerSettings
-from handsight.tracking.propagation import point_covariance
 from handsight.tracking.replay import Tally, replay
+from handsight.tracking.track_state import point_uncertainty
 
 
 def tracked(grasp, **settings):
@@ -90,7 +90,7 @@ def test_the_spread_of_a_point_is_that_of_poses_drawn(box):
         np.repeat(narrow.T_palm_object[None], 20_000, axis=0), rng.normal(size=(20_000, 6)) @ root.T
     )
     places = se3.apply(drawn, point[None])[:, 0]
-    expected = point_covariance(narrow, box.model, point)
+    expected = point_uncertainty(narrow, box.model, point)[0]
     np.testing.assert_allclose(np.cov(places.T), expected, atol=0.05 * np.trace(expected))
 
 
@@ -157,10 +157,10 @@ def test_a_lifted_finger_is_remembered_for_a_while(can):
     last, finger = can.observations[-1], tracker.fingertips.fingers[0]
     silent = {name: value for name, value in last.wrenches.items() if name != finger}
     tracker.update(later(last, 0.5, wrenches=silent))
-    assert set(tracker.track_state.memory._last) - set(tracker.fingertips.fingers) == {finger}
+    assert set(tracker.track_state.memory.last) - set(tracker.fingertips.fingers) == {finger}
     assert len(tracker.estimate.residuals.distance) == len(tracker.fingertips.fingers) + 1
     tracker.update(later(last, 1.6, wrenches=silent))
-    assert set(tracker.track_state.memory._last) == set(tracker.fingertips.fingers)
+    assert set(tracker.track_state.memory.last) == set(tracker.fingertips.fingers)
     tracker.update(later(last, 1.7))
     assert finger in tracker.fingertips.fingers
 
@@ -168,14 +168,14 @@ def test_a_lifted_finger_is_remembered_for_a_while(can):
 def test_a_remembered_contact_that_does_not_fit_is_dropped(can):
     tracker = tracked(can, memory=100.0)
     last, finger = can.observations[-1], tracker.fingertips.fingers[0]
-    kept, row, stamp = tracker.track_state.memory._last[finger]
+    kept, row, stamp = tracker.track_state.memory.last[finger]
     points = kept.points_palm.copy()
     points[row] += 0.03 * kept.normals_palm[row]
     wrong = hs.Contacts(points, kept.normals_palm, covariance=kept.covariance)
     silent = {name: value for name, value in last.wrenches.items() if name != finger}
-    tracker.track_state.memory._last[finger] = wrong, row, stamp
+    tracker.track_state.memory.last[finger] = wrong, row, stamp
     tracker.update(later(last, 0.1, wrenches=silent))
-    assert finger not in tracker.track_state.memory._last
+    assert finger not in tracker.track_state.memory.last
 
 
 def test_an_object_that_is_not_grasped_stays_where_it_is_in_the_world(can):

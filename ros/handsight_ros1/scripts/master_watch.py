@@ -1,4 +1,4 @@
-"""A master that was started again knows nobody, and rospy tells it nothing: this does."""
+"""Registers a node again with a master that was restarted: such a master knows nobody, and rospy does not notice."""
 
 import xmlrpc.client
 
@@ -7,28 +7,28 @@ import rospy
 
 
 class MasterWatch:
-    """Registers all that this node publishes, hears and serves with a master that does not know it yet."""
+    """Registers what this node publishes, subscribes to and serves with a master that does not know it yet."""
 
     def __init__(self, services):
-        """`services`: those of this node."""
+        """`services`: the services of this node."""
         self._services = services
         self._name, self._uri = rospy.get_name(), rospy.core.get_node_uri()
         self._pid = rosgraph.Master(self._name).getPid()
 
     def look(self):
-        """Whether the master was another one than before; to be called about once a second."""
+        """Returns whether the master was another one than before; to be called about once a second."""
         master = rosgraph.Master(self._name)
         try:
             pid = master.getPid()
         except (OSError, rosgraph.MasterException):
-            return False  # it is gone; what is connected stays so
+            return False  # it is gone; what is connected stays connected
         known, self._pid = self._pid == pid, pid
         if known:
             return False
         try:
             self._register(master)
         except (OSError, rosgraph.MasterException, xmlrpc.client.Error):
-            self._pid = -1  # gone again: the next is another one
+            self._pid = -1  # it is gone again: the next one is another
             return False
         return True
 

@@ -1,4 +1,4 @@
-"""Messages of ROS 1 as the bytes they are, in and out: decoding and encoding are handsight's."""
+"""Messages of ROS 1 as bytes, in and out: handsight decodes and encodes them."""
 
 from functools import lru_cache
 
@@ -10,18 +10,18 @@ from handsight.messages.decode import typestore
 
 @lru_cache
 def ros2_name(kind):
-    """`package/msg/Name`, of a type as ROS 1 writes it."""
+    """Returns `package/msg/Name` of a type as ROS 1 writes it, `package/Name`."""
     package, _, name = kind.partition("/")
     return f"{package}/msg/{name}"
 
 
 def heard(topic, message, now):
-    """An AnyMsg that came now."""
+    """Returns the raw message of an AnyMsg that came `now` [s]."""
     return RawMessage(topic, ros2_name(message._connection_header["type"]), "ros1", now, message._buff)
 
 
 def bytes_of(kind):
-    """A class of messages of that type that are published as the bytes they are given."""
+    """Returns a class of messages of that type, whose bytes are published as they are given."""
     definition, md5 = typestore("ros1").generate_msgdef(kind, ros_version=1)
     package, _, name = kind.split("/")
     fields = {"__slots__": [], "_type": f"{package}/{name}", "_md5sum": md5, "_full_text": definition}

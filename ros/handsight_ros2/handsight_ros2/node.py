@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Follows the object in a robot's hand: messages of ROS 2 in, its pose out. No estimation is done here.
+"""Tracks the object in a robot's hand: messages of ROS 2 in, its pose out. No estimation is done here.
 
 Parameters: rig (the rig file), object (its name in the rig, in the library, or a mesh file; may be left out where the
-rig knows one), rate (corrections a second; 0: when something changed), images (look at depth images, true), equal (wait
-as for a recording, false), view (port of a page that shows it in the browser; 0: none). Topics are the rig's: see
-docs/ros2.md.
+rig knows one), rate (corrections a second; 0: one when something changed), images (use depth images, true), equal
+(answer as `handsight track` does with a recording, 0.2 s later, false), view (port of a page that shows it in the
+browser; 0: none). Topics are the rig's: see docs/ros2.md.
 """
 
 import signal
@@ -21,25 +21,19 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from handsight.errors import HandsightError
-from handsight.live.answers import MARKERS_TOPIC
-from handsight.live.node import NODE, PublishedTypes, done, live_tracker, work
-from handsight.messages import RawMessage
-from handsight.messages.prompt import WAIT
+from handsight.live.node import PublishedTypes, done, live_tracker, queue_lengths, time_to_wait, work
+from handsight.messages import OwnTopic, RawMessage
 from handsight.viewer import view
 
 PARAMETERS = {"rig": "", "object": "", "rate": 0.0, "images": True, "equal": False, "view": 0}
-UNHEARD, UNHEARD_EQUAL = 100, 2000
-"""Messages of a topic that wait to be taken."""
-QUIET = 0.1
-"""After so long without a message nothing waits for another one [s]."""
 LASTING = QoSProfile(
     depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE
 )
-"""Of what is said once, for whoever comes later."""
+"""The quality of service of topics that are published once, for whoever subscribes later."""
 
 
 def made(package, room, name):
-    """The class of a message or service; None: it is not installed."""
+    """Returns the class of a message or service; None: its package is not installed."""
     try:
         return getattr(import_module(f"{package}.{room}"), name)
     except (ImportError, AttributeError):
@@ -47,7 +41,7 @@ def made(package, room, name):
 
 
 def tracker(node):
-    """What the parameters describe."""
+    """Returns the tracker that the parameters describe."""
     as_it_comes = ParameterDescriptor(dynamic_typing=True)
     given = {
         name: node.declare_parameter(name, value, as_it_comes).value for name, value in PARAMETERS.items()
@@ -70,7 +64,7 @@ def tracker(node):
 
 
 class Ears:
-    """Subscriptions to all that a tracker listens to; of a topic that may have several types, to the published one."""
+    """Subscriptions to a tracker's topics; of a topic that may have several types, to the one that is published."""
 
     def __init__(self, node, live):
         self._node, self._live, self._types = node, live, PublishedTypes(live)
@@ -87,7 +81,7 @@ class Ears:
         return len(self._subscribed)
 
     def look(self):
-        """Looks who publishes: subscribes anew where it is another type that is expected, and has others named."""
+        """Subscribes anew where a topic is published with another type that is expected, and reports other types."""
         for topic, kinds in self._live.subscriptions.items():
             published = [each.topic_type for each in self._node.get_publishers_info_by_topic(topic)]
             for kind in published:
@@ -100,7 +94,7 @@ class Ears:
     def _subscribe(self, topic, kind):
         if topic in self._subscribed:
             self._node.destroy_subscription(self._subscribed.pop(topic)[1])
-        waiting = UNHEARD_EQUAL if self._live.equal else UNHEARD
+        waiting, _ = queue_lengths(self._live)
         passing = QoSProfile(depth=waiting, reliability=ReliabilityPolicy.BEST_EFFORT)
 
         def hear(data, info):
@@ -111,9 +105,9 @@ class Ears:
         self._subscribed[topic] = kind, subscription
 
     def _hear(self, topic, kind, data, info):
-        """Hands over a message and what else has come, in the order that it came in.
+        """Hands over a message and all others that have come, in the order of their arrival.
 
-        The executor would look at everything anew for each message, and hand over one topic's after another's.
+        The executor would wait anew for each message, and hand over those of one topic after those of another.
         """
         taken = [(info["received_timestamp"], topic, kind, data)]
         for topic, (kind, subscription) in self._subscribed.items():
@@ -126,14 +120,14 @@ class Ears:
 
 
 def publisher(node, live):
-    """What publishes an answer; one that never reads costs nothing."""
-    found, waiting = {}, NODE.max_answers_all if live.equal else NODE.max_answers
+    """Returns a function that publishes an answer; a subscriber that never reads blocks nothing."""
+    found, (_, waiting) = {}, queue_lengths(live)
     for topic, kind in live.publications.items():
         if (message := made(*kind.split("/"))) is not None:
             found[topic] = node.create_publisher(message, topic, waiting)
         else:
             node.get_logger().warning(f"{topic} is not published: {kind.split('/')[0]} is not installed")
-    markers = found.get(MARKERS_TOPIC)
+    markers = found.get(OwnTopic.MARKERS)
     live.markers_wanted = lambda: markers is not None and markers.get_subscription_count() > 0
 
     def publish(answer):
@@ -144,7 +138,7 @@ def publisher(node, live):
 
 
 class Worker:
-    """Hears and works in one thread: two would wait for each other's hold on Python."""
+    """Receives and works in one thread: two would wait for each other's hold on Python."""
 
     def __init__(self, node, live, ears):
         self._live, self._ears, self._executor = live, ears, SingleThreadedExecutor()
@@ -152,19 +146,17 @@ class Worker:
 
     @property
     def tracker(self):
-        """Of the object that is followed now."""
+        """The tracker of the present object."""
         return self._live.tracker
 
     def step(self, timeout):
-        """What is to be published now; waits at most `timeout` [s] for something to come."""
-        if time.monotonic() - self._ears.heard < QUIET:
-            timeout = min(timeout, WAIT)
-        self._executor.spin_once(timeout_sec=timeout)
+        """Returns what is to be published now; waits at most `timeout` [s] for something to come."""
+        self._executor.spin_once(timeout_sec=time_to_wait(timeout, self._ears.heard))
         return self._live.step(0.0)
 
 
 def serve(node, live, publish):
-    """Services: begin anew from vision, and with the object that the parameter names now."""
+    """Offers services that start a new track: from vision, or of the object that the parameter names now."""
     trigger = made("std_srvs", "srv", "Trigger")
     if trigger is None:
         node.get_logger().warning("there are no services: std_srvs is not installed")
@@ -173,7 +165,7 @@ def serve(node, live, publish):
     def answer(ask):
         def asked():
             future = ask()
-            for each in live.step(0.0):  # nobody else does what is asked for
+            for each in live.step(0.0):  # this thread does the work
                 publish(each)
             return future
 

@@ -18,15 +18,20 @@ UNBUILT = HERE / "handsight_ros2" / "node.py"
 ARGUMENTS = (
     ("rig", None, str, "the rig file"),
     ("object", "", str, "its name in the rig or the library, or a mesh file; empty: the rig's only one"),
-    ("images", "true", bool, "look at depth images, where the rig names some"),
-    ("rate", "0.0", float, "corrections a second; 0: when something has changed"),
-    ("equal", "false", bool, "wait for messages as for a recording: 0.2 s late, the same numbers"),
+    ("images", "true", bool, "use depth images, where the rig names a topic of them"),
+    ("rate", "0.0", float, "corrections a second; 0: one when something has changed"),
+    (
+        "equal",
+        "false",
+        bool,
+        "answer as `handsight track` does with a recording: 0.2 s later, the same numbers",
+    ),
     ("view", "0", int, "port of a page that shows it in the browser; 0: none"),
 )
 
 
 def generate_launch_description():
-    """The node and, where it is asked for, RViz."""
+    """Returns the node and, where it is wanted, RViz."""
     declared = [
         DeclareLaunchArgument(
             name, description=what, **({} if default is None else {"default_value": default})

@@ -1,7 +1,7 @@
 """ROS 2 without ROS: its messages over DDS, for machines whose ROS has another Python, or none.
 
-`Network` joins the domain as ROS 2 would be told to by the environment, `Bridge` carries a `LiveTracker`'s messages.
-No services, parameters or node's name: what is asked for are topics.
+`Network` joins the domain that ROS 2's environment variables name, `Bridge` carries a `LiveTracker`'s messages. There
+are no services, no parameters and no node's name: users make requests by topics.
 """
 
 from handsight.errors import MissingExtra

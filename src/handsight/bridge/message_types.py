@@ -1,8 +1,8 @@
-"""Messages of ROS 2 as types of DDS: described to the others field by field, but handed over as the bytes they are."""
+"""Messages of ROS 2 as types of DDS: described to others field by field, but handed over as the bytes they are."""
 
 from functools import cache
 from types import new_class
-from typing import Any, Protocol
+from typing import Any, Self
 
 from cyclonedds import idl
 from cyclonedds.idl import types
@@ -11,20 +11,32 @@ from handsight.errors import InvalidInput
 from handsight.messages.decode import rosbags_module, typestore
 
 
-class Sample(Protocol):
-    """A `Sample` is what a reader takes and a writer writes."""
+class Sample:
+    """A `Sample` is a message that a reader takes or a writer writes: the bytes are not decoded."""
 
-    data: bytes
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+
+    def serialize(self, *_: object, **__: object) -> bytes:
+        """Returns the bytes."""
+        return self.data
+
+    @classmethod
+    def deserialize(cls, data: bytes, /, *_: object, **__: object) -> Self:
+        """Returns the message of these bytes."""
+        return cls(data)
+
+    deserialize_key = deserialize
 
 
 def dds_name(kind: str) -> str:
-    """Returns what ROS 2 calls the type `package/msg/Name` on DDS."""
+    """Returns the name that the type `package/msg/Name` of ROS 2 has on DDS."""
     package, _, name = kind.split("/")
     return f"{package}::msg::dds_::{name}_"
 
 
 def ros_name(dds: str) -> str:
-    """Returns `package/msg/Name` of a type on DDS; of one that is not ROS 2's, its own name."""
+    """Returns `package/msg/Name` of a type on DDS; a type that is not ROS 2's keeps its own name."""
     parts = dds.split("::")
     if len(parts) == 4 and parts[2] == "dds_" and parts[3].endswith("_"):
         return f"{parts[0]}/{parts[1]}/{parts[3][:-1]}"
@@ -33,10 +45,10 @@ def ros_name(dds: str) -> str:
 
 @cache
 def message_type(kind: str) -> Any:
-    """Returns the class of DDS for messages of that type, `package/msg/Name`: made of bytes, `data` are they again.
+    """Returns the class of DDS for messages of the type `package/msg/Name` of ROS 2.
 
-    The fields serve others alone, which may compare them with their own before they talk. Raises InvalidInput,
-    MissingExtra.
+    Its fields only describe the type to others, which may compare them with their own before they communicate. Raises
+    InvalidInput, MissingExtra.
     """
     known = typestore("cdr").fielddefs
     if kind not in known:
@@ -45,16 +57,16 @@ def message_type(kind: str) -> Any:
 
     def fill(namespace: dict[str, Any]) -> None:
         namespace.setdefault("__annotations__", {}).update(fields)
-        decode = classmethod(_from_bytes)
-        namespace.update(__init__=_keep, serialize=_bytes, deserialize=decode, deserialize_key=decode)
+        methods = ("__init__", "serialize", "deserialize", "deserialize_key")
+        namespace.update({name: vars(Sample)[name] for name in methods})
 
     # A plain `type(...)` call would lose the name that the metaclass is given.
-    return new_class(
-        kind.rsplit("/", 1)[1], (idl.IdlStruct,), {"typename": dds_name(kind).replace("::", ".")}, fill
-    )
+    name = kind.rsplit("/", 1)[1]
+    return new_class(name, (idl.IdlStruct,), {"typename": dds_name(kind).replace("::", ".")}, fill)
 
 
 def _field(node: Any) -> Any:
+    """Returns the type of DDS for a field as rosbags describes it."""
     nodes = rosbags_module("rosbags.interfaces").Nodetype
     kind, what = node
     if kind == nodes.NAME:
@@ -66,15 +78,3 @@ def _field(node: Any) -> Any:
     if kind == nodes.ARRAY:
         return types.array[_field(element), count]
     return types.sequence[_field(element), count] if count else types.sequence[_field(element)]
-
-
-def _keep(self: Sample, data: bytes) -> None:
-    self.data = data
-
-
-def _bytes(self: Sample, *_: object, **__: object) -> bytes:
-    return self.data
-
-
-def _from_bytes(cls: type[Any], data: bytes, /, *_: object, **__: object) -> Any:
-    return cls(data)

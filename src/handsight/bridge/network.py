@@ -11,34 +11,31 @@ from handsight import checks
 from handsight.errors import InvalidInput
 
 FAST_DDS_3 = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
-"""Types as eProsima's Fast DDS 3 (ROS 2 Kilted) describes them are not compared: some that are equal seem not to be."""
+"""Does not compare types with the descriptions by eProsima's Fast DDS 3 (ROS 2 Kilted), where equal ones may differ."""
 LOOPBACK = (
     '<General><Interfaces><NetworkInterface name="lo"/></Interfaces><AllowMulticast>false</AllowMulticast></General>'
     "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
     '<Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
 )
-"""This machine alone, as ROS 2 means it by LOCALHOST."""
-MAX_DOMAIN = 232
+"""Stays on this machine, as ROS 2 does for LOCALHOST."""
 
 
 def domain_id(environment: Mapping[str, str]) -> int:
     """Returns ROS_DOMAIN_ID, 0 where it is not set; raises InvalidInput."""
-    declared = environment.get("ROS_DOMAIN_ID", "").strip() or "0"
-    if not (declared.isascii() and declared.isdigit() and int(declared[:9]) <= MAX_DOMAIN):
-        raise InvalidInput(
-            f"ROS_DOMAIN_ID: expected a number from 0 to {MAX_DOMAIN}, got {checks.brief(repr(declared))}"
-        )
+    declared, largest = environment.get("ROS_DOMAIN_ID", "").strip() or "0", 232
+    if not (declared.isascii() and declared.isdigit() and int(declared[:9]) <= largest):
+        came = checks.brief(repr(declared))
+        raise InvalidInput(f"ROS_DOMAIN_ID: expected a number from 0 to {largest}, got {came}")
     return int(declared)
 
 
 def configuration(environment: Mapping[str, str]) -> str:
-    """Returns Cyclone DDS' configuration: its cure for Fast DDS 3, this machine alone if ROS 2 says so, what the user
-    says."""
+    """Returns Cyclone DDS' configuration: for Fast DDS 3, for this machine alone if ROS 2 is set so, and the user's."""
     alone = (
         environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
         or environment.get("ROS_LOCALHOST_ONLY") == "1"
     )
-    # Of several, what is said later counts.
+    # Later parts override earlier ones.
     parts = FAST_DDS_3, LOOPBACK if alone else "", environment.get("CYCLONEDDS_URI", "").strip(", ")
     return ",".join(part for part in parts if part)
 
@@ -47,7 +44,7 @@ class Network:
     """A `Network` is a participant in a domain of DDS; one for each domain in a process."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
-        """Raises InvalidInput for a domain or a configuration that cannot be."""
+        """Joins the domain; raises InvalidInput where its number or the configuration does not allow that."""
         number, config = domain_id(environment), configuration(environment)
         try:
             self._domain: Any = Domain(number, config)

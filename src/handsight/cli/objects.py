@@ -95,7 +95,7 @@ def add(
     ```
     """
     from handsight.objects import Facts, ObjectModel, Symmetries
-    from handsight.objects.library.symmetry_notation import declared
+    from handsight.objects.symmetry_search import declared
 
     facts = Facts(
         name=name,
@@ -173,7 +173,7 @@ def weigh(
     handsight objects weigh lifted.mcap --object mustard
     ```
     """
-    from handsight.tracking.best_weighing import best_weight, center_of
+    from handsight.tracking.replay import best_weight
 
     announce_compiling()
     opened = _opened(library)
@@ -187,7 +187,7 @@ def weigh(
         raise InvalidInput(
             f"{recording.name}: expected an object that is weighed in the air, got none: {reason}"
         )
-    center, sigma = center_of(found, model)
+    center, sigma = found.kept_by_symmetries(model)
     place = ", ".join(f"{1e3 * x:.1f}" for x in center)
     text = f"{1e3 * found.mass:.4g} ± {1e3 * found.sigma_mass:.2g} g, centre [{place}] ± {1e3 * sigma:.1f} mm per axis"
     say(f"{model.name}: {text}, by {found.directions} directions of gravity")

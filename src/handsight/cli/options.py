@@ -4,7 +4,6 @@ import contextlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -131,13 +130,7 @@ class Run:
         from handsight.tracking import Tracker
 
         with open_recording(self.recording, self.rig) as recording:
-            rig, camera, topics = self.rig, self.rig.camera, self.rig.topics
-            if camera is not None and camera.intrinsics is None and topics.depth and topics.camera_info:
-                for _ in islice(recording.observations(), 1000):  # a camera says what it is before long
-                    if (info := recording.intrinsics) is not None:
-                        rig = replace(rig, camera=camera.with_images_of(info))
-                        break
-            yield recording, Tracker(rig, self.model, settings=self.settings)
+            yield recording, Tracker(recording.calibrated_rig(), self.model, settings=self.settings)
 
 
 def rig_beside(recording: Path) -> Path:

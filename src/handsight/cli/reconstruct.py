@@ -114,7 +114,6 @@ class Fusion:
         import numpy as np
 
         from handsight import se3
-        from handsight.camera import Camera
         from handsight.recording.robot_images import in_hand_views, views_of
         from handsight.vision.reconstruction.reconstruct import Reconstruction, View
         from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, on_table
@@ -123,7 +122,7 @@ class Fusion:
         first = next(with_depth, None)
         if first is None:
             raise InvalidInput(f"recording: expected depth images on {rig.topics.depth}, got none")
-        camera = recording.intrinsics or Camera.of(rig.camera)
+        camera = recording.camera()
         T_reference_object = np.eye(4)
         for view in (in_hand_views if self.in_hand else views_of)(chain([first], with_depth), rig, camera):
             if self.reconstruction is None:
@@ -175,8 +174,7 @@ def write(fusion: Fusion, output: Path) -> list[str]:
     """Writes the model, and returns sentences about it."""
     import numpy as np
 
-    from handsight.objects.files.read import Shape
-    from handsight.objects.files.write import ply_bytes
+    from handsight.objects.files import Shape, ply_bytes
 
     model = fusion.model()
     content = ply_bytes(Shape(model.points, sigmas=model.sigmas), 1.0, model.measured)

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from handsight.checks import Array
     from handsight.observation import Observation
     from handsight.rig import Rig
-    from handsight.tracking.camera_calibration import CameraCalibration
-    from handsight.tracking.hand_eye_calibration import HandCalibration
+    from handsight.tracking.camera_calibration import CameraCalibration, HandCalibration
 
 rig_app = typer.Typer(
     help="Check the file that describes a robot: hand, fingertips, camera.", no_args_is_help=True
@@ -122,8 +121,7 @@ def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = N
     """
     from handsight.recording import open_recording
     from handsight.tracking import Tracker
-    from handsight.tracking.camera_calibration import calibrations
-    from handsight.tracking.hand_eye_calibration import HandViews
+    from handsight.tracking.camera_calibration import HandViews, calibrations
     from handsight.tracking.replay import Tally
 
     run = Run.of(recording, rig, object)

@@ -175,7 +175,7 @@ def write_slips(writer: "McapFile", stamp: float, sample: "Sample", rig: "Rig") 
     """
     from types import SimpleNamespace as Message
 
-    from handsight.recording.write import header, parts
+    from handsight.messages.encode import header, parts
 
     top = header(stamp, rig.frames["palm"])
     for finger, touch in sample.touches.items():

@@ -14,8 +14,8 @@ from handsight.files import write_errors
 
 if TYPE_CHECKING:
     from handsight.evaluation import TrackErrors, Truths
+    from handsight.forces import ObjectWeight
     from handsight.tracking.replay import Step, Tally
-    from handsight.tracking.weight_update import ObjectWeight
 
 
 @dataclass(slots=True)

@@ -57,14 +57,14 @@ def view(
 
 def _refuse_track(path: Path) -> None:
     """Raises InvalidInput for a `track.mcap`, which has poses, but not what moved the hand and what it touched."""
+    from handsight.messages import OwnTopic
     from handsight.recording.open import open_files
-    from handsight.recording.write import TRACK_TOPIC
 
     if path.suffix != ".mcap" or not path.is_file():
         return
     for file in open_files(path):
         with contextlib.closing(file):
-            if set(file.topics) == {TRACK_TOPIC}:
+            if set(file.topics) == {OwnTopic.POSE}:
                 raise InvalidInput(
                     f"{path}: expected the recording that was tracked, "
                     "got what `handsight track` made of it: poses alone"

@@ -13,7 +13,7 @@ from handsight.correction.estimate import PoseEstimate
 from handsight.correction.modes import chi2_limit
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
-from handsight.objects.weight import check_kept, kept_center
+from handsight.objects.symmetry import check_kept, kept_center
 from handsight.representation import short_repr
 
 CONTRADICTS = chi2_limit(3, 0.01)

@@ -1,8 +1,11 @@
-"""What all fingertips of a hand bear together over a short while, and what makes that sum uncertain.
+"""The loads on the fingertips over a short while: their sum with its uncertainty, and what they are in the air.
 
-A tip's load (f, t), of the object on it at its sensor's origin s, comes to F = Σ f and T = Σ (t + s × f) about the
+A tip's load (f, t), of the object on it at its sensor's origin s, adds up to F = Σ f and T = Σ (t + s × f) about the
 palm's origin. Where the joints read δq too much, with J the tip's Jacobian at s, the tip seems turned by J_ω δq and
-displaced by J_p δq, so that F seems more by -Σ [f]x J_ω δq and T by Σ (-[f]x J_p - [s]x [f]x J_ω - [t]x J_ω) δq.
+displaced by J_p δq, so F is wrong by -Σ [f]x J_ω δq and T by Σ (-[f]x J_p - [s]x [f]x J_ω - [t]x J_ω) δq.
+
+A tip that goes through the air bears only itself. What it reads beyond that, constant in its own axes wherever it
+goes, is its sensor's bias; what it touched would change on the way.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import savgol_filter
+from scipy.special import chdtri
 
 from handsight import se3
 from handsight.checks import Array
@@ -21,17 +25,20 @@ from handsight.rig import Rig
 
 
 class LoadOptions(NamedTuple):
-    """`LoadOptions` say how loads and accelerations are read."""
+    """`LoadOptions` say how loads and accelerations are read, and when a tip is in the air."""
 
     order: int = 3  # of the polynomials that accelerations are read from (Savitzky and Golay 1964)
     span: float = 0.1  # their length [s]
     min_instants: int = 5  # instants of one at least
     saturated: float = 0.99  # parts of a sensor's full scale from which on a reading is none
+    min_travel: float = 0.005
+    """A tip that has moved this far in the palm over a window is not pushed along by something [m]."""
+    max_bias: float = 0.5  # more than this is a load, or a broken sensor [N]
+    unsteady_p: float = 0.001
+    """Readings whose spread noise exceeds with less than this probability do not change by noise alone."""
 
 
 LOADS = LoadOptions()
-
-SILENT = np.full(6, np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,39 +54,39 @@ class LoadSum:
     R_palm_world: Array
     """(3, 3)"""
     by_joint: Array
-    """(6, j) how the wrench is off by an error of each joint."""
+    """(6, j) derivative of the wrench by the error of each joint."""
     by_bias: Array
-    """(6, 6 t) how it is off by each tip's bias, its force and its torque."""
+    """(6, 6 t) derivative of the wrench by each tip's bias, its force and its torque."""
     noise: Array
-    """(6, 6) its covariance by what changes from reading to reading."""
+    """(6, 6) covariance of the wrench by what changes from reading to reading."""
     acceleration: float
     """Root mean square, per axis [m/s²]."""
     turning: float
-    """The same of how the palm's turning changes [rad/s²]."""
+    """Root mean square of the palm's angular acceleration, per axis [rad/s²]."""
     Ts_palm_tip: Array
     """(t, 4, 4)"""
     forces: Array
     """(t, 3) of the object on each tip [N]."""
     touched: Mapping[int, tuple[Array, Array]]
-    """By tip that is touched: (3,) where in the palm [m], and the normal (3,) there."""
+    """By tip that is touched: the contact's point (3,) in the palm [m], and its normal (3,)."""
 
     @property
     def middle_palm(self) -> Array:
-        """(3,) between the tips that bear the load [m]."""
+        """(3,) the mean of the tips, weighted by their forces [m]."""
         pressed = np.sqrt((self.forces**2).sum(axis=1)) + 1e-9
         return np.asarray(pressed @ self.Ts_palm_tip[:, :3, 3] / pressed.sum())
 
     def tangential(self, tip: int) -> Array:
-        """Returns (3,) of the force on a tip that is touched: what is along the surface [N]."""
+        """Returns (3,) the force on a tip that is touched, along the surface [N]."""
         force, normal = self.forces[tip], self.touched[tip][1]
         return np.asarray(force - (force @ normal) * normal)
 
 
 def lacking(rig: Rig, observations: Sequence[Observation]) -> str:
-    """Returns why observations do not say what all fingertips bear; empty where they do."""
+    """Returns why the observations do not measure what all fingertips bear; empty where they do."""
     alike = []
     for name, finger in rig.fingers.items():
-        readings = np.array([o.wrenches.get(name, SILENT) for o in observations])
+        readings = np.array([o.wrenches.get(name, np.full(6, np.nan)) for o in observations])
         if not np.isfinite(readings).all():
             return f"{name} is silent"
         alike += [name] if (readings == readings[0]).all() else []
@@ -87,28 +94,31 @@ def lacking(rig: Rig, observations: Sequence[Observation]) -> str:
             ends = np.repeat(LOADS.saturated * np.array(finger.full_scale), 3)
             if (np.abs(readings) >= ends).any():
                 return f"{name} is at the end of its sensor's scale"
-    # Where all do, nothing has noise.
+    # Where all of them do, it is a simulation without noise.
     return f"{alike[0]} reads the same for ever" if 0 < len(alike) < len(rig.fingers) else ""
 
 
 def load_sum(
     rig: Rig, observations: Sequence[Observation], touched: Mapping[str, tuple[Array, Array]], joints: Array
 ) -> LoadSum:
-    """Returns the mean of n observations that nothing is `lacking` in, evenly spaced, of a grip that hardly changes.
+    """Returns the mean of n observations in which nothing is `lacking`, evenly spaced, of a grip that hardly changes.
 
-    `touched`: by finger that is touched, where in the palm [m], and the normal there. `joints` (j,): by how much the
-    hand's moving joints read too much, as far as that is known [rad].
+    `touched`: by finger that is touched, the contact's point in the palm [m], and its normal. `joints` (j,): by how
+    much the hand's moving joints read too much, as far as that is known [rad].
     """
-    names, tips = tuple(rig.fingers), _tips(rig)
-    hand = rig.hand.kinematics(_mean_joints(rig, observations, joints))
+    n, names = len(observations), tuple(rig.fingers)
+    rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]
+    offsets = zip(rig.hand.moving, joints.tolist(), strict=True)
+    hand = rig.hand.kinematics({name: sum(row[name] for row in rows) / n - off for name, off in offsets})
+    tips = _tips(rig)
     Ts_palm_tip = hand.Ts_palm_tip[tips]
     sensors = Ts_palm_tip @ _Ts_tip_sensor(rig)
     places = sensors[:, :3, 3]
     middle = np.mean([point for point, _ in touched.values()] or places, axis=0)
     Ts_world_palm = np.array([o.T_world_palm for o in observations])
-    step = (observations[-1].stamp - observations[0].stamp) / max(len(observations) - 1, 1)
+    step = (observations[-1].stamp - observations[0].stamp) / max(n - 1, 1)
     acceleration, turning = accelerations(Ts_world_palm, middle, step)
-    gravity = np.einsum("nji,nj->i", Ts_world_palm[:, :3, :3], rig.gravity - acceleration) / len(observations)
+    gravity = np.einsum("nji,nj->i", Ts_world_palm[:, :3, :3], rig.gravity - acceleration) / n
     wrench, by_joint, by_bias, forces = _summed(
         rig, observations, gravity, sensors, hand.jacobians(places, tips)
     )
@@ -117,12 +127,12 @@ def load_sum(
         stamp=(observations[0].stamp + observations[-1].stamp) / 2,
         wrench=wrench,
         gravity=gravity,
-        R_palm_world=Ts_world_palm[len(observations) // 2, :3, :3].T,
+        R_palm_world=Ts_world_palm[n // 2, :3, :3].T,
         by_joint=by_joint,
         by_bias=by_bias,
-        noise=(B @ B.T + rig.sigma_joint**2 * by_joint @ by_joint.T) / len(observations),
-        acceleration=_rms(acceleration),
-        turning=_rms(turning),
+        noise=(B @ B.T + rig.sigma_joint**2 * by_joint @ by_joint.T) / n,
+        acceleration=float(np.sqrt((acceleration**2).mean())),
+        turning=float(np.sqrt((turning**2).mean())),
         Ts_palm_tip=Ts_palm_tip,
         forces=forces,
         touched={i: touched[name] for i, name in enumerate(names) if name in touched},
@@ -130,11 +140,10 @@ def load_sum(
 
 
 def accelerations(Ts_world_palm: Array, point_palm: Array, step: float) -> tuple[Array, Array]:
-    """Returns (n, 3) acceleration of a point of the palm [m/s²] and (n, 3) of its turning [rad/s²], in the world's
-    axes.
+    """Returns the acceleration (n, 3) of a point of the palm [m/s²] and the angular acceleration (n, 3) [rad/s²].
 
-    By polynomials over `LOADS.span` through poses (n, 4, 4) that are `step` apart [s]; zeros of fewer than
-    `LOADS.min_instants`.
+    Both are along the world's axes, by polynomials over `LOADS.span` through poses (n, 4, 4) that are `step` apart [s];
+    zeros of fewer than `LOADS.min_instants`.
     """
     n = len(Ts_world_palm)
     if n < LOADS.min_instants or step <= 0:
@@ -149,22 +158,17 @@ def accelerations(Ts_world_palm: Array, point_palm: Array, step: float) -> tuple
 
 @lru_cache(maxsize=32)
 def _second_derivative(n: int, length: int) -> Array:
-    """Returns (n, n) what takes n numbers, one apart, to their second derivatives by polynomials over `length` of
-    them."""
+    """Returns (n, n) the map from n numbers, one apart, to their second derivatives by polynomials over `length`."""
     return np.asarray(savgol_filter(np.eye(n), length, LOADS.order, deriv=2, axis=0))
-
-
-def _mean_joints(rig: Rig, observations: Sequence[Observation], joints: Array) -> dict[str, float]:
-    offsets = dict(zip(rig.hand.moving, joints.tolist(), strict=True))
-    rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]
-    return {name: sum(row[name] for row in rows) / len(rows) - off for name, off in offsets.items()}
 
 
 def _summed(
     rig: Rig, observations: Sequence[Observation], gravity: Array, sensors: Array, J: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Returns the sum of mean loads (6,), what errors of joints (6, j) and biases (6, 6 t) make of it, and the forces
-    (t, 3); `sensors` (t, 4, 4) in the palm, `J` (t, 6, j): Jacobians there."""
+    """Returns the sum of mean loads (6,), its derivatives by joints (6, j) and biases (6, 6 t), and the forces (t, 3).
+
+    `sensors` (t, 4, 4) are the sensors in the palm, `J` (t, 6, j) the Jacobians there.
+    """
     t = len(sensors)
     wrench, by_joint = np.zeros(6), np.zeros((6, J.shape[2]))
     by_bias, forces = np.zeros((6, 6 * t)), np.zeros((t, 3))
@@ -183,10 +187,32 @@ def _summed(
     return wrench, by_joint, by_bias, forces
 
 
-def Ts_palm_sensor(rig: Rig, joint_positions: Mapping[str, float]) -> Array:
-    """Returns (t, 4, 4) the fingers' sensors in the palm."""
-    tips: Array = rig.hand.kinematics(joint_positions).Ts_palm_tip[_tips(rig)]
-    return np.asarray(tips @ _Ts_tip_sensor(rig))
+def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
+    """Returns (t, 6) the mean load of each tip by its sensor, in the sensor's frame [N], [N m]: its bias.
+
+    It is NaN for a tip that may touch something: that has hardly moved, or whose load has changed or is too large.
+    `observations` are of a short while, with joints and T_world_palm; nothing may be `lacking` in them.
+    """
+    tips, Ts_tip_sensor = _tips(rig), _Ts_tip_sensor(rig)
+    first, last = (
+        rig.hand.kinematics(dict(o.joint_positions or {})).Ts_palm_tip[tips] @ Ts_tip_sensor
+        for o in (observations[0], observations[-1])
+    )
+    far = np.linalg.norm(last[:, :3, 3] - first[:, :3, 3], axis=1) > LOADS.min_travel
+    found = np.full((len(rig.fingers), 6), np.nan)
+    R_palm_world = np.asarray(observations[-1].T_world_palm)[:3, :3].T
+    limit = chdtri(3 * (len(observations) - 1), LOADS.unsteady_p)
+    for i, (name, finger) in enumerate(rig.fingers.items()):
+        if not far[i]:
+            continue
+        readings = np.array([o.wrenches[name] for o in observations])
+        gravity = last[i, :3, :3].T @ R_palm_world @ rig.gravity
+        loads = np.hstack(compensate(readings[:, :3], readings[:, 3:], gravity, finger.calibration))
+        mean = loads.mean(axis=0)
+        spread = ((loads[:, :3] - mean[:3]) ** 2).sum() / finger.sigma_force**2
+        if spread < limit and np.linalg.norm(mean[:3]) < LOADS.max_bias:
+            found[i] = mean
+    return found
 
 
 def _tips(rig: Rig) -> list[int]:
@@ -199,7 +225,3 @@ def _Ts_tip_sensor(rig: Rig) -> Array:
     fingers = rig.fingers.values()
     at = ((f.T_frame_surface, f.tip.T_surface_sensor) for f in fingers)
     return np.stack([T if T_sensor is None else T @ T_sensor for T, T_sensor in at])
-
-
-def _rms(rows: Array) -> float:
-    return float(np.sqrt((rows**2).mean()))

@@ -5,17 +5,17 @@ With g = R_wpᵀ (gravity - acceleration), in the palm's axes and about its orig
 
     F = Σ f = m g + ε_F,    T = Σ (t + s × f) = m c × g + ε_T.
 
-Both are linear in (m, m c) and, to first order, in what all instants share and is not known: joint offsets δq,
-gravity's direction φ (a world off plumb: g turns by φ × g), and the tips' biases b. What is constant is one unknown,
-however many instants there are: taken for noise, five orientations are worth less than three, and seem worth more.
+Both are linear in (m, m c) and, to first order, in the unknowns that all instants share: joint offsets δq, gravity's
+direction φ (in a world that is off plumb, g turns by φ × g), and the tips' biases b. What is constant is one unknown,
+however many instants there are: taken for noise, five orientations would be worth less than three, and seem worth more.
 
-An instant of earlier is carried through the grip (`odometry`): T_now_then brings what was at p then to where the tips
-have taken it, and c creeps by κ d besides, so c = T_now_then c_then + κ d, which keeps the torque linear in (m, m c, κ)
-to first order. How fast contacts creep, κ, is one more unknown that all instants share.
+An earlier instant is carried through the grip (`object_motion`): T_now_then takes what was at p then to where the tips
+have taken it, and c creeps by κ d in addition, so c = T_now_then c_then + κ d, which keeps the torque linear in
+(m, m c, κ) to first order. The speed of creep, κ, is one more unknown that all instants share.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from scipy.special import chdtrc
 from handsight import se3
 from handsight.checks import Array
 from handsight.forces.loads import LoadSum
+from handsight.gaussian_pose import kalman_update
 
 
 class WeightOptions(NamedTuple):
@@ -41,32 +42,28 @@ class WeightOptions(NamedTuple):
     min_p: float = 0.003
     """A fit less likely than this is none: something else bears part of the load, or adds to it."""
     min_p_fixed: float = 0.02
-    """The same of a bias that is fixed in the palm, as what a link of the hand bears nearly is."""
+    """The same of a wrench that is fixed in the palm, nearly so as what a link of the hand bears."""
     unobservable: float = 1e-6
-    """In parts of what is known best: what the loads know so much less of may be anything."""
+    """A direction of which the loads know less than this part of the best known one may have any value."""
 
 
 WEIGHT_FIT = WeightOptions()
 
 
-FIXED = np.diag([1.0, 1.0, 1.0, WEIGHT_FIT.sigma_reach, WEIGHT_FIT.sigma_reach, WEIGHT_FIT.sigma_reach])
-"""A wrench that is fixed in the palm: force [N], and torque that such a force has at `WEIGHT_FIT.sigma_reach`."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Unknowns:
-    """An `Unknowns` is what is not known of a robot while it weighs, jointly Gaussian of mean zero."""
+    """An `Unknowns` is what is unknown of a robot while it weighs, jointly Gaussian with mean zero."""
 
     joints: Array
     """(j, j) L, L Lᵀ the covariance of the joints' constant errors [rad], of slides [m]."""
     biases: Array
     """(6 t,) sigmas of the tips' biases, force [N] and torque [N m] of each."""
     creep: float
-    """How fast contacts creep: sigma [m/(N s)]."""
+    """Sigma of the speed at which contacts creep [m/(N s)]."""
     gravity: Array
     """(3,) in the world [m/s²]."""
     sigma_gravity: float
-    """Of its direction, about each axis [rad]."""
+    """Sigma of gravity's direction, about each axis [rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,30 +72,29 @@ class Weighing:
     errors."""
 
     mean: Array
-    """(4 + j,) mass [kg], centre [m], and by how much the joints read too much, as far as the loads tell [rad]."""
+    """(4 + j,) mass [kg], centre [m], and by how much the joints read too much [rad]."""
     joint_covariance: Array
     """(4 + j, 4 + j)"""
     chi2: float
-    """Squared deviations of all that is not explained."""
+    """Sum of the squared whitened residuals."""
     freedom: int
-    """Degrees of freedom of that."""
-    chance_fixed: float
-    """That as much of it would seem to press from a place in the palm, if nothing did."""
+    """Its degrees of freedom."""
+    p_fixed: float
+    """p-value of no wrench that is fixed in the palm."""
     directions: int
-    """Of gravity, in how many it was weighed."""
+    """The number of directions of gravity in which it was weighed."""
 
     def given_mass(self, mass: float, sigma: float) -> "Weighing":
-        """Returns the same where the mass is known (Kalman's update) [kg]."""
-        P = self.joint_covariance
-        variance, off = P[0, 0] + sigma**2, mass - self.mass
-        gain = P[:, 0] / variance
-        mean, covariance, chi2 = (
-            self.mean + gain * off,
-            P - np.outer(gain, P[0]),
-            self.chi2 + off**2 / variance,
-        )
+        """Returns the weighing after an independent measurement of the mass [kg], such as a declared one."""
+        H, off = np.eye(1, len(self.mean)), mass - self.mass
+        step, covariance = kalman_update(self.joint_covariance, H, np.array([off]), np.array([[sigma**2]]))
+        chi2 = self.chi2 + off**2 / (self.joint_covariance[0, 0] + sigma**2)
         return replace(
-            self, mean=mean, joint_covariance=covariance, chi2=float(chi2), freedom=self.freedom + 1
+            self,
+            mean=self.mean + step,
+            joint_covariance=covariance,
+            chi2=float(chi2),
+            freedom=self.freedom + 1,
         )
 
     @property
@@ -122,35 +118,38 @@ class Weighing:
         return self.joint_covariance[1:4, 1:4]
 
     @property
-    def chance(self) -> float:
-        """That loads of a weight alone would leave as much unexplained."""
+    def p_value(self) -> float:
+        """The probability that loads of a weight alone would leave larger residuals."""
         return float(chdtrc(self.freedom, self.chi2))
 
     @property
     def consistent(self) -> bool:
-        """Whether the loads are those of a weight, as far as can be told."""
-        return self.mass > 0 and self.chance > WEIGHT_FIT.min_p and self.chance_fixed > WEIGHT_FIT.min_p_fixed
+        """Whether no test rejects that the loads are those of a weight."""
+        return self.mass > 0 and self.p_value > WEIGHT_FIT.min_p and self.p_fixed > WEIGHT_FIT.min_p_fixed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Carried:
-    """A `Carried` is what tips bore a while ago, and what has become of the object in the palm since."""
+    """A `Carried` is what the tips bore at an earlier instant, and how the object has moved in the palm since."""
 
     load: LoadSum
-    T_now_then: Array
+    T_now_then: Array = field(default_factory=lambda: np.eye(4))
     """(4, 4): what was at p in the palm then is at T p now."""
-    creep: Array
+    creep: Array = field(default_factory=lambda: np.zeros(6))
     """(6,) by how much more it has moved for each m/(N s) that its contacts creep: p by v + ω × p (v, ω)."""
-    sigma: float
-    """Of where it was carried, per axis [m]."""
+    sigma: float = 0.0
+    """Of the position to which it was carried, per axis [m]."""
+
+    def moved(self, T: Array, creep: Array, sigma: float) -> "Carried":
+        """Returns it after one more motion: T (4, 4) of the tips, creep (6,), and the sigma of the unknown rest [m]."""
+        return Carried(self.load, T @ self.T_now_then, self.creep + creep, float(np.hypot(self.sigma, sigma)))
 
 
 def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | None = None) -> Weighing:
-    """Returns the object's mass and centre of mass by all instants (one at least), in the palm of now, which the last
-    is of.
+    """Returns the object's mass and centre of mass by one or more instants, in the palm at the last one.
 
-    `start`: a weighing of a moment ago, about which it is as good as linear. A mass below zero says that gravity points
-    the other way, or that the loads are no weight's.
+    `start`: a weighing of a moment ago, about which the problem is linear enough for one pass. A mass below zero says
+    that gravity points the other way, or that the loads are no weight's.
     """
     last = instants[-1].load
     middle, rough = last.middle_palm, float(np.linalg.norm(last.wrench[:3]) / np.linalg.norm(last.gravity))
@@ -170,16 +169,18 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
         mass, moment = float(x[0]), x[1:4]
     left, off = y - H @ x, prior @ x[:4]
     chi2 = float(left @ left + off @ off + x[4:] @ x[4:])
-    # Unknowns with a prior pay for themselves; of mass and moment, which are four, the prior above pays for three.
+    # An unknown with a prior takes no degree of freedom; of the four of mass and moment, the prior is of three.
     mean, joint = _marginal(x, covariance, unknowns)
-    chance = _chance(fixed, left, H, covariance)
-    return Weighing(mean, joint, chi2, len(rows) - 1, chance, len(instants))
+    p_fixed = score_test(fixed, left, H, covariance)
+    return Weighing(mean, joint, chi2, len(rows) - 1, p_fixed, len(instants))
 
 
-def _chance(columns: Array, left: Array, H: Array, covariance: Array) -> float:
-    """Returns the chance that, for nothing, (n, k) more `columns` would explain as much of what is `left` (n,) (Rao's
-    score)."""
-    score, normal_matrix = columns.T @ left, columns.T @ H
+def score_test(columns: Array, residuals: Array, H: Array, covariance: Array) -> float:
+    """Returns the p-value of adding columns (n, k) to a linear problem: that they explain so much by chance (Rao 1948).
+
+    The problem's rows are H (n, m), its whitened residuals (n,), and the `covariance` (m, m) that of its solution.
+    """
+    score, normal_matrix = columns.T @ residuals, columns.T @ H
     values, vectors = np.linalg.eigh(columns.T @ columns - normal_matrix @ covariance @ normal_matrix.T)
     observable = values > WEIGHT_FIT.unobservable * values[-1]
     return float(chdtrc(observable.sum(), ((vectors.T @ score)[observable] ** 2 / values[observable]).sum()))
@@ -197,9 +198,11 @@ def _marginal(x: Array, covariance: Array, unknowns: Unknowns) -> tuple[Array, A
 
 
 def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) -> Array:
-    """Returns (6, 4 + 3 + 1 + j + 6 t + 1 + 6) rows of an instant by (m, m c, φ, κ, joints, biases), all but the
-    first four in their sigmas, their right side, and by what is fixed in the palm; linear at (m, m c) = (`mass`,
-    `moment`)."""
+    """Returns the six whitened rows of an instant, linear at (m, m c) = (`mass`, `moment`).
+
+    Their columns are the derivatives by (m, m c, φ, κ, joints, biases), 4 + 3 + 1 + j + 6 t, all but the first four in
+    units of their sigmas; then the measured wrench, and the derivatives by a wrench that is fixed in the palm (6).
+    """
     load, g = instant.load, instant.load.gravity
     R, t = instant.T_now_then[:3, :3], instant.T_now_then[:3, 3]
     G = se3.skew(g)
@@ -212,14 +215,13 @@ def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) 
     rows[3:, 1:4] = -G @ R.T
     rows[:3, 4:7], rows[3:, 4:7] = mass * tilted, lever @ tilted
     rows[3:, 7] = G @ (R.T @ crept) * unknowns.creep
-    noise = load.noise.copy()
-    shaken = (
-        WEIGHT_FIT.acceleration_share * load.acceleration * np.vstack([mass * np.eye(3), lever])
-    )  # both by the same error
-    noise += shaken @ shaken.T
+    # Force and torque are off by the same error of the acceleration.
+    shaken = WEIGHT_FIT.acceleration_share * load.acceleration * np.vstack([mass * np.eye(3), lever])
+    noise = load.noise + shaken @ shaken.T
     noise[3:, 3:] += (mass * WEIGHT_FIT.gyration**2 * load.turning) ** 2 * np.eye(3)
     noise[3:, 3:] += (mass * instant.sigma) ** 2 * G @ G.T
-    rows = np.column_stack(
-        [rows, load.by_joint @ unknowns.joints, load.by_bias * unknowns.biases, load.wrench, FIXED]
-    )
+    by_joints, by_biases = load.by_joint @ unknowns.joints, load.by_bias * unknowns.biases
+    # A force of 1 N, and the torque that it has at `sigma_reach`.
+    fixed = np.diag(np.repeat([1.0, WEIGHT_FIT.sigma_reach], 3))
+    rows = np.column_stack([rows, by_joints, by_biases, load.wrench, fixed])
     return np.asarray(np.linalg.solve(np.linalg.cholesky(noise), rows))

@@ -1,41 +1,31 @@
-"""What every node does, whatever carries its messages: it is made from parameters, works, and says what it is at."""
+"""What every node does, whatever carries its messages: it is created from parameters, publishes, and logs its state."""
 
 import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from handsight.errors import HandsightError
 from handsight.live.answers import Answer
 from handsight.live.live_tracker import LiveTracker
-from handsight.live.requests import ASKED, model_named
+from handsight.live.requests import REQUESTS, model_named
 from handsight.messages import RawMessage
+from handsight.messages.clocks import CLOCKS
 from handsight.rig import Rig
 from handsight.tracking import Tracker, TrackerSettings
 
 
-class NodeOptions(NamedTuple):
-    """`NodeOptions` are what waits in a node, and for how long."""
-
-    max_answers: int = 10  # answers kept for a slow reader
-    max_answers_all: int = 2000  # the same where all count: entire seconds of them come at once
-    request_timeout: float = 60.0  # how long a request waits for the worker [s]
-
-
-NODE = NodeOptions()
-
-
 class Stepped(Protocol):
-    """A `Stepped` is a `LiveTracker`, or what hears for it in the same thread."""
+    """A `Stepped` is a `LiveTracker`, or a transport that receives its messages in the same thread."""
 
     @property
     def tracker(self) -> Tracker:
-        """Of the object that is followed now."""
+        """The tracker of the present object."""
 
     def step(self, timeout: float) -> list[Answer]:
-        """Returns what is to be published now; waits at most so long [s]."""
+        """Returns what is to be published now; waits at most `timeout` [s] for something to do."""
 
 
 def live_tracker(
@@ -47,10 +37,11 @@ def live_tracker(
     images: bool = True,
     equal: bool = False,
 ) -> LiveTracker:
-    """Returns what a node's parameters describe.
+    """Returns the tracker that a node's parameters describe.
 
-    `name`: the object's, in the rig or the library, or a mesh file; None or empty: the rig's only one. `rate`:
-    corrections a second; None or 0: when something has changed. Raises a HandsightError.
+    `rig`: its file. `name`: the object's in the rig or the library, or a mesh file; None or empty: the rig's only one.
+    `rate`: corrections a second; None or 0: one when something has changed. `images`: whether depth images are used.
+    `equal`: answer as `handsight track` would. Raises a HandsightError.
     """
     known = Rig.from_file(rig)
     if not name and len(known.objects) == 1:
@@ -59,10 +50,27 @@ def live_tracker(
     return LiveTracker(known, model, encoding=encoding, settings=settings, equal=equal)
 
 
+def queue_lengths(live: LiveTracker) -> tuple[int, int]:
+    """Returns how many messages of a topic wait to be received, and how many answers wait for a slow subscriber.
+
+    Where every message is answered, seconds of them may come at once.
+    """
+    return (2000, 2000) if live.equal else (100, 10)
+
+
+def time_to_wait(timeout: float, received: float) -> float:
+    """Returns how long to wait for a message, of at most `timeout` [s].
+
+    Soon after the last one was `received`, by `time.monotonic`, joint states may be waiting for others.
+    """
+    recently = time.monotonic() - received < 0.1
+    return min(timeout, CLOCKS.max_wait) if recently else timeout
+
+
 def work(
     live: Stepped, publish: Callable[[Answer], None], say: Callable[[str], None], ended: threading.Event
 ) -> None:
-    """Publishes what is answered until it is the end, and says each change of state; the end is told if it fails."""
+    """Publishes answers until `ended` is set, and logs each change of state by `say`; sets `ended` if it fails."""
     state = ""
     try:
         while not ended.is_set():
@@ -76,23 +84,23 @@ def work(
 
 
 def done(ask: Callable[[], "Future[str]"]) -> tuple[bool, str]:
-    """Returns whether what is asked for was done, and a sentence of it."""
+    """Returns whether a request was fulfilled, and a sentence of the outcome."""
     try:
-        return True, ask().result(NODE.request_timeout)
+        return True, ask().result(timeout=60.0)
     except (HandsightError, TimeoutError) as error:
         return False, str(error) or "the worker does not answer"
 
 
 class PublishedTypes:
-    """Has types named that are published but not expected, where a transport keeps their messages to itself."""
+    """A `PublishedTypes` reports types that are published but not expected, where a transport drops such messages."""
 
     def __init__(self, live: LiveTracker) -> None:
         self._live, self._reported = live, set[tuple[str, str]]()
 
     def on_topic(self, topic: str, kind: str) -> None:
-        """Takes note that messages of that type, `package/msg/Name`, are published on the topic."""
+        """Reports it once, as a message that cannot be used, if a topic's type, `package/msg/Name`, is not expected."""
         expected = self._live.subscriptions.get(topic)
-        if expected is None or topic in ASKED or kind in expected or (topic, kind) in self._reported:
+        if expected is None or topic in REQUESTS or kind in expected or (topic, kind) in self._reported:
             return
         self._reported.add((topic, kind))
         self._live.put(RawMessage(topic, kind, "cdr", time.time(), b""))

@@ -1,80 +1,66 @@
 """Observations out of measurements that are in order of stamp."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import MAX_DISTANCE, Array
-from handsight.messages.clocks import CLOCKS
 from handsight.messages.decode import Measurement
 from handsight.messages.report import Report, Units
-from handsight.observation import ContactMeasurement, Observation
+from handsight.messages.topics import Role
+from handsight.observation import Observation
 from handsight.rig import Rig
-
-Value = TypeVar("Value")
 
 
 class AssemblyOptions(NamedTuple):
-    """`AssemblyOptions` say how old messages may be to be put together, and how many are kept."""
+    """`AssemblyOptions` say how old the messages of one observation may be, and how many are kept."""
 
-    max_age_joints: float = 0.1  # oldest joint positions that still count as now [s]
-    max_age_transform: float = 0.1  # the same of a transform [s]
-    max_age_wrench: float = 0.05  # the same of a wrench [s]
-    max_age_vision: float = 0.2  # the same of a pose or an image [s]
+    max_age_joints: float = 0.1  # of joint positions at the observation's stamp [s]
+    max_age_transform: float = 0.1  # of a transform of /tf [s]
+    max_age_wrench: float = 0.05  # of a wrench, a contact or a tactile array's readings [s]
+    max_age_vision: float = 0.2  # of a pose or an image [s]
     stuck: float = 0.5  # a sensor that reads the same for longer, while another's changes, is dead [s]
     min_stuck_readings: int = 5  # a slow topic says little about itself
     full_scale_share: float = 0.999  # share of a sensor's full scale from which on a reading is none
-    max_depth: int = 64  # transforms from world to palm; beyond it the tree is a circle
     max_frames: int = 10_000  # frames of /tf that are kept
-    max_publishers: int = 1000  # sets of joints published together that are kept
 
 
 ASSEMBLY = AssemblyOptions()
 
-IDENTITY = np.eye(4)
-IDENTITY.setflags(write=False)
-
 
 class ObservationAssembler:
-    """An `ObservationAssembler` keeps what the next observation consists of, and counts in the report what it omits."""
+    """An `ObservationAssembler` keeps the parts of the next observation, and counts in the report what it omits."""
 
     def __init__(self, rig: Rig, report: Report) -> None:
         self._rig, self._report = rig, report
         self._units = report.units = Units(rig)
         self.tree = TransformTree()
         self.truth: list[tuple[float, Array]] = []
-        self._begin()
+        self._restart()
 
-    def _begin(self) -> None:
-        """Forgets all but what holds for ever."""
+    def _restart(self) -> None:
+        """Forgets all but the static transforms."""
         self._joints: dict[tuple[str, ...], Measurement] = {}  # of each publisher, by its names
         self._sensors: dict[str, WrenchSensor] = {}
-        # The newest that can be used, by finger or array, with their stamps.
-        self._wrenches: dict[str, tuple[float, Array]] = {}
-        self._contacts: dict[str, tuple[float, ContactMeasurement | None]] = {}
-        self._skin: dict[str, tuple[float, Array]] = {}
+        # The newest wrenches, contacts and readings with their stamps, by the finger or array.
+        self._touch: dict[Role, dict[str, tuple[float, Any]]] = {"wrench": {}, "contact": {}, "skin": {}}
         self._vision: dict[str, Measurement] = {}  # vision, color, depth since the last observation
         self.due: float | None = None
-        """Stamp of joint states without an observation."""
-        self._newest = -float("inf")
+        """Stamp of the joint states that have no observation yet [s]; None: all have one."""
         self.tree.keep_static()
 
     def put(self, measurement: Measurement) -> Observation | None:
-        """Returns the observation of the joint states before this measurement, if it completes it."""
-        # Measurements come in order: one that is far back says that the clock was set back.
-        again = measurement.stamp < self._newest - CLOCKS.max_jump
-        done = self.finish() if self.due is not None and (again or measurement.stamp > self.due) else None
-        if again:
-            self._begin()
+        """Returns the observation that this measurement, the next in order, completes; None: it completes none."""
         stamp, topic = measurement.stamp, measurement.topic
-        self._newest = max(self._newest, stamp)
+        over = self.due is not None and (measurement.restarts or stamp > self.due)
+        done = self.finish() if over else None
+        if measurement.restarts:
+            self._restart()
         if topic.role == "joints":
-            if len(self._joints) >= ASSEMBLY.max_publishers:
-                self._joints.clear()
             self._joints[tuple(measurement.value)] = measurement
             self.due = stamp
         elif topic.role == "wrench":
@@ -83,15 +69,13 @@ class ObservationAssembler:
             full = self._rig.fingers[finger].full_scale if finger in self._rig.fingers else None
             fault = sensor.read(measurement.value, stamp, full, self._sensors.values())
             if fault is None:
-                self._wrenches[finger] = stamp, measurement.value
+                self._touch["wrench"][finger] = stamp, measurement.value
             else:
-                self._wrenches.pop(finger, None)
+                self._touch["wrench"].pop(finger, None)
                 self._report.fingers[finger] = f"{fault}: a dead sensor? left out"
                 topic.used, topic.stuck = topic.used - 1, topic.stuck + 1
-        elif topic.role == "contact":
-            self._contacts[topic.finger] = stamp, measurement.value
-        elif topic.role == "skin":
-            self._skin[topic.finger] = stamp, measurement.value
+        elif topic.role in self._touch:
+            self._touch[topic.role][topic.finger] = stamp, measurement.value
         elif topic.role == "tf":
             self.tree.put(measurement.value, stamp)
         elif topic.role == "truth":
@@ -101,7 +85,7 @@ class ObservationAssembler:
         return done
 
     def finish(self) -> Observation | None:
-        """Returns the observation of the newest joint states, if they have none yet."""
+        """Returns the observation of the newest joint states; None: they have one already."""
         if self.due is None:
             return None
         stamp, self.due = self.due, None
@@ -127,37 +111,34 @@ class ObservationAssembler:
         observation = Observation(
             stamp,
             positions,
-            wrenches=_fresh(self._wrenches, stamp, topics.wrenches, report.without),
+            wrenches=self._fresh("wrench", stamp, topics.wrenches, report.without),
             T_world_palm=T_world_palm,
             image_stamp=image_stamps.get("depth", image_stamps.get("color")),
-            contacts=_fresh(self._contacts, stamp, topics.contacts, report.without),
-            skin=_fresh(self._skin, stamp, topics.skin, report.without_skin),
+            contacts=self._fresh("contact", stamp, topics.contacts, report.without),
+            skin=self._fresh("skin", stamp, topics.skin, report.without_skin),
             **vision,
         )
         self._units.put(observation)
         return observation
 
-
-def _fresh(
-    newest: Mapping[str, tuple[float, Value]], stamp: float, names: Iterable[str], without: Counter[str]
-) -> dict[str, Value]:
-    """Returns by name the values that are new enough at the stamp; names without one are counted in `without`."""
-    found = dict[str, Value]()
-    for name in names:
-        if name in newest and stamp - newest[name][0] <= ASSEMBLY.max_age_wrench:
-            found[name] = newest[name][1]
-        else:
-            without[name] += 1
-    return found
+    def _fresh(self, role: Role, stamp: float, names: Iterable[str], without: Counter[str]) -> dict[str, Any]:
+        """Returns what is new enough at the stamp [s], by name, and counts the names without it in `without`."""
+        found, newest = dict[str, Any](), self._touch[role]
+        for name in names:
+            if name in newest and stamp - newest[name][0] <= ASSEMBLY.max_age_wrench:
+                found[name] = newest[name][1]
+            else:
+                without[name] += 1
+        return found
 
 
 @dataclass(slots=True)
 class WrenchSensor:
-    """A `WrenchSensor` remembers what a finger's sensor has read, to tell whether it is stuck."""
+    """A `WrenchSensor` remembers the readings of a finger's sensor, to find whether it is stuck."""
 
     reading: tuple[float, ...] = ()
     changed: float = -float("inf")
-    """When the reading was last another [s]."""
+    """When the reading last changed [s]."""
     repeated: int = 0
     stuck: int = 0
     saturated: int = 0
@@ -169,7 +150,10 @@ class WrenchSensor:
         full_scale: tuple[float, float] | None,
         sensors: Iterable["WrenchSensor"],
     ) -> str | None:
-        """Takes in a reading and returns why it cannot be used; None: it can. `sensors`: all of the hand."""
+        """Takes a wrench (6,) and returns why it cannot be used; None: it can. `sensors`: all of the hand.
+
+        `full_scale`: the largest force [N] and torque [N m] that the sensor can measure, where they are known.
+        """
         reading = tuple(wrench.tolist())
         if reading != self.reading:
             self.reading, self.changed, self.repeated = reading, stamp, 0
@@ -193,6 +177,7 @@ class TransformTree:
     """A `TransformTree` holds the newest transform to each frame of /tf."""
 
     def __init__(self) -> None:
+        # By child: its parent, `T_parent_child` and the stamp.
         self._to_child: dict[str, tuple[str, Array, float]] = {}
 
     def put(self, transform: tuple[str, str, Array], stamp: float) -> None:
@@ -219,15 +204,17 @@ class TransformTree:
         T = above_source[common]
         T = T if common == target else se3.inverse(above_target[common]) @ T
         x, y, z = T[:3, 3].tolist()
-        return T if max(abs(x), abs(y), abs(z)) <= MAX_DISTANCE else None  # many of them may lead anywhere
+        # Each transform is within bounds, but a product of many may not be.
+        return T if max(abs(x), abs(y), abs(z)) <= MAX_DISTANCE else None
 
     def _ancestors(self, frame: str, stamp: float) -> dict[str, Array]:
         """Returns `T_ancestor_frame` (4, 4) for the frame itself and its ancestors, nearest first."""
-        T, found = IDENTITY, {frame: IDENTITY}
-        while frame in self._to_child and len(found) < ASSEMBLY.max_depth:
+        T = np.eye(4)
+        found = {frame: T}
+        while frame in self._to_child:
             parent, T_parent_frame, measured = self._to_child[frame]
-            if stamp - measured > ASSEMBLY.max_age_transform or parent in found:
+            if stamp - measured > ASSEMBLY.max_age_transform or parent in found:  # too old, or a circle
                 break
-            frame, T = parent, T_parent_frame if T is IDENTITY else T_parent_frame @ T
+            frame, T = parent, T_parent_frame if len(found) == 1 else T_parent_frame @ T
             found[frame] = T
         return found

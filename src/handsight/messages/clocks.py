@@ -1,4 +1,9 @@
-"""The stamps of measurements: one clock for all topics, and one order."""
+"""The stamps of measurements: one clock for all topics, and one order.
+
+`Clocks` compares the topics' clocks. A `ReorderBuffer` puts measurements in order in the window of a recording, and a
+`PromptBuffer`, for a live robot, within 2 ms. Whether a clock has jumped is decided here for all that comes later: the
+first measurement after it was set back is marked (`Measurement.restarts`).
+"""
 
 import heapq
 import itertools
@@ -18,19 +23,17 @@ class ClockOptions(NamedTuple):
     comparison: float = 1.0  # how long clocks are compared, from the first joint states on [s]
     other_clock: float = 0.5  # offsets farther apart are another clock's [s]
     max_latency: float = 2.0  # but what a camera measured may be this late [s]
-    reorder_window: float = 0.2  # of stamps, to put messages in order [s]
+    reorder_window: float = 0.2  # of stamps, to put a recording's messages in order [s]
+    max_wait: float = 0.002  # how long a live robot's joint states wait for what belongs to them [s]
+    max_silence: float = 0.1  # they do not wait for a topic that has been silent for longer [s]
     max_jump: float = 1.0
     """Joint states that jump ahead by more must be confirmed by the next, and back by more by the next two [s]."""
     confirming: int = 3  # joint states in a row that are back and say that the clock is
     max_waiting: int = 50_000  # measurements that are kept
     max_waiting_bytes: int = 1 << 28  # bytes that are kept
-    max_publishers: int = 1000  # publishers whose stamps are known
 
 
 CLOCKS = ClockOptions()
-
-SLOW = ("vision", "truth", "color", "depth")
-FAR_AHEAD = "stamp far ahead of those before and after"
 
 
 class Clocks:
@@ -40,17 +43,18 @@ class Clocks:
         self._known = set[str]()
         self._joint_offsets: deque[float] = deque(maxlen=15)
         self._joints_at = -float("inf")
-        """When the last joint states came [s]."""
+        """Log time of the last joint states [s]."""
         self._waiting: deque[Measurement] | None = deque()
         self._waiting_bytes = 0
         self._first_joints: Measurement | None = None
         self.least = self.most = 0.0
-        """Of the differences of offset that were left as they are [s]."""
+        """The least and largest of the differences of offset that were not taken off the stamps [s]."""
 
     def put(self, measurement: Measurement) -> Iterable[Measurement]:
-        """Returns the measurements whose clock is known now, their stamps in the clock of the joint states.
+        """Returns the measurements whose clock is known now, with stamps in the clock of the joint states.
 
-        There are none before the first second of joint states is over, as far as memory reaches; then each at once.
+        There are none before the first second of joint states is over, unless memory runs out; after it, each
+        measurement is returned at once.
         """
         if self._waiting is None:
             return (self._aligned(measurement),)
@@ -79,10 +83,11 @@ class Clocks:
         waiting, self._waiting = self._waiting or (), None
         topics = {each.topic.name: each.topic for each in waiting}
         for topic in sorted(topics.values(), key=lambda topic: topic.role != "joints"):
-            self._learn([each for each in waiting if each.topic is topic])
+            self._compare([each for each in waiting if each.topic is topic])
         return [self._aligned(measurement) for measurement in waiting]
 
     def _aligned(self, measurement: Measurement) -> Measurement:
+        """Returns the measurement with its stamp in the clock of the joint states."""
         topic = measurement.topic
         # A topic that begins later is compared with the joint states of its own time: a simulator's clock may drift,
         # and that of a recording that is played stands still while it pauses.
@@ -90,7 +95,7 @@ class Clocks:
         if paused and is_joints:
             self._joint_offsets.clear()
         if topic.name not in self._known and (is_joints or not paused):
-            self._learn([measurement])
+            self._compare([measurement])
         if topic.unstamped:
             measurement.stamp = measurement.log_time
         elif is_joints:
@@ -100,8 +105,8 @@ class Clocks:
         measurement.stamp += topic.difference if topic.shifted else 0.0
         return measurement
 
-    def _learn(self, first: list[Measurement]) -> None:
-        """Sets a topic's difference of clock, and whether it is shifted, by its first messages."""
+    def _compare(self, first: list[Measurement]) -> None:
+        """Sets a topic's difference of clock, and whether its stamps are shifted by it, from its first messages."""
         topic = first[0].topic
         topic.unstamped = all(each.stamp == 0 for each in first)
         offset = 0.0 if topic.unstamped else median(each.log_time - each.stamp for each in first)
@@ -111,8 +116,9 @@ class Clocks:
         if not self._joint_offsets:
             return
         topic.difference = offset - median(self._joint_offsets)
-        latency = CLOCKS.max_latency if topic.role in SLOW else CLOCKS.other_clock
-        topic.shifted = not -CLOCKS.other_clock <= topic.difference <= latency
+        slow = topic.role in ("vision", "truth", "color", "depth")
+        latest = CLOCKS.max_latency if slow else CLOCKS.other_clock
+        topic.shifted = not -CLOCKS.other_clock <= topic.difference <= latest
         if not topic.shifted:
             self.least, self.most = min(self.least, topic.difference), max(self.most, topic.difference)
 
@@ -120,22 +126,36 @@ class Clocks:
 class ReorderBuffer:
     """A `ReorderBuffer` puts measurements on one clock and in order of stamp, in a window that joint states move on.
 
-    Where the joint states go back for good, it releases all that waits, and the order begins anew.
+    Where the clock of the joint states was set back, it releases all that waits, and the order begins anew.
     """
 
     complete = -float("inf")
-    """Nothing up to this stamp is waited for: joint states up to it are observations [s]."""
+    """Joint states up to this stamp wait for nothing any more, so that they become observations at once [s]."""
+    now = -float("inf")
+    """The time by a live robot's clock, when the message came that is put, and before `ready` [s]."""
 
     def __init__(self, report: Report) -> None:
         self._report, self._clocks = report, Clocks()
         self._waiting: list[tuple[float, int, Measurement]] = []
         self._bytes, self._count = 0, itertools.count()
-        self._newest, self._released = -float("inf"), -float("inf")
+        self._newest = -float("inf")
         self._jumped: Measurement | None = None
         """Joint states far ahead, until the next ones confirm or refute them."""
         self._back: list[Measurement] = []
         """What came since joint states went back, until it is confirmed that their clock did."""
         self._last_stamps: dict[tuple[str, tuple[str, ...]], float] = {}
+        self._restart()
+
+    def _restart(self) -> None:
+        """Forgets what was released: it is of an earlier time."""
+        self._released, self._restarted = -float("inf"), True
+        self._last_stamps.clear()
+        self._clocks.restart()
+
+    @property
+    def waits_until(self) -> float:
+        """When joint states will have waited long enough, by the clock of `now`; infinite: none wait by the clock."""
+        return float("inf")
 
     def put(self, measurement: Measurement) -> list[Measurement]:
         """Returns the measurements that are in order now, without the late and the duplicated; some have waited."""
@@ -146,7 +166,7 @@ class ReorderBuffer:
         return self._pop(self._edge())
 
     def finish(self) -> list[Measurement]:
-        """Returns the measurements that wait: no more come, or none for long."""
+        """Returns the measurements that wait, because no more messages come, or none have come for long."""
         found = [each for aligned in self._clocks.finish() for each in self._insert(aligned)]
         waiting = self._back if self._jumped is None else [*self._back, self._jumped]
         self._back, self._jumped = [], None
@@ -155,7 +175,7 @@ class ReorderBuffer:
         return found + self._pop(float("inf"))
 
     def _insert(self, measurement: Measurement) -> list[Measurement]:
-        """Returns the measurements that are in order with this one, which is in the clock of the joint states."""
+        """Returns the measurements that are in order after this one; its stamp is in the clock of the joint states."""
         is_joints, found = measurement.topic.role == "joints", list[Measurement]()
         in_order, rejected = [measurement], None
         if measurement.stamp < self._newest - CLOCKS.max_jump and (is_joints or self._back):
@@ -168,11 +188,11 @@ class ReorderBuffer:
             self._report.backwards = count + 1, max(far, self._newest - joints[0].stamp), first
             rejected, self._jumped = self._jumped, None
             found = self._pop(float("inf"))
-            self._forget()
+            self._restart()
             self._newest = max(each.stamp for each in joints)
             in_order, self._back = self._back, []
         elif is_joints:
-            # Joint states that jump ahead count only with next ones that agree; what seemed to be back is late.
+            # Joint states that jump ahead count only if the next ones agree; those that seemed to be back are late.
             jumped, self._jumped = self._jumped, None
             if self._newest > -float("inf") and measurement.stamp > self._newest + CLOCKS.max_jump:
                 if jumped is not None and abs(measurement.stamp - jumped.stamp) <= CLOCKS.max_jump:
@@ -183,22 +203,17 @@ class ReorderBuffer:
             self._newest = max([self._newest, *(each.stamp for each in in_order)])
             in_order, self._back = self._back + in_order, []
         if rejected is not None:
-            rejected.topic.reject(MessageRejected(FAR_AHEAD))
+            rejected.topic.reject(MessageRejected("stamp far ahead of those before and after"))
         for each in in_order:
             self._push(each)
         return found + self._pop(self._edge())
-
-    def _forget(self) -> None:
-        """Forgets what is over: what was released is of an earlier time."""
-        self._released = -float("inf")
-        self._last_stamps.clear()
-        self._clocks.restart()
 
     def _edge(self) -> float:
         """Returns the stamp up to which measurements are in order [s]."""
         return self._newest - CLOCKS.reorder_window - (self._clocks.most - self._clocks.least)
 
     def _push(self, measurement: Measurement) -> None:
+        """Keeps the measurement until it is in order, or counts it as late."""
         if measurement.stamp < max(self._released, self._edge()):
             measurement.topic.late += 1
         else:
@@ -209,7 +224,7 @@ class ReorderBuffer:
         self._bytes += measurement.size
 
     def _pop(self, edge: float) -> list[Measurement]:
-        """Returns the measurements up to the edge, and those that memory does not hold; of duplicates the first."""
+        """Returns the measurements up to the edge, and what memory cannot hold; of duplicates it returns the first."""
         found, waiting = list[Measurement](), self._waiting
         while waiting and (
             waiting[0][0] <= edge
@@ -223,12 +238,65 @@ class ReorderBuffer:
                 if self._last_stamps.get(publisher) == self._released:
                     measurement.topic.duplicated += 1
                     continue
-                if len(self._last_stamps) > CLOCKS.max_publishers:
-                    self._last_stamps.clear()
                 self._last_stamps[publisher] = self._released
             measurement.topic.use(self._released)
+            measurement.restarts, self._restarted = self._restarted, False
             found.append(measurement)
         return found
+
+
+class PromptBuffer(ReorderBuffer):
+    """A `PromptBuffer` puts measurements in order of stamp as far as 2 ms allow; later ones count if they are newest.
+
+    A joint state waits until each wrench, contact and transform that is due has reached its stamp. One is due that has
+    come within the last 0.1 s and, by the time between its last two, should have come again. An image comes late in any
+    case: it counts with the next joint states. `now` must be set with each message and before `ready`.
+    """
+
+    def _restart(self) -> None:
+        super()._restart()
+        self.complete = -float("inf")
+        self._pending = deque[tuple[float, float]]()  # joint states' stamps, and until when they wait
+        # By topic: the newest stamp, and half of the time since the one before.
+        self._reached: dict[str, tuple[float, float]] = {}
+        self._newest_of: dict[tuple[str, tuple[str, ...]], float] = {}
+
+    @property
+    def waits_until(self) -> float:
+        return self._pending[0][1] if self._pending else float("inf")
+
+    def finish(self) -> list[Measurement]:
+        found = super().finish()
+        if self._pending:
+            self.complete = max(stamp for stamp, _ in self._pending)
+            self._pending.clear()
+        return found
+
+    def _edge(self) -> float:
+        while self._pending:
+            stamp, until = self._pending[0]
+            if self.now < until and any(
+                newest + half < stamp <= newest + CLOCKS.max_silence
+                for newest, half in self._reached.values()
+            ):
+                break
+            self.complete = max(self.complete, stamp)
+            self._pending.popleft()
+        return self.complete
+
+    def _push(self, measurement: Measurement) -> None:
+        topic, stamp, key = measurement.topic, measurement.stamp, publisher_of(measurement)
+        newest = self._newest_of.get(key, -float("inf"))
+        if stamp < newest or (topic.role == "joints" and stamp < self.complete):
+            topic.late += 1
+            return
+        self._newest_of[key] = stamp
+        if topic.role == "joints":
+            self._pending.append((stamp, self.now + CLOCKS.max_wait))
+        elif topic.role in ("wrench", "contact", "tf"):
+            before, half = self._reached.get(topic.name, (stamp, 0.0))
+            self._reached[topic.name] = max(stamp, before), (stamp - before) / 2 if stamp > before else half
+        self._keep(measurement)
 
 
 def publisher_of(measurement: Measurement) -> tuple[str, tuple[str, ...]]:

@@ -6,40 +6,30 @@ from functools import lru_cache
 from importlib import import_module
 from math import hypot, isfinite
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from handsight.checks import MAX_DISTANCE, MAX_LOAD, Array
 from handsight.errors import InvalidInput, MissingExtra
-from handsight.messages import images, touch
-from handsight.messages.fast import FastReader, FastReaders, StampedTransform
-from handsight.messages.topics import (
-    CONTACT,
-    TF,
-    TF_ROS1,
-    MessageRejected,
-    RawMessage,
-    Role,
-    RosMessage,
-    TopicReport,
-)
-from handsight.observation import VISION_FRAMES, PoseMeasurement
+from handsight.messages import images
+from handsight.messages.fast import FastReader, StampedTransform
+from handsight.messages.topics import MessageRejected, RawMessage, Role, RosMessage, RosType, TopicReport
+from handsight.observation import VISION_FRAMES, ContactMeasurement, PoseMeasurement
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 
-class DecodeLimits(NamedTuple):
-    """`DecodeLimits` are what a message may hold."""
-
-    max_joints: int = 1000  # of one message
-    max_transforms: int = 10_000  # of one message
-    min_bytes: int = 4  # of a message that has no more than the count of nothing
-    max_position: float = 1e6  # no joint's position is larger [rad or m]; wheels turn far
-
-
-DECODE = DecodeLimits()
+SHADOW_CONTACT = """\
+std_msgs/Header header
+geometry_msgs/Vector3 tangential_force
+geometry_msgs/Point contact_position
+geometry_msgs/Vector3 contact_normal
+float64 f_normal
+float64 l_torque
+"""
+"""Definition of ShadowContactStateStamped; its vectors are in the fingertip's frame if the header names none."""
 
 
 @dataclass(slots=True, eq=False)
@@ -49,12 +39,14 @@ class Measurement:
     topic: TopicReport
     """Where it is counted."""
     stamp: float
-    """The message's own; later, in the clock of the joint states [s]."""
+    """The message's own; once `Clocks` has it, in the clock of the joint states [s]."""
     log_time: float
     """When it was recorded or received [s]."""
     value: Any
     """By role: dict of positions; (6,); ContactMeasurement or None; (rows, columns); PoseMeasurement; (4, 4); image;
     Camera; parent, child and `T_parent_child` (4, 4)."""
+    restarts: bool = False
+    """Whether it is the first one in order, or the first after the clock of the joint states was set back."""
 
     @property
     def size(self) -> int:
@@ -63,14 +55,18 @@ class Measurement:
 
 
 def decode(
-    raw: RawMessage, topic: TopicReport, frames: Mapping[str, str], fast: FastReaders
+    raw: RawMessage,
+    topic: TopicReport,
+    frames: Mapping[str, str],
+    fast: Mapping[str, FastReader] | None = None,
 ) -> list[Measurement]:
     """Returns the measurements in a message: none, one, or one for each transform of /tf.
 
-    Each is counted as a message of the topic, and so is what was rejected, with its reason. `frames`: what messages
-    call world, palm and camera. `fast`: kept from message to message. Raises MissingExtra.
+    Each is counted as a message of the topic, and so is what was rejected, with its reason. `frames`: the names that
+    messages have for world, palm and camera. `fast`: a reader for each encoding, kept from message to message. Raises
+    MissingExtra.
     """
-    role, reader = topic.role, fast.get(raw.encoding)
+    role, reader = topic.role, fast.get(raw.encoding) if fast else None
     value: object
     try:
         if raw.type not in topic.expected:
@@ -83,7 +79,9 @@ def decode(
             stamp, value = joints[0], _positions(joints[1], joints[2])
         else:
             message = _deserialized(raw)
-            stamp, value = _stamp(message), READERS[role](message, topic, frames)
+            # Without a stamp it is 0: the message is timed by when it was logged.
+            stamp = _seconds(message) if hasattr(message, "header") else 0.0
+            value = READERS[role](message, topic, frames)
         topic.messages += 1
         return [Measurement(topic, stamp, raw.log_time, value)]
     except (MessageRejected, InvalidInput) as error:
@@ -94,14 +92,12 @@ def decode(
 
 def _transforms(raw: RawMessage, topic: TopicReport, reader: FastReader | None) -> list[Measurement]:
     """Returns the transforms of a TFMessage, each read by itself: one that is rejected does not spoil the others."""
-    transforms = reader.transforms(raw.data, DECODE.max_transforms) if reader else None
+    transforms = reader.transforms(raw.data) if reader else None
     if not transforms:
         parts = _deserialized(raw).transforms
-        if len(parts) > DECODE.max_transforms:
-            raise MessageRejected(f"expected at most {DECODE.max_transforms} transforms, got {len(parts)}")
         transforms = [
             StampedTransform(
-                _stamp(part), part.header.frame_id, part.child_frame_id, (*_xyz(p), *_xyz(q), q.w)
+                _seconds(part), part.header.frame_id, part.child_frame_id, (*_xyz(p), *_xyz(q), q.w)
             )
             for part in parts
             for p, q in [(part.transform.translation, part.transform.rotation)]
@@ -120,9 +116,11 @@ def _transforms(raw: RawMessage, topic: TopicReport, reader: FastReader | None) 
 
 def _deserialized(raw: RawMessage) -> RosMessage:
     store = typestore(raw.encoding)
-    kind = TF if raw.type == TF_ROS1 else raw.type
+    kind = RosType.TF if raw.type == RosType.TF_ROS1 else raw.type
     expected = f"expected a {kind}, got {len(raw.data)} bytes that are none"
-    if len(raw.data) < DECODE.min_bytes:  # millions of them may come
+    if (
+        len(raw.data) < 4
+    ):  # the shortest message holds a count; many may be empty, and errors of rosbags are slow
         raise MessageRejected(expected)
     try:
         message: RosMessage = getattr(store, f"deserialize_{raw.encoding}")(raw.data, kind)
@@ -133,50 +131,50 @@ def _deserialized(raw: RawMessage) -> RosMessage:
 
 @lru_cache
 def typestore(encoding: str) -> "Typestore":
-    """Returns the message types that are encoded so, `cdr` or `ros1`; raises MessageRejected, MissingExtra."""
+    """Returns rosbags' message types for an encoding, `cdr` or `ros1`; raises MessageRejected, MissingExtra."""
     typesys = rosbags_module("rosbags.typesys")
     stores = {"cdr": typesys.Stores.ROS2_HUMBLE, "ros1": typesys.Stores.ROS1_NOETIC}
     if encoding not in stores:
         raise MessageRejected(f"expected messages encoded as cdr or ros1, got {encoding[:20]!r}")
     store: Typestore = typesys.get_typestore(stores[encoding])
-    if TF not in store.types:  # ROS 1's own messages have only its forerunner
-        store.register(typesys.get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
-    store.register(typesys.get_types_from_msg(touch.SHADOW_CONTACT, CONTACT))
+    if RosType.TF not in store.types:  # ROS 1's own messages have only its forerunner
+        store.register(typesys.get_types_from_msg("geometry_msgs/TransformStamped[] transforms", RosType.TF))
+    store.register(typesys.get_types_from_msg(SHADOW_CONTACT, RosType.CONTACT))
     return store
 
 
 def rosbags_module(name: str) -> ModuleType:
-    """Returns the module of rosbags, or of what it brings, loaded when it is needed; raises MissingExtra."""
+    """Returns a module of rosbags, or of a package that rosbags requires; raises MissingExtra."""
     try:
         return import_module(name)
     except ImportError:
         raise MissingExtra("recordings need rosbags: pip install 'handsight[robot]'") from None
 
 
-def _stamp(message: RosMessage) -> float:
-    """Returns the stamp of a message [s]; 0 where it has none, and is timed by when it was logged."""
-    if not hasattr(message, "header"):
-        return 0.0
+def _seconds(message: RosMessage) -> float:
+    """Returns the stamp in a message's header [s]."""
     stamp = message.header.stamp
     return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
+def _xyz(vector: RosMessage) -> tuple[float, float, float]:
+    return vector.x, vector.y, vector.z
+
+
 def _positions(names: Sequence[str], positions: Sequence[float]) -> dict[str, float]:
+    """Returns the positions of a JointState by the joints' names [rad or m]."""
     if len(names) != len(positions):
         raise MessageRejected(f"expected as many positions as names, got {len(positions)} for {len(names)}")
     found = dict(zip(names, positions, strict=True))
     if len(found) != len(names):
         raise MessageRejected("expected each joint once, got one name twice")
-    if len(found) > DECODE.max_joints:
-        raise MessageRejected(f"expected at most {DECODE.max_joints} joints, got {len(found)}")
-    if not hypot(*positions) <= DECODE.max_position:
+    limit = 1e6  # wheels turn far [rad or m]
+    if not hypot(*positions) <= limit:
         if bad := [name for name, position in found.items() if not isfinite(position)]:
             raise MessageRejected(f"joint {', '.join(bad[:5])} is not a finite number", nan=True)
         name = max(found, key=lambda name: abs(found[name]))
-        if abs(found[name]) > DECODE.max_position:
-            raise MessageRejected(
-                f"joint {name}: expected a position within {DECODE.max_position:g}, got {found[name]:g}"
-            )
+        if abs(found[name]) > limit:
+            raise MessageRejected(f"joint {name}: expected a position within {limit:g}, got {found[name]:g}")
     return found
 
 
@@ -190,14 +188,10 @@ def _wrench(values: Sequence[float]) -> Array:
     return np.array(values)
 
 
-def _xyz(vector: RosMessage) -> tuple[float, float, float]:
-    return vector.x, vector.y, vector.z
-
-
 def _rigid_transform(*numbers: float) -> Array:
-    """Returns (4, 4) of x, y, z [m] and a quaternion's x, y, z, w; raises MessageRejected.
+    """Returns (4, 4) of x, y, z [m] and a quaternion's x, y, z, w.
 
-    In plain floats: for one pose NumPy is ten times slower.
+    It computes with plain floats: NumPy takes ten times as long for one pose.
     """
     px, py, pz, x, y, z, w = numbers
     length = hypot(x, y, z, w)
@@ -219,7 +213,7 @@ def _rigid_transform(*numbers: float) -> Array:
 
 
 def _pose(message: RosMessage, topic: TopicReport, frames: Mapping[str, str]) -> PoseMeasurement | Array:
-    """Returns a pose of vision, or the truth, `T_palm_object` (4, 4), as the topic's role is."""
+    """Returns a pose of vision or, on the topic of the truth, `T_palm_object` (4, 4)."""
     pose, covariance = message.pose, None
     if hasattr(pose, "covariance"):
         covariance, pose = np.array(pose.covariance, dtype=np.float64).reshape(6, 6), pose.pose
@@ -227,7 +221,7 @@ def _pose(message: RosMessage, topic: TopicReport, frames: Mapping[str, str]) ->
     if covariance is not None and not np.isfinite(covariance).all():
         raise MessageRejected("covariance is not finite", nan=True)
     if covariance is not None and not covariance.any():
-        covariance = None  # what drivers send that do not know it
+        covariance = None  # drivers that do not know it send zeros
     named = message.header.frame_id.lstrip("/")
     roles = {frames[role].lstrip("/"): role for role in reversed(VISION_FRAMES) if role in frames}
     if named not in roles:
@@ -242,14 +236,59 @@ def _pose(message: RosMessage, topic: TopicReport, frames: Mapping[str, str]) ->
     return measured.T_frame_object
 
 
+def _contact(message: RosMessage, tip: str, palm: str) -> ContactMeasurement | None:
+    """Returns the contact of a ShadowContactStateStamped; None: nothing is touched.
+
+    `tip`: the body that the fingertip moves with; `palm`: what messages call the palm.
+    """
+    p, n = message.contact_position, message.contact_normal
+    point, normal, force = np.array([p.x, p.y, p.z]), np.array([n.x, n.y, n.z]), float(message.f_normal)
+    if not np.isfinite([*point, *normal, force]).all():
+        raise MessageRejected("position, normal or force is not finite", nan=True)
+    named = message.header.frame_id.lstrip("/")
+    frame = {"": "tip", palm.lstrip("/"): "palm", tip: tip}.get(named)
+    if frame is None:
+        valid = f"none (the tip's own), {tip!r}, {palm!r}"
+        raise MessageRejected(f"unknown frame {named[:60]!r}; valid: {valid}")
+    return ContactMeasurement(point, normal, frame, force) if force > 0 and normal.any() else None
+
+
+def _taxel_reading(message: RosMessage, shape: tuple[int, int]) -> Array:
+    """Returns (rows, columns) of a Float32MultiArray or an Image; NaN where a taxel has no finite reading.
+
+    The numbers come row by row from the grid's corner at -x, -y; the layout of an array may state the shape, or not.
+    """
+    expected = f"expected {shape[0]} x {shape[1]} taxels"
+    if hasattr(message, "encoding"):
+        values = images.values(message, ("mono8", "8UC1", "mono16", "16UC1", "32FC1"))[..., 0].astype(
+            np.float64
+        )
+        if values.shape != shape:
+            raise MessageRejected(f"{expected}, got {values.shape[0]} x {values.shape[1]}")
+    else:
+        sizes = [int(each.size) for each in message.layout.dim]
+        sizes = [size for size in sizes if size != 1] if len(sizes) > 2 else sizes
+        data = np.asarray(message.data, dtype=np.float64)[int(message.layout.data_offset) :]
+        if len(sizes) == 2 and tuple(sizes) != shape:
+            raise MessageRejected(f"{expected}, got {sizes[0]} x {sizes[1]}")
+        if len(data) != shape[0] * shape[1]:
+            raise MessageRejected(f"{expected}, got {len(data)} numbers")
+        values = data.reshape(shape)
+    values = np.where(np.isfinite(values), values, np.nan)
+    if np.isnan(values).all():
+        raise MessageRejected("no taxel has a finite reading", nan=True)
+    return values
+
+
 READERS: dict[Role, Callable[[RosMessage, TopicReport, Mapping[str, str]], object]] = {
     "joints": lambda message, *_: _positions(message.name, message.position.tolist()),
     "wrench": lambda message, *_: _wrench((*_xyz(message.wrench.force), *_xyz(message.wrench.torque))),
-    "contact": lambda message, topic, frames: touch.contact(message, {**frames, "tip": topic.body}),
-    "skin": lambda message, topic, _: touch.taxel_reading(message, topic.shape),
+    "contact": lambda message, topic, frames: _contact(message, topic.body, frames["palm"]),
+    "skin": lambda message, topic, _: _taxel_reading(message, topic.shape),
     "vision": _pose,
     "truth": _pose,
     "color": lambda message, *_: images.color(message),
     "depth": lambda message, *_: images.depth(message),
     "info": lambda message, *_: images.camera(message),
 }
+"""Reads a decoded message, by the role of its topic; raises MessageRejected or InvalidInput where it cannot be used."""

@@ -10,11 +10,7 @@ import struct
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-_LITTLE_ENDIAN = b"\0\1"
 _COUNT, _WRENCH, _TRANSFORM = struct.Struct("<I"), struct.Struct("<6d"), struct.Struct("<7d")
-_MOST_NAMES = 1000
-
-Encoding = Literal["cdr", "ros1"]
 
 
 class StampedTransform(NamedTuple):
@@ -30,7 +26,7 @@ class StampedTransform(NamedTuple):
 class FastReader:
     """A `FastReader` reads one encoding and remembers the names of the last JointState, which seldom change."""
 
-    def __init__(self, encoding: Encoding) -> None:
+    def __init__(self, encoding: Literal["cdr", "ros1"]) -> None:
         self._cdr = encoding == "cdr"
         self._stamp_format = struct.Struct("<iI" if self._cdr else "<II")
         self._named, self._names = b"", list[str]()
@@ -53,8 +49,6 @@ class FastReader:
             if not self._named or not data.startswith(self._named, 12):
                 at = self._aligned(16 + _COUNT.unpack_from(data, 12)[0], 4)
                 (count,) = _COUNT.unpack_from(data, at)
-                if count > _MOST_NAMES:
-                    return None
                 at, names = at + 4, []
                 for _ in range(count):
                     at, name = self._text(data, at)
@@ -69,12 +63,12 @@ class FastReader:
         except (struct.error, UnicodeDecodeError):
             return None
 
-    def transforms(self, data: bytes, most: int) -> list[StampedTransform] | None:
-        """Returns the transforms of a TFMessage; None: rosbags must read it, for there are more than `most`."""
+    def transforms(self, data: bytes) -> list[StampedTransform] | None:
+        """Returns the transforms of a TFMessage; None: rosbags must read it."""
         try:
             at = 4 if self._cdr else 0
             (count,) = _COUNT.unpack_from(data, at)
-            if self._is_other(data) or count > most:
+            if self._is_other(data):
                 return None
             at, found = at + 4, list[StampedTransform]()
             for _ in range(count):
@@ -91,7 +85,7 @@ class FastReader:
 
     def _is_other(self, data: bytes) -> bool:
         """Returns whether the message is encapsulated in another way than little-endian CDR."""
-        return self._cdr and data[:2] != _LITTLE_ENDIAN
+        return self._cdr and data[:2] != b"\0\1"
 
     def _stamp(self, data: bytes, at: int) -> float:
         sec, nanosec = self._stamp_format.unpack_from(data, at)
@@ -118,8 +112,6 @@ class FastReader:
         return end, count
 
 
-class FastReaders(dict[str, FastReader]):
-    """`FastReaders` are readers by encoding; they remember from message to message."""
-
-    def __init__(self) -> None:
-        super().__init__(cdr=FastReader("cdr"), ros1=FastReader("ros1"))
+def fast_readers() -> dict[str, FastReader]:
+    """Returns a new reader for each encoding."""
+    return {"cdr": FastReader("cdr"), "ros1": FastReader("ros1")}

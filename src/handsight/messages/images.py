@@ -1,6 +1,6 @@
 """Images and cameras out of ROS messages: colour (h, w, 3) red, green, blue; depth (h, w) [m], NaN where unknown.
 
-Functions raise MessageRejected, or InvalidInput, for a message that cannot be used.
+What reads a message raises MessageRejected or InvalidInput where it cannot be used.
 """
 
 import struct
@@ -13,20 +13,13 @@ from handsight.messages.topics import MessageRejected, RosMessage
 from handsight.vision import pixels
 from handsight.vision.pixels import Color
 
-COMPRESSED_DEPTH = struct.Struct("<iff")
-"""What `compressed_depth_image_transport` puts before the PNG: a format, and A, B of depth = A / (value - B)."""
-
 LAYOUTS = {
     **dict.fromkeys(("rgb8", "bgr8"), ("u1", 3)),
     **dict.fromkeys(("mono8", "8UC1"), ("u1", 1)),
     **dict.fromkeys(("mono16", "16UC1"), ("u2", 1)),
     "32FC1": ("f4", 1),
 }
-"""Type and channels of a pixel, by encoding."""
-LENSES = {"plumb_bob": 5, "rational_polynomial": 8}
-"""Distortion models of CameraInfo that a pinhole behind a lens is, and how many numbers they have."""
-MAX_PIXELS_ACROSS = 1e6
-"""No focal length or principal point is larger [pixels]."""
+"""Type and number of channels of a pixel, by the encoding of an Image."""
 
 
 def color(message: RosMessage) -> Color:
@@ -38,18 +31,19 @@ def color(message: RosMessage) -> Color:
 
 
 def depth(message: RosMessage) -> Depth:
-    """Returns the depth image of an Image or CompressedImage; whole numbers are millimetres, others metres."""
+    """Returns the depth image of an Image or CompressedImage, whose integers are millimetres and floats metres."""
     if not hasattr(message, "format"):
         return pixels.metres(values(message, ("16UC1", "mono16", "32FC1"))[..., 0])
-    data, described = bytes(message.data), str(message.format)
+    # `compressed_depth_image_transport` puts a format before the PNG, and A, B of depth = A / (value - B).
+    before, data, described = struct.Struct("<iff"), bytes(message.data), str(message.format)
     if "rvl" in described.lower():
         raise MessageRejected("expected compressed depth as PNG, got RVL")
     if "compressedDepth" not in described:
         return pixels.metres(pixels.sixteen_bits(data))
-    if len(data) < COMPRESSED_DEPTH.size:
-        raise MessageRejected(f"expected a header of {COMPRESSED_DEPTH.size} bytes, got {len(data)} bytes")
-    _, a, b = COMPRESSED_DEPTH.unpack_from(data)
-    numbers = pixels.sixteen_bits(data[COMPRESSED_DEPTH.size :])
+    if len(data) < before.size:
+        raise MessageRejected(f"expected a header of {before.size} bytes, got {len(data)} bytes")
+    _, a, b = before.unpack_from(data)
+    numbers = pixels.sixteen_bits(data[before.size :])
     if not described.startswith("32FC1"):
         return pixels.metres(numbers)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -58,7 +52,7 @@ def depth(message: RosMessage) -> Depth:
 
 
 def values(message: RosMessage, expected: tuple[str, ...]) -> NDArray[np.generic]:
-    """Returns the pixels (h, w, channels) of an Image as its encoding says, whose rows are padded to `step`."""
+    """Returns the pixels (h, w, channels) of an Image, whose rows may be padded; `expected`: encodings to accept."""
     if message.encoding not in expected:
         raise MessageRejected(f"expected encoding {', '.join(expected)}, got {message.encoding[:20]!r}")
     kind, channels = LAYOUTS[message.encoding]
@@ -74,14 +68,15 @@ def values(message: RosMessage, expected: tuple[str, ...]) -> NDArray[np.generic
 
 
 def camera(message: RosMessage) -> Camera:
-    """Returns the camera of a CameraInfo of ROS 1 or 2, for its images as they come: cut out and binned."""
+    """Returns the camera of a CameraInfo of ROS 1 or 2, for its images after they are cut out and binned."""
     K = np.array(message.K if hasattr(message, "K") else message.k, dtype=np.float64).reshape(3, 3)
     if not np.isfinite(K).all():
         raise MessageRejected("intrinsics are not finite", nan=True)
     if not (K[0, 0] > 0 and K[1, 1] > 0):
         raise MessageRejected("expected focal lengths above 0, got an uncalibrated camera")
-    if (most := np.abs(K).max()) > MAX_PIXELS_ACROSS:
-        raise MessageRejected(f"expected intrinsics within {MAX_PIXELS_ACROSS:g} pixels, got {most:g}")
+    limit = 1e6  # no focal length or principal point is larger [pixels]
+    if (most := np.abs(K).max()) > limit:
+        raise MessageRejected(f"expected intrinsics within {limit:g} pixels, got {most:g}")
     # The message's intrinsics and size are of the complete sensor.
     roi, size = message.roi, [int(message.width), int(message.height)]
     for axis, (first, side, binned) in enumerate(
@@ -91,12 +86,14 @@ def camera(message: RosMessage) -> Camera:
         # Centres of pixels are at whole numbers, so the image begins at -½.
         K[axis, axis], K[axis, 2] = K[axis, axis] / by, (K[axis, 2] - first + 0.5) / by - 0.5
         size[axis] = (int(side) or size[axis]) // by
+    # Distortion models that a pinhole behind a lens can have, with their number of coefficients.
+    lenses = {"plumb_bob": 5, "rational_polynomial": 8}
     model, lens = message.distortion_model, np.array(message.D if hasattr(message, "D") else message.d)
     if not np.isfinite(lens).all():
         raise MessageRejected("the lens' numbers are not finite", nan=True)
-    if model not in LENSES and (model or lens.any()):
-        raise MessageRejected(f"expected a distortion model {' or '.join(LENSES)}, got {model[:40]!r}")
-    count = LENSES.get(model, 0)
+    if model not in lenses and (model or lens.any()):
+        raise MessageRejected(f"expected a distortion model {' or '.join(lenses)}, got {model[:40]!r}")
+    count = lenses.get(model, 0)
     if lens[count:].any():
         raise MessageRejected(f"expected at most {count} numbers of a {model} lens, got {len(lens)}")
     lens = lens[:count].astype(np.float64)

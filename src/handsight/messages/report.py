@@ -1,4 +1,4 @@
-"""The counts of a robot's messages, and the sentences for the user on what its rig needs and did not get."""
+"""The counts of a robot's messages, and sentences for the user on what is wrong with them or missing."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -10,52 +10,48 @@ import numpy as np
 
 from handsight.checks import nearest_name
 from handsight.errors import printable
-from handsight.messages.topics import TOPICS, WRENCH, TopicReport
+from handsight.messages.topics import TOPICS, RosType, TopicReport
 from handsight.observation import Observation
 from handsight.rig import Rig
 
-MAX_SENTENCES = 12
-"""Sentences of one kind."""
-
 
 class UnitLimits(NamedTuple):
-    """`UnitLimits` are sizes beyond which a unit is doubted."""
+    """`UnitLimits` are the sizes of values above which their unit is doubted."""
 
-    max_range: float = 10.0  # no hand sees its object farther away [m]
-    max_force: float = 300.0  # no fingertip bears a larger force [N]
-    min_share: float = 0.1  # part of the observations; fewer are outliers
+    max_range: float = 10.0  # from a camera to the object [m]
+    max_force: float = 300.0  # on a fingertip [N]
+    min_share: float = 0.1  # share of the observations that have such values; fewer are outliers
 
 
 UNITS = UnitLimits()
 
 
 class Units:
-    """A `Units` finds values that are in a wrong unit: they are beyond what the rig's hand can measure."""
+    """A `Units` finds values that seem to be in a wrong unit, because no hand measures such large ones."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig, self._count, self._beyond = rig, 0, Counter[str]()
         self._largest: dict[str, tuple[float, str]] = {}
         limits = zip(rig.hand.joint_names, np.abs(rig.hand.limits).max(axis=1).tolist(), strict=True)
-        self._limits = {
-            name: limit for name, limit in limits if name in rig.hand.moving and np.isfinite(limit)
-        }
-        self._names = list(self._limits)
-        # A hinge turns by a radian or two; where a file limits it to less, it may be off by more.
-        self._most = 2 * np.array(list(self._limits.values())) + 1
+        self._limits = [
+            (name, limit) for name, limit in limits if name in rig.hand.moving and np.isfinite(limit)
+        ]
 
     def put(self, observation: Observation) -> None:
         """Takes in an observation."""
         self._count += 1
-        positions, names = observation.joint_positions or {}, self._names
-        values = np.abs([positions.get(name, 0.0) for name in names])
-        for k in np.flatnonzero(values > self._most):
-            value, limit = float(values[k]), self._limits[names[k]]
+        positions = observation.joint_positions or {}
+        for name, limit in self._limits:
+            value = abs(positions.get(name, 0.0))
+            # A hinge turns by a radian or two; where a file limits it to less, it may be off by more.
+            if not value > 2 * limit + 1:
+                continue
             radians = np.deg2rad(value)
             meant = f"degrees? {radians:.3g} rad"
             if radians > 2 * limit:
                 meant = f"{1e-3 * value:.3g} in thousandths?"
             text = f"{value:.4g} where its file limits it to {limit:.4g} ({meant})"
-            self._note(f"{self._rig.topics.joint_states}: joint {names[k]!r}", value, text)
+            self._note(f"{self._rig.topics.joint_states}: joint {name!r}", value, text)
         for name, wrench in observation.wrenches.items():
             force = hypot(*wrench[:3].tolist())
             if force > UNITS.max_force:
@@ -73,7 +69,7 @@ class Units:
             self._largest[what] = value, text
 
     def sentences(self) -> list[str]:
-        """Returns a sentence for each value that was often beyond the limits; empty: there is none."""
+        """Returns a sentence for each value that was often above the limits."""
         often = [what for what, count in self._beyond.items() if count >= UNITS.min_share * self._count]
         return [f"{what} up to {self._largest[what][1]}" for what in often]
 
@@ -85,28 +81,28 @@ class Report:
     joint_states: str
     """The topic whose stamps are the clock."""
     topics: dict[str, TopicReport] = field(default_factory=dict)
-    """By name; those the rig listens to and that are there."""
+    """The topics that the rig listens to and that are there, by name."""
     others: dict[str, str] = field(default_factory=dict)
-    """Type by topic, of those the rig does not listen to."""
+    """The types of the topics that the rig does not listen to, by name."""
     observations: int = 0
     placed: int = 0
     """Number of observations that have `T_world_palm`."""
     without: Counter[str] = field(default_factory=Counter)
-    """By finger: observations without its wrench, or without a message on its contact."""
+    """Number of observations without a wrench or a contact message, by finger."""
     without_skin: Counter[str] = field(default_factory=Counter)
-    """By tactile array: observations without its readings."""
+    """Number of observations without readings, by tactile array."""
     fingers: dict[str, str] = field(default_factory=dict)
-    """By finger: what is wrong with its sensor."""
+    """What is wrong with a finger's sensor, by finger."""
     backwards: tuple[int, float, float] | None = None
-    """Joint states went back by more than 1 s for good: how often, how far at most [s], and the stamp from where they
-    did so first [s]."""
+    """How often the clock of the joint states was set back, by how much at most [s], and the stamp just before the
+    first time [s]; None: never."""
     units: Units | None = None
-    """Values that seem to be in other units."""
+    """Finds values that seem to be in other units."""
     ended: bool = False
     """Whether all messages have come."""
 
     def sentences(self) -> list[str]:
-        """Returns a sentence for each problem that a user should know of, worst first; empty: nothing is wrong."""
+        """Returns a sentence for each problem that a user should know of, worst first."""
         messages = []
         if self.backwards:
             count, far, stamp = self.backwards
@@ -130,22 +126,22 @@ class Report:
         messages += shortened(
             f"skin {name}: no reading in {count} {of}" for name, count in self.without_skin.items()
         )
-        others = sorted(name for name, kind in self.others.items() if kind == WRENCH)
+        others = sorted(name for name, kind in self.others.items() if kind == RosType.WRENCH)
         return [printable(each) for each in messages] + shortened(
             f"{name}: wrenches of no finger of the rig; not used" for name in others
         )
 
 
 def shortened(sentences: Iterable[str]) -> list[str]:
-    """Returns the first of many sentences of one kind, each in a line, and how many more there are."""
-    messages = list(sentences)
-    more = len(messages) - MAX_SENTENCES
-    messages = [printable(each) for each in messages[:MAX_SENTENCES]]
+    """Returns the first twelve sentences of one kind, each in a line, and how many more there are."""
+    messages, most = list(sentences), 12
+    more = len(messages) - most
+    messages = [printable(each) for each in messages[:most]]
     return [*messages, f"and {more} more like that"] if more > 0 else messages
 
 
 def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -> list[str]:
-    """Returns a sentence for each topic, frame and joint of the rig that did not come; empty: nothing is missing.
+    """Returns a sentence for each topic, frame and joint of the rig that did not come.
 
     `frames`, `joint_names`: those that came.
     """

@@ -1,23 +1,23 @@
 """Raw messages to Observations, one at a time, of recordings and of live robots."""
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 
 from handsight.camera import Camera
 from handsight.messages.assemble import ObservationAssembler
 from handsight.messages.clocks import ReorderBuffer
 from handsight.messages.decode import Measurement, decode
-from handsight.messages.fast import FastReaders
+from handsight.messages.fast import fast_readers
 from handsight.messages.report import Report, missing
 from handsight.messages.topics import RawMessage, rig_topics
 from handsight.observation import Observation
 from handsight.rig import Rig
 
-MAX_NAMES = 10_000
-"""Of joints, that are kept to say which is missing."""
-
 
 class ObservationStream:
-    """An `ObservationStream` turns a robot's messages, put in as they come, into observations, as the package says.
+    """An `ObservationStream` turns a robot's messages, put in as they come, into observations.
+
+    The docstring of `handsight.messages` says what it guarantees.
 
     ```
     stream = ObservationStream(rig)
@@ -35,16 +35,16 @@ class ObservationStream:
         report: Report | None = None,
         order: Callable[[Report], ReorderBuffer] = ReorderBuffer,
     ) -> None:
-        """`topics`: type by topic, of all that are known beforehand; others are added with their first message.
+        """`topics`: the types of the topics that are known beforehand; others are added with their first message.
 
-        `report`: a new one that is to be filled. `order`: creates the buffer that puts measurements in order.
+        `report`: an empty report to be filled. `order`: creates the buffer that puts measurements in order.
         """
         self._rig, self.topics, known = rig, rig_topics(rig), topics or {}
         """The topics that the rig listens to, by name; messages of others are passed over."""
         self.report = Report(rig.topics.joint_states) if report is None else report
-        """Counts and sentences."""
+        """The counts of messages and what is wrong with them, so far."""
         self.intrinsics: Camera | None = None
-        """The camera by its CameraInfo; None: none came."""
+        """The camera by its CameraInfo; None: no CameraInfo has come."""
         for name, topic in self.topics.items():
             if name in known:
                 topic.type = known[name]
@@ -52,7 +52,7 @@ class ObservationStream:
         self.report.others |= {name: kind for name, kind in known.items() if name not in self.topics}
         self._joint_names = set[str]()
         self._depth_size: tuple[int, ...] | None = None
-        self._fast, self.order = FastReaders(), order(self.report)
+        self._fast, self.order = fast_readers(), order(self.report)
         self._assembler = ObservationAssembler(rig, self.report)
         self.truth = self._assembler.truth
         """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
@@ -76,22 +76,22 @@ class ObservationStream:
             else:
                 if topic.role == "depth":
                     self._depth_size = measurement.value.shape[1::-1]
-                if topic.role == "joints" and len(self._joint_names) < MAX_NAMES:
+                if topic.role == "joints":
                     self._joint_names.update(measurement.value)
                 found += self._assembled(self.order.put(measurement))
         return found
 
     def ready(self) -> list[Observation]:
-        """Returns the observations that have waited long enough, where the order waits by the clock."""
+        """Returns the observations that have waited long enough by the clock, without another message."""
         return self._assembled(self.order.ready())
 
     def flush(self) -> list[Observation]:
-        """Returns the observations that wait, though more may come: nothing has come for long."""
+        """Returns the observations that wait, because nothing has come for long; more may come later."""
         found, last = self._assembled(self.order.finish()), self._assembler.finish()
         return found if last is None else [*found, last]
 
     def finish(self) -> list[Observation]:
-        """Returns the last observations: no message comes any more."""
+        """Returns the last observations; no message may be put after it."""
         found = self.flush()
         self.report.ended = True
         return found
@@ -103,10 +103,22 @@ class ObservationStream:
             found.append(last)
         return found
 
-    def lacks(self) -> list[str]:
-        """Returns a sentence for all that the rig needs and did not get, or of another size; empty: nothing.
+    def camera(self) -> Camera:
+        """Returns the camera of the images by its CameraInfo, else by the rig; raises InvalidInput without both."""
+        return self.intrinsics or Camera.of(self._rig.camera)
 
-        Topics are known from the beginning where they were given, joints and frames after the first observations.
+    def calibrated(self, rig: Rig) -> Rig:
+        """Returns the rig, with the CameraInfo's camera where it takes depth images and has no intrinsics itself."""
+        camera, info = rig.camera, self.intrinsics
+        if camera is None or camera.intrinsics is not None or info is None or rig.topics.depth is None:
+            return rig
+        return replace(rig, camera=camera.with_images_of(info))
+
+    def lacks(self) -> list[str]:
+        """Returns a sentence for each thing that the rig needs and that did not come, or came in another size.
+
+        What is missing is known of topics from the beginning where they were given, and of joints and frames after the
+        first observations.
         """
         lacking = missing(self._rig, self.report, self._assembler.tree.frames, self._joint_names)
         topics = self._rig.topics

@@ -1,48 +1,56 @@
-"""What is measured on a point cloud: its normals and its distance fields.
+"""The geometry of a point cloud: its normals and its distance fields.
 
 Near the points the distance is the smooth average of the planes through them (implicit moving least squares,
-Kolluri 2008), or, where they are noisy, of the quadrics fitted to them (`handsight.objects.scans`); far away it is that
-to the nearest point, negative where the cloud winds around. A cloud that is open has sides and no inside. Outliers are
-not removed.
+Kolluri 2008), or, where they are noisy, of the quadrics fitted to them (`handsight.objects.scans`); far away it is the
+distance to the nearest point, negative where the winding number of the cloud says inside. An open cloud has two sides
+and no inside. Outliers are not removed.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from handsight.checks import Array, Indices, Mask
+from handsight.checks import Array, Indices
 from handsight.errors import InvalidObject
-from handsight.objects.cloud_distances import ClosedDistances, OpenDistances
-from handsight.objects.fields import Grid, GridField, grids, sharpened
+from handsight.objects.fields import grid_fields, grids
 from handsight.objects.geometry import Geometry, measured, roughened, with_error
 from handsight.objects.meshes.box_tree import Winding
-from handsight.objects.scans.holes import unseen_variances
 from handsight.objects.scans.normals import estimated_normals
+from handsight.objects.scans.roughness import unseen_variances
 from handsight.objects.scans.scan import scanned
 from handsight.objects.surface import SURFACE, Cloud, check_extent, diameter, distinct
 
 
 class CloudOptions(NamedTuple):
-    """`CloudOptions` say how a surface is read off points."""
+    """`CloudOptions` say how a surface and its distances are computed from points."""
 
     min_points: int = 20  # of a cloud
     planes: int = 10  # points whose planes are averaged
     area_neighbours: int = 8  # points by which a point's share of the area is measured
+    near: float = 2.0  # spacings from a point below which the smooth surface counts alone
+    far: float = 4.0  # spacings beyond which the point counts alone
+    neighbours: int = 25  # points by whose middle a place is above them or beside them
+    opposite_cosine: float = -0.5  # points whose normals have a cosine below this are on two sides of a wall
+    rim: float = 0.4  # spacings past the last points up to which the distance to their surface counts alone
+    beside: float = 1.2  # spacings past the last points beyond which the distance to a point counts alone
+    behind: float = -0.5  # height in parts of the distance below which a place is behind an open cloud
 
 
 CLOUD = CloudOptions()
 
+Heights = Callable[[Array, Indices], Array]
+"""Heights (n,) [m] above the smooth surface of nodes (n, 3) near it, given the points nearest to them (n,)."""
+
 
 def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
-    """Returns what is to be known of finite points (n, 3) [m] with unit outward normals or none; raises InvalidObject.
+    """Returns the geometry of finite points (n, 3) [m] with unit outward normals or None; raises InvalidObject.
 
-    Equal points are merged. Normals that were not given are estimated and made to point outwards. Of noisy points the
-    object is the surface that was fitted to them.
+    Equal points are merged. Missing normals are estimated and turned outwards. The geometry of noisy points is that of
+    the surface fitted to them.
     """
-    points, normals, remarks = _distinct(points, normals)
+    points, normals, remarks = _checked(points, normals)
     scan = scanned(points, normals, diameter(points))
     if scan is not None:
         points, normals = scan.surface.converged()
@@ -52,42 +60,42 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
     reach = tree.query(points, k=CLOUD.area_neighbours + 1)[0][:, -1]
     # A disc holds its neighbours and half the one on its rim.
     cloud = Cloud(points, normals, np.pi * reach**2 / (CLOUD.area_neighbours + 0.5))
-    heights = _Planes(cloud, tree).heights if scan is None else scan.surface.heights
+    heights = plane_heights(cloud, tree) if scan is None else scan.surface.heights
     size = diameter(points)
     coarse, fine, coarser = grids(points, size)
     winding = Winding(points, cloud.areas[:, None] * normals)
     nodes = coarse.nodes()
-    hole = _largest_hole(coarse, tree.query(nodes)[0], winding.inside(nodes))
-    closed = hole < SURFACE.max_hole * size and _winds(cloud, winding)
+    # The width of the largest hole is twice the distance to the points, where inside meets outside.
+    gap, inside = tree.query(nodes)[0].reshape(coarse.shape), winding.inside(nodes).reshape(coarse.shape)
+    hole = 0.0
+    for axis, n in enumerate(coarse.shape):
+        nearer = np.minimum(gap.take(range(n - 1), axis), gap.take(range(1, n), axis))
+        hole = max(hole, float(2 * nearer[np.diff(inside, axis=axis)].max(initial=0.0)))
+    closed = hole < SURFACE.max_hole * size and _is_wound_once(cloud, winding)
     if closed:
-        fields = _fields(coarse, fine, ClosedDistances(cloud, tree, heights, winding).at)
+        distances, blur = closed_distances(cloud, tree, heights, winding), 0.0
     else:
-        distances = OpenDistances(cloud, tree, heights)
-        fields = _fields(coarse, fine, distances.at, sheet=True, blur=cloud.spacing)
-    remarks = (*remarks, *coarser)
-    geometry = measured(cloud, *fields, diameter=size, closed=closed, remarks=remarks)
+        distances, blur = open_distances(cloud, tree, heights), cloud.spacing
+
+    def exact(index: Indices, _: float) -> tuple[Indices, Array]:
+        return index, distances(fine.nodes_at(index))
+
+    fields = grid_fields(coarse, distances(nodes), fine, exact, sheet=not closed, blur=blur)
+    geometry = measured(cloud, *fields, diameter=size, closed=closed, remarks=(*remarks, *coarser))
     if scan is None:
         return geometry
     geometry = roughened(geometry, scan.roughness)
+    if closed:
+        return geometry
 
     def unseen(places: Array) -> Array:
         return unseen_variances(tree.query(places)[0], winding.at(places), cloud.spacing)
 
-    return geometry if closed else with_error(geometry, unseen)
+    return with_error(geometry, unseen)
 
 
-def _fields(
-    coarse: Grid, fine: Grid, at: Callable[[Array], Array], *, sheet: bool = False, blur: float = 0.0
-) -> tuple[GridField, GridField]:
-    """Returns the fields on both grids of the distances (n,) [m] `at` nodes (n, 3); `sheet`, `blur`: as of
-    GridField."""
-    values = at(coarse.nodes())
-    sharp = sharpened(coarse, values, fine, lambda index, _: (index, at(fine.nodes_at(index))), sheet=sheet)
-    return coarse.field(values, sheet=sheet, blur=blur), fine.field(sharp, sheet=sheet, blur=blur)
-
-
-def _distinct(points: Array, normals: Array | None) -> tuple[Array, Array | None, tuple[str, ...]]:
-    """Returns the points and normals without repeats, and a remark where there were; raises InvalidObject."""
+def _checked(points: Array, normals: Array | None) -> tuple[Array, Array | None, tuple[str, ...]]:
+    """Returns the points and normals without repeats, and a remark where there were any; raises InvalidObject."""
     if len(points) < CLOUD.min_points:
         raise InvalidObject(f"points: expected at least {CLOUD.min_points} points, got {len(points)}")
     extent = check_extent(points, "points")
@@ -103,43 +111,92 @@ def _distinct(points: Array, normals: Array | None) -> tuple[Array, Array | None
     return points, normals, (f"{repeated} repeated points were dropped",) if repeated else ()
 
 
-def _winds(cloud: Cloud, winding: Winding) -> bool:
-    """Returns whether the cloud winds once around what is behind its points, and not around what is in front."""
+def _is_wound_once(cloud: Cloud, winding: Winding) -> bool:
+    """Returns whether the winding number is 1 behind nearly all points, and 0 in front of them."""
     index = np.random.default_rng(3).permutation(len(cloud.vertices))[:400]
-    # Nearer than two spacings single points are felt.
-    step = 2 * cloud.spacing * cloud.normals[index]
+    step = (
+        2 * cloud.spacing * cloud.normals[index]
+    )  # nearer than two spacings, single points change the number
     behind, front = winding.at(cloud.vertices[index] - step), winding.at(cloud.vertices[index] + step)
     return bool(((behind > 0.5) & (front < 0.5)).mean() > 0.9)
 
 
-def _largest_hole(grid: Grid, gap: Array, inside: Mask) -> float:
-    """Returns the width [m] of the largest hole: where inside meets outside, twice the distance to the points."""
-    largest = 0.0
-    cube, sign = gap.reshape(grid.shape), inside.reshape(grid.shape)
-    for axis, n in enumerate(grid.shape):
-        nearer = np.minimum(cube.take(range(n - 1), axis), cube.take(range(1, n), axis))
-        largest = max(largest, float(2 * nearer[np.diff(sign, axis=axis)].max(initial=0.0)))
-    return largest
+def plane_heights(cloud: Cloud, tree: cKDTree) -> Heights:
+    """Returns the heights above the smooth average of the planes through the points of a cloud."""
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Planes:
-    """`_Planes` are the smooth average of the planes through the points of a cloud."""
-
-    cloud: Cloud
-    tree: cKDTree
-
-    def heights(self, nodes: Array, _: Indices) -> Array:
-        """Returns signed distances (n,) [m] of nodes (n, 3) near the cloud."""
-        cloud = self.cloud
-        k = min(CLOUD.planes, len(cloud.vertices))
-        gap, index = self.tree.query(nodes, k=k)
+    def heights(nodes: Array, _: Indices) -> Array:
+        """Returns the mean height over the planes of the nearest points, by Gaussian weights of their distance."""
+        gap, index = tree.query(nodes, k=min(CLOUD.planes, len(cloud.vertices)))
         near = gap[:, 0]
         # Wide enough for a few points, wherever they are.
         width2 = (near + cloud.spacing) ** 2
         weight = np.exp(-((gap**2 - near[:, None] ** 2) / width2[:, None]))
-        # The far side of a thin wall has no say.
+        # Points on the far side of a thin wall get next to no weight.
         agreement = np.einsum("nki,ni->nk", cloud.normals[index], cloud.normals[index[:, 0]])
         weight *= np.maximum(agreement, 0.0) + 1e-9
         height = np.einsum("nki,nki->nk", nodes[:, None] - cloud.vertices[index], cloud.normals[index])
         return np.asarray((weight * height).sum(axis=1) / weight.sum(axis=1))
+
+    return heights
+
+
+def closed_distances(
+    cloud: Cloud, tree: cKDTree, heights: Heights, winding: Winding
+) -> Callable[[Array], Array]:
+    """Returns the signed distances (n,) [m] of nodes (n, 3) to a cloud with an inside, where they are negative."""
+
+    def distances(nodes: Array) -> Array:
+        """Returns the height near the surface, blended into the distance to the nearest point far from it."""
+        near, nearest = tree.query(nodes)
+        share = _smooth_step(near / cloud.spacing, CLOUD.near, CLOUD.far)
+        far = near.copy()
+        away = np.flatnonzero(share > 0)
+        far[away] *= np.where(winding.inside(nodes[away]), -1.0, 1.0)
+        close = np.flatnonzero(share < 1)
+        smooth = np.zeros(len(nodes))
+        smooth[close] = heights(nodes[close], nearest[close])
+        return np.asarray((1 - share) * smooth + share * far)
+
+    return distances
+
+
+def open_distances(cloud: Cloud, tree: cKDTree, heights: Heights) -> Callable[[Array], Array]:
+    """Returns the signed distances (n,) [m] of nodes (n, 3) to a cloud without an inside.
+
+    Above the points, the distance is the height over them; beside them, past a rim or an edge, it is the distance to
+    the nearest point, and never zero. It is negative behind the cloud. Where front gives way to back with no surface
+    between them, the sign jumps (`handsight.objects.fields.GridField`).
+    """
+    points, normals = cloud.vertices, cloud.normals
+    # Of each point's neighbours on the same side of a wall: their middle, and how far it would be from a rim.
+    around = tree.query(points, k=min(CLOUD.neighbours, len(points)))[1]
+    alike = np.einsum("nki,ni->nk", normals[around], normals) > CLOUD.opposite_cosine
+    count = alike.sum(axis=1)
+    middles = np.einsum("nk,nki->ni", alike, points[around]) / count[:, None]
+    spacing = np.sqrt(cloud.areas[around].mean(axis=1))
+    # At a rim they fill half a disc, whose middle is 4/3π of its radius away.
+    to_rim = 4 / (3 * np.pi) * np.sqrt(2 * count / np.pi) * spacing
+
+    def distances(nodes: Array) -> Array:
+        """Returns the height above or below the points, blended into the distance to the nearest one beside them."""
+        near, nearest = tree.query(nodes)
+        height = np.einsum("ni,ni->n", nodes - points[nearest], normals[nearest])
+        share = _smooth_step(near / cloud.spacing, CLOUD.near, CLOUD.far)
+        close = np.flatnonzero(share < 1)
+        smooth = heights(nodes[close], nearest[close])
+        height[close] = (1 - share[close]) * smooth + share[close] * height[close]
+        # 0 where the nearest points have neighbours all around below the node, 1 where it is past the last of them.
+        away = nodes - middles[nearest]
+        above = np.einsum("ni,ni->n", away, normals[nearest])
+        lateral = np.linalg.norm(away - above[:, None] * normals[nearest], axis=1)
+        beside = _smooth_step((lateral - to_rim[nearest]) / spacing[nearest], CLOUD.rim, CLOUD.beside)
+        size = (1 - beside) * np.abs(height) + beside * near
+        return np.asarray(np.where(height < CLOUD.behind * size, -size, size))
+
+    return distances
+
+
+def _smooth_step(x: Array, low: float, high: float) -> Array:
+    """Returns 0 below `low`, 1 above `high`, smooth between."""
+    share = np.clip((x - low) / (high - low), 0.0, 1.0)
+    return np.asarray(share * share * (3 - 2 * share))

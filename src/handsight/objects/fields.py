@@ -1,7 +1,7 @@
-"""Distance fields: how far a point is from the surface, with two derivatives, and the grids they are sampled on.
+"""Distance fields, with two derivatives, and the grids that they are sampled on.
 
-Points, gradients and Hessians are in the object's frame. Distances are metres, negative inside. A field is data alone;
-its value at a point is computed by `handsight._kernels.mesh.field`.
+Points, gradients and Hessians are in the object's frame. Distances are in metres, negative inside. A field is only
+data; `handsight._kernels.mesh.field` computes its value at a point.
 """
 
 from collections.abc import Callable
@@ -18,17 +18,17 @@ from handsight.errors import InvalidInput
 
 
 class FieldOptions(NamedTuple):
-    """`FieldOptions` are the cells of the distance fields."""
+    """`FieldOptions` say how fine the grids of distance fields are."""
 
     coarse_per_diameter: int = 18  # coarse cells along the diameter
-    coarse_per_width: int = 4  # coarse cells along the shortest extent, if these are more
+    coarse_per_width: int = 4  # coarse cells along the shortest extent, where this makes them smaller
     max_coarse_nodes: int = 400_000  # of the coarse field
     fine_per_coarse: int = 4  # fine cells along a coarse one
     fine_margin: int = 8  # fine cells around the object
     max_fine_nodes: int = 4_000_000  # of the fine field
     band: int = 4  # fine nodes within this many cells of the surface carry exact distances
     max_curvature: int = 72
-    """At edges and on the axis an exact field's curvature is infinite: it is kept below this many per diameter."""
+    """Largest curvature of an exact field, which would be infinite at edges and on the axis [1/diameters]."""
     parallel: int = 16_384  # points that are enough for another thread
 
 
@@ -36,7 +36,7 @@ FIELDS = FieldOptions()
 
 
 class FieldValues(NamedTuple):
-    """A `FieldValues` is a distance field at n points of the object's frame."""
+    """A `FieldValues` is the value of a distance field at n points of the object's frame."""
 
     distance: Array
     """(n,) to the surface [m], negative inside."""
@@ -47,14 +47,14 @@ class FieldValues(NamedTuple):
 
 
 class Field:
-    """A `Field` is a distance field of an object: a grid, or exact.
+    """A `Field` is the distance field of an object: a `GridField` or an `ExactField`.
 
     Exact ones are centred at the object's origin. On the medial axis, where the nearest point is not unique, the
     choice is fixed: the first axis, the positive side, the side wall before the cap.
     """
 
     def evaluate(self, points_object: Array) -> FieldValues:
-        """Returns distance, gradient and Hessian at points (n, 3) [m], on all cores; nothing is checked."""
+        """Returns distance, gradient and Hessian at points (n, 3) [m], on all cores; the points are not checked."""
         from handsight._kernels.mesh import field as kernel  # numba's import is long
         from handsight._kernels.runtime.threads import in_parts
 
@@ -65,19 +65,17 @@ class Field:
         return FieldValues(values[:, 0], values[:, 1:4], values[:, 4:].reshape(-1, 3, 3))
 
     def fill(self, row: np.void, first_node: int) -> NDArray[np.float32]:
-        """Fills in a FIELD record, and returns the nodes of a grid, which begin at `first_node` among the object's."""
+        """Fills a FIELD record and returns a grid's nodes, which begin at `first_node` among those of the object."""
         raise NotImplementedError
 
     @cached_property
     def record(self) -> tuple[NDArray[np.void], NDArray[np.float32]]:
         """The FIELD record (1,) of this field on its own, and its nodes."""
         record = np.zeros(1, dtype=records.FIELD)
-        return record, np.array(
-            self.fill(record[0], 0)
-        )  # a copy, for kernels take nodes that can be written to
+        return record, np.array(self.fill(record[0], 0))  # a copy, because kernels take writable nodes
 
     def __reduce__(self) -> tuple[type["Field"], tuple[Any, ...]]:
-        """For pickle: rebuilt from what it was made of."""
+        """Returns what pickle needs: the class and the values of its fields, without what was computed of them."""
         return type(self), tuple(getattr(self, part.name) for part in fields(self))  # type: ignore[arg-type]
 
 
@@ -86,19 +84,19 @@ class GridField(Field):
     """A `GridField` is a uniform cubic B-spline over a grid of distances, its nodes used as coefficients.
 
     Without the prefilter of interpolation the spline smooths the samples by about a third of a cell (their
-    mean over a kernel of variance cell²/3 per axis): wanted, because noise and facets have no curvature to
-    offer. Second derivatives are continuous.
+    mean over a kernel of variance cell²/3 per axis). That is intended, because the curvature of noise and of facets
+    is not the object's. Second derivatives are continuous.
 
-    Outside the grid the distance goes on as that to the surface point below the nearest point of the grid. With m and g
-    the distance and gradient there and w the way out, that point is about -m g away, so f = |w + m g| =
-    √(m² |g|² + 2 m g·w + |w|²), taken with |g| = 1 where w is 0 so that f is continuous. The gradient is exact and
-    continuous, bounded because |m H| ≤ 1 on a distance field; the Hessian is that of the distance to a point.
+    Outside the grid the distance is that to the surface point below the nearest point of the grid. With m and g the
+    distance and gradient there and w the vector from there, that point is about -m g away, so f = |w + m g| =
+    √(m² |g|² + 2 m g·w + |w|²), with |g| = 1 where w is 0 so that f is continuous. The gradient is exact and
+    continuous, and bounded because |m H| ≤ 1 on a distance field; the Hessian is that of the distance to a point.
 
     Around a `sheet`, a surface that has no inside, distances are negative behind it, and somewhere beyond its rim the
-    sign must change where no surface is. A continuous field would pass through zero there. So before nodes are
-    interpolated, those with no surface between them and the node nearest to the point take that node's sign (two places
-    whose distances add up to more than what is between them, and the sheet's `blur`): the sign jumps, the distance does
-    not.
+    sign must change where no surface is. A continuous field would be zero there. So before nodes are interpolated,
+    those with no surface between them and the node nearest to the point take that node's sign: then the sign jumps, and
+    the size of the distance does not. There is no surface between two places whose distances add up to more than the
+    distance between them and the sheet's `blur`.
     """
 
     origin: Array
@@ -108,9 +106,9 @@ class GridField(Field):
     values: NDArray[np.float32]
     """(nx, ny, nz) distances [m], each side at least 4; read-only."""
     sheet: bool = False
-    """Whether the surface has no inside: signs tell its sides."""
+    """Whether the surface has no inside; the sign is then that of its sides."""
     blur: float = 0.0
-    """By how much a sheet's distances on both sides of it may add up to more than what is between them [m]."""
+    """By how much the sheet's distances at two places on different sides may exceed the distance between these [m]."""
 
     def __post_init__(self) -> None:
         """Raises InvalidInput for too few nodes."""
@@ -121,7 +119,7 @@ class GridField(Field):
         object.__setattr__(self, "values", values)
 
     def fill(self, row: np.void, first_node: int) -> NDArray[np.float32]:
-        """Fills in a FIELD record; see `Field.fill`."""
+        """Fills a FIELD record and returns the nodes; see `Field.fill`."""
         row["kind"], row["blur"] = records.SHEET if self.sheet else records.GRID, self.blur
         row["origin"], row["nodes"] = self.origin, first_node
         row["cell"], row["inverse_cell"], row["shape"] = self.cell, 1 / self.cell, self.values.shape
@@ -134,10 +132,10 @@ class ExactField(Field):
 
     shape: Literal["box", "cylinder", "sphere"]
     sizes: Array
-    """(3,) [m]: half the sides; or radius, half the height and 0; or radius, 0 and 0. As long as half the diameter."""
+    """(3,) [m]: half the sides; or radius, half the height, 0; or radius, 0, 0. Its length is half the diameter."""
 
     def fill(self, row: np.void, first_node: int) -> NDArray[np.float32]:
-        """Fills in a FIELD record; see `Field.fill`."""
+        """Fills a FIELD record and returns no nodes; see `Field.fill`."""
         kinds = {"box": records.BOX, "cylinder": records.CYLINDER, "sphere": records.SPHERE}
         row["kind"], row["origin"] = kinds[self.shape], self.sizes
         row["least_radius"] = 2 * np.linalg.norm(self.sizes) / FIELDS.max_curvature
@@ -146,11 +144,10 @@ class ExactField(Field):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldError:
-    """A `FieldError` says how far a fine field is off the surface it was made of, place by place, on a grid over the
-    object.
+    """A `FieldError` is how far a fine field is off the object's surface, place by place, on a grid over the object.
 
-    A grid rounds off edges and irons out facets; near a rim its normal may be wrong by tens of degrees where on
-    a face it is right to one. A contact is only as good as the model where it touches.
+    A grid rounds off edges and facets; near an edge its normal may be wrong by tens of degrees where on a face it is
+    right to one. A contact is only as exact as the model where it touches.
     """
 
     origin: Array
@@ -158,8 +155,9 @@ class FieldError:
     cell: float
     """Spacing of the nodes [m]."""
     values: Array
-    """(nx, ny, nz, 4): variances of the distance [m²] and of the normal per axis [rad²]; of what a scan's bumps lend to
-    a slide, those of the slope [rad²] and of the curvature [1/m²]: zero where a surface is taken for what it is."""
+    """(nx, ny, nz, 4): variances of the distance [m²] and of the normal per axis [rad²]; and, of the spurious
+    information that a scan's bumps add about a flat direction, those of the slope [rad²] and of the curvature [1/m²],
+    which are zero for a surface that is no scan."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,18 +175,17 @@ class Grid:
         return self.nodes_at(np.arange(int(np.prod(self.shape))))
 
     def nodes_at(self, index: Indices) -> Array:
-        """Returns (n, 3) positions [m] of the nodes with these places in the flat order."""
+        """Returns (n, 3) positions [m] of the nodes with these indices (n,) in the flat order."""
         return np.asarray(self.origin + self.cell * np.stack(np.unravel_index(index, self.shape), axis=-1))
 
     def field(self, values: Array, *, sheet: bool = False, blur: float = 0.0) -> GridField:
-        """Returns the smooth field of these distances (nx ny nz,) [m] at the nodes, of a `sheet` or not; `blur` [m]
-        is its."""
+        """Returns the field with these distances (nx ny nz,) [m] at the nodes; `sheet` and `blur` as in `GridField`."""
         nodes = values.reshape(self.shape).astype(np.float32)
         return GridField(self.origin, self.cell, nodes, sheet, blur)
 
 
 def grids(vertices: Array, diameter: float) -> tuple[Grid, Grid, tuple[str, ...]]:
-    """Returns the coarse and the fine grid around vertices (k, 3) [m], and a sentence if they had to be coarser."""
+    """Returns the coarse and the fine grid around vertices (k, 3) [m], with a remark where their cells are large."""
     centered = vertices - vertices.mean(axis=0)
     principal = np.linalg.eigh(centered.T @ centered)[1]
     width = min(np.ptp(vertices, axis=0).min(), np.ptp(centered @ principal, axis=0).min())
@@ -202,9 +199,9 @@ def grids(vertices: Array, diameter: float) -> tuple[Grid, Grid, tuple[str, ...]
 
 
 def coarse_grid(vertices: Array, diameter: float, width: float) -> tuple[Grid, bool]:
-    """Returns the grid of the smooth field, and whether it had to be coarser than the object's width asks.
+    """Returns the grid of the coarse field around vertices (k, 3) [m], and whether its size forced it to be coarser.
 
-    `diameter`, `width` (the thinnest extent; 0: a sheet) [m]. Half the diameter of margin.
+    `diameter`, `width` (the smallest extent; 0 for a sheet) [m]. Its margin is half the diameter.
     """
     cell = diameter / FIELDS.coarse_per_diameter
     if width > 1e-6 * diameter:
@@ -213,6 +210,10 @@ def coarse_grid(vertices: Array, diameter: float, width: float) -> tuple[Grid, b
 
 
 def _grid(vertices: Array, cell: float, margin: Callable[[float], float], most: int) -> tuple[Grid, bool]:
+    """Returns a grid of at most `most` nodes, and whether its cells had to be larger than `cell` [m].
+
+    `margin`: the width around the vertices (k, 3) [m], by the size of a cell.
+    """
     enlarged = False
     while True:
         shape = np.ceil((np.ptp(vertices, axis=0) + 2 * margin(cell)) / cell) + 3
@@ -222,38 +223,40 @@ def _grid(vertices: Array, cell: float, margin: Callable[[float], float], most: 
 
 
 def centered_grid(vertices: Array, cell: float, shape: Array) -> Grid:
-    """Returns a grid of `shape` (3,) whose middle is that of the vertices (k, 3) [m]."""
+    """Returns a grid of `shape` (3,) centred on the bounds of the vertices (k, 3) [m]."""
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     nx, ny, nz = (int(s) for s in shape)
     return Grid(middle - (shape - 1) / 2 * cell, float(cell), (nx, ny, nz))
 
 
-def sharpened(
+def grid_fields(
     coarse: Grid,
     values: Array,
     fine: Grid,
     exact: Callable[[Indices, float], tuple[Indices, Array]],
     *,
-    sheet: bool = False,
-) -> Array:
-    """Returns distances at every fine node: exact near the surface, elsewhere between the coarse ones, `values` (n,)
-    [m].
+    sheet: bool,
+    blur: float = 0.0,
+) -> tuple[GridField, GridField]:
+    """Returns the fields on the coarse and on the fine grid; on the fine one, distances far from the surface are
+    interpolated.
 
-    `exact` tells which of these nodes are within a distance [m] of the surface, or more of them, and their distances.
-    Of a `sheet` size and sign are taken apart, as the sign jumps where the size does not.
+    `values` (n,): distances at the coarse nodes [m]. `exact`: takes indices of fine nodes and a distance [m], and
+    returns those within that distance of the surface, or more of them, with their distances. `sheet`, `blur`: as in
+    `GridField`. For a sheet, size and sign are interpolated separately, because the sign jumps where the size does not.
     """
     sharp = _interpolated(coarse, values, fine)
     band = FIELDS.band * fine.cell
     if sheet:
         sharp = np.copysign(_interpolated(coarse, np.abs(values), fine), sharp)
-    # Near the surface the interpolation is off by a fraction of a coarse cell: these are all in the band.
+    # Near the surface the interpolation is off by a fraction of a coarse cell, so this contains the whole band.
     index, distance = exact(np.flatnonzero(np.abs(sharp) < band + coarse.cell / 2), band)
     sharp[index] = distance
-    return sharp
+    return coarse.field(values, sheet=sheet, blur=blur), fine.field(sharp, sheet=sheet, blur=blur)
 
 
 def _interpolated(coarse: Grid, values: Array, fine: Grid) -> Array:
-    """Returns values (n,) at every fine node, linear between the coarse ones, which reach farther."""
+    """Returns values (n,) at every fine node, linear between those at the coarse nodes, which enclose them."""
     start = (fine.origin - coarse.origin) / coarse.cell
     axes = [s + np.arange(n) * (fine.cell / coarse.cell) for s, n in zip(start, fine.shape, strict=True)]
     table = values.reshape(coarse.shape)

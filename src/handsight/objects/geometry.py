@@ -1,4 +1,4 @@
-"""What is measured on an object's surface, whatever the surface came from."""
+"""The geometry of an object: samples of its surface, distance fields, sizes and errors, whatever it was built from."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,31 +13,27 @@ from handsight.objects.surface import Surface
 
 
 class GeometryOptions(NamedTuple):
-    """`GeometryOptions` say how a surface is sampled."""
+    """`GeometryOptions` say how a surface is sampled, and when its size is suspect."""
 
     samples: int = 256  # surface points that phase 1 of the correction matches contacts with
     lloyd_steps: int = 12  # steps that spread them evenly
     drawn_per_sample: int = 20  # points drawn for each that is kept
-    min_extent: float = 0.005  # a hand-held object's largest extent is larger [m], or the unit is suspect
-    max_extent: float = 2.0  # and smaller [m]
+    min_extent: float = 0.005  # of an object in a hand; a smaller one has another unit [m]
+    max_extent: float = 2.0  # and a larger one [m]
     typical_samples: int = 2000  # points by which the typical error of a field is measured
     error_samples: int = 8000  # surface points compared with the field
-    error_neighbours: int = 12  # and how many of them speak for a place
+    error_neighbours: int = 12  # of these, how many the error at a place is the mean of
 
 
 GEOMETRY = GeometryOptions()
 
-# The median of |x| over a standard deviation, and of the length of a vector of two such.
-_MEDIAN_1, _MEDIAN_2 = 0.6745, 1.1774
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class Geometry:
-    """A `Geometry` is an object's surface in its own frame: samples, two distance fields, and how well these describe
-    it."""
+    """A `Geometry` is an object's surface in its own frame: samples, two distance fields, and their errors."""
 
     coarse: GridField
-    """Smooth distance field, cells of an 18th of the diameter: from far away it leads further."""
+    """Smooth distance field with cells of an 18th of the diameter, from which descents converge from farther away."""
     fine: Field
     """Sharp distance field: exact for box, cylinder, sphere; else a grid of a quarter of the coarse cell."""
     points_object: Array
@@ -51,32 +47,32 @@ class Geometry:
     bounds_object: Array
     """(2, 3) least and largest coordinates [m]."""
     closed: bool
-    """Whether the surface has an inside; an open one has a distance only, negative where its nearest point is within
-    the surface, not on its rim, and seen from behind."""
+    """Whether the surface has an inside. The distance to an open one is negative behind it, where the nearest point is
+    within the surface and not on its rim."""
     sigma_point: float
     """Error of the fine field: one standard deviation of its distance at surface points [m]."""
     sigma_normal: float
     """One standard deviation per axis of the angle from the surface's normals to the fine field's [rad]."""
     field_error: FieldError | None
-    """The same place by place; None where the fine field is exact."""
+    """Both errors place by place; None where the fine field is exact."""
     remarks: tuple[str, ...]
-    """What was repaired or looks odd, one sentence each; issued as `ObjectWarning` too."""
+    """A sentence for each thing that was repaired or is unusual; also issued as `ObjectWarning`."""
     surface: Surface
-    """What `sample` draws from."""
+    """The surface that `sample` draws points from."""
 
     @property
     def vertices(self) -> Array:
-        """(k, 3) for drawing [m]; a cloud's points."""
+        """(k, 3) of the mesh, or the points of the cloud [m]."""
         return self.surface.vertices
 
     @property
     def faces(self) -> Indices:
-        """(m, 3) vertex indices, counterclockwise from outside; none for a cloud."""
+        """(m, 3) vertex indices, counterclockwise seen from outside; (0, 3) for a cloud."""
         return self.surface.faces
 
     @property
     def radius(self) -> float:
-        """Half the diameter [m]: what a radian of rotation weighs in metres."""
+        """Half the diameter [m], by which rotations [rad] are compared with translations [m]."""
         return self.diameter / 2
 
     @property
@@ -86,20 +82,20 @@ class Geometry:
 
     @property
     def sample_spacing(self) -> float:
-        """√(area / 256): about how far apart `points_object` are [m]."""
+        """√(area / 256): the typical distance between `points_object` [m]."""
         return float(np.sqrt(self.area / GEOMETRY.samples))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roughness:
-    """A `Roughness` says how far a surface is off the object that it was scanned from, place by place."""
+    """A `Roughness` is how far a scanned surface is off its object, place by place."""
 
     points: Array
     """(m, 3) on the surface [m]."""
     variances: Array
-    """(m, 4), as of FieldError."""
+    """(m, 4), as in `FieldError`."""
     weights: Array
-    """(m,) by which each counts among its neighbours."""
+    """(m,) weight of each in the mean over neighbours."""
 
 
 def measured(
@@ -111,7 +107,7 @@ def measured(
     closed: bool = True,
     remarks: tuple[str, ...] = (),
 ) -> Geometry:
-    """Returns what is to be known of a surface whose distance fields these are."""
+    """Returns the geometry of a surface with these distance fields; `diameter` [m]."""
     vertices, _ = frozen(surface.vertices), frozen(surface.faces)
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
     points, normals = _spread(surface, GEOMETRY.samples)
@@ -125,9 +121,10 @@ def measured(
         diameter=diameter,
         bounds_object=frozen(bounds),
         closed=closed,
-        # Medians: edges, which the field rounds off, do not speak for the faces.
-        sigma_point=float(np.median(distance) / _MEDIAN_1),
-        sigma_normal=float(np.median(angle) / _MEDIAN_2),
+        # From medians, because edges, which the field rounds off, do not represent the faces: .6745 is the median of
+        # |x| for a standard deviation of 1, and 1.1774 that of the length of two such numbers.
+        sigma_point=float(np.median(distance) / 0.6745),
+        sigma_normal=float(np.median(angle) / 1.1774),
         field_error=_field_error(surface, fine, coarse.cell) if isinstance(fine, GridField) else None,
         remarks=(*remarks, *_unit_remarks(bounds)),
         surface=surface,
@@ -135,7 +132,7 @@ def measured(
 
 
 def roughened(geometry: Geometry, roughness: Roughness) -> Geometry:
-    """Returns the same, its errors larger by how far its surface is off the object."""
+    """Returns the geometry with its errors increased by how far its surface is off the object."""
     weights = roughness.weights[:, None]
     given = np.hstack([weights * roughness.variances, weights])
 
@@ -152,7 +149,7 @@ def roughened(geometry: Geometry, roughness: Roughness) -> Geometry:
 
 
 def with_error(geometry: Geometry, variances_at: Callable[[Array], Array]) -> Geometry:
-    """Returns the same, its errors larger by variances (n, 4), as of FieldError, at places (n, 3)."""
+    """Returns the geometry with its errors increased by variances (n, 4), as in `FieldError`, at places (n, 3)."""
     error = geometry.field_error
     if error is None:
         return geometry
@@ -171,16 +168,16 @@ def frozen(array: NDArray[Number]) -> NDArray[Number]:
 
 
 def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
-    """Returns n points (n, 3) [m] with normals (n, 3), evenly apart and each for about the same area.
+    """Returns n evenly spread surface points (n, 3) [m] with normals (n, 3), each for about the same area.
 
-    The farthest of many draws, one after another, then Lloyd's steps, in which each point moves to the middle
-    of those it stands for. Normals count too, so that the two sides of a thin wall are kept apart.
+    They are the farthest of many random points, one after another, and then moved by Lloyd's steps, each to the middle
+    of the points nearest to it. Distances include normals, so that the two sides of a thin wall are separate.
     """
     from handsight._kernels.math.spreading import snapped, spread_out  # numba's import is long
 
     points, normals = surface.draw(GEOMETRY.drawn_per_sample * n, np.random.default_rng(0))
     features = np.hstack([points, np.sqrt(surface.area / n) * normals])
-    # Back to draws, each once: a middle lies off a curved surface.
+    # A middle lies off a curved surface, so the random point nearest to it is taken, each once.
     index = snapped(features, spread_out(features, n, GEOMETRY.lloyd_steps))
     return points[index], normals[index]
 
@@ -188,7 +185,8 @@ def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
 def _field_error(surface: Surface, fine: Field, cell: float) -> FieldError:
     """Returns the error of a fine field, from samples of the surface within about half a cell [m] of each node."""
     points, distance, angle = _errors(surface, fine, GEOMETRY.error_samples, seed=2)
-    # Mean magnitudes, of a Gaussian's √(2/π) and √(π/2) deviations: a rim's few do not speak for its neighbours.
+    # From mean magnitudes, √(2/π) and √(π/2) of a Gaussian's deviation, because squares would let a few samples at an
+    # edge dominate their neighbours.
     lengths = np.stack([distance * np.sqrt(np.pi / 2), angle * np.sqrt(2 / np.pi)], axis=1)
     grid = centered_grid(surface.vertices, cell, np.ceil(np.ptp(surface.vertices, axis=0) / cell) + 2)
     nodes = grid.nodes()
@@ -208,8 +206,7 @@ def _mean_of_nearest(points: Array, values: Array, nodes: Array) -> Array:
 
 
 def _errors(surface: Surface, fine: Field, count: int, seed: int) -> tuple[Array, Array, Array]:
-    """Returns surface points (count, 3) [m], how far the field is off there (count,) [m] and its normals (count,)
-    [rad]."""
+    """Returns random surface points (count, 3) [m], and the field's errors there: of distance [m], of normal [rad]."""
     points, normals = surface.draw(count, np.random.default_rng(seed))
     distance, gradient, _ = fine.evaluate(points)
     sine = np.linalg.norm(np.cross(gradient, normals), axis=1)
@@ -217,7 +214,7 @@ def _errors(surface: Surface, fine: Field, count: int, seed: int) -> tuple[Array
 
 
 def _unit_remarks(bounds: Array) -> tuple[str, ...]:
-    """Returns a sentence if the size suggests another unit than metres."""
+    """Returns a remark where bounds (2, 3) [m] suggest another unit than metres."""
     extent = float((bounds[1] - bounds[0]).max())
     if GEOMETRY.min_extent <= extent <= GEOMETRY.max_extent:
         return ()

@@ -1,4 +1,4 @@
-"""An object's surface, in its own frame: samples, two distance fields, symmetries."""
+"""An object that a hand can hold: the geometry of its surface, its symmetries and its weight, in its own frame."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,42 +20,43 @@ from handsight.objects import cache, primitives
 from handsight.objects.fields import FieldValues
 from handsight.objects.files.read import content, shape_of
 from handsight.objects.geometry import Geometry
+from handsight.objects.record import ModelRecord, model_record
 from handsight.objects.surface import SURFACE, ObjectWarning, Triangles
-from handsight.objects.symmetry import Symmetries, nearest
-from handsight.objects.weight import USUAL_SIGMA, check_kept, kept_center, volume_centroid
+from handsight.objects.symmetry import Symmetries, check_kept, kept_center, nearest
 
-if TYPE_CHECKING:
-    from handsight.objects.record import ModelRecord
+USUAL_SIGMA = 2e-3
+"""Of a centre of mass that is given without a standard deviation, per axis [m]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ObjectModel(Geometry):
-    """An `ObjectModel` is one object's surface; made by `box`, `cylinder`, `sphere`, or `from_` file, library, mesh
-    or points."""
+    """An `ObjectModel` is an object's surface with what is known of the object.
+
+    It is created by `box`, `cylinder`, `sphere`, `from_file`, `from_library`, `from_mesh` or `from_points`.
+    """
 
     name: str
-    """What it is called in plots; a file's stem. May be empty."""
+    """Its name in plots, such as a file's stem. May be empty."""
     symmetries: Symmetries
-    """The rotations that leave the surface the same, as far as declared."""
+    """The declared rotations that leave the surface in place."""
     mass: float | None = None
-    """[kg]; None: not known."""
+    """[kg]; None where it is not known."""
     center_of_mass: Array | None = None
-    """(3,) in the object's frame [m]; None: not known."""
+    """(3,) in the object's frame [m]; None where it is not known."""
     sigma_center_of_mass: float = USUAL_SIGMA
     """One standard deviation per axis [m]."""
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput for symmetries that are none."""
+        """Raises InvalidInput for symmetries of another type."""
         if not isinstance(self.symmetries, Symmetries):
             came = type(self.symmetries).__name__
             raise InvalidInput(f"symmetries: expected Symmetries or None, got {came}")
 
     def __repr__(self) -> str:
-        """Says name, size and kind in a line."""
+        """Returns name, size, and whether the surface is closed."""
         size = " × ".join(f"{1000 * side:.3g}" for side in np.ptp(self.bounds_object, axis=0))
-        return (
-            f"<ObjectModel {self.name or 'without a name'}: {size} mm, {'closed' if self.closed else 'open'}>"
-        )
+        kind = "closed" if self.closed else "open"
+        return f"<ObjectModel {self.name or 'without a name'}: {size} mm, {kind}>"
 
     @classmethod
     def box(cls, size: ArrayLike, *, symmetries: Symmetries | None = None) -> Self:
@@ -87,8 +88,8 @@ class ObjectModel(Geometry):
     ) -> Self:
         """Returns the object whose surface is the triangles `faces` (m, 3) of `vertices` (k, 3) [m].
 
-        Counterclockwise from outside; what is inconsistent or inside out is mended and remarked. An open
-        surface is valid. Raises InvalidObject where there is no surface.
+        Triangles are counterclockwise seen from outside; inconsistent or inverted ones are turned, with a remark. An
+        open surface is valid. Raises InvalidObject where there is no surface.
         """
         mesh = _checked_mesh(vertices, faces)
         name = cache.key("mesh", mesh.vertices, mesh.faces)
@@ -100,7 +101,7 @@ class ObjectModel(Geometry):
     ) -> Self:
         """Returns the object whose surface the points (n, 3) [m] lie on.
 
-        `normals` (n, 3): outward, of any length; where None, estimated. Outliers are not removed. Raises
+        `normals` (n, 3): outward, of any length; None: they are estimated. Outliers are not removed. Raises
         InvalidInput for numbers that are not finite, InvalidObject below 20 different points.
         """
         places, directions = _checked_points(points, normals)
@@ -119,24 +120,44 @@ class ObjectModel(Geometry):
         """
         scale = checks.positive(scale, "scale")
         file, data = Path(path), content(path)
-        # By name as well: remarks begin with it, and its end says what the bytes mean.
+
+        def build() -> Geometry:
+            """Returns the geometry of what the file holds, with remarks that begin with the file's name."""
+            shape = shape_of(file, data)
+            with np.errstate(over="ignore"):  # coordinates that are too large are refused below
+                points = scale * shape.vertices
+            try:
+                if shape.faces is not None:
+                    geometry = _of_mesh(_checked_mesh(points, shape.faces))
+                else:
+                    geometry = _of_points(*_checked_points(points, shape.normals))
+                    if shape.sigmas is not None:
+                        from handsight.objects.scans.roughness import with_declared_noise
+
+                        geometry = with_declared_noise(geometry, points, scale * shape.sigmas)
+            except (InvalidObject, InvalidInput) as error:
+                raise InvalidObject(f"{file.name}: {error}") from None
+            remarks = tuple(f"{file.name}: {remark}" for remark in (*shape.remarks, *geometry.remarks))
+            return dataclasses.replace(geometry, remarks=remarks)
+
+        # The name counts too: remarks begin with it, and its extension says how the bytes are read.
         name = cache.key(f"file {scale!r} {file.name}", np.frombuffer(data, dtype=np.uint8))
-        geometry = cache.remembered(name, lambda: _of_file(file, data, scale))
-        return cls._from(geometry, file.stem, symmetries or Symmetries())
+        return cls._from(cache.remembered(name, build), file.stem, symmetries or Symmetries())
 
     @classmethod
     def from_library(cls, name: str, library: str | os.PathLike[str] | None = None) -> ObjectModel:
-        """Returns the object so called in a library, a folder or a URL, with the symmetries that are declared there.
+        """Returns the object with that name in a library, with the symmetries and the weight that are declared there.
 
-        None: the library that `$HANDSIGHT_LIBRARY` names, else the user's own. Raises InvalidInput for a name that is
-        not there, InvalidFile where there is no library or the object's file is not the one that was added.
+        `library`: a folder or a URL; None: `$HANDSIGHT_LIBRARY`, else the user's own. Raises InvalidInput for an
+        unknown name, InvalidFile where there is no library or the object's file is not the one that was added.
         """
-        from handsight.objects.library import Library  # which makes models
+        from handsight.objects.library import Library  # a library builds models
 
         return Library(library).model(name)
 
     @classmethod
     def _from(cls, geometry: Geometry, name: str, symmetries: Symmetries) -> Self:
+        """Returns a model with that geometry, and issues the geometry's remarks as warnings."""
         measured = {part.name: getattr(geometry, part.name) for part in dataclasses.fields(geometry)}
         model = cls(**measured, name=name, symmetries=symmetries)
         for remark in geometry.remarks:
@@ -144,27 +165,25 @@ class ObjectModel(Geometry):
         return model
 
     def sample(self, n: int, seed: int = 0) -> tuple[Array, Array]:
-        """Returns n surface points (n, 3) [m], uniform over the area, and their outward normals (n, 3)."""
+        """Returns n random surface points (n, 3) [m], uniform over the area, and their outward normals (n, 3)."""
         if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
             raise InvalidInput(f"n: expected a whole number above 0, got {n!r:.60}")
         return self.surface.draw(int(n), np.random.default_rng(seed))
 
     def evaluate(self, points_object: ArrayLike, *, fine: bool = True) -> FieldValues:
-        """Returns distance, gradient and Hessian at the points (n, 3) [m]; raises InvalidInput."""
+        """Returns distance, gradient and Hessian of a field at the points (n, 3) [m]; raises InvalidInput."""
         points = checks.finite(points_object, "points_object", (None, 3))
         return (self.fine if fine else self.coarse).evaluate(points)
 
     @cached_property
     def record(self) -> ModelRecord:
-        """The same as kernels take it."""
-        from handsight.objects.record import model_record  # numba's import is long
-
-        return model_record(self)
+        """The object as kernels take it."""
+        return model_record(self, self.symmetries)
 
     def nearest(self, T: Array, T_reference: Array) -> Array:
-        """Returns the equivalent (4, 4) of a pose (4, 4), modulo the symmetries, that is nearest to a reference (4, 4).
+        """Returns the pose (4, 4) nearest to a reference (4, 4) of those equivalent to `T` (4, 4) by symmetry.
 
-        As `symmetry.nearest` has it, which takes stacks and any symmetry.
+        It is `symmetry.nearest`, computed by a kernel where that knows the symmetry.
         """
         if self.symmetries.trivial:
             return T
@@ -187,10 +206,10 @@ class ObjectModel(Geometry):
         center_of_mass: ArrayLike | None = None,
         sigma_center_of_mass: float | None = None,
     ) -> Self:
-        """Returns the same object with its mass [kg] and its centre of mass (3,) [m], each as far as it is known.
+        """Returns the same object with its mass [kg], its centre of mass (3,) [m], and the standard deviation of that.
 
-        Raises InvalidInput, also for a centre that the declared symmetries would move: what is heavier on one side is
-        not symmetric to a hand that weighs it.
+        None means unknown. Raises InvalidInput, also for a centre that the declared symmetries would
+        move: an object that is heavier on one side is not symmetric to a hand that weighs it.
         """
         sigma = USUAL_SIGMA if sigma_center_of_mass is None else sigma_center_of_mass
         checks.sigma(sigma, "sigma_center_of_mass")
@@ -204,13 +223,13 @@ class ObjectModel(Geometry):
 
     @property
     def volume_centroid(self) -> Array:
-        """(3,) where the centre of mass would be, were the object the same all through [m].
+        """(3,) the centroid of the volume: the centre of mass of a homogeneous object [m].
 
         Raises InvalidObject for an open surface or a cloud.
         """
-        if not self.closed or not len(getattr(self, "faces", ())):
+        if not self.closed or not isinstance(self.surface, Triangles):
             raise InvalidObject("object: expected a closed mesh for its volume's centroid, got none")
-        return volume_centroid(self.vertices, self.faces)
+        return self.surface.volume_centroid
 
 
 def _length(value: float, name: str) -> float:
@@ -220,16 +239,14 @@ def _length(value: float, name: str) -> float:
 
 
 def _check_range(value: ArrayLike, name: str) -> None:
-    """In other units than any that were meant, squares overflow."""
+    """Raises InvalidInput for lengths [m] that no unit explains, whose squares would overflow."""
     if np.min(value) < SURFACE.min_size or np.max(value) > SURFACE.max_size:
         expected = f"expected metres between {SURFACE.min_size:g} and {SURFACE.max_size:g}"
         raise InvalidInput(f"{name}: {expected}, got {checks.brief(np.asarray(value))}")
 
 
-# What brings scipy is imported where it is needed: an object from the cache does without.
-
-
 def _of_mesh(mesh: Triangles) -> Geometry:
+    # It imports SciPy, which an object from the cache does not need.
     from handsight.objects.meshes.mesh_geometry import mesh_geometry
 
     return mesh_geometry(mesh)
@@ -241,36 +258,13 @@ def _of_points(points: Array, normals: Array | None) -> Geometry:
     return cloud_geometry(points, normals)
 
 
-def _with_declared_noise(geometry: Geometry, points: Array, sigmas: Array) -> Geometry:
-    from handsight.objects.scans.declared_noise import with_declared_noise
-
-    return with_declared_noise(geometry, points, sigmas)
-
-
-def _of_file(file: Path, data: bytes, scale: float) -> Geometry:
-    shape = shape_of(file, data)
-    with np.errstate(over="ignore"):  # told below
-        points = scale * shape.vertices
-    try:
-        if shape.faces is None:
-            geometry = _of_points(*_checked_points(points, shape.normals))
-            if shape.sigmas is not None:
-                geometry = _with_declared_noise(geometry, points, scale * shape.sigmas)
-        else:
-            geometry = _of_mesh(_checked_mesh(points, shape.faces))
-    except (InvalidObject, InvalidInput) as error:
-        raise InvalidObject(f"{file.name}: {error}") from None
-    remarks = tuple(f"{file.name}: {remark}" for remark in (*shape.remarks, *geometry.remarks))
-    return dataclasses.replace(geometry, remarks=remarks)
-
-
 def _checked_points(points: ArrayLike, normals: ArrayLike | None) -> tuple[Array, Array | None]:
     places = checks.finite(points, "points", (None, 3))
     return places, None if normals is None else checks.unit(normals, "normals", (len(places), 3))
 
 
 def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> Triangles:
-    """Returns the mesh of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject where these are none."""
+    """Returns the mesh of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject for other arrays."""
     try:
         points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
     except (TypeError, ValueError):

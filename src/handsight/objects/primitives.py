@@ -1,4 +1,4 @@
-"""Box, cylinder and sphere: their exact fields, triangles for drawing, and the rotations that leave them the same."""
+"""Box, cylinder and sphere: exact distance fields, triangles for drawing, and symmetries."""
 
 import itertools
 from dataclasses import dataclass
@@ -12,17 +12,15 @@ from handsight.objects.geometry import Geometry, measured
 from handsight.objects.surface import Triangles, diameter
 from handsight.objects.symmetry import Symmetries
 
-SEGMENTS = 96
-_SIDES_EQUAL = 1e-9
-
 
 @dataclass(frozen=True, eq=False)
 class Rounded(Triangles):
-    """A `Rounded` is the curved surface that a mesh of facets stands for, where its distance field is exact."""
+    """A `Rounded` is a curved surface with an exact distance field; its triangles approximate it."""
 
     field: ExactField
+    """The exact distance field."""
     exact_area: float
-    """[m²]."""
+    """Area of the curved surface [m²]."""
 
     @property
     def area(self) -> float:
@@ -30,14 +28,14 @@ class Rounded(Triangles):
         return self.exact_area
 
     def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Returns n points (n, 3) [m] and normals (n, 3) on the exact surface."""
+        """Returns n random points (n, 3) [m] of the curved surface and its normals (n, 3) there."""
         points, _ = super().draw(n, rng)
         values = self.field.evaluate(points)
         return points - values.distance[:, None] * values.gradient, values.gradient
 
 
 def box(sides: Array) -> tuple[Geometry, Symmetries]:
-    """Returns a box with `sides` (3,) [m]; half turns about its axes, and quarter turns between equal sides."""
+    """Returns a box with `sides` (3,) [m]; its symmetries: half turns, and quarter turns between equal sides."""
     half = sides / 2
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * half
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -45,7 +43,7 @@ def box(sides: Array) -> tuple[Geometry, Symmetries]:
     turns = [np.pi * axis for axis in np.eye(3)]
     for k in range(3):
         one, other = sides[k - 2], sides[k - 1]
-        if abs(one - other) <= _SIDES_EQUAL * max(one, other):
+        if abs(one - other) <= 1e-9 * max(one, other):
             turns.append(np.pi / 2 * np.eye(3)[k])
     R = se3.rotation_exp(np.array(turns)).round()
     symmetries = Symmetries(rotations=se3.compose(R, np.zeros((len(turns), 3))))
@@ -53,17 +51,16 @@ def box(sides: Array) -> tuple[Geometry, Symmetries]:
 
 
 def cylinder(radius: float, height: float) -> tuple[Geometry, Symmetries]:
-    """Returns a cylinder about z, `radius` and `height` [m]; any turn about z, and the half turn that swaps the
-    caps."""
-    half_height = height / 2
-    angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
+    """Returns a cylinder about z, `radius` and `height` [m]; its symmetries: turns about z, half turns across."""
+    half_height, segments = height / 2, 96
+    angle = 2 * np.pi * np.arange(segments) / segments
     ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-    levels = [np.column_stack([ring, np.full(SEGMENTS, z)]) for z in (-half_height, half_height)]
+    levels = [np.column_stack([ring, np.full(segments, z)]) for z in (-half_height, half_height)]
     vertices = np.vstack([*levels, [[0, 0, -half_height], [0, 0, half_height]]])
-    low = np.arange(SEGMENTS)
-    after = (low + 1) % SEGMENTS
-    high, high_after = low + SEGMENTS, after + SEGMENTS
-    bottom, top = np.full(SEGMENTS, 2 * SEGMENTS), np.full(SEGMENTS, 2 * SEGMENTS + 1)
+    low = np.arange(segments)
+    after = (low + 1) % segments
+    high, high_after = low + segments, after + segments
+    bottom, top = np.full(segments, 2 * segments), np.full(segments, 2 * segments + 1)
     parts = [(low, after, high_after), (low, high_after, high), (bottom, after, low), (top, high, high_after)]
     faces, exact = np.hstack(parts).T, ExactField("cylinder", np.array([radius, half_height, 0.0]))
     area = 2 * np.pi * radius * (radius + height)
@@ -72,7 +69,7 @@ def cylinder(radius: float, height: float) -> tuple[Geometry, Symmetries]:
 
 
 def sphere(radius: float) -> tuple[Geometry, Symmetries]:
-    """Returns a ball of that radius [m], drawn as an octahedron divided four times; any turn about its centre."""
+    """Returns a ball of that radius [m], drawn as an octahedron divided four times; its symmetries: all rotations."""
     vertices = np.vstack([np.eye(3), -np.eye(3)])
     faces = np.array([(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)])
     for _ in range(4):
@@ -89,6 +86,7 @@ def sphere(radius: float) -> tuple[Geometry, Symmetries]:
 
 
 def _geometry(surface: Triangles, exact: ExactField) -> Geometry:
+    """Returns the geometry of a surface whose distance field is exact."""
     vertices, size = surface.vertices, diameter(surface.vertices)
     grid, _ = coarse_grid(vertices, size, float(np.ptp(vertices, axis=0).min()))
     return measured(surface, grid.field(exact.evaluate(grid.nodes()).distance), exact, diameter=size)

@@ -1,4 +1,4 @@
-"""What an object is, as a rig file or a problem says it in a few words."""
+"""An object as a rig file or a problem specifies it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +10,7 @@ from handsight.objects.model import ObjectModel
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectSpec:
-    """An `ObjectSpec` says what an object is, as files do: one of box, cylinder, mesh, name, and what is known of its
-    weight."""
+    """An `ObjectSpec` is one of box, cylinder, mesh and name, and what a file states of the object's weight."""
 
     box: tuple[float, float, float] | None = None
     """Sides [m]."""
@@ -20,18 +19,18 @@ class ObjectSpec:
     mesh: Path | None = None
     """File of a mesh."""
     scale: float = 1.0
-    """Metres of a unit of the mesh."""
+    """Metres per unit of the mesh."""
     name: str | None = None
-    """Name in the library that `ObjectModel.from_library` opens."""
+    """Name in the library, as `ObjectModel.from_library` takes it."""
     mass: float | None = None
-    """Mass [kg]; beside a name it replaces the library's."""
+    """Mass [kg]; it replaces that of an object in the library."""
     center_of_mass: tuple[float, float, float] | Literal["homogeneous"] | None = None
     """Centre of mass in the object's frame [m]; `homogeneous`: the centroid of its volume."""
     sigma_center_of_mass: float | None = None
     """Standard deviation of the centre of mass per axis [m]."""
 
     def model(self) -> ObjectModel:
-        """Returns the object's surface with what is known of its weight; raises a HandsightError."""
+        """Returns the object with its weight; raises a HandsightError."""
         if self.box is not None:
             model = ObjectModel.box(self.box)
         elif self.cylinder is not None:

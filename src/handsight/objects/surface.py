@@ -1,4 +1,4 @@
-"""Surfaces, of triangles or of points: what is drawn from them, and how large they are."""
+"""Surfaces, of triangles or of points: their areas, random points on them, and their size."""
 
 import contextlib
 from dataclasses import dataclass
@@ -12,31 +12,26 @@ from handsight.errors import InvalidObject
 
 
 class SurfaceOptions(NamedTuple):
-    """`SurfaceOptions` are sizes of a surface."""
+    """`SurfaceOptions` are limits of a surface's size."""
 
-    min_size: float = 1e-6  # smaller ones are refused [m]
-    max_size: float = 1e6  # larger ones are refused [m]
-    max_compared: int = 2000  # points all of whose distances are taken
-    few_compared: int = 512  # points of which the farthest are chosen first
+    min_size: float = 1e-6  # a smaller one is refused [m]
+    max_size: float = 1e6  # a larger one is refused [m]
     max_hole: float = 0.25
-    """A surface with a hole wider than this part of the diameter is open: about as far from the hole as it is wide,
-    inside and outside are a guess, and past a quarter that would be most of the object.
+    """A surface with a hole wider than this part of the diameter is open. Up to about its width from a hole, inside and
+    outside are a guess; past a quarter of the diameter, that would be most of the object.
     """
 
 
 SURFACE = SurfaceOptions()
 
-_SAME_POINT = 1e-9
-"""Points closer than this part of the extent are one."""
-
 
 class ObjectWarning(UserWarning):
-    """Something about an object was repaired, or looks odd."""
+    """Something about an object was repaired, or is unusual."""
 
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """`Triangles` are the surface of a triangle mesh."""
+    """A `Triangles` is the surface of a triangle mesh."""
 
     vertices: Array
     """(k, 3) [m]."""
@@ -66,15 +61,29 @@ class Triangles:
 
     @cached_property
     def edges(self) -> tuple[Indices, Indices, Indices]:
-        """As `edges_of`."""
-        return edges_of(self.faces)
+        """The two vertices of each edge (e, 2), the smaller index first; the edges of each triangle (m, 3), from its
+        corner 0 to 1, 1 to 2 and 2 to 0; and how many triangles each edge has (e,)."""
+        ordered = np.sort(self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        keys = ordered[:, 0] * (int(self.faces.max()) + 1) + ordered[:, 1]
+        _, first, which, count = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
+        return ordered[first], which.reshape(-1, 3), count
+
+    @property
+    def volume_centroid(self) -> Array:
+        """(3,) the centroid of the enclosed volume [m]; raises InvalidObject where there is no volume."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        sixfold = np.einsum("ij,ij->i", a, np.cross(b, c))
+        total = sixfold.sum()
+        if not abs(total) > 1e-15:
+            raise InvalidObject("object: expected a volume, got a surface without an inside")
+        return np.asarray((sixfold[:, None] * (a + b + c)).sum(axis=0) / (4 * total))
 
     def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Returns n points (n, 3) [m], uniform over the area, and the normals (n, 3) of their triangles."""
+        """Returns n random points (n, 3) [m], uniform over the area, and the normals (n, 3) of their triangles."""
         return self.draw_on_faces(n, rng)[:2]
 
     def draw_on_faces(self, n: int, rng: np.random.Generator) -> tuple[Array, Array, Indices]:
-        """Returns what `draw` does, and the triangle (n,) of each."""
+        """Returns points and normals as `draw` does, and the index (n,) of each point's triangle."""
         face = drawn_by_area(self.areas, n, rng)
         u, v = rng.random((2, n))
         flip = u + v > 1
@@ -87,32 +96,32 @@ class Triangles:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
-    """A `Cloud` is oriented surface points."""
+    """A `Cloud` is the surface that oriented points lie on."""
 
     vertices: Array
     """(n, 3) [m]."""
     normals: Array
     """(n, 3) unit, outward."""
     areas: Array
-    """(n,) the surface each stands for [m²]."""
+    """(n,) each point's share of the surface [m²]."""
 
     @property
     def faces(self) -> Indices:
-        """(0, 3): a cloud has none."""
+        """(0, 3): a cloud has no triangles."""
         return np.empty((0, 3), dtype=np.int64)
 
     @property
     def area(self) -> float:
-        """Of all [m²]."""
+        """Sum of the points' areas [m²]."""
         return float(self.areas.sum())
 
     @property
     def spacing(self) -> float:
-        """About how far neighbours are apart [m]."""
+        """Typical distance between neighbours [m]."""
         return float(np.sqrt(np.median(self.areas)))
 
     def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Returns n of the points (n, 3) [m] and their normals (n, 3), more often where they are sparse."""
+        """Returns n random ones of the points (n, 3) [m], each as often as its area, and their normals (n, 3)."""
         index = drawn_by_area(self.areas, n, rng)
         return self.vertices[index], self.normals[index]
 
@@ -121,28 +130,14 @@ Surface = Triangles | Cloud
 
 
 def drawn_by_area(areas: Array, n: int, rng: np.random.Generator) -> Indices:
-    """Returns n indices (n,) of parts, each as often as its share of the `areas` (m,)."""
-    # One draw per n-th of the area spreads better than n free draws, and is as uniform.
+    """Returns n random indices (n,) of parts, each as often as its share of the `areas` (m,)."""
+    # One draw in each n-th of the area is as uniform as n independent draws, and more even.
     at = (np.arange(n) + rng.random(n)) / max(n, 1)
     return np.asarray(np.searchsorted(np.cumsum(areas) / areas.sum(), at).clip(max=len(areas) - 1))
 
 
-def edges_of(faces: Indices) -> tuple[Indices, Indices, Indices]:
-    """Returns the edges of triangles (m, 3): vertices (e, 2), the smaller first; edges (m, 3) of each triangle;
-    triangles (e,).
-
-    A triangle's edges are those from its corner 0 to 1, 1 to 2 and 2 to 0; last is how many triangles an edge has.
-    """
-    ordered = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    size = int(faces.max()) + 1
-    _, first, which, count = np.unique(
-        ordered[:, 0] * size + ordered[:, 1], return_index=True, return_inverse=True, return_counts=True
-    )
-    return ordered[first], which.reshape(-1, 3), count
-
-
 def check_extent(points: Array, name: str) -> float:
-    """Returns the largest extent [m] of points (n, 3) along an axis; raises InvalidObject where it is no size."""
+    """Returns the largest extent [m] of points (n, 3) along an axis; raises InvalidObject for an impossible one."""
     with np.errstate(over="ignore"):
         extent = float(np.ptp(points, axis=0).max())
     if extent == 0:
@@ -155,8 +150,11 @@ def check_extent(points: Array, name: str) -> float:
 
 
 def distinct(points: Array, extent: float) -> tuple[Indices, Indices]:
-    """Returns which (k,) of the points (n, 3) differ, in the order they came, and which (n,) of those each one is."""
-    keys = np.round((points - points.min(axis=0)) / (_SAME_POINT * extent)).astype(np.int64)
+    """Returns the indices (k,) of points (n, 3) without repeats, in order, and the place (n,) of each point among them.
+
+    Points closer than 1e-9 of the `extent` [m] are repeats.
+    """
+    keys = np.round((points - points.min(axis=0)) / (1e-9 * extent)).astype(np.int64)
     _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(first))
     return np.sort(first), rank[which.reshape(-1)]
@@ -164,20 +162,17 @@ def distinct(points: Array, extent: float) -> tuple[Indices, Indices]:
 
 def diameter(points: Array) -> float:
     """Returns the largest distance between two of the points (n, 3) [m]."""
-    if (
-        len(points) <= SURFACE.few_compared
-    ):  # SciPy takes half a second to load, which a box should not wait for
+    if len(points) <= 512:  # SciPy takes half a second to load, which a box should not wait for
         x, y, z = points.T[:, :, None] - points.T[:, None, :]
         return float(np.sqrt((x * x + y * y + z * z).max()))
     from scipy.spatial import ConvexHull, QhullError
     from scipy.spatial.distance import pdist
 
-    if len(points) > SURFACE.max_compared:
+    most = 2000  # points all of whose distances are computed
+    if len(points) > most:
         with contextlib.suppress(QhullError):  # flat
             points = points[ConvexHull(points).vertices]
-    if (
-        len(points) > SURFACE.max_compared
-    ):  # a ball: extremes along many directions miss by less than a thousandth
+    if len(points) > most:  # a ball: extremes along many directions miss by less than a thousandth
         direction = np.random.default_rng(0).normal(size=(1000, 3))
         along = (direction / np.linalg.norm(direction, axis=1, keepdims=True)) @ points.T
         points = points[np.unique(np.concatenate([along.argmin(axis=1), along.argmax(axis=1)]))]

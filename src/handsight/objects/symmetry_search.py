@@ -1,38 +1,52 @@
-"""Symmetries that an object's geometry suggests; whether its print breaks them is for a person to say."""
+"""Symmetries that the shape of an object suggests, and symmetries given in words, which the shape must have.
 
+Only a person can decide whether a print on the surface distinguishes two poses of the same shape.
+"""
+
+import re
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from handsight import checks, se3
 from handsight.checks import Array
+from handsight.errors import InvalidInput
 from handsight.objects.model import ObjectModel
-from handsight.objects.symmetry import Symmetries, about
+from handsight.objects.surface import Triangles
+from handsight.objects.symmetry import MAX_ROTATIONS, Symmetries, about
 
 ORDERS = (8, 6, 5, 4, 3, 2)
+"""Of the axes that are tried; the highest is tried first."""
 
 
 class SymmetrySearchOptions(NamedTuple):
-    """`SymmetrySearchOptions` say how symmetries are found."""
+    """`SymmetrySearchOptions` say how symmetries are found, and how exact a declared one must be."""
 
-    tolerance: float = 0.01  # of the diameter
+    tolerance: float = 0.01  # how far a turned surface may be off itself [diameters]
     samples: int = 400  # surface points that are compared
     max_start_error: float = 0.06
-    """Of the diameter: a root mean square distance from which no refinement leads to a symmetry."""
+    """Root mean square distance from which no refinement leads to a symmetry [diameters]."""
     equal_moments: float = 0.15
-    """Principal moments within this part of each other leave the axes between them open."""
+    """Where principal moments differ by less than this part, the axes between them are tried too."""
     steps: int = 6  # of a refinement
     directions: int = 150  # directions tried on the half sphere where no axis is distinguished
     percentile: int = 98
-    """Per cent of the samples must be within the tolerance: the field rounds off what few see."""
+    """Per cent of the samples that must be within the tolerance: the field rounds off corners, which few samples are
+    on."""
+    declared_tolerance: float = 0.04  # as `tolerance`, for a symmetry that a person declares [diameters]
+    declared_samples: int = 1000  # and as `samples`
 
 
 SEARCH = SymmetrySearchOptions()
 
 _SPINS = 2 * np.pi * np.modf(0.381966 * np.arange(1, 12))[0]
+"""Angles [rad] that no finite group contains, by which a continuous axis is distinguished from one of high order."""
 
 
 class _Axis(NamedTuple):
+    """An axis about which a turn by 2π / order takes the surface onto itself."""
+
     point: Array
     direction: Array
     order: int
@@ -46,44 +60,80 @@ def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Sy
     dihedral groups, those of the tetrahedron and the cube, the cylinder and the ball. This declares nothing:
     `model.with_symmetries(...)` does. Raises InvalidInput for a tolerance that is not positive.
     """
-    limit = (
-        SEARCH.tolerance * model.diameter if tolerance is None else checks.positive(tolerance, "tolerance")
-    )
-    judge = _Judge(model, limit)
-    directions = judge.directions()
+    limit = SEARCH.tolerance * model.diameter
+    if tolerance is not None:
+        limit = checks.positive(tolerance, "tolerance")
+    search = _Search(model, limit)
+    directions = search.directions()
     for direction in directions:
-        line = judge.continuous(direction)
+        line = search.continuous(direction)
         if line is not None:
-            return judge.of_revolution(*line)
+            return search.of_revolution(*line)
     axes: list[_Axis] = []
     for direction in directions:
         if any(abs(direction @ axis.direction) > 0.999 for axis in axes):
             continue
-        found = judge.finite(direction)
+        found = search.finite(direction)
         if found is not None and not any(abs(found.direction @ axis.direction) > 0.98 for axis in axes):
             axes.append(found)
-    return judge.group(axes)
+    return search.group(axes)
 
 
-class _Judge:
-    """Turns the object's samples and looks how far they end from its surface."""
+def declared(model: ObjectModel, words: Sequence[str]) -> Symmetries:
+    """Returns the symmetries given in words, about the middle of the surface.
+
+    `z` is any turn about z, `z/4` quarter turns, `find` alone is `propose_symmetries`. Raises InvalidInput for other
+    words, and for turns that move the surface.
+    """
+    if "find" in words:
+        if len(words) > 1:
+            raise InvalidInput(f"symmetry: expected find alone, got {' '.join(words)}")
+        return propose_symmetries(model)
+    surface, axes, turns = model.surface, [], list[Array]()
+    places = surface.corners.mean(axis=1) if isinstance(surface, Triangles) else surface.vertices
+    center = np.average(places, axis=0, weights=surface.areas)  # every symmetry leaves it in place
+    points = model.sample(SEARCH.declared_samples)[0]
+    for word in words:
+        found = re.fullmatch(r"([xyz])(?:/([1-9]\d{0,2}))?", word)
+        if found is None or int(found[2] or 1) > MAX_ROTATIONS:
+            expected = "find, an axis (z: any turn about it), or an axis and a number (z/4: quarter turns)"
+            raise InvalidInput(f"symmetry: expected {expected}, got {word!r}")
+        axis = np.eye(3)["xyz".index(found[1])]
+        angles = [2 * np.pi / int(found[2])] if found[2] else 2 * np.pi * np.arange(1, 12) / 12
+        off = max(_distance(model, about(center, angle * axis), points) for angle in angles)
+        if off > SEARCH.declared_tolerance * model.diameter:
+            expected = "expected turns that leave the surface in place"
+            raise InvalidInput(f"symmetry: {expected}, got {word}, which is {1e3 * off:.1f} mm off")
+        if found[2]:
+            turns.append(about(center, angles[0] * axis))
+        else:
+            axes.append((center, axis))
+    return Symmetries(axes, np.array(turns) if turns else None)
+
+
+def _distance(model: ObjectModel, T: Array, points: Array) -> float:
+    """Returns the distance [m] to the surface that nearly all of its points (n, 3) keep to after `T`."""
+    distance = model.fine.evaluate(se3.apply(T, points)).distance
+    return float(np.percentile(np.abs(distance), SEARCH.percentile))
+
+
+class _Search:
+    """Symmetry axes of an object, found by how far its turned samples are from its surface."""
 
     def __init__(self, model: ObjectModel, tolerance: float) -> None:
         self.points, _ = model.sample(SEARCH.samples)
         many, _ = model.sample(4000, seed=1)
         self.center = many.mean(axis=0)
         self.moments, self.principal = np.linalg.eigh(np.cov((many - self.center).T))
-        self.field, self.size = model.fine, model.diameter
+        self.model, self.size = model, model.diameter
         self.limit = tolerance + self.worst(np.eye(4))
 
     def worst(self, T: Array) -> float:
-        """Returns the distance [m] that nearly all samples keep to after `T`."""
-        return float(
-            np.percentile(np.abs(self.field.evaluate(se3.apply(T, self.points)).distance), SEARCH.percentile)
-        )
+        """Returns the distance [m] to the surface that nearly all samples keep to after `T`."""
+        return _distance(self.model, T, self.points)
 
     def directions(self) -> Array:
-        """Returns directions (k, 3) that an axis may have: principal ones, the object's own, and those between."""
+        """Returns directions (k, 3) of possible axes: principal ones, x, y, z, and those between equal moments."""
         sure = np.vstack([self.principal.T[::-1], np.eye(3)])
         low, middle, high = self.moments
         if low > (1 - SEARCH.equal_moments) * high:
@@ -102,24 +152,23 @@ class _Judge:
         return sure
 
     def refined(self, T: Array) -> Array | None:
-        """Returns `T` moved to lay the samples best on the surface; None where they are far from it."""
+        """Returns `T` moved so that it brings the samples nearest to the surface; None where that is far."""
         for step in range(SEARCH.steps):
             moved = se3.apply(T, self.points)
-            distance, gradient, _ = self.field.evaluate(moved)
-            if step in (0, 3) and np.sqrt((distance**2).mean()) > SEARCH.max_start_error * self.size / (
-                1 + step
-            ):
+            distance, gradient, _ = self.model.fine.evaluate(moved)
+            limit = SEARCH.max_start_error * self.size / (1 + step)
+            if step in (0, 3) and np.sqrt((distance**2).mean()) > limit:
                 return None
             arm = (moved - T[:3, 3]) / self.size
             rows = np.hstack([gradient, np.cross(arm, gradient)])
-            # What the surface leaves open stays where it is.
+            # The damping keeps directions that the surface does not determine where they are.
             normal = rows.T @ rows + 1e-3 * len(rows) * np.diag([0.01] * 3 + [0.001] * 3)
             change = -np.linalg.solve(normal, rows.T @ distance) / np.repeat([1.0, self.size], 3)
             T = se3.moved(T, change)
         return T
 
     def line(self, T: Array) -> tuple[Array, Array]:
-        """Returns the axis of a rotation: its point nearest to the centre, and its direction."""
+        """Returns the axis of a rotation `T`: its point nearest to the object's centre, and its direction."""
         vector = se3.rotation_log(T[:3, :3])
         direction = vector / np.linalg.norm(vector)
         offset = se3.apply(T, self.center[None])[0] - self.center
@@ -128,7 +177,7 @@ class _Judge:
         return self.center + point, direction
 
     def continuous(self, direction: Array) -> tuple[Array, Array] | None:
-        """Returns the axis near that direction about which any turn keeps the surface, if there is one."""
+        """Returns point and direction of the axis near a direction about which any turn keeps the surface, or None."""
         T = self.refined(about(self.center, _SPINS[0] * direction))
         if T is None:
             return None
@@ -138,7 +187,7 @@ class _Judge:
         return None
 
     def finite(self, direction: Array) -> _Axis | None:
-        """Returns the axis near that direction with the highest order that keeps the surface, if there is one."""
+        """Returns the axis near a direction whose order is the highest that keeps the surface, or None."""
         for order in ORDERS:
             T = self.refined(about(self.center, 2 * np.pi / order * direction))
             if T is None:
@@ -152,15 +201,15 @@ class _Judge:
         return None
 
     def of_revolution(self, point: Array, axis: Array) -> Symmetries:
-        """Returns symmetries about a continuous axis: a ball's, or with the half turn that swaps its ends, or
-        without."""
+        """Returns the symmetries of a surface with a continuous axis: a ball's, or the axis with or without a half turn
+        that swaps its ends."""
         side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         side /= np.linalg.norm(side)
         if self.continuous(side) is not None:
             return Symmetries([(self.center, axis) for axis in np.eye(3)])
         T = self.refined(about(point, np.pi * side))
         if T is not None:
-            # Only the height at which it swaps is free.
+            # Of the half turn, only the height of its axis is free.
             half = point + axis * ((T[:3, 3] + T[:3, :3] @ point - point) @ axis) / 2
             flip = about(half, np.pi * side)
             if self.worst(flip) < self.limit:
@@ -168,7 +217,7 @@ class _Judge:
         return Symmetries([(point, axis)])
 
     def group(self, axes: list[_Axis]) -> Symmetries:
-        """Returns the largest group of these axes, set exactly at their proper angles, that keeps the surface."""
+        """Returns the largest group of these axes, at the exact angles of the group, that keeps the surface."""
         if not axes:
             return Symmetries()
         axes = sorted(axes, key=lambda a: -a.order)
@@ -182,14 +231,15 @@ class _Judge:
 
 
 def _frame(x: Array, near_y: Array) -> Array:
-    """Returns (3, 3) rows at right angles: the first along x, the second near y."""
+    """Returns (3, 3) orthonormal rows: the first is x, the second near y."""
     y = near_y - (near_y @ x) * x
     y = y / np.linalg.norm(y)
     return np.stack([x, y, np.cross(x, y)])
 
 
 def _polyhedral(axes: list[_Axis]) -> list[Array]:
-    """Returns generators of the cube's and the tetrahedron's rotations, where the axes have room for them."""
+    """Returns rotation vectors (4, 3) that generate the cube's or the tetrahedron's group, for each that the axes
+    allow."""
     found = []
     for order in (4, 2):
         square = [a.direction for a in axes if a.order % order == 0]
@@ -202,7 +252,7 @@ def _polyhedral(axes: list[_Axis]) -> list[Array]:
 
 
 def _dihedral(axes: list[_Axis]) -> list[Array]:
-    """Returns generators of an axis with half turns across it."""
+    """Returns rotation vectors (2, 3) that generate the group of an axis with half turns across it, for each axis."""
     found = []
     for main in axes:
         across = [a.direction for a in axes if a.order % 2 == 0 and abs(a.direction @ main.direction) < 0.1]

@@ -1,7 +1,7 @@
 """Recordings: MCAP, rosbag 1 and rosbag 2 to `Observation`s and back, and what was tracked as MCAP, TUM or CSV.
 
-What becomes of the messages is said in `handsight.messages`: a recording is read as a live robot is heard. A damaged
-file gives what can be read of it; `report.truncated` and `report.sentences()` say what was lost.
+`handsight.messages` describes what happens to the messages, which is the same for a recording as for a running robot.
+Of a damaged file all is read that can be; `report.truncated` and `report.sentences()` tell what was lost.
 """
 
 from handsight.recording.detections import BopResult, read_bop_results

@@ -1,6 +1,7 @@
-"""The base of all kinds of recording files: raw messages, and the chunks that they are stored in.
+"""The base of all kinds of recording files: raw messages, and the chunks in which they are stored.
 
-Files may be hostile: no length is trusted beyond the file's own, nothing is unpacked beyond a limit.
+A file may be damaged, or not be what it seems: no length in it is trusted beyond the file's own, and what it may unpack
+to is bounded.
 """
 
 import math
@@ -8,9 +9,8 @@ import mmap
 import os
 import sys
 from abc import ABC, abstractmethod
+from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterable, Iterator
-from heapq import heappop, heappush
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, ClassVar, NamedTuple, TypeVar
 from zlib import crc32
@@ -27,17 +27,16 @@ Each = TypeVar("Each")
 
 
 class ChunkLimits(NamedTuple):
-    """`ChunkLimits` say how much a recording may unpack to."""
+    """`ChunkLimits` say how much a recording may unpack to, in bytes."""
 
-    max_unpacked: int = 1 << 27  # bytes that a chunk may unpack to; recorders write 1 to 16 MiB
-    max_waiting_bytes: int = 1 << 28  # bytes that overlapping chunks may hold back until their turn
-    message_overhead: int = 300  # about the bytes that a message takes besides its own
-    spare_records: int = 100_000  # records that any file may hold
-    spare_unpacked: int = 1 << 28  # bytes that any file may unpack to
-    max_expansion: int = 200  # bytes for each of its own; robots' data packs to a half or a tenth
-    spare_message: int = 1 << 24  # bytes that any message may unpack to: an image of one colour
-    max_topics: int = 100_000  # in a file; more are passed over
-    piece: int = 1 << 16  # bytes unpacked at a time: what came before a fault is kept
+    max_unpacked: int = 1 << 27  # of a chunk; recorders write 1 to 16 MiB
+    max_waiting_bytes: int = 1 << 28  # of messages that wait for their turn, as chunks may overlap in time
+    message_overhead: int = 300  # what a message takes in memory besides its data
+    spare_unpacked: int = 1 << 28  # of any file, however short
+    spare_message: int = 1 << 24  # of any message, such as an image of one colour
+    max_expansion: int = 200  # for each byte of the file; robots' data packs to a half or a tenth
+    piece: int = 1 << 16  # unpacked at a time; what came before a fault is kept
+    spare_records: int = 100_000  # number of records that any file may hold, however short
 
 
 CHUNKS = ChunkLimits()
@@ -55,26 +54,23 @@ class Source(ABC):
     """A `Source` is an open recording file."""
 
     MAGIC: ClassVar[bytes]
-    """First bytes of such a file."""
+    """The first bytes of such a file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.topics: dict[str, str] = {}
-        """Type by topic, of all topics in the file."""
+        """The types of all topics in the file, by topic."""
         self.channels: dict[object, tuple[str, str, str]] = {}
-        """Topic, type and encoding by the file's key for them."""
+        """Topic, type and encoding, by the file's key for them."""
         self.truncated: str | None = None
         """Where the file ends too early; None: it is complete."""
         self.packed = False
         """Whether each message is compressed by itself, by zstd."""
         self.damage: dict[int, str] = {}
-        """What could not be read, by its byte."""
+        """What could not be read, by its first byte."""
 
     def define(self, key: object, topic: str, kind: str, encoding: str) -> None:
-        """Adds a topic and its type, as ROS 1 or ROS 2 writes it, by the file's key for them."""
-        if topic not in self.topics and len(self.topics) >= CHUNKS.max_topics:
-            self.damage[-1] = f"expected at most {CHUNKS.max_topics} topics, got more, which were left out"
-            return
+        """Adds a topic and its type, as ROS 1 or ROS 2 writes it, under the file's key for them."""
         package, _, rest = kind.partition("/")
         self.topics[topic] = f"{package}/msg/{rest}" if rest and "/" not in rest else kind
         self.channels[key] = topic, self.topics[topic], encoding
@@ -90,7 +86,7 @@ class Source(ABC):
 
     @abstractmethod
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """Yields the messages as `messages` does, each as it is stored in the file."""
+        """Yields the messages as `messages` does, but still compressed where each is compressed by itself."""
 
     @abstractmethod
     def close(self) -> None:
@@ -98,7 +94,7 @@ class Source(ABC):
 
 
 class Chunk(NamedTuple):
-    """A `Chunk` is a part of the file that is read at once."""
+    """A `Chunk` is a part of a file that is read at once."""
 
     start: int
     """Log time of its earliest message [ns]."""
@@ -107,15 +103,15 @@ class Chunk(NamedTuple):
     length: int
     """Its number of bytes in the file."""
     compression: str = ""
-    """none, lz4, zstd or bz2; empty: none."""
+    """The compression: none, lz4, zstd or bz2; empty: none."""
     size: int = 0
-    """Its number of bytes when unpacked, as the file says."""
+    """Its number of bytes when unpacked, as the file states it."""
     crc: int = 0
-    """CRC-32 of the unpacked bytes; 0: not given."""
+    """CRC-32 of the unpacked bytes; 0: not stated."""
 
 
 class ChunkedSource(Source):
-    """A `ChunkedSource` is a file of chunks: all are found first, and each is read in its turn."""
+    """A `ChunkedSource` is a file of chunks, which are found first and read one by one later."""
 
     def __init__(self, path: Path) -> None:
         """Finds the chunks of a file that begins with MAGIC."""
@@ -123,43 +119,36 @@ class ChunkedSource(Source):
         with open_regular(path) as file:
             self.data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         self._chunks, self._budget = list(self._index()), Budget(len(self.data))
-        # A file that was closed repeats its topics outside the chunks; else they are only in them.
+        # A file that was closed repeats its topics outside the chunks; else they are only inside.
         if self.truncated or not self.topics:
             for chunk in self._chunks:
                 self._read(frozenset(), chunk)
 
     @abstractmethod
     def _index(self) -> Iterable[Chunk]:
-        """Returns the chunks in `data`, in order of bytes; sets the topics, and where the file ends too early."""
+        """Returns the chunks in `data`, in order of bytes; defines the topics, and sets `truncated`."""
 
     @abstractmethod
     def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
-        """Returns the messages of an unpacked chunk on the wanted topics, and what is wrong with it (None: nothing)."""
+        """Returns an unpacked chunk's messages on the wanted topics, and what is wrong with it (None: nothing)."""
 
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """Yields as `Source.stored`, as far as `max_waiting_bytes` reaches."""
-        self._budget = Budget(len(self.data))
-        runs, buffered, order = list[Run](), 0, count()
+        """Yields the messages in order of log time, as far as `max_waiting_bytes` allow where chunks overlap."""
+        self._budget, waiting = Budget(len(self.data)), list[RawMessage]()
         for chunk in (*sorted(self._chunks, key=lambda chunk: chunk.start), None):
-            stop = math.inf if chunk is None or buffered > CHUNKS.max_waiting_bytes else seconds(chunk.start)
-            while runs and runs[0].head < stop:
-                run = heappop(runs)
-                next_stop = min(stop, runs[0].head if runs else math.inf)
-                yield run.waiting.pop()
-                while run.waiting and run.waiting[-1].log_time < next_stop:
-                    yield run.waiting.pop()
-                if run.waiting:
-                    heappush(runs, run._replace(head=run.waiting[-1].log_time))
-                else:
-                    buffered -= run.size
-            if chunk is not None and (found := self._read(wanted, chunk)):
-                found.reverse()  # what is first can be taken off the end, and of equal times stays first
-                found.sort(key=lambda raw: raw.log_time, reverse=True)
-                size = sum(len(raw.data) + CHUNKS.message_overhead for raw in found)
-                heappush(runs, Run(found[-1].log_time, next(order), found, size))
-                buffered += size
+            # What was logged before the next chunk begins has its turn; so has everything where memory is full.
+            size = sum(len(raw.data) + CHUNKS.message_overhead for raw in waiting)
+            stop = math.inf if chunk is None or size > CHUNKS.max_waiting_bytes else seconds(chunk.start)
+            count = bisect_left(waiting, stop, key=lambda raw: raw.log_time)
+            yield from waiting[:count]
+            del waiting[:count]
+            if chunk is not None:
+                # The sort is stable: of equal times, those of the chunk that begins earlier stay first.
+                waiting += self._read(wanted, chunk)
+                waiting.sort(key=lambda raw: raw.log_time)
 
     def _read(self, wanted: Collection[str], chunk: Chunk) -> list[RawMessage]:
+        """Returns the messages of a chunk on the wanted topics, in the order of its bytes."""
         if (spent := self._budget.spent(chunk)) is not None:
             self.damage[chunk.offset] = f"chunk at byte {chunk.offset}: {spent}; left out"
             return []
@@ -177,29 +166,16 @@ class ChunkedSource(Source):
         self.data.close()
 
 
-class Run(NamedTuple):
-    """A `Run` is the messages of a chunk that wait for earlier ones of other chunks."""
-
-    head: float
-    """Log time of the first [s]."""
-    order: int
-    """Of equal times, the chunk that began earlier goes first."""
-    waiting: list[RawMessage]
-    """The first at the end."""
-    size: int
-    """About the bytes they hold."""
-
-
 class Budget:
-    """A `Budget` limits what a file of so many bytes may hold: a few kilobytes can be millions of empty messages."""
+    """A `Budget` limits what a file may hold by its size, as a few kilobytes can be millions of empty messages."""
 
     def __init__(self, size: int) -> None:
         self.records = CHUNKS.spare_records + size
-        """Number of messages that may still be read: none is packed into less than a byte."""
+        """Number of records that may still be read: each takes a byte of the file at least."""
         self._bytes = CHUNKS.spare_unpacked + CHUNKS.max_expansion * size
 
     def spent(self, chunk: Chunk) -> str | None:
-        """Returns why the chunk is not to be read; None: it is, and counts."""
+        """Counts a chunk, and returns why it is not to be read; None: it is."""
         self._bytes -= chunk.size if chunk.compression not in ("", "none") else 0
         if self._bytes < 0:
             return (
@@ -208,7 +184,7 @@ class Budget:
         return None if self.records > 0 else TOO_MANY
 
     def limited(self, records: Iterable[Each]) -> Iterator[Each]:
-        """Yields as many of the records as may still be read."""
+        """Yields and counts as many of the records as may still be read."""
         left = self.records
         try:
             for after, each in zip(range(self.records - 1, -1, -1), records, strict=False):
@@ -225,8 +201,10 @@ def seconds(nanoseconds: int) -> float:
 
 
 def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | None]:
-    """Returns at most `size` bytes that `data` unpacks to, and what is wrong with them (None: nothing); raises
-    MissingExtra."""
+    """Returns at most `size` bytes that `data` unpacks to, and what is wrong with them (None: nothing).
+
+    Raises MissingExtra.
+    """
     if size > CHUNKS.max_unpacked:
         return b"", f"says it unpacks to {size} bytes, at most {CHUNKS.max_unpacked} are read"
     if compression in ("", "none"):
@@ -245,7 +223,10 @@ def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | Non
 
 
 def unpack_file(path: Path, unpacked_file: BinaryIO) -> None:
-    """Writes what a file compressed by zstd unpacks to, up to its damage; raises InvalidFile for a bomb."""
+    """Writes what a file compressed by zstd unpacks to, up to where it is damaged.
+
+    Raises InvalidFile where it is not zstd, or unpacks to far more than a recording does.
+    """
     module, name = UNPACKERS["zstd"]
     new = getattr(rosbags_module(module), name)
     with open_regular(path) as file:
@@ -265,7 +246,7 @@ def unpack_file(path: Path, unpacked_file: BinaryIO) -> None:
 
 
 def _unpack(new: Callable[[], "BZ2Decompressor"], pieces: Iterable[bytes], size: int) -> Iterator[bytes]:
-    """Yields the bytes that consecutive frames unpack to, at most `size` of them; raises the library's errors."""
+    """Yields the bytes that consecutive frames unpack to, at most `size`; raises the errors of the library."""
     unpacker = new()
     for piece in pieces:
         while piece and size > 0:

@@ -1,11 +1,10 @@
-"""Detections of objects in pictures: handsight's to JSON or BOP's results, other detectors' from BOP's results."""
+"""Detections of objects in pictures: handsight's as JSON or BOP results, and other detectors' from BOP results."""
 
 import csv
 import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,25 +18,14 @@ from handsight.vision import ObjectDetection
 from handsight.vision.object.recognition import Recognition
 
 BOP_COLUMNS = "scene_id,im_id,obj_id,score,R,t,time"
-MM = 1e-3
-
-
-class BopResultOptions(NamedTuple):
-    """`BopResultOptions` say how results in BOP's form are read."""
-
-    metres: float = 1e-3  # metres of the file's unit
-    max_bytes: int = 256 * 1024**2  # of a file
-    rounding: float = 1e-3  # how far a written rotation may be off one
-
-
-RESULT_FILES = BopResultOptions()
+"""The columns of a file of BOP results; t is in millimetres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BopResult:
-    """A `BopResult` is the pose of an object in an image by a detector.
+    """A `BopResult` is the pose of an object in an image that a detector has found.
 
-    `PoseMeasurement(result.T_camera_object)` gives it to a tracker.
+    A tracker takes it as `PoseMeasurement(result.T_camera_object)`.
     """
 
     scene: int
@@ -46,19 +34,19 @@ class BopResult:
     """BOP's number of the object."""
     score: float
     T_camera_object: Array
-    """(4, 4) in the camera's optical frame [m]."""
+    """(4, 4) pose in the camera's optical frame [m]."""
     seconds: float | None
     """Duration of the detection; None: the file does not state it."""
 
 
 def read_bop_results(path: str | os.PathLike[str]) -> list[BopResult]:
-    """Returns the rows of a CSV file `scene_id,im_id,obj_id,score,R,t,time`: R nine numbers, t three in mm, time -1
-    if unknown.
+    """Returns the rows of a CSV file of BOP results, `scene_id,im_id,obj_id,score,R,t,time`.
 
-    Raises InvalidFile with the line where one is wrong.
+    R has nine numbers, t three in millimetres, and time is -1 if unknown. Raises InvalidFile with the line of the first
+    wrong row.
     """
     try:
-        text = read_bytes(path, RESULT_FILES.max_bytes).decode("utf-8-sig")
+        text = read_bytes(path, 256 * 1024**2).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InvalidFile(f"{path}: expected text in UTF-8, got bytes that are none") from None
     rows, found = csv.reader(text.splitlines(), strict=True), list[BopResult]()
@@ -94,9 +82,9 @@ def _result(row: list[str]) -> BopResult:
     if np.abs(numbers["R"]).max() > 2:
         raise ValueError(f"R: expected a rotation, got {row[4][:60]!r}")
     U, values, V = np.linalg.svd(numbers["R"].reshape(3, 3))
-    if np.abs(values - 1).max() > RESULT_FILES.rounding or np.linalg.det(U @ V) < 0:
+    if np.abs(values - 1).max() > 1e-3 or np.linalg.det(U @ V) < 0:  # the numbers are rounded
         raise ValueError(f"R: expected a rotation, got one off by {np.abs(values - 1).max():.2g}")
-    T = se3.check(se3.compose(U @ V, RESULT_FILES.metres * numbers["t"]), "t")
+    T = se3.check(se3.compose(U @ V, 1e-3 * numbers["t"]), "t")
     score, seconds = float(numbers["score"][0]), float(numbers["time"][0])
     scene, image, number = keys
     return BopResult(scene, image, number, score, T, seconds if seconds >= 0 else None)
@@ -104,21 +92,21 @@ def _result(row: list[str]) -> BopResult:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Located:
-    """A `Located` is the search for an object in one picture, or for which of several it shows."""
+    """A `Located` is the outcome of a search for an object in one picture, or for which of several it shows."""
 
     frame: Frame
     model: ObjectModel
-    """The object; of several the likeliest."""
+    """The object; of several, the most probable one."""
     found: ObjectDetection
-    """Its pose."""
+    """The object's pose, or why there is none."""
     seconds: float
     """Duration of the search [s]."""
     recognition: Recognition | None = None
-    """Which of several objects it is; None: there was one."""
+    """Which of several objects it is; None: only one was searched for."""
 
     @property
     def reason(self) -> str | None:
-        """Why no object was found, with the median depth, which shows a wrong unit; None: one was found."""
+        """Why no object was found, with the median depth, which shows a wrong unit; None: an object was found."""
         reason, depth = (self.recognition or self.found).reason, self.frame.depth
         if reason is None or not (known := depth[np.isfinite(depth) & (depth > 0)]).size:
             return reason
@@ -126,18 +114,18 @@ class Located:
 
     @property
     def name(self) -> str | None:
-        """The object's name; None: it is none of several."""
+        """The object's name; None: it is none of those that were searched for."""
         return self.model.name if self.recognition is None else self.recognition.name
 
     @property
     def explained(self) -> float:
-        """The share of the pixels that should be the object's that are, 0 to 1."""
+        """The share of the pixels expected of the object that its pose explains, 0 to 1."""
         candidate = self.found.candidates[0]
         return float(np.clip(candidate["explained"] / max(candidate["expected"], 1.0), 0, 1))
 
 
 def json_line(row: Located | Unread) -> str:
-    """Returns a line of JSON, without its end; `{"frame": ..., "error": ...}` of a picture that cannot be read.
+    """Returns a line of JSON without its end; of a picture that cannot be read, `{"frame": ..., "error": ...}`.
 
     Poses are T_camera_object, in the camera's optical frame.
     """
@@ -170,13 +158,15 @@ def json_line(row: Located | Unread) -> str:
 
 
 def bop_line(row: Located | Unread, numbers: Mapping[str, int]) -> str | None:
-    """Returns a line of BOP's results, t in mm, without its end; None where there is no pose.
+    """Returns a line of BOP results without its end; None where there is no pose.
 
-    `numbers`: BOP's number of each object by its name. The score is the share of its pixels that the pose explains.
+    `numbers`: BOP's numbers of the objects, by name. The score is the share of the object's pixels that are explained.
     """
     if isinstance(row, Unread) or row.reason is not None:
         return None
     T = row.found.Ts_camera_object[0]
-    R, t = (" ".join(f"{value:.6f}" for value in part.ravel()) for part in (T[:3, :3], T[:3, 3] / MM))
+    R, t = (
+        " ".join(f"{value:.6f}" for value in part.ravel()) for part in (T[:3, :3], T[:3, 3] / 1e-3)
+    )  # t in mm
     scene, image = row.frame.number or (0, 0)
     return f"{scene},{image},{numbers[row.model.name]},{row.explained:.4f},{R},{t},{row.seconds:.4f}"

@@ -1,4 +1,4 @@
-"""Pictures to find an object in: depth, colour and what is known of their pixels, and what lies beside their files."""
+"""Pictures in which to find an object: depth, colour, masks of their pixels, and what lies beside their files."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -13,9 +13,8 @@ from handsight.errors import HandsightError, InvalidInput
 from handsight.vision import read_color
 from handsight.vision.pixels import MILLIMETRE, Color
 
-ENDINGS = (".png", ".jpg", ".jpeg")
 Box = tuple[int, int, int, int]
-"""First column and row, last column and row [pixels]."""
+"""First column and row, last column and row, both inside [pixels]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -28,13 +27,13 @@ class Frame:
     depth: Depth
     """(h, w) along the optical axis [m], NaN where there is none."""
     color: Color | None = None
-    """(h, w, 3) red, green, blue of the same pixels."""
+    """(h, w, 3) red, green and blue of the same pixels."""
     wanted: Mask | None = None
-    """(h, w) pixels that the object may be in; None: all."""
+    """(h, w) pixels in which the object may be; None: all."""
     hand: Mask | None = None
-    """(h, w) pixels of the hand; None: no hand is known of."""
+    """(h, w) pixels of the hand; None: nothing is known of a hand."""
     number: tuple[int, int] | None = None
-    """BOP's numbers of its scene and of itself."""
+    """BOP's numbers of the scene and of the picture."""
 
 
 class Unread(NamedTuple):
@@ -49,27 +48,30 @@ class Frames(NamedTuple):
     """`Frames` are pictures that are read one by one, as the iterator goes on."""
 
     total: int | None
-    """Number of pictures; None: it is not known beforehand."""
+    """Number of pictures; None: it is known only at the end."""
     each: Iterator[Frame | Unread]
     library: Path | None = None
-    """Library of the objects in them, where their data set has one."""
+    """The library of their objects, where the data set has one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beside:
-    """A `Beside` is what a user declares of depth images in addition to their files."""
+    """A `Beside` is what a user declares about depth images in addition to their files."""
 
     camera: Path | None = None
-    """None: `camera.json` beside the images."""
+    """The file of the camera; None: `camera.json` beside the images."""
     depth_scale: float = MILLIMETRE
     """Metres of a step of depth."""
     color: Path | None = None
-    """Colour image of one depth image."""
+    """The colour image of a single depth image."""
     mask: Path | None = None
-    """An image that is not 0 where the object may be, for all pictures; or a folder of such under their names."""
+    """An image that is not 0 where the object may be, for all pictures; or a folder of such, one for each name."""
 
     def wanted(self, stem: str, camera: Camera) -> Mask | None:
-        """Returns where the object may be in the picture of that name; raises InvalidFile, MissingExtra."""
+        """Returns (h, w) where the object may be in the picture of that name, None: anywhere.
+
+        Raises InvalidFile, MissingExtra.
+        """
         if self.mask is None:
             return None
         path = self.mask / f"{stem}.png" if self.mask.is_dir() else self.mask
@@ -77,7 +79,7 @@ class Beside:
 
 
 def read_each(files: list[Path], read: Callable[[Path], Frame]) -> Iterator[Frame | Unread]:
-    """Yields the frame that `read` returns for each file, or the reason why it raises."""
+    """Yields what `read` returns for each file, or for a file that cannot be read the reason."""
     for file in files:
         try:
             yield read(file)
@@ -87,12 +89,13 @@ def read_each(files: list[Path], read: Callable[[Path], Frame]) -> Iterator[Fram
 
 def color_beside(folder: Path, stem: str, folders: tuple[str, ...]) -> Path | None:
     """Returns the colour image of that name; None where there is none."""
-    places = (folder / name / f"{stem}{ending}" for name in folders for ending in ENDINGS)
+    endings = (".png", ".jpg", ".jpeg")
+    places = (folder / name / f"{stem}{ending}" for name in folders for ending in endings)
     return next((place for place in places if place.exists()), None)
 
 
 def within(frame: Frame, box: Box) -> Frame:
-    """Returns the frame with its object wanted in a box of its pixels; raises InvalidInput for a box beyond them."""
+    """Returns the frame with its object wanted inside a box; raises InvalidInput for a box beyond its pixels."""
     left, top, right, bottom = box
     width, height = frame.camera.size
     if not (0 <= left <= right < width and 0 <= top <= bottom < height):

@@ -1,22 +1,30 @@
 """MCAP files (https://mcap.dev/spec), complete or cut, with or without a summary.
 
-The chunks' own headers are the index, so a file that was never closed is read as any other.
+The headers of the chunks serve as the index, so that a file that was never closed is read as any other.
 """
 
 import mmap
 import struct
 from collections.abc import Collection, Iterator
 from contextlib import suppress
+from enum import IntEnum
 from pathlib import Path
 
 from handsight.messages import RawMessage
 from handsight.recording.chunks import Chunk, ChunkedSource, seconds
 
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 2, 3, 4, 5, 6
 RECORD, TEXT = struct.Struct("<BQ"), struct.Struct("<I")
 MESSAGE_HEAD, CHUNK_HEAD = struct.Struct("<HIQQ"), struct.Struct("<QQQI")
-MAX_RUN = 1 << 20
-"""Bytes of messages outside chunks that are read as one chunk."""
+
+
+class Op(IntEnum):
+    """`Op` is the kind of a record."""
+
+    FOOTER = 2
+    SCHEMA = 3
+    CHANNEL = 4
+    MESSAGE = 5
+    CHUNK = 6
 
 
 class McapSource(ChunkedSource):
@@ -29,13 +37,14 @@ class McapSource(ChunkedSource):
         super().__init__(path)
 
     def _index(self) -> Iterator[Chunk]:
-        size, run = len(self.data), None  # of messages outside chunks
+        # Messages outside chunks are read as chunks of up to a megabyte: `run`.
+        size, run = len(self.data), None
         for op, begin, end in _records(self.data, len(self.MAGIC), size):
-            if run is not None and (op != MESSAGE or begin - run.offset > MAX_RUN):
+            if run is not None and (op != Op.MESSAGE or begin - run.offset > 1 << 20):
                 yield run
                 run = None
             at, stop = begin + CHUNK_HEAD.size + TEXT.size, min(end, size)
-            if op == CHUNK and at <= stop:
+            if op == Op.CHUNK and at <= stop:
                 start, _, unpacked, crc = CHUNK_HEAD.unpack_from(self.data, begin)
                 name = at + TEXT.unpack_from(self.data, at - TEXT.size)[0]
                 if name + 8 <= stop:
@@ -48,14 +57,14 @@ class McapSource(ChunkedSource):
                     f" and says it goes to {end}"
                 )
                 break
-            if op == FOOTER:
+            if op == Op.FOOTER:
                 break
-            if op == MESSAGE and end - begin >= MESSAGE_HEAD.size:
+            if op == Op.MESSAGE and end - begin >= MESSAGE_HEAD.size:
                 log = MESSAGE_HEAD.unpack_from(self.data, begin)[2]
                 run = run or Chunk(log, begin - RECORD.size, 0)
                 length = end - run.offset
                 run = run._replace(start=min(run.start, log), length=length, size=length)
-            elif op in (SCHEMA, CHANNEL):
+            elif op in (Op.SCHEMA, Op.CHANNEL):
                 self._take(op, self.data[begin:end])
         else:
             self.truncated = f"the file ends at byte {size} without MCAP's footer: it was not closed"
@@ -65,10 +74,10 @@ class McapSource(ChunkedSource):
     def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
         found, read = [], 0
         for op, begin, end in self._budget.limited(_records(data, 0, len(data))):
-            if end > len(data) or op not in (SCHEMA, CHANNEL, MESSAGE):
+            if end > len(data) or op not in (Op.SCHEMA, Op.CHANNEL, Op.MESSAGE):
                 break
             read = end
-            if op != MESSAGE:
+            if op != Op.MESSAGE:
                 self._take(op, data[begin:end])
             elif end - begin >= MESSAGE_HEAD.size:
                 key, _, log, _ = MESSAGE_HEAD.unpack_from(data, begin)
@@ -79,10 +88,10 @@ class McapSource(ChunkedSource):
         return found, wrong if read < len(data) else None
 
     def _take(self, op: int, data: bytes) -> None:
-        """Adds a schema or a channel; one that cannot be read is skipped, with its messages."""
+        """Keeps a schema or defines a channel; one that cannot be read is left out, with its messages."""
         with suppress(struct.error, UnicodeDecodeError):
             key = int.from_bytes(data[:2], "little")
-            if op == SCHEMA:
+            if op == Op.SCHEMA:
                 self._schemas[key], _ = _text(data, 2)
             else:
                 topic, at = _text(data, 4)
@@ -91,18 +100,18 @@ class McapSource(ChunkedSource):
 
 
 def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[int, int, int]]:
-    """Yields kind, first and last byte of each record; the last may say that it ends beyond `stop`."""
+    """Yields the kind of each record and where its data begin and end; the last one may end beyond `stop`."""
     while at + RECORD.size <= stop:
         op, length = RECORD.unpack_from(data, at)
         at += RECORD.size
-        if op == 0:  # no such kind: the file is longer than what was written to it
+        if op == 0:  # there is no such kind: the file is longer than what was written to it
             return
         yield op, at, at + length
         at += length
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
-    """Returns a text, and where it ends; raises struct.error where that is beyond the data."""
+    """Returns a text, and where it ends; raises struct.error where it ends beyond the data."""
     begin = at + TEXT.size
     end = begin + TEXT.unpack_from(data, at)[0]
     if end > len(data):

@@ -1,9 +1,10 @@
-"""A path to a recording as a stream of Observations; its first bytes tell its kind, not its name."""
+"""A path to a recording as a stream of Observations; the first bytes of a file tell its kind, not its name."""
 
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Self
@@ -19,17 +20,11 @@ from handsight.recording.rosbag1 import Rosbag1Source
 from handsight.recording.rosbag2 import SqliteSource
 from handsight.rig import Rig
 
-KINDS: tuple[type[Source], ...] = (McapSource, Rosbag1Source, SqliteSource)
-COMPRESSED = re.compile(rb"""compression_mode:\s*['"]?(file|message)""", re.IGNORECASE)
-MAX_METADATA = 1 << 20
 EXPECTED = "expected a recording (MCAP, a bag of ROS 1, or a rosbag 2: its folder or its .db3)"
-MAX_NAMED = 12
-"""Topics in a message."""
-MAX_DAMAGE_SENTENCES = 5
 
 
 def open_recording(path: str | Path, rig: Rig) -> "Recording":
-    """Returns the recording of what a rig has measured: `.mcap`, `.bag`, `.db3`, or the folder of a rosbag 2.
+    """Returns the recording of a rig's measurements: `.mcap`, `.bag`, `.db3`, or the folder of a rosbag 2.
 
     The rig gives each topic its role. Raises InvalidFile where there is no recording or none with joint states, and
     MissingExtra without rosbags.
@@ -42,25 +37,23 @@ class RecordingReport(Report):
     """A `RecordingReport` counts the content of a recording, as far as it was read."""
 
     files: Sequence[Source]
-    """One, or several as a recorder splits them; each has in `damage` what could not be read."""
+    """One file, or several where the recorder has split it; each has in `damage` what could not be read."""
 
     @property
     def truncated(self) -> str | None:
-        """Where a file ends too early; None: all are complete."""
+        """Where the first file that was cut ends; None: all are complete."""
         return next((file.truncated for file in self.files if file.truncated), None)
 
     def sentences(self) -> list[str]:
-        """Returns a sentence for each problem that a user should know of, worst first; empty: nothing is wrong."""
-        messages, damage = list[str](), list[str]()
+        """Returns a sentence for each problem that a user should know of, worst first."""
+        messages, damage, most_damage = list[str](), list[str](), 5
         for file in self.files:
             if file.truncated:
                 messages.append(f"{file.path}: cut: {file.truncated}; what lies before was read")
             damage += [f"{file.path}: damaged: {what}" for _, what in sorted(file.damage.items())]
-        messages = [printable(each) for each in messages + damage[:MAX_DAMAGE_SENTENCES]]
-        if len(damage) > MAX_DAMAGE_SENTENCES:
-            messages.append(
-                f"{self.files[0].path}: damaged in {len(damage) - MAX_DAMAGE_SENTENCES} more places"
-            )
+        messages = [printable(each) for each in messages + damage[:most_damage]]
+        if len(damage) > most_damage:
+            messages.append(f"{self.files[0].path}: damaged in {len(damage) - most_damage} more places")
         return messages + Report.sentences(self)  # a dataclass with slots knows no bare super()
 
 
@@ -87,13 +80,30 @@ class Recording:
 
     @property
     def intrinsics(self) -> Camera | None:
-        """The camera by its CameraInfo; None where none was read."""
+        """The camera by its CameraInfo; None: no CameraInfo was read so far."""
         return self._stream.intrinsics
+
+    def camera(self) -> Camera:
+        """Returns the camera of the images by its CameraInfo, else by the rig; raises InvalidInput without both."""
+        return self._stream.camera()
+
+    def calibrated_rig(self) -> Rig:
+        """Returns the rig, with the camera of the first CameraInfo where it takes depth images and has no intrinsics.
+
+        The CameraInfo is searched for in the first thousand observations.
+        """
+        camera, topics = self._rig.camera, self._rig.topics
+        if camera is None or camera.intrinsics is not None or None in (topics.depth, topics.camera_info):
+            return self._rig
+        for _ in islice(self.observations(), 1000):
+            if self.intrinsics is not None:
+                break
+        return self._stream.calibrated(self._rig)
 
     def observations(self) -> Iterator[Observation]:
         """Yields the observations in order of stamp, one for each joint state message.
 
-        The file is read as the iterator goes on, in bounded memory. Each call begins again, and so do `report` and
+        The file is read as the iterator goes on, in bounded memory. Each call begins again, with a new `report` and
         `truth`. Raises InvalidFile at the end if there were no joint states.
         """
         self._begin()
@@ -105,17 +115,20 @@ class Recording:
             raise self._without_joints()
 
     def lacks(self) -> list[str]:
-        """Returns a sentence for all that the rig needs and was not read so far; joints and frames after
-        `observations` only."""
+        """Returns a sentence for each thing that the rig needs and that was not read so far.
+
+        What is missing is known of topics from the beginning, of joints and frames after `observations`.
+        """
         return self._stream.lacks()
 
     def _without_joints(self) -> InvalidFile:
         topic, names = self._rig.topics.joint_states, sorted(self._topics)
-        more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
+        most = 12
+        more = f" and {len(names) - most} more" if len(names) > most else ""
         cut = f" ({self.report.truncated})" if self.report.truncated else ""
         return InvalidFile(
             f"{self._path}: expected joint states on {topic}, got none; "
-            f"topics there: {', '.join(names[:MAX_NAMED]) or 'none'}{more}{cut}"
+            f"topics there: {', '.join(names[:most]) or 'none'}{more}{cut}"
         )
 
     def close(self) -> None:
@@ -135,17 +148,19 @@ def open_files(path: Path) -> Iterator[Source]:
         if not path.is_dir():
             yield _open_file(path)
             return
-        metadata = path / "metadata.yaml"
-        mode = COMPRESSED.search(read_bytes(metadata, MAX_METADATA)) if metadata.exists() else None
-        packed = mode is not None and mode[1].lower() == b"file"
-        endings = (".mcap.zstd", ".db3.zstd") if packed else (".mcap", ".db3")
+        metadata, packed = path / "metadata.yaml", None  # how a recorder has compressed files or messages
+        if metadata.exists():
+            pattern = rb"""compression_mode:\s*['"]?(file|message)"""
+            packed = re.search(pattern, read_bytes(metadata, 1 << 20), re.IGNORECASE)
+        by_file = packed is not None and packed[1].lower() == b"file"
+        endings = (".mcap.zstd", ".db3.zstd") if by_file else (".mcap", ".db3")
         files = [file for file in path.iterdir() if file.name.endswith(endings)]
         if not files:
             raise InvalidFile(f"{path}: {EXPECTED}, got a folder without {' or '.join(endings)} files")
         for file in sorted(files, key=lambda file: (len(file.name), file.name)):
-            if not packed:
+            if not by_file:
                 source = _open_file(file)
-                source.packed = mode is not None
+                source.packed = packed is not None
                 yield source
                 continue
             # The unpacked file is gone as soon as it is closed; where open files cannot be removed, later.
@@ -168,7 +183,7 @@ def _open_file(path: Path) -> Source:
         raise InvalidFile(f"{path}: {EXPECTED}, got no file")
     with path.open("rb") as file:
         first = file.read(16)
-    for kind in KINDS:
+    for kind in (McapSource, Rosbag1Source, SqliteSource):
         if first.startswith(kind.MAGIC):
             return kind(path)
     came = f"a file that begins with {first!r}" if first else "an empty file"

@@ -1,27 +1,22 @@
 """A path to depth images, of any kind, as `Frames`: a file, a folder, a BOP scene or a robot's recording.
 
-A folder has `camera.json` and depth images of 16 bits in `depth/`, with colour under the same names in `rgb/` or
-`color/`, where there is any; or depth images side by side, which have `depth` in their names.
+A folder has `camera.json` and depth images of 16 bits: in `depth/`, with colour images, if any, under the same names in
+`rgb/` or `color/`; or side by side, with `depth` in their names.
 """
 
 from pathlib import Path
 
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.recording.bop_scene import bop_scenes, is_scenes
+from handsight.recording.bop_scene import bop_frames, scenes_in
 from handsight.recording.frames import Beside, Frame, Frames, color_beside, read_each
 from handsight.recording.robot_images import recorded_frames
 from handsight.rig import Rig
 from handsight.vision import read_camera, read_color, read_depth
 
-CAMERA = "camera.json"
-COLORS = ("rgb", "color")
-RECORDED = (".mcap", ".bag", ".db3")
-METADATA = "metadata.yaml"
-
 
 def is_recording(path: Path) -> bool:
     """Returns whether a path is a robot's recording, whose images need a rig."""
-    return path.suffix.lower() in RECORDED or (path / METADATA).exists()
+    return path.suffix.lower() in (".mcap", ".bag", ".db3") or (path / "metadata.yaml").exists()
 
 
 def open_frames(path: Path, beside: Beside, rig: Rig | None = None) -> Frames:
@@ -34,12 +29,11 @@ def open_frames(path: Path, beside: Beside, rig: Rig | None = None) -> Frames:
             if rig is None:
                 raise InvalidInput(f"rig: expected beside the recording {path}, got none")
             if beside != Beside():
-                raise InvalidInput(
-                    f"{path}: expected no camera, colour, mask or depth scale beside a recording"
-                )
+                what = "expected no camera, colour, mask or depth scale beside a recording"
+                raise InvalidInput(f"{path}: {what}")
             return recorded_frames(path, rig)
-        if path.is_dir() and is_scenes(path):
-            return bop_scenes(path, beside)
+        if path.is_dir() and (scenes := scenes_in(path)):
+            return bop_frames(path, scenes, beside)
         return _depth_images(path, beside)
     except OSError as error:
         raise InvalidFile(f"{error.filename or path}: {error.strerror or error}") from None
@@ -57,10 +51,10 @@ def _depth_images(path: Path, beside: Beside) -> Frames:
         files = [file for file in pngs if in_folders or "depth" in file.name]
         if not files:
             raise InvalidFile(f"{path}: expected depth images, depth/*.png or *depth*.png, got none")
-    camera = read_camera(beside.camera or folder / CAMERA)
+    camera = read_camera(beside.camera or folder / "camera.json")
 
     def read(file: Path) -> Frame:
-        color = color_beside(folder, file.stem, COLORS) if in_folders else beside.color
+        color = color_beside(folder, file.stem, ("rgb", "color")) if in_folders else beside.color
         return Frame(
             name=file.name,
             camera=camera,

@@ -1,8 +1,8 @@
-"""Depth images of a robot, its hand taken out: as `Frame`s of a recording, and as `View`s to reconstruct an object.
+"""Depth images of a robot without its hand: as `Frame`s of a recording, and as `View`s to reconstruct an object.
 
-An object in the hand is static in the palm, as far as the grip holds; the palm is where the hand is detected. An object
-on a table is static in the world. If the robot does not know how its camera has moved against that, all views begin at
-one pose, and the growing surface finds theirs.
+An object in the hand is static in the palm, unless it slips; the palm's pose is that of the detected hand. An object on
+a table is static in the world. Where the robot does not know how its camera has moved in the world, all views start at
+one pose, and the reconstruction finds theirs.
 """
 
 from collections.abc import Iterable, Iterator
@@ -24,29 +24,27 @@ from handsight.vision.palm.hand_in_image import HandInImage
 from handsight.vision.reconstruction.reconstruct import View, within
 from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, SEGMENTATION, InHandView
 
-KNOWN = 0.01, float(np.deg2rad(2))
-"""Sigma of the hand's pose relative to where the last picture had it, once one has shown it [m, rad]."""
-
 
 def recorded_frames(path: Path, rig: Rig) -> Frames:
-    """Returns the frames of a recording in order of stamp; raises InvalidFile where it has no depth images, and
-    InvalidInput where neither it nor the rig has their camera.
+    """Returns the frames of a recording in order of stamp.
 
-    Hand: its links as they are detected (`detect_palm`), else where the rig's camera should have them. It is unknown
-    without joint positions, or where the palm's pose is unknown to a camera in the world.
+    The pixels of the hand are those of its links where they are detected (`detect_palm`), else where they are by the
+    calibration of the rig's camera. They are unknown without joint positions, and where a camera is fixed in the world
+    and the palm's pose is unknown there. Raises InvalidFile where the recording has no depth images, and InvalidInput
+    where neither it nor the rig has their camera.
     """
     if rig.topics.depth is None:
         raise InvalidInput("rig: expected topics.depth, where the recording has its depth images, got none")
-    return Frames(None, _frames(path, rig))
+    return Frames(None, _read(path, rig))
 
 
-def _frames(path: Path, rig: Rig) -> Iterator[Frame]:
+def _read(path: Path, rig: Rig) -> Iterator[Frame]:
     pixels, camera = HandPixels(rig), None
     with open_recording(path, rig) as recording:
         for observation in recording.observations():
             if observation.depth is None:
                 continue
-            camera = camera or recording.intrinsics or Camera.of(rig.camera)
+            camera = camera or recording.camera()
             if observation.depth.shape != camera.size[::-1]:
                 (width, height), (h, w) = camera.size, observation.depth.shape
                 message = f"expected depth of {width} x {height} pixels as its camera's, got {w} x {h}"
@@ -64,31 +62,35 @@ def _frames(path: Path, rig: Rig) -> Iterator[Frame]:
 
 
 class HandPixels:
-    """A `HandPixels` finds the pixels of the hand in picture after picture of one camera."""
+    """A `HandPixels` finds the pixels of the hand in one picture after the other of one camera."""
 
     def __init__(self, rig: Rig) -> None:
-        """The camera is calibrated as well as the rig says."""
+        """The standard deviations of the rig's camera say how good its calibration is."""
         self._rig, self._hand = rig, HandInImage(rig)
-        # Of the palm in the camera, as constant as the calibration's error.
+        # The calibration's error, which is constant: from where the palm should be to where it was measured.
         self._T_measured_believed: Array | None = None
 
     def mask(self, camera: Camera, depth: Depth, observation: Observation) -> Mask | None:
-        """Returns the hand's pixels (h, w); None where no hand is known of."""
+        """Returns the hand's pixels (h, w); None: nothing is known of a hand."""
         T_camera_palm = self.palm(camera, depth, observation)
         if T_camera_palm is None:
             return None
         return self._hand.mask(camera, depth, observation.joint_positions, T_camera_palm)
 
     def palm(self, camera: Camera, depth: Depth, observation: Observation) -> Array | None:
-        """Returns T_camera_palm (4, 4) as the hand is detected; else by the calibration and its last known error."""
+        """Returns T_camera_palm (4, 4) of the detected hand, else by the calibration and its last known error.
+
+        It is None where the calibration does not tell it.
+        """
         believed, of = _in_camera("palm", self._rig, observation), self._rig.camera
         if believed is None or of is None:
             return None
         last = self._T_measured_believed
-        off = (of.sigma_position_constant, of.sigma_rotation_constant) if last is None else KNOWN
-        near = believed if last is None else last @ believed
-        detect = self._hand.detected if last is None else self._hand.followed
-        found = detect(camera, depth, observation.joint_positions, near, off) if min(off) > 0 else None
+        near, detect = believed, self._hand.detected
+        sigma = of.sigma_position_constant, of.sigma_rotation_constant
+        if last is not None:  # the hand has been detected: it is near where that puts it [m, rad]
+            near, detect, sigma = last @ believed, self._hand.followed, (0.01, float(np.deg2rad(2)))
+        found = detect(camera, depth, observation.joint_positions, near, sigma) if min(sigma) > 0 else None
         if isinstance(found, PalmDetection):
             near = found.T_camera_palm
             self._T_measured_believed = near @ se3.inverse(believed)
@@ -96,10 +98,10 @@ class HandPixels:
 
 
 def views_of(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View]:
-    """Yields the depth images among observations, the hand's pixels 0, by the pose of the world.
+    """Yields the depth images among observations with the pose of the world, 0 at the hand's pixels.
 
-    Raises InvalidInput for images of another size than the camera's. Observations without the palm's pose are skipped
-    if the camera's pose relative to the object follows from it.
+    Observations without the palm's pose are skipped if the camera's pose in the world depends on it. Raises
+    InvalidInput for images of another size than the camera's.
     """
     pixels = HandPixels(rig)
     for observation in observations:
@@ -116,11 +118,11 @@ def views_of(observations: Iterable[Observation], rig: Rig, camera: Camera) -> I
 
 
 def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View]:
-    """Yields the depth images among observations, pixels near the hand 0, by the pose of the object in the hand.
+    """Yields the depth images among observations with the pose of the object in the hand, 0 at pixels near the hand.
 
-    Its frame: the palm's axes about the middle that the fingertips had in the first of them. Observations without
-    joint positions or a belief where the palm is, and those that show nothing but hand there, are skipped. Raises
-    InvalidInput for images of another size than the camera's, and for a rig without a camera.
+    The object's frame has the palm's axes, and its origin in the middle of the fingertips in the first of them.
+    Observations are skipped that have no joint positions, that do not tell where the palm is, or that show nothing but
+    the hand there. Raises InvalidInput for images of another size than the camera's, and for a rig without a camera.
     """
     if rig.camera is None:
         raise InvalidInput("camera: expected one in the rig, to tell where the hand is, got none")
@@ -151,7 +153,7 @@ def _depth(depth: Depth, camera: Camera) -> Depth:
 
 
 def _in_camera(body: Literal["palm", "world"], rig: Rig, observation: Observation) -> Array | None:
-    """Returns T_camera_body (4, 4) by the camera's calibration; None where it does not follow from it."""
+    """Returns T_camera_body (4, 4) by the camera's calibration; None where that does not tell it."""
     if rig.camera is None:
         return None
     T_camera_mount, T_world_palm = se3.inverse(rig.camera.T_mount_camera), observation.T_world_palm

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 (format 2.0), complete or cut, indexed or not: http://wiki.ros.org/Bags/Format/2.0."""
+"""Bags of ROS 1, complete or cut, with or without an index (http://wiki.ros.org/Bags/Format/2.0)."""
 
 import mmap
 import struct
@@ -9,8 +9,6 @@ from handsight.recording.chunks import Chunk, ChunkedSource
 
 MESSAGE, BAG, INDEX, CHUNK, CONNECTION = b"\2", b"\3", b"\4", b"\5", b"\7"
 LENGTH, TIME, ENTRY = struct.Struct("<I"), struct.Struct("<II"), struct.Struct("<III")
-MAX_HEADER = 1 << 20
-"""Bytes; a connection's header holds the definition of its type, and that is its data."""
 
 Fields = dict[bytes, bytes]
 
@@ -21,15 +19,15 @@ class Rosbag1Source(ChunkedSource):
     MAGIC = b"#ROSBAG V2.0\n"
 
     def _index(self) -> list[Chunk]:
-        size, chunks, first = len(self.data), list[Chunk](), True  # of the indices behind a chunk
-        closed, at = False, len(self.MAGIC)
+        size, chunks, closed, at = len(self.data), list[Chunk](), False, len(self.MAGIC)
+        first = True  # of the indices behind a chunk
         for fields, begin, at in _records(self.data, len(self.MAGIC), size):
             op = fields.get(b"op")
             if op == BAG:
-                # It is written last, over a placeholder: a recorder that died left 0.
+                # Its position is written last, over a placeholder of 0.
                 closed = 0 < int.from_bytes(fields.get(b"index_pos", b"")[:8], "little") < size
             elif op == CHUNK:
-                # Without an index behind it, a chunk comes after the one before.
+                # A chunk without an index behind it is taken to begin when the one before does.
                 start, length = chunks[-1].start if chunks else 0, min(at, size) - begin
                 compression = fields.get(b"compression", b"")[:20].decode("ascii", "replace")
                 unpacked = int.from_bytes(fields.get(b"size", b"")[:8], "little")
@@ -62,11 +60,11 @@ class Rosbag1Source(ChunkedSource):
                 if channel is not None and channel[0] in wanted and len(time) == TIME.size:
                     sec, nanosec = TIME.unpack(time)
                     found.append(RawMessage(*channel, sec + nanosec * 1e-9, data[begin:end]))
-        wrong = "expected whole messages, got a record that ends beyond the chunk"
+        wrong = "expected complete messages, got a record that ends beyond the chunk"
         return found, wrong if end != len(data) else None
 
     def _take(self, fields: Fields, data: bytes) -> None:
-        """Adds a connection; one that cannot be read is skipped, with its messages."""
+        """Defines a connection; one that cannot be read is left out, with its messages."""
         about = _fields(data)
         if b"conn" in fields and b"topic" in fields and b"type" in about:
             topic, kind = (name.decode("utf-8", "replace") for name in (fields[b"topic"], about[b"type"]))
@@ -74,10 +72,10 @@ class Rosbag1Source(ChunkedSource):
 
 
 def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[Fields, int, int]]:
-    """Yields header, first and last byte of each record's data; the last may say that it ends beyond `stop`."""
+    """Yields the header of each record and where its data begin and end; the last one may end beyond `stop`."""
     while at + LENGTH.size <= stop:
         begin = at + LENGTH.size + LENGTH.unpack_from(data, at)[0]
-        if begin + LENGTH.size > stop or begin - at > MAX_HEADER:
+        if begin + LENGTH.size > stop or begin - at > 1 << 20:  # no header is longer than a megabyte
             yield {}, stop, stop + 1
             return
         fields = _fields(data[at + LENGTH.size : begin])
@@ -86,7 +84,7 @@ def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[Fiel
 
 
 def _fields(header: bytes) -> Fields:
-    """Returns the `name=value` pairs of a header, up to the first that is none."""
+    """Returns the `name=value` pairs of a header, up to the first that is not one."""
     fields, at = {}, 0
     while at + LENGTH.size <= len(header):
         end = at + LENGTH.size + LENGTH.unpack_from(header, at)[0]

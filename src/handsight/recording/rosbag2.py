@@ -1,32 +1,15 @@
-"""Rosbag 2's own storage: sqlite3 files (`.db3`), complete or cut."""
+"""The sqlite3 files (`.db3`) of rosbag 2, complete or cut."""
 
 import sqlite3
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 from handsight.errors import InvalidFile
 from handsight.messages import RawMessage
 from handsight.recording.chunks import CHUNKS, TOO_MANY, Budget, Source, seconds
 
-
-class Rosbag2Limits(NamedTuple):
-    """`Rosbag2Limits` say how much work a rosbag 2 may be."""
-
-    max_named: int = 12  # tables in a message
-    step: int = 10_000  # steps of sqlite's machine from one count of them to the next
-    spare_steps: int = 300_000
-    """Steps that any file may take. A short message takes some tens; pages that refer to one another never end."""
-    steps_per_byte: int = 5  # and for each of its bytes
-
-
-ROSBAG2 = Rosbag2Limits()
-
 BROKEN = (sqlite3.Error, UnicodeDecodeError)
-"""Errors that a damaged file raises; the text of its errors may be damaged too."""
-REAL_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
-PLAIN = "SELECT max(hidden) FROM pragma_table_xinfo(?)"
-"""Not 0 where columns are generated, which may compute for ever, as a view or a virtual table may."""
+"""Errors that a damaged file raises; the text of sqlite's errors may be damaged too."""
 
 
 class SqliteSource(Source):
@@ -35,7 +18,7 @@ class SqliteSource(Source):
     MAGIC = b"SQLite format 3\0"
 
     def __init__(self, path: Path) -> None:
-        """Reads its topics; raises InvalidFile where its tables are not rosbag 2's."""
+        """Reads the topics; raises InvalidFile where the tables are not those of a rosbag 2."""
         super().__init__(path)
         with path.open("rb") as file:
             header = file.read(32)
@@ -49,16 +32,18 @@ class SqliteSource(Source):
             self._base.text_factory = lambda data: data.decode("utf-8", "replace")
             self._base.execute("PRAGMA trusted_schema = OFF")
             if self.truncated:
-                # Only so does sqlite open a file that is shorter than it should be; it stays read-only.
+                # Without this sqlite does not open a file that is shorter than it should be; it stays read-only.
                 self._base.execute("PRAGMA writable_schema = ON")
             self._size = size
             self._limit()
-            tables = {str(name) for (name,) in self._base.execute(REAL_TABLES)}
-            if not {"topics", "messages"} <= tables:
-                found = ", ".join(sorted(tables)[: ROSBAG2.max_named]) or "(none)"
-                raise InvalidFile(f"the tables {found}")
+            # Views, virtual tables and computed columns are not read: they might compute for ever.
+            real = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
+            tables = sorted(str(name) for (name,) in self._base.execute(real))
+            if not {"topics", "messages"} <= set(tables):
+                raise InvalidFile(f"the tables {', '.join(tables[:12]) or '(none)'}")
             for table in ("topics", "messages"):
-                if self._base.execute(PLAIN, (table,)).fetchone()[0]:
+                computed = "SELECT max(hidden) FROM pragma_table_xinfo(?)"
+                if self._base.execute(computed, (table,)).fetchone()[0]:
                     raise InvalidFile(f"the table {table} with columns that are computed")
             for key, *about in self._base.execute("SELECT id, name, type, serialization_format FROM topics"):
                 self.define(key, *map(str, about))
@@ -67,14 +52,18 @@ class SqliteSource(Source):
             raise InvalidFile(f"{path}: expected a rosbag 2 in sqlite3, got: {error}") from None
 
     def _limit(self) -> None:
-        """Has sqlite interrupted when it has done more from now on than a file of this size needs."""
-        left = iter(range((ROSBAG2.spare_steps + ROSBAG2.steps_per_byte * self._size) // ROSBAG2.step))
-        self._base.set_progress_handler(lambda: next(left, None) is None, ROSBAG2.step)
+        """Has sqlite interrupted once it has done more from now on than a file of this size needs.
+
+        A short message takes some tens of steps of sqlite's machine; pages that refer to one another never end.
+        """
+        step, most = 10_000, 300_000 + 5 * self._size
+        left = iter(range(most // step))
+        self._base.set_progress_handler(lambda: next(left, None) is None, step)
 
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """Yields as `Source.stored` does; the messages of a cut file in the order in which they were written."""
+        """Yields the messages in order of log time, and those of a cut file in the order in which they were written."""
         keys = [key for key, about in self.channels.items() if about[0] in wanted and isinstance(key, int)]
-        # The index by time lies all over the file: of a cut one, the rows as they were written.
+        # The index by time is spread over the file, so that it is not used where the file was cut.
         rows, order = ("messages NOT INDEXED", "") if self.truncated else ("messages", " ORDER BY timestamp")
         chosen = f"WHERE topic_id IN ({','.join(map(str, keys))})"
         query = f"SELECT topic_id, timestamp, data FROM {rows} {chosen}{order}"

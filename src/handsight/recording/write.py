@@ -1,13 +1,11 @@
 """Observations to an MCAP file that ROS 2, Foxglove and `open_recording` read; tracked poses to MCAP, TUM or CSV."""
 
 import csv
-import math
 import shutil
 import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace as Message  # of ROS, or a part of one: rosbags reads only its fields
 from typing import Any, Self
 
 import numpy as np
@@ -19,16 +17,20 @@ from handsight.correction.estimate import bounded_covariance
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import write_errors
 from handsight.messages.decode import rosbags_module, typestore
-from handsight.messages.topics import ARRAY, CONTACT, IMAGE, INFO, JOINTS, POSE, POSE_COVARIANCE, TF, WRENCH
-from handsight.messages.touch import taxel_fields
-from handsight.observation import ContactMeasurement, Observation
+from handsight.messages.encode import (
+    Message,
+    contact_fields,
+    header,
+    parts,
+    pose,
+    pose_with_covariance,
+    split_stamp,
+    taxel_fields,
+    transform,
+)
+from handsight.messages.topics import OwnTopic, RosType
+from handsight.observation import Observation
 from handsight.rig import Rig
-
-LATEST = float(2**31)
-"""Seconds are 32 bits in a message's stamp."""
-TRACK_TOPIC = "/handsight/pose"
-POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
-SIGMA_COLUMNS = ("sigma_x", "sigma_y", "sigma_z", "sigma_rx", "sigma_ry", "sigma_rz")
 
 
 class McapFile:
@@ -51,7 +53,7 @@ class McapFile:
         self._open = True
 
     def append(self, topic: str, kind: str, stamp: float, **fields: object) -> None:
-        """Appends a message of that type, logged at its stamp; its parts are `Message`s too."""
+        """Appends a message of that type and these fields, logged at its stamp [s]; raises InvalidInput once closed."""
         if not self._open:
             raise InvalidInput(f"{self._path}: expected an open file to write to, got a closed one")
         if topic not in self._connections:
@@ -61,7 +63,7 @@ class McapFile:
         self._writer.write(self._connections[topic], sec * 10**9 + nanosec, data)
 
     def close(self) -> None:
-        """Moves the file to its place; a second time does nothing."""
+        """Moves the file to its place; closing it a second time does nothing."""
         if not self._open:
             return
         self._open = False
@@ -91,8 +93,9 @@ class RecordingWriter(McapFile):
     def write(self, observation: Observation) -> None:
         """Appends all that the observation has, logged at its stamp.
 
-        Depth is kept in whole millimetres (16UC1), as RGB-D cameras give it; beyond 65 m there is none. Raises
-        InvalidInput where the rig has no topic for something, and for stamps that a message cannot hold.
+        Depth is kept in whole millimetres (16UC1), as RGB-D cameras give it, and beyond 65 m as unknown. The covariance
+        of a contact has no place in its message. Raises InvalidInput where the rig has no topic for something, and for
+        stamps that a message cannot hold.
         """
         stamp, topics, frames = observation.stamp, self._rig.topics, self._rig.frames
         top = header(stamp)
@@ -100,29 +103,29 @@ class RecordingWriter(McapFile):
             names, none = list(observation.joint_positions), np.zeros(0)
             position = np.array([*observation.joint_positions.values()], np.float64)
             joints = {"name": names, "position": position, "velocity": none, "effort": none}
-            self.append(topics.joint_states, JOINTS, stamp, header=top, **joints)
+            self.append(topics.joint_states, RosType.JOINTS, stamp, header=top, **joints)
         for finger, wrench in observation.wrenches.items():
             topic = _finger_topic(topics.wrenches, finger, "wrenches")
             value = checks.finite(wrench, f"wrenches[{finger!r}]", (6,))
             body = Message(force=parts("xyz", value[:3]), torque=parts("xyz", value[3:]))
-            # The sensor's own frame; none of the rig's frame ids.
-            self.append(topic, WRENCH, stamp, header=header(stamp, f"{finger}_sensor"), wrench=body)
+            # In the sensor's own frame, which the rig has no name for.
+            self.append(topic, RosType.WRENCH, stamp, header=header(stamp, f"{finger}_sensor"), wrench=body)
         for finger, contact in observation.contacts.items():
             topic = _finger_topic(topics.contacts, finger, "contacts")
-            self._write_contact(stamp, topic, contact)
+            self.append(topic, RosType.CONTACT, stamp, **contact_fields(contact, stamp, frames["palm"]))
         for array, reading in observation.skin.items():  # it has no stamp: it is timed by when it is logged
             fields = taxel_fields(reading, self._rig.skin.get(array), array)
-            self.append(_topic(topics.skin.get(array), f"skin.{array}"), ARRAY, stamp, **fields)
+            topic = _topic(topics.skin.get(array), f"skin.{array}")
+            self.append(topic, RosType.ARRAY, stamp, **fields)
         if observation.T_world_palm is not None:
-            palm = pose(se3.check(observation.T_world_palm, "T_world_palm"))
-            body = Message(translation=palm.position, rotation=palm.orientation)
-            top = header(stamp, frames["world"])
-            link = Message(header=top, child_frame_id=frames["palm"], transform=body)
-            self.append(_topic(topics.tf, "tf"), TF, stamp, transforms=[link])
+            T_world_palm = se3.check(observation.T_world_palm, "T_world_palm")
+            link = transform(T_world_palm, stamp, frames["world"], frames["palm"])
+            self.append(_topic(topics.tf, "tf"), RosType.TF, stamp, transforms=[link])
         if (vision := observation.vision) is not None:
             top = header(stamp if vision.stamp is None else vision.stamp, frames[vision.frame])
             body = pose_with_covariance(vision.T_frame_object, vision.covariance)
-            self.append(_topic(topics.vision, "vision"), POSE_COVARIANCE, stamp, header=top, pose=body)
+            topic = _topic(topics.vision, "vision")
+            self.append(topic, RosType.POSE_COVARIANCE, stamp, header=top, pose=body)
         taken = stamp if observation.image_stamp is None else observation.image_stamp
         if observation.color is not None:
             color = np.asarray(observation.color, np.uint8)
@@ -134,33 +137,21 @@ class RecordingWriter(McapFile):
             self._write_image((stamp, taken), _topic(topics.depth, "depth"), "16UC1", millimetres)
 
     def write_truth(self, stamp: float, T_palm_object: ArrayLike) -> None:
-        """Appends where the object truly is, (4, 4), on the rig's topic for it; raises InvalidInput."""
+        """Appends the true pose of the object, (4, 4), on the rig's topic for it; raises InvalidInput."""
         truth, top = pose(se3.check(T_palm_object, "T_palm_object")), header(stamp, self._rig.frames["palm"])
-        self.append(_topic(self._rig.topics.truth, "truth"), POSE, stamp, header=top, pose=truth)
-
-    def _write_contact(self, stamp: float, topic: str, contact: ContactMeasurement | None) -> None:
-        """Writes a contact, or that there is none; its own covariance has no place in the message."""
-        zero = np.zeros(3)
-        frame, force, point, normal = "", 0.0, zero, zero
-        if contact is not None:
-            frame = {"tip": "", "palm": self._rig.frames["palm"]}.get(contact.frame, contact.frame)
-            force = 1.0 if contact.force is None else contact.force  # any above 0 is a touch
-            point, normal = contact.point, contact.normal
-        top, none = header(stamp, frame), parts("xyz", zero)
-        fields = {"contact_position": parts("xyz", point), "contact_normal": parts("xyz", normal)}
-        unknown = {"tangential_force": none, "l_torque": 0.0}
-        self.append(topic, CONTACT, stamp, header=top, f_normal=force, **fields, **unknown)
+        topic = _topic(self._rig.topics.truth, "truth")
+        self.append(topic, RosType.POSE, stamp, header=top, pose=truth)
 
     def _write_image(
         self, stamps: tuple[float, float], topic: str, encoding: str, pixels: NDArray[np.generic]
     ) -> None:
-        """Writes an image that was logged at the first stamp and taken at the second, and its camera's CameraInfo."""
+        """Appends an image, logged at the first stamp and taken at the second, and its camera's CameraInfo."""
         stamp, taken = stamps
         height, width = pixels.shape[:2]
         top = {"header": header(taken, self._rig.frames["camera"]), "height": height, "width": width}
         data = np.frombuffer(pixels.tobytes(), dtype=np.uint8)
         fields = {"encoding": encoding, "is_bigendian": 0, "step": len(data) // height, "data": data}
-        self.append(topic, IMAGE, stamp, **top, **fields)
+        self.append(topic, RosType.IMAGE, stamp, **top, **fields)
         camera, info = self._rig.camera, self._rig.topics.camera_info
         if camera is None or camera.intrinsics is None or info is None:
             return
@@ -170,30 +161,7 @@ class RecordingWriter(McapFile):
         d = np.pad(camera.lens, (0, max(5 - len(camera.lens), 0)))
         lens = {"distortion_model": model, "d": d, "binning_x": 0, "binning_y": 0}
         roi = Message(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
-        self.append(info, INFO, stamp, **top, **matrices, **lens, roi=roi)
-
-
-def header(stamp: float, frame: str = "") -> Message:
-    """Returns a std_msgs/Header; raises InvalidInput for a stamp that it cannot hold."""
-    sec, nanosec = split_stamp(stamp)
-    return Message(stamp=Message(sec=sec, nanosec=nanosec), frame_id=frame)
-
-
-def parts(names: str, values: Array) -> Message:
-    """Returns a Vector3 or Point (of x, y, z), or a Quaternion (of x, y, z, w)."""
-    return Message(**dict(zip(names, values.tolist(), strict=True)))
-
-
-def pose(T: Array) -> Message:
-    """Returns a geometry_msgs/Pose."""
-    rotation = se3.quaternion_from_rotation(T[:3, :3])
-    return Message(position=parts("xyz", T[:3, 3]), orientation=parts("xyzw", rotation))
-
-
-def pose_with_covariance(T: Array, covariance: Array | None) -> Message:
-    """Returns a geometry_msgs/PoseWithCovariance; a covariance of None is all zero, as drivers send it."""
-    flat = np.zeros(36) if covariance is None else np.asarray(covariance, dtype=np.float64).ravel()
-    return Message(pose=pose(T), covariance=flat)
+        self.append(info, RosType.INFO, stamp, **top, **matrices, **lens, roi=roi)
 
 
 def _topic(topic: str | None, name: str) -> str:
@@ -208,32 +176,22 @@ def _finger_topic(topics: Mapping[str, str], finger: str, name: str) -> str:
     return topics[finger]
 
 
-def split_stamp(stamp: float) -> tuple[int, int]:
-    """Returns seconds and nanoseconds; raises InvalidInput."""
-    if not 0 <= stamp < LATEST:
-        raise InvalidInput(f"stamp: expected seconds from 0 to {LATEST:.0f}, got {stamp}")
-    # The whole seconds first: 1.7e9 s in nanoseconds is more than a float holds.
-    sec = math.floor(stamp)
-    nanosec = round((stamp - sec) * 1e9)
-    return (sec + 1, 0) if nanosec == 10**9 else (sec, nanosec)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackRow:
-    """A `TrackRow` is the object's tracked pose at one instant; a row without a pose is in the CSV only."""
+    """A `TrackRow` is the object's tracked pose at one instant; only the CSV has rows without a pose."""
 
     stamp: float
-    """[s]"""
+    """Time of the pose [s]."""
     T_palm_object: Array | None
-    """(4, 4); None: not known."""
+    """(4, 4) pose; None: it is not known."""
     covariance: Array | None
-    """(6, 6) of (δp [m], δθ [rad]) along the palm's axes; None: unbounded in some direction, or not known."""
+    """(6, 6) covariance of (δp [m], δθ [rad]) along the palm's axes; None: unbounded in some direction, or unknown."""
     state: str
-    """tracking, uncertain or lost."""
+    """The tracker's state: tracking, uncertain or lost."""
     reason: str = ""
-    """Why it is not tracking; empty: it is."""
+    """Why the state is not tracking; empty: it is."""
     information: Array | None = None
-    """(6, 6) that may be singular, for where the covariance is None; None: nothing is known."""
+    """(6, 6) information, which may be singular, used where the covariance is None; None: nothing is known."""
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.stamp):
@@ -249,24 +207,24 @@ class TrackRow:
 
     @property
     def bounded_covariance(self) -> Array:
-        """(6, 6) with a stated large variance where it is unbounded, or not known."""
+        """(6, 6) covariance with a stated large variance in directions where it is unbounded or unknown."""
         if self.covariance is not None:
             return self.covariance
         return bounded_covariance(np.zeros((6, 6)) if self.information is None else self.information)
 
 
 def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str = "palm") -> None:
-    """Writes PoseWithCovarianceStamped on /handsight/pose, `frame` the palm's frame id.
+    """Writes PoseWithCovarianceStamped on /handsight/pose, in `frame`, the palm's frame id.
 
-    Where a covariance is unbounded, open directions have a variance of a metre and a whole turn (π²/3): its largest
-    eigenvalue is then at least 1. Raises InvalidFile, MissingExtra.
+    Where a covariance is unbounded, unobservable directions have the variance of a metre or of a whole turn (π²/3): its
+    largest eigenvalue is then at least 1. Raises InvalidFile, MissingExtra.
     """
     with McapFile(Path(path)) as file:
         for row in rows:
             if row.T_palm_object is not None:
                 top = header(row.stamp, frame)
                 pose = pose_with_covariance(row.T_palm_object, row.bounded_covariance)
-                file.append(TRACK_TOPIC, POSE_COVARIANCE, row.stamp, header=top, pose=pose)
+                file.append(OwnTopic.POSE, RosType.POSE_COVARIANCE, row.stamp, header=top, pose=pose)
 
 
 def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
@@ -284,7 +242,8 @@ def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
     """
     with write_errors(path), Path(path).open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
-        table.writerow(("stamp", "state", "reason", *POSE_COLUMNS, *SIGMA_COLUMNS))
+        sigma_columns = (f"sigma_{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz"))
+        table.writerow(("stamp", "state", "reason", "x", "y", "z", "qx", "qy", "qz", "qw", *sigma_columns))
         for row in rows:
             pose = [""] * 7 if row.T_palm_object is None else _pose(row.T_palm_object)
             sigmas = [""] * 6

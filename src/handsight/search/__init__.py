@@ -1,4 +1,4 @@
-"""Search by touch: where an object stands on a table, found without a camera, each touch chosen to tell most."""
+"""Search by touch: where an object stands on a table, without a camera, by the most informative touches."""
 
 from handsight.search.area import Area, resting
 from handsight.search.belief import Belief

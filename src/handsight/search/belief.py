@@ -23,48 +23,42 @@ from handsight.search.touch import Touch, tip_center
 class ParticleOptions(NamedTuple):
     """`ParticleOptions` say how the posterior is sampled."""
 
-    drawn: int = 8192
-    """Placements that are drawn after a touch."""
-    kept: int = 1024
-    """Particles that are resampled from them."""
-    max_log_ratio: float = 30.0
-    """A placement whose log likelihood is this much below the best is dropped at once."""
+    drawn: int = 8192  # placements that are drawn after a touch
+    kept: int = 1024  # particles that are resampled from them
+    max_log_ratio: float = (
+        30.0  # a placement whose log likelihood is so much below the best is dropped at once
+    )
     metropolis_steps: int = 8
     step: tuple[float, float, float] = (0.004, 0.004, float(np.deg2rad(4.0)))
     """Largest standard deviation of a Metropolis step: x, y [m] and yaw [rad]."""
     max_modes: int = 8
-    contact_draws: int = 2048
-    """Placements that are drawn about a contact to decide whether it can be the object's."""
-    min_inside: int = 8
-    """Of them, how many must be within the area."""
+    contact_draws: int = (
+        2048  # placements that are drawn about a contact to decide whether it can be the object's
+    )
+    min_inside: int = 8  # of them, how many must be within the area
     tip_positions: int = 20_000
     """Positions of the tip around the object that are tried, for each stable pose, to find those that touch it."""
-    shell: float = 0.003
-    """How far a tip that counts as touching may be off the surface [m]."""
+    shell: float = 0.003  # how far a tip that counts as touching may be off the surface [m]
     widening: float = 1.5
     """Factor on a contact's standard deviations when placements are drawn about it: proposals need wide tails."""
 
 
 class LikelihoodOptions(NamedTuple):
-    """`LikelihoodOptions` are what a touch is taken to be off by, beside what its covariance says."""
+    """`LikelihoodOptions` are the errors of a touch beside its covariance."""
 
     push: float = 0.001
     """How far a touch moves the object, per axis: older contacts are off by that for each later touch [m]."""
     freedom: float = 5.0
     """Degrees of freedom of Student's t: a contact at an edge is farther off than its covariance says."""
-    min_sigma_yaw: float = float(np.deg2rad(0.1))
-    """A yaw is never known better [rad]."""
+    min_sigma_yaw: float = float(np.deg2rad(0.1))  # a yaw is never known better [rad]
 
 
 class CertaintyOptions(NamedTuple):
-    """`CertaintyOptions` say when a search ends: a mode with this probability and these standard deviations is
-    grasped."""
+    """`CertaintyOptions` say when a search ends, so that the object is grasped: by its likeliest mode."""
 
     probability: float = 0.95
-    sigma_position: float = 0.006
-    """[m]"""
-    sigma_yaw: float = float(np.deg2rad(4.0))
-    """[rad]"""
+    sigma_position: float = 0.006  # [m]
+    sigma_yaw: float = float(np.deg2rad(4.0))  # [rad]
 
 
 PARTICLES, LIKELIHOOD, CERTAINTY = ParticleOptions(), LikelihoodOptions(), CertaintyOptions()

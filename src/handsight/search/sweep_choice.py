@@ -1,4 +1,4 @@
-"""The choice of the next sweep: the one whose outcome is least certain given the belief, so that it tells most."""
+"""The choice of the next sweep: the most informative one, whose outcome is least certain given the belief."""
 
 from typing import NamedTuple
 

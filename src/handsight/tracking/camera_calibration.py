@@ -1,27 +1,36 @@
-"""A camera's constant error: it stays in the world while the object turns with the palm, and touch says where it is."""
+"""Where a camera is, calibrated from a recording: by touch, or by the hand in its depth images.
 
-from collections import deque
+By touch: the camera's constant error stays in the world while the object turns with the palm, and touch says where the
+object is. By the hand: each image says where the palm is in the camera, and the robot where it is in the world.
+"""
+
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from handsight import se3
+from handsight.camera import Camera
 from handsight.checks import Array
 from handsight.errors import InvalidInput
+from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
-from handsight.rig import MountedCamera, Rig
+from handsight.rig import Rig
 from handsight.tracking.replay import Tally, replay
 from handsight.tracking.tracker import Tracker
+from handsight.vision.palm.hand_in_image import HandInImage
+from handsight.vision.palm.palm_detector import PalmNotFound
 
 LITTLE_TURN = np.deg2rad(20)
-"""A palm that turned less leaves error and pose mixed."""
+"""A palm that turned less leaves the camera's error and the object's pose mixed."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CameraCalibration:
-    """A `CameraCalibration` says where the camera is, by touch."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CalibratedCamera:
+    """A `CalibratedCamera` is the pose of a camera in its mount, as a correction of the rig's."""
 
     T_mount_camera: Array
     """(4, 4) its corrected pose in what it is fixed to."""
@@ -30,7 +39,13 @@ class CameraCalibration:
     covariance: Array
     """(6, 6) of the correction."""
     pivot: Array
-    """(3,) where the object was first seen, in the mount's frame [m]: there the correction is known best."""
+    """(3,) where object or hand were, in the mount's frame [m]: there the correction is known best."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CameraCalibration(CalibratedCamera):
+    """A `CameraCalibration` says where the camera is, by touch."""
+
     turned: float
     """How far the palm turned in the mount while the object was held [rad]."""
 
@@ -38,6 +53,21 @@ class CameraCalibration:
         """Returns how far another pose of the camera puts what is at the pivot from there [m], and turns it [rad]."""
         away = correction_between(self.T_mount_camera, T_mount_camera, self.pivot)
         return float(np.linalg.norm(away[:3])), float(np.linalg.norm(away[3:]))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class HandCalibration(CalibratedCamera):
+    """A `HandCalibration` says where the camera is, by the hand in its images.
+
+    Its covariance is not divided by the number of views, for they share the errors of camera and joints.
+    """
+
+    spread: Array
+    """(6,) root mean square of the views about their mean [m, rad]."""
+    views: int
+    """How many agree."""
+    images: int
+    """How many images were used."""
 
 
 def calibrate_camera(
@@ -54,8 +84,7 @@ def calibrate_camera(
 def calibrations(
     observations: Iterable[Observation], tracker: Tracker, tally: Tally
 ) -> Iterator[CameraCalibration]:
-    """Yields what `calibrate_camera` would answer after each observation that has something to say; `tally` is
-    filled."""
+    """Yields the calibration by touch after each observation that adds to it; `tally` is that of the replay."""
     camera = tracker.rig.camera
     if camera is None:
         raise InvalidInput("camera: expected one in the rig, got none")
@@ -66,38 +95,115 @@ def calibrations(
         error = tracker.vision_bias()
         if error is None or tracker.smoother is None:
             continue
-        T = step.T_world_palm
+        (bias, covariance), pivot, T = error, tracker.smoother.pivot, step.T_world_palm
         R = np.eye(3) if T is None or camera.on == "palm" else T[:3, :3]
         first = R if first is None else first
         turned = max(turned, float(np.linalg.norm(se3.rotation_log(first.T @ R))))
-        yield _calibration(camera, tracker.smoother.pivot, *error, turned)
-
-
-def _calibration(
-    camera: MountedCamera, pivot: Array, wrong: Array, covariance: Array, turned: float
-) -> CameraCalibration:
-    """Returns the camera's pose, given vision's bias (6,) about the pivot and its covariance (6, 6)."""
-    # Vision is off by that, so the camera is where it took it from.
-    back = se3.rotation_exp(-wrong[3:])
-    correction = np.concatenate([-back @ wrong[:3], -wrong[3:]])
-    return CameraCalibration(
-        T_mount_camera=corrected(camera.T_mount_camera, correction, pivot),
-        correction=correction,
-        covariance=se3.rotate_covariance(back, covariance),
-        pivot=pivot,
-        turned=turned,
-    )
+        # The correction is the inverse of vision's bias.
+        back = se3.rotation_exp(-bias[3:])
+        correction = np.concatenate([-back @ bias[:3], -bias[3:]])
+        yield CameraCalibration(
+            T_mount_camera=corrected(camera.T_mount_camera, correction, pivot),
+            correction=correction,
+            covariance=se3.rotate_covariance(back, covariance),
+            pivot=pivot,
+            turned=turned,
+        )
 
 
 def corrected(T_mount_camera: Array, correction: Array, pivot: Array) -> Array:
-    """Returns (4, 4) the camera's pose after a correction (6,): what it sees at the pivot shifts, all turns about
-    it."""
+    """Returns (4, 4) a camera's pose after a correction (6,): what it sees at the pivot shifts, and turns about it."""
     E = se3.compose(se3.rotation_exp(correction[3:]), np.zeros(3))
     E[:3, 3] = pivot + correction[:3] - E[:3, :3] @ pivot
     return np.asarray(E @ T_mount_camera)
 
 
 def correction_between(T_mount_camera: Array, other: Array, pivot: Array) -> Array:
-    """Returns (6,) the correction that makes one pose of a camera (4, 4) another."""
+    """Returns (6,) the correction that takes one pose of a camera (4, 4) to another."""
     E = other @ se3.inverse(T_mount_camera)
     return np.concatenate([se3.apply(E, pivot[None])[0] - pivot, se3.rotation_log(E[:3, :3])])
+
+
+class HandViewOptions(NamedTuple):
+    """`HandViewOptions` say which images of a recording are used to calibrate the camera."""
+
+    period: float = 0.25  # between images that are used [s]
+    max_views: int = 60  # images that are used
+    min_views: int = 3  # views that must agree
+    max_shift: float = 0.015  # a view that is farther from the middle one is wrong, not noisy [m]
+    max_turn: float = float(np.deg2rad(6))  # the same of its turn [rad]
+
+
+HAND_VIEWS = HandViewOptions()
+
+
+class HandViews:
+    """A `HandViews` gathers what the images of a recording say of the camera's pose while they pass."""
+
+    def __init__(self, rig: Rig) -> None:
+        """The rig as it is believed; without intrinsics, or shapes of the hand, nothing is gathered."""
+        self._rig, self._views = rig, list[tuple[Array, Array, Array]]()
+        self._last, self.images, self.refusals = -np.inf, 0, Counter[str]()
+        self._camera: Camera | None = None
+        self._hand = HandInImage(rig)
+        camera = rig.camera
+        if camera is not None and camera.intrinsics is not None and camera.size is not None:
+            self._camera = Camera.of(camera)
+
+    def watched(self, observations: Iterable[Observation]) -> Iterator[Observation]:
+        """Yields the same observations, and evaluates their depth images as they pass."""
+        for observation in observations:
+            self._watch(observation)
+            yield observation
+
+    def _watch(self, observation: Observation) -> None:
+        depth, joints, camera = observation.depth, observation.joint_positions, self._rig.camera
+        if depth is None or self._camera is None or camera is None:
+            return
+        T_mount_palm = np.eye(4) if camera.on == "palm" else observation.T_world_palm
+        if T_mount_palm is None:
+            return
+        if self.images >= HAND_VIEWS.max_views or observation.stamp < self._last + HAND_VIEWS.period:
+            return
+        sigmas = camera.sigma_position_constant, camera.sigma_rotation_constant
+        T_camera_palm = se3.inverse(camera.T_mount_camera) @ T_mount_palm
+        hand = self._hand.placed(joints)
+        found = self._hand.detected(self._camera, depth, joints, T_camera_palm, sigmas)
+        if found is None or hand is None:  # joints that are missing are reported elsewhere
+            return
+        self._last, self.images = observation.stamp, self.images + 1
+        if isinstance(found, PalmNotFound):
+            self.refusals[found.reason] += 1
+            return
+        T_mount_camera = T_mount_palm @ se3.inverse(found.T_camera_palm)
+        at_middle = GaussianPose(found.T_camera_palm, found.covariance).at_point(hand.middle)
+        pivot = se3.apply(T_mount_palm, hand.middle[None])[0]
+        self._views.append((T_mount_camera, pivot, at_middle.transformed(T_mount_camera).covariance))
+
+    def calibration(self) -> HandCalibration | None:
+        """Returns the mean of the views that agree with their middle one.
+
+        None where fewer than `HAND_VIEWS.min_views` do.
+        """
+        if len(self._views) < HAND_VIEWS.min_views or self._rig.camera is None:
+            return None
+        Ts, pivots, covariances = (np.stack(part) for part in zip(*self._views, strict=True))
+        pivot, believed = np.median(pivots, axis=0), self._rig.camera.T_mount_camera
+        corrections = np.stack([correction_between(believed, T, pivot) for T in Ts])
+        away = np.abs(corrections[:, None] - corrections)
+        far = np.maximum(
+            away[..., :3].max(axis=2) / HAND_VIEWS.max_shift, away[..., 3:].max(axis=2) / HAND_VIEWS.max_turn
+        )
+        agree = far[np.median(far, axis=1).argmin()] < 1
+        if agree.sum() < HAND_VIEWS.min_views:
+            return None
+        mean = corrections[agree].mean(axis=0)
+        return HandCalibration(
+            T_mount_camera=corrected(believed, mean, pivot),
+            correction=mean,
+            covariance=covariances[agree].mean(axis=0),
+            pivot=pivot,
+            spread=np.sqrt(((corrections[agree] - mean) ** 2).mean(axis=0)),
+            views=int(agree.sum()),
+            images=self.images,
+        )

@@ -1,88 +1,80 @@
-"""A camera's constant error, measured: the hand itself was seen in its images.
+"""The constant error of a camera's calibration, measured by the hand itself in the camera's images.
 
-The robot knows where its palm is; where the camera, placed as it was calibrated, sees it is off by the calibration's
-error, which is the same for the object. One view says so with the covariance of the seen hand. Views from one side are
-wrong together, by the joints' offsets above all, so only one of them counts.
+The robot knows where its palm is; the camera, placed as it was calibrated, detects the palm elsewhere, off by the
+calibration's error, and the object is off by the same error. One detection measures that error with the detection's
+covariance. Detections from one side share their error, above all by the joints' offsets, so only one of them counts.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.gaussian_pose import GaussianPose
 
 OTHER_SIDE = 0.1, float(np.deg2rad(20.0))
-"""A palm that is farther off [m], or turned by more [rad], in the camera is seen from another side."""
+"""A palm that is farther away [m], or turned by more [rad], is detected from another side."""
 AGREE_CHI2 = 22.5
-"""χ² of six numbers that one in a thousand exceeds: such views are of two cameras, or one of them is wrong."""
+"""χ² of six numbers that one in a thousand exceeds: beyond it two views do not have the same error."""
 IN_A_ROW = 3
-"""So many views that agree are believed, and so many that contradict what was believed end that."""
+"""How many views in a row must agree before they are believed, also against what was believed before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandView:
-    """A `HandView` is the palm in the camera's mount at one instant."""
+    """A `HandView` is the palm in the camera's mount at one instant, as the robot and as the camera have it."""
 
     T_mount_palm: Array
-    """(4, 4) where the robot knows it."""
-    T_mount_palm_detected: Array
-    """(4, 4) where the camera sees it."""
-    covariance: Array
-    """(6, 6) of what is seen, (δp, δθ) along the mount's axes."""
+    """(4, 4) by the robot's joints."""
+    pose_mount_palm: GaussianPose
+    """As the camera detects it."""
 
     def expected(self, T_mount_palm: Array) -> Array:
-        """Returns (4, 4) where the camera should see a palm that is elsewhere, T_mount_palm (4, 4)."""
-        return np.asarray(self.T_mount_palm_detected @ se3.inverse(self.T_mount_palm) @ T_mount_palm)
+        """Returns (4, 4) where the camera should detect a palm that is at T_mount_palm (4, 4)."""
+        return np.asarray(self.pose_mount_palm.T_a_b @ se3.inverse(self.T_mount_palm) @ T_mount_palm)
 
-    def bias(self, pivot: Array) -> tuple[Array, Array]:
-        """Returns what it says of vision's bias about a pivot (3,) in the mount [m]: (4, 4) as
-        `PoseAndBias.T_measured_true` has it, and its covariance (6, 6)."""
-        E = self.T_mount_palm_detected @ se3.inverse(self.T_mount_palm)
-        R, arm = E[:3, :3], E[:3, :3] @ (pivot - self.T_mount_palm[:3, 3])
-        to_pivot = se3.point_jacobian(arm)
-        shift = E[:3, 3] + R @ pivot - pivot
-        return se3.compose(R, shift), to_pivot @ self.covariance @ to_pivot.T
+    def bias(self, pivot: Array) -> GaussianPose:
+        """Returns vision's bias about a pivot (3,) in the mount [m], as `PoseAndBias.T_measured_true` defines it."""
+        pivot_palm = se3.apply(se3.inverse(self.T_mount_palm), pivot[None])[0]
+        detected = self.pose_mount_palm.at_point(pivot_palm)
+        R = detected.T_a_b[:3, :3] @ self.T_mount_palm[:3, :3].T
+        return GaussianPose(se3.compose(R, detected.T_a_b[:3, 3] - pivot), detected.covariance)
 
     def agrees(self, other: "HandView") -> bool:
-        """Returns whether both may be of one camera."""
+        """Returns whether both views may have the same error."""
         pivot = self.T_mount_palm[:3, 3]
-        (mine, covariance), (theirs, more) = self.bias(pivot), other.bias(pivot)
-        off = se3.difference(theirs, mine)
-        return bool(off @ np.linalg.solve(covariance + more, off) < AGREE_CHI2)
+        mine, theirs = self.bias(pivot), other.bias(pivot)
+        off = se3.difference(theirs.T_a_b, mine.T_a_b)
+        return bool(off @ np.linalg.solve(mine.covariance + theirs.covariance, off) < AGREE_CHI2)
 
     def same_side(self, other: "HandView") -> bool:
-        """Returns whether the palm is seen about as in another view."""
-        # Of one camera: where its own frame is does not matter.
-        off = se3.difference(self.T_mount_palm_detected, other.T_mount_palm_detected)
+        """Returns whether the camera sees the palm from about the same side as in another view."""
+        off = se3.difference(self.pose_mount_palm.T_a_b, other.pose_mount_palm.T_a_b)
         return bool(np.linalg.norm(off[:3]) < OTHER_SIDE[0] and np.linalg.norm(off[3:]) < OTHER_SIDE[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraFromPalm:
-    """A `CameraFromPalm` is what views of the hand have said of the camera so far."""
+    """A `CameraFromPalm` is what views of the hand have measured of the camera's error so far."""
 
     believed: tuple[HandView, ...] = ()
     """One from each side."""
-    recent: tuple[HandView, ...] = field(default=())
+    recent: tuple[HandView, ...] = ()
     """The last ones, each agreeing with the one before."""
 
     def updated(self, view: HandView) -> "CameraFromPalm":
-        """Returns the value after another view: it is believed once it has agreed with those just before, unless it
-        is of a side that is known; and alone, if what was believed before contradicts it."""
-        recent = (
-            (*self.recent[1 - IN_A_ROW :], view) if self.recent and view.agrees(self.recent[-1]) else (view,)
-        )
-        after = replace(self, recent=recent)
-        if len(recent) < IN_A_ROW:
-            return after
-        if not all(view.agrees(old) for old in self.believed):
-            return replace(after, believed=(view,))
-        if any(view.same_side(old) for old in self.believed):
-            return after
-        return replace(after, believed=(*self.believed, view))
+        """Returns the value after another view.
 
-    def biases(self, pivot: Array) -> Iterator[tuple[Array, Array]]:
-        """Returns what each believed view says of vision's bias about a pivot."""
-        return (view.bias(pivot) for view in self.believed)
+        A view that agrees with those just before it is believed, unless one from its side is believed already. It
+        replaces all that was believed if one of these contradicts it.
+        """
+        agrees = self.recent and view.agrees(self.recent[-1])
+        recent = (*self.recent[1 - IN_A_ROW :], view) if agrees else (view,)
+        believed = self.believed
+        if len(recent) == IN_A_ROW:
+            if not all(view.agrees(old) for old in believed):
+                believed = (view,)
+            elif not any(view.same_side(old) for old in believed):
+                believed = (*believed, view)
+        return replace(self, believed=believed, recent=recent)

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from handsight import checks
+from handsight import checks, se3
 from handsight._kernels.touch.contacts_to_palm import contacts_to_palm, mark_on_table
 from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
 from handsight._kernels.touch.tip_to_tip import TIP_TO_TIP
@@ -14,20 +14,19 @@ from handsight.checks import Array
 from handsight.contact import REASON_NAMES, Contacts
 from handsight.correction import PoseEstimate
 from handsight.errors import InvalidInput
-from handsight.observation import Observation
+from handsight.observation import ContactMeasurement, Observation
 from handsight.rig import Finger, Rig
 from handsight.tracking.joint_offsets import JointOffsets
-from handsight.tracking.sensed_contacts import put_ready
 
 SILENT, WRENCH = np.full(6, np.nan), {(np.dtype(np.float64), (6,))}
 REASONS = (*("silent" if name == "invalid" else name for name in REASON_NAMES), "on the table")
-"""By the kernel's number; the first is a contact."""
-ON_TABLE = len(REASONS) - 1
+"""Why a finger has no contact, by the kernel's number, of which 0 is a contact."""
+FREE, ON_TABLE = REASON_NAMES.index("free"), len(REASONS) - 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingertipContacts:
-    """A `FingertipContacts` is what the fingertips feel at one instant."""
+    """A `FingertipContacts` is what the fingertips measure at one instant."""
 
     fingers: tuple[str, ...]
     """The fingers that touch, in the contacts' order."""
@@ -37,13 +36,13 @@ class FingertipContacts:
     reasons: Mapping[str, str]
     """Why each of the other fingers has no contact: silent (no reading), on the table, or a `Reason` of its wrench."""
     by_error: Array | None = None
-    """(n, 6, j) by how much point and normal of each contact are off for one standard deviation of each of j
-    independent errors of the joints (`JointOffsets.root`)."""
+    """(n, 6, j) the change of each contact's point and normal for one standard deviation of each of j independent
+    errors of the joints (`JointOffsets.root`)."""
     near: tuple[str, ...] = ()
-    """Of those that touch, the ones within `TIP_TO_TIP.max_gap` of another tip, whose contact is less certain."""
+    """Of the fingers that touch, those within `TIP_TO_TIP.max_gap` of another tip: their contacts are less certain."""
     loads: Array | None = None
-    """(n, 5) of each contact, of the object on the tip: tangential force (3,) along the palm's axes and normal force
-    [N], torque about the normal [N m]; NaN where a tip does not say it."""
+    """(n, 5) load of the object on each tip: tangential force (3,) along the palm's axes and normal force [N], torque
+    about the normal [N m]; NaN where the tip does not measure it."""
 
     def rejected_by(self, estimate: PoseEstimate) -> tuple[str, ...]:
         """Returns the fingers whose contacts an answer takes for wrong."""
@@ -59,46 +58,41 @@ class FingertipSensors:
         self._tips = np.array([list(rig.hand.tips).index(name) for name in self.names])
         self._fingers = np.array([finger_record(finger) for finger in rig.fingers.values()], dtype=FINGER)
         self._offsets, table = JointOffsets.of(rig), rig.table
-        self._table = (
-            None
-            if table is None
-            else np.array([table.height, table.sigma_height, table.sigma_tilt], dtype=float)
-        )
+        self._table = None
+        if table is not None:
+            self._table = np.array([table.height, table.sigma_height, table.sigma_tilt], dtype=float)
 
     def contacts(self, observation: Observation, offsets: JointOffsets | None = None) -> FingertipContacts:
-        """Returns what is felt; nothing where joints are missing. Raises InvalidInput for joints or wrenches that are
-        wrong.
+        """Returns what the fingertips measure; no contact where joints are missing.
 
         `offsets`: what is known of the joints' constant errors; None: what the rig says. Without T_world_palm gravity's
-        direction is not known, and the tips' weight (some 40 mN) stays in the readings; nor is the table's place, and
-        a finger that touches it seems to touch the object.
+        direction is unknown, and the tips' weight (some 40 mN) stays in the readings; so is the table's place, and a
+        finger that touches the table seems to touch the object. Raises InvalidInput for wrong joints or wrenches.
         """
         readings = self._readings(observation.wrenches)
-        if observation.contacts:  # they say more themselves
+        if observation.contacts:  # a tip that senses its contact itself knows better
             readings[[name in observation.contacts for name in self.names]] = np.nan
         if observation.joint_positions is None:
             return FingertipContacts((), None, dict.fromkeys(self.names, "no joint positions"))
         offsets = self._offsets if offsets is None else offsets
         hand = self.rig.hand.kinematics(offsets.corrected(observation.joint_positions))
         Ts_palm_tip = hand.Ts_palm_tip[self._tips]
-        # A hinge may have turned however often; a slide that is far off takes the tip along.
+        # A hinge may have made any number of turns; a slide that is far off takes the tip along.
         places = Ts_palm_tip[:, :3, 3]
         if not np.abs(places).max() <= checks.MAX_DISTANCE:
             checks.position(places, "observation.joint_positions: fingertips in the palm", (None, 3))
-        by_joint = hand.chains.jacobians(Ts_palm_tip[:, :3, 3].copy(), self._tips, hand.axes_palm)
-        by_error = by_joint @ offsets.root
+        by_error = hand.chains.jacobians(places.copy(), self._tips, hand.axes_palm) @ offsets.root
         T = observation.T_world_palm
         gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
         records = np.empty(len(self.names), dtype=PALM_CONTACT)
         contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, records)
         if observation.contacts:
-            put_ready(self.rig, observation.contacts, Ts_palm_tip, by_error, records)
+            put_sensed(self.rig, observation.contacts, Ts_palm_tip, by_error, records)
         if T is not None and self._table is not None:
             mark_on_table(np.array(T), self._table, ON_TABLE, records)
 
-        reasons = {
-            name: REASONS[k] for name, k in zip(self.names, records["reason"].tolist(), strict=True) if k
-        }
+        numbers = zip(self.names, records["reason"].tolist(), strict=True)
+        reasons = {name: REASONS[k] for name, k in numbers if k}
         fingers = tuple(name for name in self.names if name not in reasons)
         if not fingers:
             return FingertipContacts((), None, reasons)
@@ -110,14 +104,14 @@ class FingertipSensors:
         return FingertipContacts(fingers, contacts, reasons, by_error[records["reason"] == 0], near, loads)
 
     def _readings(self, wrenches: Mapping[str, Array]) -> Array:
-        """Returns (n, 6) by finger, NaN where a sensor has no reading; raises InvalidInput."""
+        """Returns (n, 6) the fingers' wrenches, NaN where a sensor has no reading; raises InvalidInput."""
         if not isinstance(wrenches, Mapping):
             came = checks.brief(wrenches)
             raise InvalidInput(f"observation.wrenches: expected a mapping from finger to wrench, got {came}")
         rows = [wrenches.get(name, SILENT) for name in self.names]
         if {type(row) for row in rows} == {np.ndarray} and {(row.dtype, row.shape) for row in rows} == WRENCH:
             readings = np.array(rows)
-            # NaN is smaller than nothing: where one is, each row is looked at.
+            # Comparisons with NaN are False: where one is, each row is checked below.
             if readings.min() >= -checks.MAX_LOAD and readings.max() <= checks.MAX_LOAD:
                 return readings
         named = zip(self.names, rows, strict=True)
@@ -125,7 +119,7 @@ class FingertipSensors:
 
 
 def _reading(wrench: ArrayLike, name: str) -> Array:
-    """Returns (6,) as it is, or NaN where there is one in it; raises InvalidInput."""
+    """Returns a wrench (6,), all NaN where one of its numbers is; raises InvalidInput."""
     try:
         array = np.asarray(wrench)
     except ValueError:  # ragged
@@ -135,7 +129,7 @@ def _reading(wrench: ArrayLike, name: str) -> Array:
 
 
 def finger_record(finger: Finger) -> tuple[object, ...]:
-    """Returns a finger as the kernel takes it; FINGER names the fields."""
+    """Returns the fields of the kernel's FINGER."""
     T, known = finger.T_frame_surface, finger.calibration
     return (
         tuple(finger.tip.record[0]),
@@ -149,3 +143,56 @@ def finger_record(finger: Finger) -> tuple[object, ...]:
         finger.sigma_point**2,
         finger.sigma_normal**2,
     )
+
+
+def put_sensed(
+    rig: Rig,
+    contacts: Mapping[str, ContactMeasurement | None],
+    Ts_palm_tip: Array,
+    by_error: Array,
+    records: NDArray[np.void],
+) -> None:
+    """Writes contacts that fingertips have sensed themselves into their fingers' rows of `records` and `by_error`.
+
+    `records` (n) are PALM_CONTACT; they, `Ts_palm_tip` (n, 4, 4) and `by_error` (n, 6, j) are as `contacts_to_palm`
+    takes them, in the order of the rig's fingers. Fingers that the rig does not have are ignored. Raises InvalidInput.
+    """
+    if not isinstance(contacts, Mapping):
+        came = checks.brief(contacts)
+        raise InvalidInput(f"observation.contacts: expected a mapping from finger to contact, got {came}")
+    for i, (name, finger) in enumerate(rig.fingers.items()):
+        if name not in contacts:
+            continue
+        contact, argument = contacts[name], f"observation.contacts[{name!r}]"
+        if not isinstance(contact, ContactMeasurement | None):
+            came = type(contact).__name__
+            raise InvalidInput(f"{argument}: expected a ContactMeasurement or None, got {came}")
+        if contact is None or (contact.force is not None and contact.force < finger.tip.min_force):
+            records[i]["reason"] = FREE
+            continue
+        T_palm_tip, J, row = Ts_palm_tip[i], by_error[i], records[i]
+        T_palm_surface = T_palm_tip @ finger.T_frame_surface
+        frames = {
+            "tip": T_palm_surface,
+            "palm": np.eye(4),
+            rig.hand.palm: np.eye(4),
+            finger.frame: T_palm_tip,
+        }
+        if contact.frame not in frames:
+            known, came = ", ".join(frames), checks.brief(repr(contact.frame))
+            raise InvalidInput(f"{argument}.frame: expected one of {known}, got {came}")
+        T = frames[contact.frame]
+        point, normal = T[:3, :3] @ contact.point + T[:3, 3], T[:3, :3] @ contact.normal
+        if (point - T_palm_surface[:3, 3]) @ normal > 0:  # some sensors measure which way the tip pushes
+            normal = -normal
+        # The joints' errors move the tip's frame; what they do to the point and the normal is the contact's own.
+        J[:3] = (se3.point_jacobian(point - T_palm_tip[:3, 3]) @ J)[:3]
+        J[3:] = -se3.skew(normal) @ J[3:]
+        if contact.covariance is None:
+            C = np.diag(np.repeat([finger.sigma_point**2, finger.sigma_normal**2], 3))
+        else:
+            C = se3.rotate_covariance(T[:3, :3], contact.covariance)
+        tangent = np.eye(6)
+        tangent[3:, 3:] -= np.outer(normal, normal)
+        row["reason"], row["point"], row["normal"], row["load"] = 0, point, normal, np.nan
+        row["covariance"] = tangent @ (C + J @ J.T) @ tangent

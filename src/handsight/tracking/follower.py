@@ -1,9 +1,11 @@
 """One object followed in one hand: propagated between corrections, corrected when there is something new."""
 
+# mypy: disable-error-code="misc"
+# A step binds the fields of its own copy of a state, which is frozen for everybody else.
+
 import math
-from collections.abc import Callable
-from dataclasses import fields, replace
-from functools import partial
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,75 +13,89 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.copies import shallow_copy
 from handsight.correction import Outside, PoseEstimate, PosePrior, correct_pose, refine_pose
+from handsight.forces import WeightSensor
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
-from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
+from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
-from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside, LinkMargins, Solve
+from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate, on_table
-from handsight.tracking.propagation import Correction, process_variance, sigma_of_point
 from handsight.tracking.settings import TrackerSettings
-from handsight.tracking.skin import SkinContacts, SkinSensors
+from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
-from handsight.tracking.smoother import PoseBiasSmoother
-from handsight.tracking.status import CONTRADICTED, SLIPS, VISION_ALONE, State, TrackStatus
-from handsight.tracking.track_state import NO_POSE, TrackState
-from handsight.tracking.weight_update import WeightUpdate
-
-Correct = Callable[..., PoseEstimate]
+from handsight.tracking.smoother import PoseBiasSmoother, process_variance
+from handsight.tracking.track_state import NO_POSE, Correction, State, TrackState, point_uncertainty
 
 
 class FollowerOptions(NamedTuple):
-    """`FollowerOptions` say when a lost fit is searched for again."""
+    """`FollowerOptions` say what becomes of a pose that contacts contradict, and when others are good enough."""
 
     inflation: float = 9.0
     """How much more variance a prior gets where nothing fits: the search then starts from several poses."""
     recovery_period: float = 0.5
     """Between two such searches, and between corrections while nothing fits: each costs a hundred others [s]."""
     retry_period: float = 0.1  # the same when the fingers that touch have changed since [s]
+    lost_without_fit: float = 2.0  # how long contacts may contradict every pose before the object is lost [s]
     min_contacts_to_learn: int = 3
-    """Of fewer contacts the pose takes up all that they say: nothing is left to learn the joints' offsets from."""
+    """Fewer contacts determine no more than the pose: nothing is left to learn the joints' offsets from."""
     renew_after: float = 0.02  # how old the growth of a propagated covariance may be [s]: a micrometre or so
 
 
 FOLLOWER = FollowerOptions()
 
 
+class _Next(TrackState):
+    """A `_Next` is the copy of a state that a step turns into the next state, field by field."""
+
+    def __init__(self, state: TrackState) -> None:
+        # All fields at once: a frozen dataclass sets one after the other, in three times as long at each observation.
+        vars(self).update(vars(state))
+        self.images, self.slip, self.weight = (
+            state.images.copied(),
+            state.slip.copied(),
+            state.weight.copied(),
+        )
+
+    def __setattr__(self, name: str, value: object) -> None:
+        vars(self)[name] = value
+
+    def frozen(self) -> TrackState:
+        """Returns the state that the step has led to."""
+        state = object.__new__(TrackState)
+        vars(state).update(vars(self))
+        return state
+
+
 class Follower:
-    """Follows one object in one hand; it knows the robot, the object and the settings, and nothing that changes."""
+    """A `Follower` follows one object in one hand; it holds the robot, the object and the settings, and no state."""
 
     def __init__(self, rig: Rig, model: ObjectModel, settings: TrackerSettings) -> None:
-        """See `Tracker`."""
+        """The arguments are those of `Tracker`."""
         self.rig, self.model, self.settings, s = rig, model, settings, settings
         self.sensors = FingertipSensors(rig)
+        self.skin_sensors = SkinSensors(rig)
         self.hand = HandOutside(rig, model, s.outside)
         self.process_noise = np.repeat([s.process_noise_position**2, s.process_noise_rotation**2], 3)
         """(6,) variance of the object's motion in the palm, per second."""
         self.regrasp_noise = np.repeat([s.regrasp_position**2, s.regrasp_rotation**2], 3)
-        """(6,) variance of how far the object moves when fingers come or go."""
+        """(6,) variance of the object's motion when fingers come or go."""
 
     def initial(self, start: PosePrior | None, offsets: JointOffsets) -> TrackState:
         """Returns the state before any observation; `start`: where the object is at first, if that is known."""
         vision = VisionUpdate(self.rig, self.model)
-        smoother = None
-        if start is not None:
-            smoother = vision.smoother_from(start.T_palm_object, start.covariance, np.zeros(3))
         return TrackState(
             start=start,
-            smoother=smoother,
-            status=TrackStatus(self.settings),
+            smoother=_started(vision, start),
             grasp=GraspState(),
             memory=ContactMemory(self.settings.memory, self.process_noise),
             vision=vision,
             images=ImageVision(self.rig, self.model, on=self.settings.images),
             slip=SlipUpdate(self.rig),
-            weight=WeightUpdate(self.rig, self.model),
-            skin_sensors=SkinSensors(self.rig),
+            weight=WeightSensor(self.rig, self.model),
             offsets=offsets,
         )
 
@@ -87,14 +103,14 @@ class Follower:
         """Returns the state after an observation, and the object's pose in the palm, None before there is one.
 
         It is pure: the same state and observation give the same answer, and the state is not changed. The observation
-        is one that was checked (`handsight.observation.checked`) and is not older than the state's. Raises
+        is one that was checked (`handsight.observation.check_observation`) and is not older than the state's. Raises
         InvalidInput where something in the observation is wrong.
         """
-        work = _Step(self, state)
-        estimate = work.follow(observation)
-        return work.state(), estimate
+        new = _Next(state)
+        estimate = self._follow(new, observation)
+        return new.frozen(), estimate
 
-    def sigma(self, state: "TrackState | _Step") -> float:
+    def sigma(self, state: TrackState) -> float:
         """Returns the largest standard deviation of the position of the object's middle [m]; infinite before a pose."""
         last = state.correction
         if last is not None:
@@ -102,183 +118,133 @@ class Follower:
             return math.sqrt(last.variance + since[0])
         if state.estimate is None:
             return math.inf
-        return sigma_of_point(state.estimate, self.model, self.model.center_object)
+        return math.sqrt(point_uncertainty(state.estimate, self.model, self.model.center_object)[1])
 
-    def joint_offsets(self, state: "TrackState | _Step") -> JointOffsets:
+    def joint_offsets(self, state: TrackState) -> JointOffsets:
         """Returns the joints' constant errors by all grips so far, this one included."""
         last = state.correction
         if last is None or last is state.learnt_from or last.by_error is None:
             return state.offsets
-        if (
-            len(last.contacts) < FOLLOWER.min_contacts_to_learn
-            or not last.estimate.consistent
-            or last.estimate.outliers
-        ):
+        few = len(last.contacts) < FOLLOWER.min_contacts_to_learn
+        if few or not last.estimate.consistent or last.estimate.outliers:
             return state.offsets
         return state.offsets.after(
             self.model, last.contacts, last.by_error, last.estimate.T_palm_object, last.prior
         )
 
-
-FIELDS = tuple(field.name for field in fields(TrackState))
-
-
-class _Step:
-    """A `_Step` is one step on its way: it begins with all of a state's fields, each of which it may bind anew."""
-
-    stamp: float
-    label: State
-    reason: str
-    estimate: PoseEstimate | None
-    corrections: int
-    T_world_palm: Array | None
-    fingertips: FingertipContacts
-    skin: SkinContacts
-    processed: Observation | None
-    smoother: PoseBiasSmoother | None
-    correction: Correction | None
-    status: TrackStatus
-    offsets: JointOffsets
-    learnt_from: Correction | None
-    margins: LinkMargins
-    propagated_to: float
-    recovered_at: float
-    links_checked_at: float
-    start: PosePrior | None
-
-    def __init__(self, follower: Follower, state: TrackState) -> None:
-        self.follower = follower
-        self.rig, self.model, self.settings = follower.rig, follower.model, follower.settings
-        values = vars(self)
-        values.update(vars(state))
-        # These change when they are told something; the state keeps them as they were.
-        self.grasp, self.memory = shallow_copy(state.grasp), shallow_copy(state.memory)
-        self.vision, self.skin_sensors = shallow_copy(state.vision), shallow_copy(state.skin_sensors)
-        self.images, self.slip, self.weight = (
-            state.images.copied(),
-            state.slip.copied(),
-            state.weight.copied(),
-        )
-
-    def state(self) -> TrackState:
-        """Returns the state that the step has led to."""
-        values, state = vars(self), object.__new__(TrackState)
-        # At each observation: a frozen dataclass sets its fields one by one, in three times as long.
-        vars(state).update({name: values[name] for name in FIELDS})
-        return state
-
-    def follow(self, observation: Observation) -> PoseEstimate | None:
-        """Returns the pose after an observation, see `Follower.step`."""
+    def _follow(self, state: _Next, observation: Observation) -> PoseEstimate | None:
+        """Returns the pose after an observation, and brings the state up to date."""
         joints, stamp = observation.joint_positions, observation.stamp
         if self.rig.world_from == "joints" and observation.T_world_palm is None and joints is not None:
-            T = se3.check(
-                self.rig.hand.T_world_palm(joints), "observation.joint_positions: palm in the world"
-            )
+            T = self.rig.hand.T_world_palm(joints)
+            T = se3.check(T, "observation.joint_positions: palm in the world")
             observation = replace(observation, T_world_palm=T)
-        self.fingertips = self.follower.sensors.contacts(observation, self.offsets)
-        self.skin = self.skin_sensors.observed(observation, touched=self.fingertips.contacts is not None)
-        self._predict(observation.T_world_palm, stamp)
-        if self.skin.pressed:
-            self.weight.weigher.forget("the skin of the hand bears a part of it")
+
+        # What is touched, and where the object would be by now.
+        state.fingertips = touch = self.sensors.contacts(observation, state.offsets)
+        touched = touch.contacts is not None
+        state.skin = self.skin_sensors.observed(observation, state.skin, touched=touched)
+        self._predict(state, observation.T_world_palm, stamp)
+        if state.skin.pressed:
+            state.weight.weigher.forget("the skin of the hand bears a part of it")
         else:
-            self.weight.update(observation, self.fingertips, self.offsets, grasped=self.grasp.grasped)
-        before, touched = self.smoother, self.fingertips.contacts
-        self.smoother = self._with_vision(observation, before)
-        vision = self.smoother is not before
-        if self.smoother is not None and not self.smoother.is_near:
-            # The palm has gone so far that it is in no hand.
-            self.smoother, self.correction, self.estimate = self._restarted(), None, None
-        if vision or touched is not None:
-            self.status = self.status.measured(stamp)
-        if self.smoother is None:
-            self.label, self.reason = "lost", NO_POSE
-            return None
-        if touched is not None and self._due(touched, vision=vision):
-            self._correct(touched, self.smoother, observation, vision=vision)
-        last = self.correction
-        if self.estimate is None or last is None:  # the smoother's alone: contacts leave every direction open
-            now = self.smoother.now
-            self.estimate = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
-        elif stamp - self.propagated_to > FOLLOWER.renew_after:
-            self.estimate = last.estimate.inflated(
-                process_variance(self.follower.process_noise, stamp - last.stamp)
+            state.weight.update(
+                observation,
+                (touch.fingers, touch.contacts),
+                (state.offsets.mean, state.offsets.root),
+                grasped=state.grasp.grasped,
+                lifted=state.grasp.lifted,
+                finger_on_table="on the table" in touch.reasons.values(),
             )
-            self.propagated_to = stamp
-        self.status = self.status.answered(stamp, consistent=self.estimate.consistent)
-        sigma = self.follower.sigma(self)
-        self.label, self.reason = self.status.judged(stamp, sigma, self._doubt(self.estimate))
-        return self.estimate
 
-    def _restarted(self) -> PoseBiasSmoother | None:
-        """Returns what is known of the pose from the start alone."""
-        if (start := self.start) is None:
+        # What vision measures.
+        before = state.smoother
+        self._measure_by_vision(state, observation)
+        vision = state.smoother is not before
+        if state.smoother is not None and not state.smoother.is_near:
+            # The palm has moved so far from the object that no hand holds it.
+            state.smoother, state.correction, state.estimate = _started(state.vision, state.start), None, None
+        if vision or touch.contacts is not None:
+            state.measured_at = stamp
+        if state.smoother is None:
+            state.label, state.reason = "lost", NO_POSE
             return None
-        return self.vision.smoother_from(start.T_palm_object, start.covariance, np.zeros(3))
 
-    def _with_vision(
-        self, observation: Observation, smoother: PoseBiasSmoother | None
-    ) -> PoseBiasSmoother | None:
-        """Returns the smoother after what vision says: of an image that is looked at, else a pose of another's."""
-        rides = self.estimate.T_palm_object if self.estimate is not None and self.grasp.grasped else None
-        processed = self.images.observe(observation, self.vision.camera_from_palm, rides)
-        self.processed = processed.observation
-        if processed.hand is not None:
-            smoother = self.vision.palm_detected(processed.hand, smoother)
-        # What is held has gone with the palm since it was seen, else it stayed in the world.
-        T = processed.then.T_world_palm if processed.then is not None and self.grasp.grasped else None
-        return self.vision.update(processed.observation, smoother, self.T_world_palm if T is None else T)
+        # The answer: corrected, or propagated from the last correction, or vision's alone.
+        if touch.contacts is not None and self._due(state, touch.contacts, vision=vision):
+            self._correct(state, touch.contacts, state.smoother, joints, vision=vision)
+        last = state.correction
+        if state.estimate is None or last is None:  # without touch every direction is open to it
+            now = state.smoother.now
+            state.estimate = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
+        elif stamp - state.propagated_to > FOLLOWER.renew_after:
+            variance = process_variance(self.process_noise, stamp - last.stamp)
+            state.estimate, state.propagated_to = last.estimate.inflated(variance), stamp
+        if state.estimate.consistent or state.fits_at == -math.inf:
+            state.fits_at = stamp
+        state.label, state.reason = self._trust(state, state.estimate)
+        return state.estimate
 
-    def _predict(self, T_world_palm: Array | None, stamp: float) -> None:
-        """Propagates the smoother to `stamp`, and through what has become of the grasp since."""
-        if self.smoother is not None:
-            if not self.grasp.grasped and T_world_palm is not None and self.T_world_palm is not None:
-                # Nothing holds it: it stays in the world while the palm goes.
-                self.smoother = self.smoother.transformed(se3.inverse(T_world_palm) @ self.T_world_palm)
-            if stamp > self.stamp > -math.inf:
-                self.smoother = self.smoother.inflated(
-                    process_variance(self.follower.process_noise, stamp - self.stamp)
+    def _predict(self, state: _Next, T_world_palm: Array | None, stamp: float) -> None:
+        """Propagates the smoother to `stamp`, and through changes of the grasp."""
+        if state.smoother is not None:
+            if not state.grasp.grasped and T_world_palm is not None and state.T_world_palm is not None:
+                # An object that nothing holds stays in the world while the palm moves.
+                state.smoother = state.smoother.transformed(se3.inverse(T_world_palm) @ state.T_world_palm)
+            if stamp > state.stamp > -math.inf:
+                state.smoother = state.smoother.inflated(
+                    process_variance(self.process_noise, stamp - state.stamp)
                 )
         if T_world_palm is not None:
-            self.T_world_palm = T_world_palm
-        self.stamp, fingers = stamp, self.fingertips.fingers
-        self.memory.update(fingers, self.fingertips.contacts, stamp)
-        change = self.grasp.update(fingers, stamp)
+            state.T_world_palm = T_world_palm
+        state.stamp, fingers = stamp, state.fingertips.fingers
+        state.memory = state.memory.after(fingers, state.fingertips.contacts, stamp)
+        state.grasp, change = state.grasp.after(fingers, stamp, state.T_world_palm)
         if change == "grasped":
-            self.memory.only(fingers)
-        if (smoother := self.smoother) is not None:
-            smoother = smoother if change is None else self._regrasped(smoother, change)
-            self.smoother = self.slip.update(stamp, self.fingertips, smoother)
-        if self.slip.now.slipping:
-            self.memory.only(fingers)
-            self.weight.weigher.forget("the object slips")
+            state.memory = state.memory.only(fingers)
+        if (smoother := state.smoother) is not None:
+            smoother = smoother if change is None else self._regrasped(state, smoother, change)
+            state.smoother = state.slip.update(stamp, state.fingertips, smoother)
+        if state.slip.now.slipping:
+            state.memory = state.memory.only(fingers)
+            state.weight.weigher.forget("the object slips")
 
-    def _regrasped(self, smoother: PoseBiasSmoother, change: GraspChange) -> PoseBiasSmoother:
+    def _regrasped(self, state: _Next, smoother: PoseBiasSmoother, change: GraspChange) -> PoseBiasSmoother:
         """Returns the smoother after fingers came or went, which may have pushed the object."""
-        self.offsets = self.follower.joint_offsets(self)
-        self.learnt_from = self.correction
-        state, T, table = smoother.now, self.T_world_palm, self.rig.table
-        if change == "released":
-            # What contacts have said outlives the grasp, but not where the object is in the palm from now on.
-            if self.correction is not None:
-                estimate = self.correction.estimate
-                state = state.given_pose(estimate.T_palm_object, estimate.information)
-            self.correction = None
-            return smoother.restarted(state.inflated(self.follower.regrasp_noise))
-        state = state.inflated(self.follower.regrasp_noise)
-        if table is not None and T is not None and self.grasp.on_table(float(T[2, 3])):
-            state = on_table(state, self.model, table, T) or state
-        return smoother.restarted(state)
+        state.offsets = self.joint_offsets(state)
+        state.learnt_from = last = state.correction
+        pose, T, table = smoother.now, state.T_world_palm, self.rig.table
+        if change == "released" and last is not None:
+            # What contacts have measured outlives the grasp; where the object is in the palm from now on does not.
+            pose = pose.given_pose(last.estimate.T_palm_object, last.estimate.information)
+            state.correction = None
+        pose = pose.inflated(self.regrasp_noise)
+        if change != "released" and table is not None and T is not None and not state.grasp.lifted:
+            pose = on_table(pose, self.model, table, T) or pose
+        return smoother.restarted(pose)
 
-    def _due(self, touched: Contacts, *, vision: bool) -> bool:
-        """Returns whether vision, touch or a slip has something new to say, or touch has not been asked for long
-        enough."""
-        last = self.correction
+    def _measure_by_vision(self, state: _Next, observation: Observation) -> None:
+        """Updates the smoother by the observation's image, or by its pose where there is no image."""
+        known, grasped = state.estimate, state.grasp.grasped
+        T_palm_object = known.T_palm_object if known is not None and grasped else None
+        result = state.images.observe(observation, state.vision.camera_from_palm, T_palm_object)
+        state.processed = result.observation
+        if result.hand is not None:
+            state.vision, state.smoother = state.vision.palm_detected(result.hand, state.smoother)
+        # An object in the hand has moved with the palm since the image, another one has stayed in the world.
+        T = result.then.T_world_palm if result.then is not None and grasped else None
+        T_world_palm = state.T_world_palm if T is None else T
+        state.vision, state.smoother = state.vision.updated(result.observation, state.smoother, T_world_palm)
+
+    def _due(self, state: _Next, touched: Contacts, *, vision: bool) -> bool:
+        """Returns whether vision, touch, weight or a slip has something new to say, or the set rate demands it."""
+        last = state.correction
         if last is None:
             return True
-        age, regrasped = self.stamp - last.stamp, self.fingertips.fingers != last.fingers
+        age, regrasped = state.stamp - last.stamp, state.fingertips.fingers != last.fingers
         if not last.estimate.consistent:
             return age >= (FOLLOWER.retry_period if regrasped else FOLLOWER.recovery_period)
-        news = self.weight.news or self.skin.news(last.skin) or self.slip.asks(last.stamp)
+        news = state.weight.news or state.skin.news(last.skin) or state.slip.news(last.stamp)
         if vision or regrasped or news:
             return True
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
@@ -288,73 +254,106 @@ class _Step:
         return bool(shift > self.settings.moved or cosine < math.cos(self.settings.turned))
 
     def _correct(
-        self, touched: Contacts, smoother: PoseBiasSmoother, observation: Observation, *, vision: bool
+        self,
+        state: _Next,
+        touched: Contacts,
+        smoother: PoseBiasSmoother,
+        joints: Mapping[str, float] | None,
+        *,
+        vision: bool,
     ) -> None:
-        """Returns the pose from the smoother's as prior and all contacts, touched or remembered, anew."""
-        fingers, now, last = self.fingertips.fingers, self.stamp, self.correction
-        contacts, remembered = self.memory.added(fingers, touched, now)
-        joints, skin = observation.joint_positions, self.skin
-        outside = self.follower.hand.at(joints and self.offsets.corrected(joints), self.margins)
-        pressed = skin.evidence()
-        samples, prior = self.settings.samples, smoother.without_touch
-        given: dict[str, Any] = {"outside": outside, "weight": self.weight.evidence(), "skin": pressed}
-        given["answer"] = self.settings.answer
-        correct = partial(correct_pose, self.model, contacts, samples=samples, **given)
-        # What vision says anew is little beside an array that is pressed, whose search takes long.
-        vision_alone = vision and pressed is None
-        near = None if vision_alone or last is None or fingers != last.fingers else last.estimate
+        """Corrects the pose by all contacts, touched or remembered, from scratch, with the smoother's as prior."""
+        touch, now, last, skin = state.fingertips, state.stamp, state.correction, state.skin
+        contacts, remembered = state.memory.added(touch.fingers, touched, now)
+        links = self.hand.at(joints and state.offsets.corrected(joints), state.margins)
+        pressed, evidence = skin.evidence(), state.weight.evidence()
+        samples, answer, prior = self.settings.samples, self.settings.answer, smoother.without_touch
+        given: dict[str, Any] = {"weight": evidence, "skin": pressed, "answer": answer}
+
+        def correct(prior: PosePrior, outside: Outside | None = links) -> PoseEstimate:
+            return correct_pose(self.model, contacts, vision=prior, outside=outside, samples=samples, **given)
+
+        # The last answer is a good start while the same fingers touch, unless vision may lead to another minimum; but
+        # beside a pressed array, whose search takes long, vision says little.
         estimate = None
-        if near is not None and near.consistent and not near.outliers and not samples:
-            # Nothing new asks for another minimum than that answer's own, if it still fits.
-            estimate = refine_pose(self.model, contacts, prior, near.T_palm_object_maximum, **given)
+        if last is not None and touch.fingers == last.fingers and not (vision and pressed is None):
+            near = last.estimate
+            if near.consistent and not near.outliers and not samples:
+                start = near.T_palm_object_maximum
+                estimate = refine_pose(self.model, contacts, prior, start, outside=links, **given)
         if estimate is None:
-            estimate = correct(vision=prior)
-        if outside is not None:
-            estimate = self._reconciled(estimate, outside, lambda hand: correct(vision=prior, outside=hand))
-        if not estimate.consistent and now - self.recovered_at >= FOLLOWER.recovery_period:
-            self.recovered_at = now
-            estimate, smoother = self._recovered(estimate, smoother, correct)
-            self.smoother, prior = smoother, smoother.without_touch
-        sensed = None if remembered or pressed is not None else self.fingertips
-        estimate = self.weight.shared(estimate, sensed, prior, self.offsets)
-        for i in estimate.outliers:
-            if len(touched) <= i < len(touched) + len(remembered):
-                self.memory.forget(remembered[i - len(touched)])
-        variance = sigma_of_point(estimate, self.model, self.model.center_object) ** 2
-        self.correction = Correction(
-            estimate, touched, self.fingertips.by_error, prior, fingers, now, variance, skin
+            estimate = correct(prior)
+
+        # Links of the hand may be smaller than their shapes, and contacts may be those of another pose.
+        fits = estimate.consistent and not estimate.outliers
+        if links is not None and not (fits and now - state.links_checked_at < HAND_OUTSIDE.check_period):
+            state.links_checked_at = now
+            estimate, inside = self.hand.reconciled(estimate, links, lambda weaker: correct(prior, weaker))
+            state.margins = state.margins.noted(inside, now)
+        if not estimate.consistent and now - state.recovered_at >= FOLLOWER.recovery_period:
+            state.recovered_at = now
+            estimate, smoother = self._recovered(state, estimate, smoother, correct)
+            state.smoother, prior = smoother, smoother.without_touch
+
+        # Contacts and weight are wrong by the same joints.
+        weighing = state.weight.used()
+        by_error = None if remembered or pressed is not None else touch.by_error
+        if estimate.weight_fits and weighing is not None and evidence is not None and by_error is not None:
+            weight = weighing, evidence
+            estimate = state.offsets.shared(self.model, estimate, (touched, by_error), prior, weight)
+        wrong = [
+            remembered[i - len(touched)] for i in estimate.outliers if 0 <= i - len(touched) < len(remembered)
+        ]
+        if wrong:
+            state.memory = state.memory.only(state.memory.last.keys() - wrong)
+        _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
+        state.correction = Correction(
+            estimate, touched, touch.by_error, prior, touch.fingers, now, variance, skin
         )
-        self.estimate, self.propagated_to = estimate, now
-        self.corrections += 1
+        state.estimate, state.propagated_to = estimate, now
+        state.corrections += 1
 
     def _recovered(
-        self, estimate: PoseEstimate, smoother: PoseBiasSmoother, correct: Correct
+        self,
+        state: _Next,
+        estimate: PoseEstimate,
+        smoother: PoseBiasSmoother,
+        correct: Callable[[PosePrior], PoseEstimate],
     ) -> tuple[PoseEstimate, PoseBiasSmoother]:
-        """Returns another estimate, where contacts fit one: by a wider prior; lost, by what vision alone says last."""
+        """Returns an estimate that contacts fit, with its prior: from a wider one, or, when lost, from vision alone.
+
+        Where none fits, both stay as they were.
+        """
         now = smoother.now
         wider = smoother.restarted(now.inflated((FOLLOWER.inflation - 1) * now.covariance.diagonal()[:6]))
-        # Touch may have said where something else is, such as the edge of the table.
-        for other in (wider, self.vision.afresh() if self.status.unfitted(self.stamp) else None):
-            found = estimate if other is None else correct(vision=other.without_touch)
-            if other is not None and found.consistent:
+        # Before it was lost, touch may have been of something else, such as the edge of the table.
+        unfitted = state.stamp - state.fits_at > FOLLOWER.lost_without_fit
+        for other in (wider, state.vision.afresh() if unfitted else None):
+            if other is not None and (found := correct(other.without_touch)).consistent:
                 return found, other
         return estimate, smoother
 
-    def _reconciled(self, estimate: PoseEstimate, outside: Outside, solve: Solve) -> PoseEstimate:
-        """Returns the estimate where links of the hand that are larger in their file than they are have been found."""
-        fits = estimate.consistent and not estimate.outliers
-        if fits and self.stamp - self.links_checked_at < HAND_OUTSIDE.check_period:
-            return estimate
-        self.links_checked_at = self.stamp
-        estimate, inside = self.follower.hand.reconciled(estimate, outside, solve)
-        self.margins = self.margins.noted(inside, self.stamp)
-        return estimate
-
-    def _doubt(self, estimate: PoseEstimate) -> str:
-        """Returns what speaks against an answer; empty: nothing."""
-        if self.slip.now.slipping:
-            return SLIPS
+    def _trust(self, state: _Next, estimate: PoseEstimate) -> tuple[State, str]:
+        """Returns how far the estimate is to be trusted, and why no further."""
+        if state.measured_at == -math.inf:
+            return "lost", "nothing was touched or seen yet"
+        if (since := state.stamp - state.measured_at) > self.settings.lost_after:
+            return "lost", f"nothing touched and nothing seen for {since:.1f} s"
+        if (since := state.stamp - state.fits_at) > FOLLOWER.lost_without_fit:
+            return "lost", f"the contacts have fitted no pose for {since:.1f} s"
+        if state.slip.now.slipping:
+            return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
         if not estimate.consistent:
-            return CONTRADICTED
-        by_vision = self.correction is None and not self.vision.camera_from_palm.believed
-        return VISION_ALONE if by_vision else ""
+            return "uncertain", "the contacts do not fit the object where it is believed to be"
+        if state.correction is None and not state.vision.camera_from_palm.believed:
+            return "uncertain", "nothing is touched: the pose is vision's"
+        if (sigma := self.sigma(state)) > self.settings.uncertain_position:
+            return "uncertain", f"the position is known to {1e3 * sigma:.0f} mm only"
+        return "tracking", ""
+
+
+def _started(vision: VisionUpdate, start: PosePrior | None) -> PoseBiasSmoother | None:
+    """Returns the smoother that knows the object's pose at the start; None where that is unknown."""
+    if start is None:
+        return None
+    return vision.smoother_from(start.T_palm_object, start.covariance, np.zeros(3))

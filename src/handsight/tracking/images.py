@@ -1,6 +1,8 @@
-"""Depth images as measurements of vision: where the object is in the camera, and where the camera is, by the hand."""
+"""Depth images as measurements: where the object is in the camera, and, by the hand, where the camera is."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,93 +10,134 @@ from handsight import se3
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.copies import shallow_copy
+from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import MountedCamera, Rig
 from handsight.tracking.camera_from_palm import CameraFromPalm, HandView
-from handsight.tracking.history import History, Instant
 from handsight.vision import PalmDetection
 from handsight.vision.depth_noise import PRESETS
-from handsight.vision.object.depth_tracker import HIDDEN, DepthTracker, Sighting
+from handsight.vision.object.depth_tracker import HIDDEN, DepthTracker
 from handsight.vision.palm.hand_in_image import HandInImage
 
-ERR_TOGETHER = 1.0
-"""Images so far apart err each by itself; nearer ones share what smoothing, bias and the side they show do [s]."""
-SEARCH_AGAIN = 0.5
-"""Between looks for a hand that was seen [s]: its joints go on telling where it is."""
-FOUND_SIGMAS = 0.01, float(np.deg2rad(3.0))
-"""How far the palm may be off in the next image, once it was seen [m, rad]."""
+
+class ImageOptions(NamedTuple):
+    """`ImageOptions` say how depth images are used by a tracker."""
+
+    correlation_time: float = 1.0
+    """Images within this time of each other share their errors: smoothing, bias, the visible side [s]."""
+    palm_period: float = 0.5
+    """Between two searches for a palm that was detected; in between, the joints say where it is [s]."""
+    sigma_palm_position: float = 0.01
+    """How far the palm may be off in the next image, once it was detected, per axis [m]."""
+    sigma_palm_rotation: float = float(np.deg2rad(3.0))  # [rad]
+    history: float = 1.0  # how long joints and palm are kept: an image arrives later than it was taken [s]
+    max_instants: int = 2000  # that are kept at most
+
+
+IMAGES = ImageOptions()
+
+
+class Instant(NamedTuple):
+    """An `Instant` is joints and palm at one instant, each if it was measured."""
+
+    stamp: float
+    joint_positions: Mapping[str, float] | None
+    T_world_palm: Array | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class History:
+    """A `History` is the instants of the last second, and some before them, in order of their stamps."""
+
+    instants: tuple[Instant, ...] = ()
+
+    def after(self, instant: Instant) -> "History":
+        """Returns the history with one more instant, which replaces one of the same stamp."""
+        kept = self.instants
+        if kept and kept[-1].stamp == instant.stamp:
+            kept = kept[:-1]
+        full = len(kept) >= IMAGES.max_instants
+        if full or (kept and kept[0].stamp < instant.stamp - 1.25 * IMAGES.history):
+            # Only now and then, because it takes longer than adding one.
+            recent = (old for old in kept if old.stamp >= instant.stamp - IMAGES.history)
+            kept = tuple(recent)[1 - IMAGES.max_instants :]
+        return History((*kept, instant))
+
+    def at(self, stamp: float | None) -> Instant | None:
+        """Returns the instant nearest to a stamp, the last one for None; None where the stamp is older than all."""
+        if stamp is None or not self.instants:
+            return self.instants[-1] if self.instants else None
+        since = self.instants[-1].stamp - IMAGES.history
+        recent = [instant for instant in self.instants if instant.stamp >= since]
+        if stamp < recent[0].stamp - IMAGES.history / 10:
+            return None
+        return min(recent, key=lambda instant: abs(instant.stamp - stamp))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageResult:
-    """An `ImageResult` is what an observation says once its depth image was looked at."""
+    """An `ImageResult` is an observation after its depth image was evaluated."""
 
     observation: Observation
-    """With the pose that the image gives as its vision; with none where the object is not seen."""
+    """Its vision is the pose that the image gives, None where the object was not found in it."""
     hand: HandView | None
-    """The hand in the image; None where it was not looked for, or is hardly seen."""
+    """The palm in the image; None where it was not searched for, or not detected."""
     then: Instant | None
-    """Joints and palm when what vision says was seen."""
+    """Joints and palm at the stamp of the observation's vision."""
 
 
 class ImageVision:
-    """An `ImageVision` is a rig's depth camera: follows one object, finds the hand, and leaves it out of what may be
-    the object."""
+    """An `ImageVision` evaluates the images of a rig's depth camera for one object, over time."""
 
     def __init__(self, rig: Rig, model: ObjectModel, *, on: bool) -> None:
-        """Whether it is `on`: else, and without the camera's intrinsics, observations stay as they are."""
+        """Where it is not `on`, or the camera has no intrinsics, observations stay as they are."""
         self._rig, self._model, self._history = rig, model, History()
         self._on = on and rig.camera is not None and rig.camera.intrinsics is not None
-        self.eye: Eye | None = None
-        """What looks, from the first depth image on."""
+        self._images: ObjectInImages | None = None
+        """None before the first depth image."""
 
     def copied(self) -> "ImageVision":
         """Returns a copy that evolves apart from this one."""
         copy = shallow_copy(self)
-        copy.eye = None if self.eye is None else self.eye.copied()
+        if copy._images is not None:
+            copy._images = shallow_copy(copy._images)
+            copy._images.tracker = shallow_copy(copy._images.tracker)
         return copy
 
     @property
     def counts(self) -> dict[str, int]:
-        """What has become of the images so far; empty where none was looked at."""
-        eye = self.eye
-        if eye is None:
-            return {}
-        return {
-            "looked_at": eye.images,
-            "object_seen": eye.poses,
-            "hand_sought": eye.searches,
-            "palm_detected": eye.hands,
-        }
+        """How many images were evaluated and with what result; empty where there were none."""
+        return {} if self._images is None else dict(self._images.counts)
 
     def observe(
         self, observation: Observation, from_palm: CameraFromPalm, T_palm_object: Array | None
     ) -> ImageResult:
-        """Returns what an observation says; `from_palm`: what earlier images have said of the camera.
+        """Returns what an observation measures; `from_palm`: what earlier images have measured of the camera.
 
-        T_palm_object: (4, 4) of an object that rides in the hand; None where nothing holds it. Raises InvalidInput for
-        images that are none of the camera's.
+        T_palm_object: (4, 4) of an object in the hand; None where nothing holds it. Raises InvalidInput for an image
+        that cannot be the camera's.
         """
         self._history = self._history.after(
             Instant(observation.stamp, observation.joint_positions, observation.T_world_palm)
         )
         camera, hand = self._rig.camera, None
         if self._on and camera is not None and observation.depth is not None:
-            self.eye = self.eye or Eye(self._rig, camera, self._model)
+            self._images = self._images or ObjectInImages(self._rig, camera, self._model)
             stamp = observation.stamp if observation.image_stamp is None else observation.image_stamp
             then = self._history.at(stamp)
             if then is not None:
-                vision, hand = self.eye.observe(stamp, observation.depth, then, from_palm, T_palm_object)
+                vision, hand = self._images.observe(stamp, observation.depth, then, from_palm, T_palm_object)
                 observation = replace(observation, vision=vision)
-        elif self.eye is not None and observation.vision is not None and observation.vision.frame == "camera":
-            observation = replace(observation, vision=None)  # the same camera says more in its images
-        vision = observation.vision
+        vision, by_images = observation.vision, self._images is not None and observation.depth is None
+        if by_images and vision is not None and vision.frame == "camera":
+            # This camera's images are the better measurement, so its poses are not taken between them.
+            observation, vision = replace(observation, vision=None), None
         return ImageResult(observation, hand, None if vision is None else self._history.at(vision.stamp))
 
 
-class Eye:
-    """Looks at depth images."""
+class ObjectInImages:
+    """An `ObjectInImages` follows the object in a camera's depth images, the pixels of the hand left out."""
 
     def __init__(self, rig: Rig, camera: MountedCamera, model: ObjectModel) -> None:
         """The rig's camera must have intrinsics."""
@@ -102,20 +145,13 @@ class Eye:
         self._camera = Camera.of(camera)
         self.tracker = DepthTracker(model, self._camera, noise=PRESETS[camera.depth_camera])
         self._hand = HandInImage(rig)
-        sizes = camera.sigma_position_constant, camera.sigma_rotation_constant
-        self._sigmas = max(sizes[0], FOUND_SIGMAS[0]), max(sizes[1], FOUND_SIGMAS[1])
-        self._posed = self._searched = -np.inf
-        self.sighting: Sighting | None = None
-        """The last one."""
-        self.images = self.poses = self.searches = self.hands = 0
-        """How many images were looked at and in how many the object was seen; how often the hand was looked for, and
-        seen."""
+        self._lost = True
+        self._detected_at = self._palm_searched_at = -np.inf
+        self.counts = {"looked_at": 0, "object_seen": 0, "hand_sought": 0, "palm_detected": 0}
+        """Images; those in which the object was detected; searches for the palm; those that detected it."""
 
-    def copied(self) -> "Eye":
-        """Returns a copy that evolves apart from this one; both share the room that an image is worked on in."""
-        copy = shallow_copy(self)
-        copy.tracker = shallow_copy(self.tracker)
-        return copy
+    def _count(self, name: str) -> None:
+        self.counts = {**self.counts, name: self.counts[name] + 1}
 
     def observe(
         self,
@@ -125,54 +161,62 @@ class Eye:
         from_palm: CameraFromPalm,
         T_palm_object: Array | None,
     ) -> tuple[PoseMeasurement | None, HandView | None]:
-        """Returns where the object is in the camera, and the hand, each if it is seen."""
+        """Returns where the object is in the camera, and the palm in the camera's mount; None where not detected."""
         image = self._camera.check_depth(depth, "observation.depth")
-        self.images += 1
-        view, mask, T_camera_palm = self._see_hand(stamp, image, then, from_palm)
-        # What touch says is where to look for what was lost, and no more: a look that began there each time would say
-        # again what touch has said, as if the camera had seen it.
+        self._count("looked_at")
+        view, mask, T_camera_palm = self._observe_hand(stamp, image, then, from_palm)
+        # Touch says where to search for a lost object, and no more: a search that began there each time would
+        # return what touch has measured as if the camera had measured it too.
         expected = None if T_palm_object is None or T_camera_palm is None else T_camera_palm @ T_palm_object
-        lost = self.sighting is None or self.sighting.T_camera_object is None
-        self.sighting = sighting = self.tracker.update(
+        found = self.tracker.update(
             stamp,
             image,
             hand=mask,
             T_camera_palm=T_camera_palm,
             gripped=expected is not None,
-            expected=expected if lost else None,
+            expected=expected if self._lost else None,
         )
-        # Where hardly anything of it is seen, the pose is what was expected: nothing that the image says.
-        if sighting.T_camera_object is None or sighting.covariance is None or sighting.reason == HIDDEN:
+        self._lost = found.T_camera_object is None
+        # Of an object that is nearly hidden, the pose is the predicted one, and no measurement.
+        if found.T_camera_object is None or found.covariance is None or found.reason == HIDDEN:
             return None, view
-        self.poses += 1
-        # So many images tell no more than one.
-        alike = max(1.0, ERR_TOGETHER / max(stamp - self._posed, 1e-3))
-        self._posed = stamp
-        return PoseMeasurement(sighting.T_camera_object, "camera", alike * sighting.covariance, stamp), view
+        self._count("object_seen")
+        # n images that share their errors measure as much as one, so each has n times the covariance.
+        sharing = max(1.0, IMAGES.correlation_time / max(stamp - self._detected_at, 1e-3))
+        self._detected_at = stamp
+        return PoseMeasurement(found.T_camera_object, "camera", sharing * found.covariance, stamp), view
 
-    def _see_hand(
+    def _observe_hand(
         self, stamp: float, depth: Depth, then: Instant, from_palm: CameraFromPalm
     ) -> tuple[HandView | None, Mask | None, Array | None]:
-        """Returns the palm's view, the hand's pixels and T_camera_palm, each as far as it can be told."""
+        """Returns the palm's detection, the hand's pixels and T_camera_palm, each None where it is unknown."""
         joints, camera = then.joint_positions, self._mounted
         T_mount_palm = np.eye(4) if camera.on == "palm" else then.T_world_palm
         if T_mount_palm is None:
             return None, None, None
         T_camera_mount = se3.inverse(camera.T_mount_camera)
-        believed, sigmas, known = T_camera_mount @ T_mount_palm, self._sigmas, len(from_palm.believed) > 0
+        known = len(from_palm.believed) > 0
+        sigmas = IMAGES.sigma_palm_position, IMAGES.sigma_palm_rotation
         if known:
-            believed, sigmas = T_camera_mount @ from_palm.believed[-1].expected(T_mount_palm), FOUND_SIGMAS
+            believed = T_camera_mount @ from_palm.believed[-1].expected(T_mount_palm)
+        else:
+            believed = T_camera_mount @ T_mount_palm
+            sigmas = (
+                max(camera.sigma_position_constant, sigmas[0]),
+                max(camera.sigma_rotation_constant, sigmas[1]),
+            )
         found = None
-        if not known or abs(stamp - self._searched) >= SEARCH_AGAIN:
-            self._searched, self.searches = stamp, self.searches + 1
+        if not known or abs(stamp - self._palm_searched_at) >= IMAGES.palm_period:
+            self._palm_searched_at = stamp
+            self._count("hand_sought")
             observe = self._hand.followed if known else self._hand.detected
             found = observe(self._camera, depth, joints, believed, sigmas)
+        view = None
         if isinstance(found, PalmDetection):
-            self.hands += 1
-            covariance = se3.rotate_covariance(camera.T_mount_camera[:3, :3], found.covariance)
-            view = HandView(T_mount_palm, camera.T_mount_camera @ found.T_camera_palm, covariance)
-            mask = self._hand.mask(self._camera, depth, joints, found.T_camera_palm)
-            return view, mask, found.T_camera_palm
-        if not known:
+            self._count("palm_detected")
+            believed = found.T_camera_palm
+            detected = GaussianPose(believed, found.covariance).transformed(camera.T_mount_camera)
+            view = HandView(T_mount_palm, detected)
+        elif not known:
             return None, None, None
-        return None, self._hand.mask(self._camera, depth, joints, believed), believed
+        return view, self._hand.mask(self._camera, depth, joints, believed), believed

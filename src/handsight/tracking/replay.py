@@ -1,4 +1,4 @@
-"""A tracker's answers to a stream of observations, and a summary of them."""
+"""A tracker's answers to a stream of observations, with a summary of them, and the best weighing among them."""
 
 import math
 import time
@@ -7,15 +7,19 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+
 from handsight.checks import Array
 from handsight.correction import PoseEstimate
 from handsight.errors import InvalidInput
-from handsight.forces import Slip
+from handsight.forces import ObjectWeight, Slip
 from handsight.observation import Observation
 from handsight.tracking.clock import MAX_JUMP
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.skin import NOTHING, SkinContacts
 from handsight.tracking.tracker import State, Tracker
+
+MAX_MESSAGES = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,17 +37,17 @@ class Step:
     T_world_palm: Array | None
     """(4, 4)."""
     fingertips: FingertipContacts
-    """What they feel."""
+    """What the fingertips measure."""
     sigma: float
     """Standard deviation of the position, its largest [m]."""
     slip: Slip = field(default_factory=Slip)
     """Whether the object slips, and how near to that it is."""
     skin: SkinContacts = NOTHING
-    """What tactile arrays feel."""
+    """What the tactile arrays measure."""
 
     @property
     def fingers(self) -> tuple[str, ...]:
-        """Those that touch."""
+        """The fingers that touch."""
         return self.fingertips.fingers
 
     @property
@@ -54,25 +58,22 @@ class Step:
 
 @dataclass(slots=True)
 class Tally:
-    """A `Tally` is what a replay came to."""
+    """A `Tally` is the summary of a replay."""
 
     observations: int = 0
     answered: int = 0
     refused: Counter[str] = field(default_factory=Counter)
-    """Observations that were wrong in themselves, by what was said of them; at most `MAX_MESSAGES` are told apart."""
+    """Observations that were wrong in themselves, by the message; at most `MAX_MESSAGES` different ones are counted."""
     states: dict[str, float] = field(default_factory=dict)
     """Seconds in each state."""
     recorded: float = 0.0
     """Seconds between the first observation and the last, in each track if the clock was set back."""
     wall: float = 0.0
-    """Seconds this took."""
+    """Seconds that the replay took."""
     touched: set[str] = field(default_factory=set)
     """Fingers that have touched something."""
     without: dict[str, Counter[str]] = field(default_factory=dict)
-    """By finger: observations before its first contact, if it has one, by why there was none."""
-
-
-MAX_MESSAGES = 100
+    """By finger: observations before its first contact, if it has one, by the reason for having none."""
 
 
 class Taken(NamedTuple):
@@ -89,10 +90,10 @@ class Taken(NamedTuple):
 def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) -> Iterator[Step]:
     """Yields the tracker's answers, one for each observation it can answer; `tally` is filled as they come.
 
-    An observation that is wrong in itself is counted with what is wrong, and the next is taken. One that comes late has
-    no answer, nor has one that jumps ahead and is taken back: after a jump an answer waits for the next observation.
+    An observation that is wrong in itself is counted by its message, and the next is taken. One that comes late has no
+    answer, nor has one that jumps ahead and is taken back: after a jump an answer waits for the next observation.
     """
-    began, started_at, gripped = time.perf_counter(), math.nan, list[Taken]()
+    began, counted_to, waiting = time.perf_counter(), math.nan, list[Taken]()
     for observation in observations:
         tally.observations += 1
         late, undone = tracker.late, tracker.undone
@@ -100,29 +101,27 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
             estimate = tracker.update(observation)
         except InvalidInput as error:
             message = str(error)
-            tally.refused[
-                message if message in tally.refused or len(tally.refused) < MAX_MESSAGES else "others"
-            ] += 1
-            if not gripped:
-                started_at = _passed_over(observation, started_at, tally)
+            known = message in tally.refused or len(tally.refused) < MAX_MESSAGES
+            tally.refused[message if known else "others"] += 1
+            if not waiting:
+                counted_to = _passed_over(observation, counted_to, tally)
             continue
         finally:
             tally.wall = time.perf_counter() - began
-        del gripped[len(gripped) - (tracker.undone - undone) :]
+        del waiting[len(waiting) - (tracker.undone - undone) :]
         if tracker.late == late:
-            passed = max(0.0, tracker.stamp - (gripped[-1].stamp if gripped else started_at))
+            passed = max(0.0, tracker.stamp - (waiting[-1].stamp if waiting else counted_to))
             step = None if estimate is None else _step(tracker, estimate)
-            gripped.append(Taken(tracker.stamp, passed, tracker.state, tracker.fingertips, step))
-        while len(gripped) > tracker.unconfirmed:
-            started_at = gripped[0].stamp
-            yield from _counted(gripped.pop(0), tally)
-    for taken in gripped:
+            waiting.append(Taken(tracker.stamp, passed, tracker.state, tracker.fingertips, step))
+        while len(waiting) > tracker.unconfirmed:
+            counted_to = waiting[0].stamp
+            yield from _counted(waiting.pop(0), tally)
+    for taken in waiting:
         yield from _counted(taken, tally)
 
 
 def _passed_over(observation: Observation, last: float, tally: Tally) -> float:
-    """Returns the stamp up to which time has passed, with a refused observation, if its stamp can be told from a
-    wrong one."""
+    """Returns the stamp up to which time is counted after a refused observation: its own, if it is plausible."""
     stamp = getattr(observation, "stamp", None)
     if not isinstance(stamp, float) or not math.isfinite(stamp) or stamp <= last or stamp - last > MAX_JUMP:
         return last
@@ -146,7 +145,7 @@ def _step(tracker: Tracker, estimate: PoseEstimate) -> Step:
 
 
 def _counted(taken: Taken, tally: Tally) -> Iterator[Step]:
-    """Yields the answer, if there is one, once nothing takes it back."""
+    """Yields the answer, if there is one, now that nothing can take it back, and counts the observation."""
     tally.recorded += taken.passed
     if taken.passed:
         tally.states[taken.state] = tally.states.get(taken.state, 0.0) + taken.passed
@@ -157,3 +156,23 @@ def _counted(taken: Taken, tally: Tally) -> Iterator[Step]:
     if taken.step is not None:
         tally.answered += 1
         yield taken.step
+
+
+def best_weight(observations: Iterable[Observation], tracker: Tracker) -> tuple[ObjectWeight | None, str]:
+    """Returns the weighing whose centre of mass in the object is known best, or None and why no weighing is believed.
+
+    The tracker's model must have no centre of mass: a known one would come out again as if it had been measured.
+    """
+    best: ObjectWeight | None = None
+    reason = "the object was never in the air"
+    for _ in replay(observations, tracker, Tally()):
+        found = tracker.weight
+        if found is None:
+            continue
+        if found.reason:
+            reason = found.reason
+        elif found.directions < 2:  # the centre's height along a single direction of gravity is open
+            reason = "gravity had one direction in the palm all the time: tilt the hand by 20° about two axes"
+        elif best is None or np.trace(found.covariance) < np.trace(best.covariance):
+            best = found
+    return best, "" if best is not None else reason

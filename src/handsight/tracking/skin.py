@@ -1,4 +1,4 @@
-"""What a rig's tactile arrays feel over time: each read above what it read while nothing was touched."""
+"""A rig's tactile arrays over time: each is read above its baseline, what it read while nothing was touched."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ import numpy as np
 from handsight import checks
 from handsight.checks import Array, Mask
 from handsight.contact import Contacts
-from handsight.contact.taxels import SkinTouch, TaxelArray
+from handsight.contact.taxels import SkinTouch
 from handsight.correction import SkinEvidence
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
@@ -19,33 +19,70 @@ from handsight.rig import Rig
 class SkinOptions(NamedTuple):
     """`SkinOptions` say how readings of tactile arrays are used."""
 
-    min_baseline: int = 5  # readings of an untouched array from which on their mean is its baseline
-    max_baseline: int = 50  # readings that are taken for it
+    min_baseline: int = 5  # readings of an untouched array, of which the mean is its baseline, at least
+    max_baseline: int = 50  # and at most
     changed_share: float = 0.3
-    """Of the taxels that are or were pressed: where more have changed, the pose is corrected again."""
+    """The pose is corrected again where more than this part of the taxels that are or were pressed has changed."""
 
 
 SKIN = SkinOptions()
 
-
 Place = tuple[Array, Array | None]
-"""T_palm_frame (4, 4) of an array's link, and how its joints' errors move it (6, j); None: it is fixed in the palm."""
+"""T_palm_frame (4, 4) of an array's link, and its change (6, j) by its joints' errors; None: fixed in the palm."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Untouched:
+    """An `Untouched` sums up an array's readings while nothing was touched."""
+
+    count: int
+    total: Array
+    """(rows, columns) their sum."""
+    varied: Mask
+    """(rows, columns) which taxels have ever changed."""
+    last: Array
+    """(rows, columns) the last reading."""
+
+    @classmethod
+    def first(cls, reading: Array) -> "Untouched":
+        """Returns the sum of one reading (rows, columns)."""
+        return cls(1, reading, np.zeros(reading.shape, dtype=bool), reading)
+
+    def after(self, reading: Array) -> "Untouched":
+        """Returns the sum with one more reading (rows, columns)."""
+        varied = self.varied | (reading != self.last)
+        return Untouched(self.count + 1, self.total + reading, varied, reading)
+
+    def baseline(self, full_scale: float | None) -> Array | float:
+        """Returns (rows, columns) the mean reading, NaN for dead and stuck taxels; 0 of too few readings.
+
+        Those are taxels at full scale, and those that never change where most do.
+        """
+        if self.count < SKIN.min_baseline:
+            return 0.0
+        mean = self.total / self.count
+        dead = ~self.varied if self.varied.mean() > 0.5 else np.zeros_like(self.varied)
+        if full_scale is not None:
+            dead |= mean >= full_scale
+        return np.where(dead, np.nan, mean)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinContacts:
-    """A `SkinContacts` is what all arrays say at one instant; in the palm it is put when it is asked for."""
+    """A `SkinContacts` is what all tactile arrays measure at one instant."""
 
     touches: Mapping[str, tuple[SkinTouch, Place]] = field(default_factory=dict)
-    """By array that was heard and whose link's place is known."""
+    """By array that has a reading and whose link's place is known."""
+    untouched: Mapping[str, Untouched] = field(default_factory=dict)
+    """By array, its readings so far while nothing was touched."""
 
     @property
     def pressed(self) -> bool:
-        """Whether any taxel is."""
+        """Whether any taxel is pressed."""
         return any(touch.pressed.any() for touch, _ in self.touches.values())
 
     def contacts(self) -> Contacts | None:
-        """Returns contacts of pressed taxels; None where none is."""
+        """Returns the pressed taxels' contacts in the palm; None where no taxel is pressed."""
         found: Contacts | None = None
         for touch, (T_palm_frame, _) in self.touches.values():
             more = touch.contacts(T_palm_frame)
@@ -62,7 +99,7 @@ class SkinContacts:
         return found
 
     def news(self, last: "SkinContacts") -> bool:
-        """Returns whether other taxels are pressed than at the last correction."""
+        """Returns whether other taxels are pressed than in `last`, that of the last correction."""
         if self.touches.keys() != last.touches.keys():
             return True
         for name, (touch, _) in self.touches.items():
@@ -75,82 +112,45 @@ class SkinContacts:
 NOTHING = SkinContacts()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Untouched:
-    """`Untouched` are the readings of an array while nothing was touched."""
-
-    count: int
-    total: Array
-    """(rows, columns)"""
-    varied: Mask
-    """(rows, columns) which have ever changed."""
-    last: Array
-    """(rows, columns)"""
-
-    def baseline(self, full_scale: float | None) -> Array | float:
-        """Returns (rows, columns) what each reads untouched, NaN for those not to be believed; 0 of too few readings.
-
-        Not believed are taxels at full scale, and those that never change where most do: dead or stuck.
-        """
-        if self.count < SKIN.min_baseline:
-            return 0.0
-        mean = self.total / self.count
-        dead = ~self.varied if self.varied.mean() > 0.5 else np.zeros_like(self.varied)
-        if full_scale is not None:
-            dead |= mean >= full_scale
-        return np.where(dead, np.nan, mean)
-
-
 class SkinSensors:
-    """A `SkinSensors` is a rig's tactile arrays; what it knows it binds anew and never changes in place, for a
-    tracker may come back."""
+    """A `SkinSensors` is a rig's tactile arrays."""
 
     def __init__(self, rig: Rig) -> None:
-        """Nothing was heard yet."""
+        """The frame of each array must be a body of the rig's hand."""
         self.rig = rig
         self._chains = {
             name: rig.hand.chains_to({f"skin[{name!r}].frame": array.frame})
             for name, array in rig.skin.items()
         }
         self._sigma_joint = float(np.hypot(rig.sigma_joint_offset, rig.sigma_joint))
-        self._untouched: Mapping[str, Untouched] = {}
 
-    def observed(self, observation: Observation, *, touched: bool) -> SkinContacts:
-        """Returns what is felt now; `touched`: a fingertip feels something, so that the arrays may, too.
+    def observed(
+        self, observation: Observation, before: SkinContacts = NOTHING, *, touched: bool
+    ) -> SkinContacts:
+        """Returns what the arrays measure now; those on links whose joints are missing are left out.
 
-        An array on a link whose joints were not heard says nothing. Raises InvalidInput.
+        `before` is what they measured at the last observation. `touched`: a fingertip touches something, so an array
+        may, too, and its reading is not added to its baseline. Raises InvalidInput.
         """
         if not isinstance(observation.skin, Mapping):
             came = checks.brief(observation.skin)
             raise InvalidInput(f"observation.skin: expected a mapping from array to readings, got {came}")
-        found = dict[str, tuple[SkinTouch, Place]]()
+        touches, untouched = dict[str, tuple[SkinTouch, Place]](), dict(before.untouched)
         for name, array in self.rig.skin.items():
-            if name in observation.skin:
-                touch = self._touch(name, array, observation.skin[name], touched=touched)
-                if (place := self._place(name, observation.joint_positions)) is not None:
-                    found[name] = touch, place
-        return SkinContacts(found)
+            if name not in observation.skin:
+                continue
+            reading = array.reading(observation.skin[name], f"observation.skin[{name!r}]")
+            known = untouched.get(name)
+            if not touched and (known is None or known.count < SKIN.max_baseline):
+                clean = np.where(np.isfinite(reading), reading, 0.0)
+                untouched[name] = known = Untouched.first(clean) if known is None else known.after(clean)
+            touch = array.touch(reading, 0.0 if known is None else known.baseline(array.full_scale))
+            if (place := self._place(name, observation.joint_positions)) is not None:
+                touches[name] = touch, place
+        return SkinContacts(touches, untouched)
 
-    def _touch(self, name: str, array: TaxelArray, values: Array, *, touched: bool) -> SkinTouch:
-        """Returns what the array's readings say above its baseline, of which these are part where nothing is
-        touched."""
-        reading = array.reading(values, f"observation.skin[{name!r}]")
-        known = self._untouched.get(name)
-        if not touched and (known is None or known.count < SKIN.max_baseline):
-            clean = np.where(np.isfinite(reading), reading, 0.0)
-            if known is None:
-                known = Untouched(1, clean, np.zeros(array.shape, dtype=bool), clean)
-            else:
-                varied = known.varied | (clean != known.last)
-                known = Untouched(known.count + 1, known.total + clean, varied, clean)
-            self._untouched = {**self._untouched, name: known}
-        return array.touch(reading, 0.0 if known is None else known.baseline(array.full_scale))
-
-    def _place(
-        self, name: str, joint_positions: Mapping[str, float] | None
-    ) -> tuple[Array, Array | None] | None:
-        """Returns T_palm_frame (4, 4) of an array's link, and how its joints' errors move it (6, j); None: not
-        known."""
+    def _place(self, name: str, joint_positions: Mapping[str, float] | None) -> Place | None:
+        """Returns the place of an array's link; None where joints are missing."""
         chains = self._chains[name]
         if not chains.joints:
             return chains.homes[0], None

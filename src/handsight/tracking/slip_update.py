@@ -1,4 +1,4 @@
-"""What a slip does to what is known of the pose: more uncertain along the slip, and a reason to correct at once."""
+"""The effect of a slip on the pose: it is more uncertain along the slip, and has to be corrected at once."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from handsight.copies import shallow_copy
 from handsight.forces import Slip, SlipDetector, slip_twist
-from handsight.forces.slip_motion import LENGTH
+from handsight.forces.object_motion import LENGTH
 from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.smoother import PoseBiasSmoother
@@ -25,17 +25,18 @@ class SlipUpdateOptions(NamedTuple):
 
 SLIP_UPDATE = SlipUpdateOptions()
 
-EVERY_WAY = np.diag(np.repeat([1.0, 1 / LENGTH**2], 3))
-"""Covariance (6, 6) of a motion of a metre whichever way."""
+ISOTROPIC = np.diag(np.repeat([1.0, 1 / LENGTH**2], 3))
+"""Covariance (6, 6) of a motion by one metre in an unknown direction."""
 
 
 class SlipUpdate:
-    """A `SlipUpdate` says whether the object slips, over time, and what that does; what changes is bound anew."""
+    """A `SlipUpdate` detects slips over time, and adds what they may have moved to the pose's covariance."""
 
     def __init__(self, rig: Rig) -> None:
-        """Nothing is felt yet."""
+        """Starts without any load."""
         self.detector = SlipDetector(rig)
-        self._spread = 0.0
+        self._sigma = 0.0
+        """Of how far this slip has taken the object, as far as the smoother has it [m]."""
 
     def copied(self) -> "SlipUpdate":
         """Returns a copy that evolves apart from this one."""
@@ -52,32 +53,25 @@ class SlipUpdate:
     def update(
         self, stamp: float, fingertips: FingertipContacts, smoother: PoseBiasSmoother
     ) -> PoseBiasSmoother:
-        """Returns the smoother after loads were felt, the same one where the object holds.
+        """Returns the smoother after an observation's loads, the same one where the object does not slip.
 
         A slip goes on in one direction, so its sigma, not its variance, grows with time.
         """
         now = self.detector.update(stamp, fingertips.fingers, fingertips.loads)
         if not now.slipping or fingertips.contacts is None or fingertips.loads is None:
-            self._spread = 0.0
+            self._sigma = 0.0
             return smoother
-        before, self._spread = (
-            self._spread,
-            min(
-                SLIP_UPDATE.sigma_speed * (stamp - now.began + SLIP_UPDATE.onset_delay),
-                SLIP_UPDATE.max_travel,
-            ),
-        )
-        more = max(self._spread**2 - before**2, 0.0)
+        before, lasts = self._sigma, stamp - now.began + SLIP_UPDATE.onset_delay
+        self._sigma = min(SLIP_UPDATE.sigma_speed * lasts, SLIP_UPDATE.max_travel)
         state = smoother.now
         twist = slip_twist(fingertips.contacts, fingertips.loads, state.T_palm_object[:3, 3])
-        along = (
-            EVERY_WAY if twist is None else np.outer(twist, twist) + SLIP_UPDATE.lateral_share**2 * EVERY_WAY
-        )
-        return smoother.restarted(state.spread(more * along))
+        along = ISOTROPIC
+        if twist is not None:
+            along = np.outer(twist, twist) + SLIP_UPDATE.lateral_share**2 * ISOTROPIC
+        return smoother.restarted(state.spread(max(self._sigma**2 - before**2, 0.0) * along))
 
-    def asks(self, corrected: float) -> bool:
-        """Returns whether a correction of that stamp [s] is no longer good: a slip has begun or ended since, or goes
-        on."""
+    def news(self, corrected: float) -> bool:
+        """Returns whether a slip has begun or ended since a correction of that stamp [s], or goes on."""
         now = self.now
         if now.slipping and self.detector.stamp - corrected >= SLIP_UPDATE.period - 1e-9:
             return True

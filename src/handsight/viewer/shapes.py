@@ -9,7 +9,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.correction import PoseEstimate
 from handsight.objects import ObjectModel
-from handsight.tracking.propagation import point_covariance
+from handsight.tracking.track_state import point_uncertainty
 
 
 class ShapeStyle(NamedTuple):
@@ -76,7 +76,7 @@ def opened(direction: Array, center: Array, model: ObjectModel) -> Open:
 
 def ellipsoid(estimate: PoseEstimate, model: ObjectModel) -> Ellipsoid:
     """Returns where the object's middle is; along what is open no longer than the object."""
-    values, axes = np.linalg.eigh(point_covariance(estimate, model, model.center_object))
+    values, axes = np.linalg.eigh(point_uncertainty(estimate, model, model.center_object)[0])
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     semi_axes = SHAPES.sigmas_95 * np.sqrt(values.clip(min=0.0))
     center = middle(model, estimate.T_palm_object)

@@ -10,8 +10,8 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.evaluation import Truths, base_center
 from handsight.objects import ObjectModel
-from handsight.tracking.propagation import point_covariance
 from handsight.tracking.replay import Step
+from handsight.tracking.track_state import point_uncertainty
 from handsight.viewer.correction_figures import require_matplotlib, save
 from handsight.viewer.curves import slips_of
 
@@ -57,7 +57,7 @@ def _curves(model: ObjectModel, steps: Sequence[Step], truths: Truths) -> Array:
             if T is not None:
                 curves[k, i] = 100 * se3.apply(T_world_palm @ T, base[None])[0]
         R = T_world_palm[:3, :3]
-        variance = (R @ point_covariance(step.estimate, model, base) @ R.T).diagonal()
+        variance = (R @ point_uncertainty(step.estimate, model, base)[0] @ R.T).diagonal()
         curves[3, i] = 100 * np.sqrt(variance.clip(min=0.0))
     return curves
 

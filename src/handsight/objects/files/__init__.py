@@ -1,5 +1,7 @@
-"""Shapes read from files: meshes and clouds in the file's own unit."""
+"""Files of shapes: meshes and clouds read in the file's own unit, and written as PLY."""
 
-from handsight.objects.files.read import Shape, read_shape
+from handsight.objects.files.ply import ply_bytes
+from handsight.objects.files.read import read_shape
+from handsight.objects.files.shape import Shape
 
-__all__ = ["Shape", "read_shape"]
+__all__ = ["Shape", "ply_bytes", "read_shape"]

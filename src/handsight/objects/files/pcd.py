@@ -4,60 +4,77 @@ https://pointclouds.org/documentation/tutorials/pcd_file_format.html
 """
 
 import codecs
-from dataclasses import dataclass
 from itertools import accumulate, chain, islice
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight.objects.files.text import BadText, number_table, rows, text_lines
-
-_INTEGER_SIZES = (1, 2, 4, 8)
-_DTYPES = {
-    (kind, size): np.dtype(f"<{kind.lower()}{size}")
-    for kind, sizes in (("F", (4, 8)), ("I", _INTEGER_SIZES), ("U", _INTEGER_SIZES))
-    for size in sizes
-}
+from handsight.checks import Array
+from handsight.objects.files.shape import BadText, Shape, numbers, rows, text_lines
 
 
-class PcdLimits(NamedTuple):
-    """`PcdLimits` are what a PCD file may hold."""
-
-    max_fields: int = 256  # of a point
-    max_count: int = 4096  # of numbers in a field
-    max_expansion: int = 100  # LZF cannot grow data by more than 264 / 3
-
-
-_LIMITS = PcdLimits()
-
-
-@dataclass(frozen=True, slots=True)
-class _Header:
+class _Header(NamedTuple):
     names: list[str]
     row: np.dtype[np.void]
-    """One point as it lies in a binary body: for each name a field of one or several numbers."""
+    """One point as it lies in a binary body: a field of one or several numbers for each name."""
     points: int
     kind: str
     body: bytes
 
-    @property
-    def parts(self) -> list[tuple[np.dtype[np.void], int]]:
-        """The type and count of each field's numbers."""
-        return [(self.row[k].base, self.row[k].shape[0]) for k in range(len(self.names))]
 
-
-def pcd_columns(data: bytes) -> dict[str, NDArray[np.generic]]:
-    """Returns the fields with one number a point, each (n,), by name; raises BadText."""
+def pcd_shape(data: bytes) -> Shape:
+    """Returns the cloud of a PCD file, with its normals where it has them; raises BadText."""
     header = _header(data)
-    readers = {"ascii": _ascii, "binary": _binary, "binary_compressed": _compressed}
-    if header.kind not in readers:
+    points, body, row = header.points, header.body, header.row
+    parts = [(row[k].base, row[k].shape[0]) for k in range(len(header.names))]
+    size = points * row.itemsize
+    columns: list[NDArray[np.generic]] = []
+    if header.kind == "ascii":
+        ends = list(accumulate(count for _, count in parts))
+        width = ends.pop()
+        words = chain.from_iterable(rows(text_lines(body)))
+        found = numbers(islice(words, min(points * width, len(body))))
+        if len(found) < points * width:
+            raise BadText(f"expected {points} points of {width} numbers, got {len(found)} numbers")
+        columns = np.split(found.reshape(-1, width), ends, axis=1)
+    elif header.kind == "binary":
+        if len(body) < size:
+            raise BadText(f"expected {size} bytes of points, got {len(body)}")
+        table = np.frombuffer(body, dtype=row, count=points)
+        columns = [table[name] for name in row.names or ()]
+    elif (
+        header.kind == "binary_compressed"
+    ):  # two sizes, then field after field rather than point after point
+        if len(body) < 8:
+            raise BadText("expected two sizes before the compressed points")
+        packed, unpacked = (int(v) for v in np.frombuffer(body, dtype="<u4", count=2))
+        if packed > len(body) - 8:
+            raise BadText(f"expected {packed} compressed bytes, got {len(body) - 8}")
+        if unpacked != size or unpacked > 100 * packed:  # LZF cannot expand more than 264 / 3 times
+            raise BadText(f"expected {size} bytes unpacked, the file says {unpacked}")
+        flat, at = lzf_unpacked(body[8 : 8 + packed], unpacked), 0
+        for dtype, count in parts:
+            columns.append(np.frombuffer(flat, dtype, points * count, offset=at).reshape(-1, count))
+            at += columns[-1].nbytes
+    else:
         raise BadText(f"DATA: expected ascii, binary or binary_compressed, got {header.kind[:30]!r}")
-    columns = zip(header.names, readers[header.kind](header), strict=True)
-    return {name: column[:, 0] for name, column in columns if column.shape[1] == 1}
+    fields = dict(zip(header.names, columns, strict=True))
+    single = {name: column[:, 0] for name, column in fields.items() if column.shape[1] == 1}
+
+    def three(*names: str) -> Array | None:
+        if not single.keys() >= set(names):
+            return None
+        return np.stack([single[name].astype(np.float64) for name in names], axis=1)
+
+    places = three("x", "y", "z")
+    if places is None:
+        raise BadText(f"expected the fields x y z, got {' '.join(single)}")
+    return Shape(places, None, three("normal_x", "normal_y", "normal_z"))
 
 
 def _header(data: bytes) -> _Header:
+    """Returns the header of a PCD file with the bytes that follow it; raises BadText naming the entry."""
     entries: dict[str, list[str]] = {}
     at = len(codecs.BOM_UTF8) if data.startswith(codecs.BOM_UTF8) else 0
     while "DATA" not in entries:
@@ -68,77 +85,42 @@ def _header(data: bytes) -> _Header:
         at = end + 1
         if words:
             entries[words[0].upper()] = words[1:]
+
+    def integers(key: str, length: int) -> list[int]:
+        """Returns the whole numbers of an entry; raises BadText where these are not as many."""
+        words = entries.get(key, [])
+        if len(words) != length or not all(word.isdecimal() and len(word) < 19 for word in words):
+            raise BadText(f"{key}: expected {length} whole numbers, got {' '.join(words)[:40]!r}")
+        return [int(word) for word in words]
+
+    most_fields, most_count = 256, 4096
     names = entries.get("FIELDS", [])
-    if not 0 < len(names) <= _LIMITS.max_fields:
-        raise BadText(f"FIELDS: expected 1 to {_LIMITS.max_fields} names, got {len(names)}")
-    if "POINTS" in entries:
-        points = _integers(entries, "POINTS", 1)[0]
-    else:
-        points = _integers(entries, "WIDTH", 1)[0] * _integers(entries, "HEIGHT", 1)[0]
-    kind = entries["DATA"][0].lower() if entries["DATA"] else ""
-    return _Header(names, _row(entries, len(names)), points, kind, data[at:])
-
-
-def _integers(entries: dict[str, list[str]], key: str, length: int) -> list[int]:
-    words = entries.get(key, [])
-    if len(words) != length or not all(word.isdecimal() and len(word) < 19 for word in words):
-        raise BadText(f"{key}: expected {length} whole numbers, got {' '.join(words)[:40]!r}")
-    return [int(word) for word in words]
-
-
-def _row(entries: dict[str, list[str]], length: int) -> np.dtype[np.void]:
-    counts = _integers(entries, "COUNT", length) if "COUNT" in entries else [1] * length
-    if max(counts) > _LIMITS.max_count:
-        raise BadText(f"COUNT: expected at most {_LIMITS.max_count}, got {max(counts)}")
-    sizes, kinds = _integers(entries, "SIZE", length), entries.get("TYPE", [])
+    length = len(names)
+    if not 0 < length <= most_fields:
+        raise BadText(f"FIELDS: expected 1 to {most_fields} names, got {length}")
+    points = (
+        integers("POINTS", 1)[0]
+        if "POINTS" in entries
+        else integers("WIDTH", 1)[0] * integers("HEIGHT", 1)[0]
+    )
+    counts = integers("COUNT", length) if "COUNT" in entries else [1] * length
+    if max(counts) > most_count:
+        raise BadText(f"COUNT: expected at most {most_count}, got {max(counts)}")
+    sizes, kinds = integers("SIZE", length), entries.get("TYPE", [])
     if len(kinds) != length:
         raise BadText(f"TYPE: expected {length} letters, got {len(kinds)}")
-    for part in zip(kinds, sizes, strict=True):
-        if part not in _DTYPES:
-            raise BadText(f"TYPE and SIZE: expected F, I or U of 1 to 8 bytes, got {part[0][:10]} {part[1]}")
-    parts = zip(kinds, sizes, counts, strict=True)
-    return np.dtype([(f"f{k}", _DTYPES[kind, size], (n,)) for k, (kind, size, n) in enumerate(parts)])
-
-
-def _ascii(header: _Header) -> list[NDArray[np.generic]]:
-    ends = list(accumulate(count for _, count in header.parts))
-    width = ends.pop()
-    words = chain.from_iterable(rows(text_lines(header.body)))
-    expected = header.points * width
-    numbers = number_table([islice(words, min(expected, len(header.body)))], 1)
-    if len(numbers) < expected:
-        raise BadText(f"expected {header.points} points of {width} numbers, got {len(numbers)} numbers")
-    return np.split(numbers.reshape(-1, width), ends, axis=1)
-
-
-def _binary(header: _Header) -> list[NDArray[np.generic]]:
-    size = header.points * header.row.itemsize
-    if len(header.body) < size:
-        raise BadText(f"expected {size} bytes of points, got {len(header.body)}")
-    table = np.frombuffer(header.body, dtype=header.row, count=header.points)
-    return [table[name] for name in header.row.names or ()]
-
-
-def _compressed(header: _Header) -> list[NDArray[np.generic]]:
-    """Reads field after field rather than point after point, behind both sizes."""
-    if len(header.body) < 8:
-        raise BadText("expected two sizes before the compressed points")
-    packed, size = (int(v) for v in np.frombuffer(header.body, dtype="<u4", count=2))
-    if packed > len(header.body) - 8:
-        raise BadText(f"expected {packed} compressed bytes, got {len(header.body) - 8}")
-    if size != header.points * header.row.itemsize or size > _LIMITS.max_expansion * packed:
-        raise BadText(f"expected {header.points * header.row.itemsize} bytes unpacked, the file says {size}")
-    flat = lzf_unpacked(header.body[8 : 8 + packed], size)
-    columns, at = list[NDArray[np.generic]](), 0
-    for dtype, count in header.parts:
-        column = np.frombuffer(flat, dtype, header.points * count, offset=at)
-        columns.append(column.reshape(-1, count))
-        at += column.nbytes
-    return columns
+    allowed = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
+    parts = []
+    for k, (kind, size, count) in enumerate(zip(kinds, sizes, counts, strict=True)):
+        if size not in allowed.get(kind, ()):
+            raise BadText(f"TYPE and SIZE: expected F, I or U of 1 to 8 bytes, got {kind[:10]} {size}")
+        parts.append((f"f{k}", f"<{kind.lower()}{size}", (count,)))
+    body_kind = entries["DATA"][0].lower() if entries["DATA"] else ""
+    return _Header(names, np.dtype(parts), points, body_kind, data[at:])
 
 
 def lzf_unpacked(packed: bytes, size: int) -> bytes:
-    """Returns the `size` bytes that LZF packed; raises BadText where they are not that."""
+    """Returns the `size` bytes that LZF packed; raises BadText where they are not that many, or damaged."""
     out, at = bytearray(), 0
     try:
         while at < len(packed) and len(out) <= size:
@@ -154,9 +136,8 @@ def lzf_unpacked(packed: bytes, size: int) -> bytes:
             at += 1
             if start < 0:
                 raise BadText("compressed points refer to bytes before their start")
-            pattern = bytes(
-                out[start : start + length + 2]
-            )  # shorter where it overlaps what is being written
+            # The pattern is shorter where it overlaps what is being written.
+            pattern = bytes(out[start : start + length + 2])
             out += (pattern * -(-(length + 2) // len(pattern)))[: length + 2]
     except IndexError:
         raise BadText("compressed points are cut short") from None

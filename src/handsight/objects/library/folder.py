@@ -1,39 +1,220 @@
-"""A library in a folder: BOP's `models`, or what has it."""
+"""A library in a folder: its documents and models are read, added and changed, by one process at a time.
 
+`models_info.json` is written last, and each file appears under its name at once and complete: an object that is not in
+that document is not in the library, whatever else was written before an add was interrupted.
+"""
+
+import contextlib
+import hashlib
+import os
+import sys
+import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
 
-from handsight.files import read_bytes
-from handsight.objects.library.index import FACTS, INFO, LARGEST_DOCUMENT, Documents, Entry, NoLibrary
-from handsight.objects.library.store import check_content
+import msgspec
+import numpy as np
+
+from handsight import checks
+from handsight.errors import InvalidFile, InvalidInput, NotWritten
+from handsight.files import atomic_file, open_regular, read_bytes, write_errors
+from handsight.msgspec_errors import decode_object
+from handsight.objects.files import ply_bytes, read_shape
+from handsight.objects.files.read import LARGEST_FILE, content
+from handsight.objects.library.bop import METRES, info_of
+from handsight.objects.library.documents import (
+    FACTS,
+    INFO,
+    LARGEST_DOCUMENT,
+    VERSION,
+    Documents,
+    Entry,
+    Facts,
+    NoLibrary,
+    entries,
+)
+from handsight.objects.model import ObjectModel
+from handsight.objects.symmetry import Symmetries
+
+LOCK_SECONDS = 60.0
+"""How long a writer waits for another one; an add holds the lock for as long as three small files take to write."""
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _lock(file: BinaryIO) -> None:
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+
+else:
+    import fcntl
+
+    def _lock(file: BinaryIO) -> None:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+class NewObject(NamedTuple):
+    """A `NewObject` is what an add writes of an object: its part of each document, and its model as PLY."""
+
+    facts: dict[str, Any]
+    info: dict[str, Any]
+    ply: bytes
+
+
+def new_object(
+    file: str | os.PathLike[str], facts: Facts, scale: float, symmetries: Symmetries | None
+) -> NewObject:
+    """Returns what an add of the object in a file writes; raises InvalidInput and as `ObjectModel.from_file`.
+
+    A PLY in millimetres is kept byte for byte, with its colours; any other file is converted to one.
+    """
+    if not isinstance(facts, Facts):
+        raise InvalidInput(f"facts: expected Facts, got {type(facts).__name__}")
+    model = ObjectModel.from_file(file, scale, symmetries=symmetries)
+    check_inside(facts, model)
+    path = Path(file)
+    if path.suffix.lower() == ".ply" and scale == METRES:
+        data = content(path)
+    else:
+        data = ply_bytes(read_shape(path), scale / METRES)
+        if len(data) > LARGEST_FILE:
+            raise InvalidFile(f"{path.name}: expected at most {LARGEST_FILE} bytes as PLY, got {len(data)}")
+    return NewObject(msgspec.to_builtins(facts) | _identity(data), info_of(model), data)
+
+
+def check_inside(facts: Facts, model: ObjectModel) -> None:
+    """Raises InvalidInput for a centre of mass outside the object's bounds."""
+    if facts.center_of_mass is None:
+        return
+    center, slack = np.array(facts.center_of_mass), 0.05 * model.diameter  # models are not exact
+    low, high = model.bounds_object[0] - slack, model.bounds_object[1] + slack
+    if not ((low <= center) & (center <= high)).all():
+        expected = f"expected metres from {checks.brief(low.round(4))} to {checks.brief(high.round(4))}"
+        raise InvalidInput(f"center_of_mass: {expected}, where the object is, got {checks.brief(center)}")
 
 
 @dataclass(frozen=True)
 class Folder:
-    """A `Folder` says where the documents and the models' files lie side by side."""
+    """A `Folder` is a library whose documents and models lie side by side in a folder."""
 
     place: Path
 
     @property
     def models(self) -> Path:
-        """The folder itself where the documents are in it, else its `models`."""
+        """The folder itself where the documents are in it, else its `models`, as in a BOP data set."""
         return self.place if (self.place / INFO).exists() else self.place / "models"
 
     def documents(self) -> Documents:
-        """Returns both; raises NoLibrary where there is none, InvalidFile."""
+        """Returns the bytes of both documents; raises NoLibrary where there is none, InvalidFile."""
         models = self.models
         if not (models / INFO).exists():
             message = f"expected a library, with models/{INFO}, got none; `handsight objects add` makes one"
             raise NoLibrary(f"{self.place}: {message}")
-        # In this order: an add writes facts first, and who finds an object finds what is known of it.
+        # Info first: an add writes it last, so that an object in it has its facts already.
         info = read_bytes(models / INFO, LARGEST_DOCUMENT)
         if not (models / FACTS).exists():
             return Documents(info, None)
         return Documents(info, read_bytes(models / FACTS, LARGEST_DOCUMENT))
 
     def file(self, entry: Entry) -> Path:
-        """Returns the model's file; raises InvalidFile where it is not there or not the one that was added."""
-        path = self.models / entry.file
-        known = entry.facts
-        check_content(path, known.sha256 if known else None, known.bytes if known else None)
+        """Returns the path of the model's file; raises InvalidFile where it is missing or has changed since the add."""
+        path, facts = self.models / entry.file, entry.facts
+        check_content(path, facts.sha256 if facts else None, facts.bytes if facts else None)
         return path
+
+    def add(self, new: NewObject) -> None:
+        """Adds an object; raises InvalidInput where its name is taken, NotWritten, InvalidFile without a library."""
+        models = self.models
+        with locked(models):
+            documents = self.documents() if (models / INFO).exists() else Documents(b"{}", None)
+            for entry in entries(documents, str(self.place)):
+                if entry.name == new.facts["name"]:
+                    owner = f"{entry.name!r}, which is that of object {entry.number}"
+                    raise InvalidInput(f"name: expected a new one, got {owner}")
+            infos = decode_object(documents.info, INFO)
+            # Facts that an interrupted add has left behind must not become another object's.
+            facts = {key: value for key, value in _facts(documents).items() if key in infos}
+            stems = [path.stem.removeprefix("obj_") for path in models.glob("obj_*.ply")]
+            taken = [int(stem) for stem in stems if stem.isascii() and stem.isdecimal() and len(stem) < 10]
+            number = 1 + max([0, *map(int, infos), *taken])  # a file that no document lists keeps its number
+            facts[str(number)], infos[str(number)] = new.facts, new.info
+            write_file(models / f"obj_{number:06d}.ply", new.ply)
+            write_file(models / FACTS, _json({"version": VERSION, "objects": facts}))
+            write_file(models / INFO, _json(infos))
+
+    def revise(self, number: int, facts: Facts) -> None:
+        """Replaces the facts of an object; raises NotWritten, InvalidFile without a library."""
+        models = self.models
+        with locked(models):
+            known = _facts(self.documents())
+            before = known.get(str(number)) or _identity(content(models / f"obj_{number:06d}.ply"))
+            new = msgspec.to_builtins(facts) | {key: before[key] for key in ("sha256", "bytes")}
+            document = {"version": VERSION, "objects": {**known, str(number): new}}
+            write_file(models / FACTS, _json(document))
+
+
+def _facts(documents: Documents) -> dict[str, Any]:
+    return {} if documents.facts is None else decode_object(documents.facts, FACTS)["objects"]
+
+
+def _identity(data: bytes) -> dict[str, Any]:
+    return {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
+
+
+def _json(document: dict[str, Any]) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(document), indent=2) + b"\n"
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Writes a file that appears under its name complete, or not at all; raises NotWritten."""
+    with write_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_file(path) as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())  # else a machine that loses power may keep the name and lose the content
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keeps other threads and processes from writing to a folder; raises NotWritten where one of them does not end.
+
+    It is the system's lock of an open file: it ends with its process, however that ends, and between machines the file
+    server keeps it (NFS, SMB). A folder whose system has no locks is refused: two writers could lose what one added.
+    """
+    with write_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        with open(folder / ".handsight.lock", "ab") as file:
+            until = time.monotonic() + LOCK_SECONDS
+            while True:
+                try:
+                    _lock(file)
+                    break
+                except (BlockingIOError, PermissionError):
+                    if time.monotonic() > until:
+                        message = f"another process has been adding to it for {LOCK_SECONDS:g} s"
+                        raise NotWritten(f"{folder}: cannot be written: {message}") from None
+                time.sleep(0.02)
+            yield
+
+
+def check_content(path: Path, sha256: str | None, size: int | None) -> None:
+    """Raises InvalidFile where a file is missing, or not of that size [bytes] and SHA-256; None allows any."""
+    with open_regular(path) as file:
+        came = os.fstat(file.fileno()).st_size
+        if size is not None and came != size:
+            raise InvalidFile(f"{path}: expected {size} bytes, got {came}: changed since it was added")
+        if sha256 is not None:
+            try:
+                found = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
+            except OSError as error:
+                raise InvalidFile(f"{path}: cannot be read: {error.strerror or error}") from None
+            check_sha256(path, sha256, found)
+
+
+def check_sha256(name: str | Path, sha256: str, found: str) -> None:
+    """Raises InvalidFile, which begins with the name, where a file's SHA-256 is not what it was when it was added."""
+    if found != sha256:
+        message = f"expected the SHA-256 {sha256[:12]}…, got {found[:12]}…: changed since it was added"
+        raise InvalidFile(f"{name}: {message}")

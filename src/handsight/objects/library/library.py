@@ -1,7 +1,7 @@
-"""Objects by name: a folder as the BOP benchmark has them, here or at a URL, and what is known of each besides.
+"""Objects by name, in a folder or at a URL that has the format of the BOP benchmark, and what is known of each.
 
-`models/obj_000001.ply` in millimetres and `models/models_info.json` are BOP's, so that folders of others are libraries
-as they are, and ours are BOP's; names, masses, licences and checksums lie beside, in `models/handsight.json`.
+`models/obj_000001.ply` in millimetres and `models/models_info.json` are BOP's, so that the folders of others are
+libraries as they are, and ours are BOP's. Names, masses, licences and checksums are in `models/handsight.json`.
 """
 
 import os
@@ -15,18 +15,13 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import HandsightError, InvalidFile, InvalidInput
 from handsight.objects.files import read_shape
-from handsight.objects.library.add import add, check_inside, new_object, revise
-from handsight.objects.library.bop import BOP_SYMMETRIES
-from handsight.objects.library.facts import Facts
-from handsight.objects.library.folder import Folder
-from handsight.objects.library.index import Entry, entries
+from handsight.objects.library.bop import METRES
+from handsight.objects.library.documents import Entry, Facts, entries
+from handsight.objects.library.folder import Folder, check_inside, new_object
 from handsight.objects.library.remote import Remote
 from handsight.objects.model import ObjectModel
 from handsight.objects.surface import diameter
 from handsight.objects.symmetry import Symmetries
-
-OTHER_UNIT = 3.0
-"""A diameter so many times off is of another unit; some files have the box' diagonal, at most √3 times too large."""
 
 
 def default_place() -> str:
@@ -35,17 +30,16 @@ def default_place() -> str:
     if named := os.environ.get("HANDSIGHT_LIBRARY"):
         return named
     base = os.environ.get("XDG_DATA_HOME", "")
-    if not os.path.isabs(base):  # not to be used then, says its specification
+    if not os.path.isabs(base):  # its specification forbids the use of a relative one
         base = os.path.expanduser("~/.local/share")
     return os.path.join(base, "handsight", "library")
 
 
 class Library:
-    """A `Library` is objects by name, in a folder or at a URL; nothing is read before it is asked for, and then as it
-    is there."""
+    """A `Library` is objects by name, in a folder or at a URL; each call reads what it needs anew."""
 
     def __init__(self, place: str | os.PathLike[str] | None = None) -> None:
-        """`place`: a folder or a URL; None: `default_place`. Raises InvalidInput for what is neither."""
+        """`place`: a folder or a URL; None: `default_place`. Raises InvalidInput for any other value."""
         place = default_place() if place is None else place
         if not isinstance(place, str | os.PathLike) or "\0" in (named := os.fspath(place)):
             raise InvalidInput(f"library: expected a folder or a URL, got {checks.brief(place)!r}")
@@ -54,16 +48,16 @@ class Library:
         self._source = Remote(self.place) if "://" in self.place else Folder(Path(self.place))
 
     def __repr__(self) -> str:
-        """Returns where it is."""
+        """Returns the folder or URL in angle brackets."""
         return f"<Library {self.place}>"
 
     def entries(self) -> tuple[Entry, ...]:
-        """Returns all objects by their numbers; raises InvalidFile where there is no library, or what is none."""
+        """Returns all objects in the order of their numbers; raises InvalidFile without a library, or for a damaged
+        one."""
         return entries(self._source.documents(), self.place)
 
     def entry(self, name: str) -> Entry:
-        """Returns the object so called, or of that number (`5`, `obj_000005`); raises InvalidInput where there is
-        none."""
+        """Returns the object with that name or number (`5`, `obj_000005`); raises InvalidInput where there is none."""
         known = self.entries()
         for entry in known:
             if name in (entry.name, str(entry.number), entry.file.removesuffix(".ply")):
@@ -72,16 +66,14 @@ class Library:
         raise InvalidInput(f"name: expected an object of {self.place}, got {checks.brief(name)!r}{near}")
 
     def file(self, entry: Entry) -> Path:
-        """Returns its model on this machine; raises InvalidFile where that is missing or was changed since it was
+        """Returns the path of its model on this machine; raises InvalidFile where it is missing or not the one that was
         added."""
         return self._source.file(entry)
 
     def model(self, name: str) -> ObjectModel:
-        """Returns the object so called, with its symmetries; raises as `entry` and `file`."""
+        """Returns the object with that name, with its symmetries and its weight; raises as `entry` and `file`."""
         entry = self.entry(name)
-        model = ObjectModel.from_file(
-            self.file(entry), scale=BOP_SYMMETRIES.metres, symmetries=entry.symmetries
-        )
+        model = ObjectModel.from_file(self.file(entry), scale=METRES, symmetries=entry.symmetries)
         facts = entry.facts
         if facts is not None and (facts.mass is not None or facts.center_of_mass is not None):
             model = model.with_weight(
@@ -92,21 +84,27 @@ class Library:
         return replace(model, name=entry.name)
 
     def wrong(self, entries: Iterable[Entry]) -> Iterator[str]:
-        """Yields a sentence for each of its objects of which something is wrong; their files are read."""
+        """Yields a sentence for each of these objects with which something is wrong; reads their files."""
         for entry in entries:
             try:
-                path = self.file(entry)
-                points = read_shape(path).vertices
+                points = read_shape(self.file(entry)).vertices
                 if np.isfinite(points).all() and np.ptp(points, axis=0).max() > 0:
-                    _check_unit(diameter(points), entry)
+                    measured, declared = diameter(points), entry.info.diameter
+                    # Some documents have the diagonal of the bounding box, at most √3 times too large.
+                    if not 1 / 3 < measured / declared < 3:
+                        message = (
+                            f"expected the diameter {declared:.4g} mm, got {measured:.4g}: another unit?"
+                        )
+                        raise InvalidFile(f"{entry.place}: {entry.file}: {message}")
                 _ = entry.symmetries
             except HandsightError as error:
                 yield str(error)
 
     def fetch(self, advance: Callable[..., None] = lambda share, text="": None) -> list[str]:
-        """Copies a URL's documents and models to this machine's cache; what could not be copied, in a sentence each.
+        """Copies the documents and models at a URL to this machine's cache, where they are used from then on.
 
-        `advance(share, said)` is told how far it is. From then on they are used from there.
+        Returns a sentence for each object that could not be copied. `advance(share, name)` is called before each object
+        with the share that is done. Raises InvalidInput for a folder.
         """
         if isinstance(self._source, Folder):
             raise InvalidInput(f"{self.place}: expected a URL, such as https://..., got a folder")
@@ -128,21 +126,23 @@ class Library:
         scale: float = 1.0,
         symmetries: Symmetries | None = None,
     ) -> Entry:
-        """Returns the object of a mesh or a cloud, added under `facts.name`; `scale`: metres per unit of the file.
+        """Adds the mesh or cloud in a file under `facts.name`, and returns its entry.
 
-        It is there with all that belongs to it or not at all, whoever adds at the same time and whatever ends this.
-        Raises InvalidInput where the name is taken or the library a URL's, NotWritten, and as `ObjectModel.from_file`.
+        `scale`: metres per unit of the file. The object is in the library complete or not at all, whoever else adds
+        meanwhile and however the process ends.
+        Raises InvalidInput where the name is taken or the library is at a URL, NotWritten, and as
+        `ObjectModel.from_file`.
         """
         if isinstance(self._source, Remote):
             raise InvalidInput(f"{self.place}: expected a folder to add to, got a URL")
-        add(self._source, new_object(file, facts, scale, symmetries))
+        self._source.add(new_object(file, facts, scale, symmetries))
         return self.entry(facts.name)
 
     def weigh(self, name: str, mass: float, center_of_mass: Array, sigma_center_of_mass: float) -> Entry:
-        """Returns the object so called, whose mass [kg] and centre of mass (3,) [m] are now known so; the rest stays.
+        """Writes the mass [kg] and centre of mass (3,) [m] of an object, with its standard deviation per axis [m].
 
-        Raises InvalidInput for an object that nobody has named, for a library at a URL, and for a centre that is not in
-        the object; NotWritten.
+        Returns the entry; its other facts stay. Raises InvalidInput for an object that was not added with a name, for a
+        library at a URL, and for a centre outside the object; NotWritten.
         """
         if isinstance(self._source, Remote):
             raise InvalidInput(f"{self.place}: expected a folder to write to, got a URL")
@@ -154,13 +154,5 @@ class Library:
         sigma = round(float(sigma_center_of_mass), 6)
         facts = Facts(**text, mass=round(mass, 6), center_of_mass=(x, y, z), sigma_center_of_mass=sigma)
         check_inside(facts, self.model(name))
-        revise(self._source, entry.number, facts)
+        self._source.revise(entry.number, facts)
         return self.entry(name)
-
-
-def _check_unit(measured: float, entry: Entry) -> None:
-    """Raises InvalidFile where a file's diameter [mm] is not the one that is declared."""
-    ratio = measured / entry.info.diameter
-    if not 1 / OTHER_UNIT < ratio < OTHER_UNIT:
-        text = f"expected the diameter {entry.info.diameter:.4g} mm, got {measured:.4g}: another unit?"
-        raise InvalidFile(f"{entry.place}: {entry.file}: {text}")

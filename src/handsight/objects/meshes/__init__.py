@@ -1,1 +1,1 @@
-"""Triangle meshes: repair, closest points, winding numbers, and the distance fields that follow."""
+"""Triangle meshes: repair, closest points, winding numbers, and the distance fields computed with these."""

@@ -1,7 +1,7 @@
-"""A tree of boxes around things in space, and what it answers of a mesh: closest points and winding numbers.
+"""A tree of boxes around triangles or points, and the closest points and winding numbers that are found by it.
 
-The tree is complete and binary, each level's boxes one after another: the children of box k are 2k + 1 and 2k + 2. Each
-box's things are halved across its longest side, so the last row's boxes, the leaves, differ by one thing at most.
+The tree is complete and binary, with one level of boxes after another: the children of box k are 2k + 1 and 2k + 2. The
+items of a box are halved across its longest side, so the numbers of items in the leaves differ by one at most.
 """
 
 from dataclasses import dataclass
@@ -11,25 +11,20 @@ import numpy as np
 from handsight.checks import Array, Indices, Mask
 from handsight.objects.surface import Triangles
 
-LEAF = 16
-"""Things in a leaf, at most."""
-MOST_PATCHES = 4000
-"""Of a winding number: leaves are taken together until there are no more."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxTree:
-    """A `BoxTree` is things in an order in which neighbours follow each other, cut into leaves."""
+    """A `BoxTree` is an order of items in which neighbours in space follow each other, cut into leaves."""
 
     order: Indices
-    """(n,) index of each thing."""
+    """(n,) index of each item."""
     starts: Indices
-    """(leaves + 1,) where each leaf begins, and the end; a power of two of leaves."""
+    """(leaves + 1,) where each leaf begins, and the end; the number of leaves is a power of two."""
 
     def boxes(self, low: Array, high: Array) -> Array:
-        """(2 leaves - 1, 6) every box's least and greatest corner, the whole first.
+        """Returns (2 leaves - 1, 6): the least and the greatest corner of every box, beginning with the root's.
 
-        `low`, `high` (n, 3): of the things, in the tree's order; no leaf may be empty.
+        `low`, `high` (n, 3): corners of the items' own boxes, in the tree's order; no leaf may be empty.
         """
         first = self.starts[:-1]
         level = np.hstack([np.minimum.reduceat(low, first), np.maximum.reduceat(high, first)])
@@ -41,8 +36,8 @@ class BoxTree:
         return np.concatenate(levels[::-1])
 
 
-def box_tree(centers: Array, most: int = LEAF) -> BoxTree:
-    """Returns things at `centers` (n, 3) halved again and again until no leaf has more than `most`."""
+def box_tree(centers: Array, most: int = 16) -> BoxTree:
+    """Returns a tree over items at `centers` (n, 3), halved until no leaf has more than `most` items."""
     n = len(centers)
     order = np.arange(n)
     starts = np.array([0, n])
@@ -52,7 +47,7 @@ def box_tree(centers: Array, most: int = LEAF) -> BoxTree:
         leaf = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
         axis, span = (high - low).argmax(axis=1), (high - low).max(axis=1)
         along = x[np.arange(n), axis[leaf]] - low[np.arange(len(low)), axis][leaf]
-        # The leaf before the point, place within it behind: one sort for all leaves.
+        # The integer part is the leaf, the fraction the place within it: one sort for all leaves.
         key = leaf + 0.999 * along / np.where(span > 0, span, 1.0)[leaf]
         order = order[np.argsort(key)]
         middles = (starts[:-1] + starts[1:]) // 2
@@ -62,14 +57,14 @@ def box_tree(centers: Array, most: int = LEAF) -> BoxTree:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosestPoints:
-    """`ClosestPoints` are the points of a mesh closest to n points."""
+    """A `ClosestPoints` is the points of a mesh closest to n given ones."""
 
     distance: Array
-    """(n,) [m], not signed."""
+    """(n,) distances between them [m], not signed."""
     points: Array
     """(n, 3) on the surface [m]."""
     face: Indices
-    """(n,)"""
+    """(n,) index of the triangle that each is on."""
     weights: Array
     """(n, 3) barycentric; an exact 0 where the closest point is on the edge opposite that corner."""
 
@@ -78,20 +73,27 @@ class ClosestPointSearch:
     """A `ClosestPointSearch` finds the closest points of a mesh, exactly, by a tree of boxes around its triangles."""
 
     def __init__(self, mesh: Triangles, tree: BoxTree | None = None) -> None:
-        """Of a mesh with at least one triangle; `tree` over it, where it is known already."""
+        """Builds the search for a mesh with at least one triangle; `tree` over it, where it exists already."""
         tree = tree or box_tree(mesh.corners.mean(axis=1))
         self._order = tree.order
         corners = mesh.corners[tree.order]
         boxes = tree.boxes(corners.min(axis=1), corners.max(axis=1))
-        frames = _frames(np.add.reduceat(mesh.doubled_normals[tree.order], tree.starts[:-1]))
+        # Each leaf has a second box, whose z axis is along the mean of the leaf's normals.
+        normals = np.add.reduceat(mesh.doubled_normals[tree.order], tree.starts[:-1])
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        third = np.where(length > 0, normals / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
+        lateral = np.eye(3)[np.abs(third).argmin(axis=1)]
+        first = np.cross(lateral, third)
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        frames = np.stack([first, np.cross(third, first), third], axis=1)
         turned = corners @ np.repeat(frames, np.diff(tree.starts), axis=0).swapaxes(1, 2)
         around = np.hstack([turned.min(axis=1), turned.max(axis=1)])
         self._tree = tree.starts, boxes, frames, turned, around
 
     def closest(self, points: Array, within: float = np.inf) -> tuple[ClosestPoints, Indices]:
-        """Returns the closest surface points of those points (n, 3) nearer than `within` [m], and which these are.
+        """Returns the closest surface points of the points (n, 3) nearer than `within` [m], and the indices of these.
 
-        Of several triangles that are equally near, any. Quickest where neighbours in space follow each other.
+        Of equally near triangles any one is returned. It is fastest where neighbours in space follow each other.
         """
         from handsight._kernels.mesh.nearest_triangle import closest_points  # numba's import is long
 
@@ -102,34 +104,25 @@ class ClosestPointSearch:
         return ClosestPoints(found[:, 0], found[:, 1:4], face, found[:, 4:7]), index
 
 
-def _frames(normals: Array) -> Array:
-    """Returns (p, 3, 3) rotations whose third row is along these (p, 3); any rotation where there is none."""
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    third = np.where(length > 0, normals / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
-    lateral = np.eye(3)[np.abs(third).argmin(axis=1)]
-    first = np.cross(lateral, third)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(third, first), third], axis=1)
-
-
 class Winding:
-    """A `Winding` says how often a triangle mesh or an oriented cloud winds around a point: 1 inside, 0 outside,
-    between near holes.
+    """A `Winding` computes the winding number of a triangle mesh or an oriented cloud around a point.
 
-    Barill, Dickson, Schmidt, Levin and Jacobson 2018, "Fast winding numbers for soups and clouds": far away a
-    patch acts as one dipole, its area vector at its centre; near by every triangle counts with its solid angle.
+    It is 1 inside, 0 outside, and in between near holes. Barill, Dickson, Schmidt, Levin and Jacobson 2018, "Fast
+    winding numbers for soups and clouds": a patch that is far away counts as one dipole, its area vector at its centre;
+    in a patch that is near, every triangle counts with its solid angle.
     """
 
     def __init__(
         self, centers: Array, area_vectors: Array, corners: Array | None = None, tree: BoxTree | None = None
     ) -> None:
-        """`centers` (m, 3) [m], `area_vectors` (m, 3) outward [m²]; `corners` (m, 3, 3) of triangles.
+        """Builds the patches of a surface from `centers` (m, 3) [m] and outward `area_vectors` (m, 3) [m²].
 
-        `tree`: its leaves are the patches; where it is known already.
+        `corners` (m, 3, 3): of the triangles [m]; None for points. `tree` over the centers, where it exists already;
+        its leaves are the patches.
         """
         tree = tree or box_tree(centers)
         starts = tree.starts
-        while len(starts) > MOST_PATCHES + 1:
+        while len(starts) > 4001:  # leaves are joined until there are at most 4000 patches
             starts = starts[::2]
         first, sizes = starts[:-1], np.diff(starts)
         centers, vectors = centers[tree.order], area_vectors[tree.order]
@@ -148,7 +141,7 @@ class Winding:
 
     @classmethod
     def of_mesh(cls, mesh: Triangles, tree: BoxTree | None = None) -> "Winding":
-        """Returns the winding number of a mesh."""
+        """Returns the winding number of a mesh; `tree` over its triangles, where it exists already."""
         return cls(mesh.corners.mean(axis=1), mesh.doubled_normals / 2, mesh.corners, tree)
 
     def at(self, points: Array) -> Array:
@@ -158,5 +151,5 @@ class Winding:
         return np.asarray(winding_at(np.require(points, np.float64, ["C", "W"]), self.patches, self.elements))
 
     def inside(self, points: Array) -> Mask:
-        """Returns (n,) whether the surface winds around the points (n, 3) [m] more than half a time."""
+        """Returns (n,) whether the winding numbers at the points (n, 3) [m] are above one half."""
         return np.asarray(self.at(points) > 0.5)

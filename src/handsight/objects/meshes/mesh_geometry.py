@@ -1,12 +1,13 @@
-"""What is measured on a triangle mesh: its two distance fields, and which side of it is inside."""
+"""The geometry of a triangle mesh: whether it is closed, and its two distance fields."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from handsight.checks import Array, Indices, Mask
-from handsight.objects.fields import Grid, grids, sharpened
+from handsight.objects.fields import Grid, grid_fields, grids
 from handsight.objects.geometry import Geometry, measured, roughened
 from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding, box_tree
 from handsight.objects.meshes.repair import components, repaired, side_samples
@@ -15,26 +16,25 @@ from handsight.objects.surface import SURFACE, Triangles, diameter
 
 
 class MeshOptions(NamedTuple):
-    """`MeshOptions` say when a mesh is closed, and on which side of it a node is."""
+    """`MeshOptions` say when a mesh is closed, and how the side of a node is found."""
 
-    closed_share: float = 0.95  # of the edges that have two triangles, for a mesh to count as closed
+    closed_share: float = (
+        0.95  # of the samples of a closed mesh whose two sides have the winding numbers 1 and 0
+    )
     slit: float = 0.1
-    """How near to its rim a hole is looked for [fine cells], and how far winding numbers there are from integers: at
-    least 0.375 at one of four places around a rim. Slits up to about half as wide are none.
-    """
-    max_open_share: float = 0.25  # of the nodes near a rim that may be open
-    votes: int = 16  # nodes of each connected set whose winding numbers are taken
+    """Distance from an edge at which winding numbers show whether it is a rim [fine cells]. Slits up to about half as
+    wide do not make a rim."""
+    max_fraction: float = 0.25
+    """A winding number farther than this from an integer is that of a rim, where it is at least 0.375 from it at one of
+    four places around."""
+    voters: int = 16  # nodes of each connected set whose winding numbers are computed
 
 
 MESH = MeshOptions()
 
-LINK_MARGINS = (1.001, 1.5, np.inf)
-"""Nodes are linked when their distances add up to this many steps; the last links none."""
-
 
 def mesh_geometry(mesh: Triangles) -> Geometry:
-    """Returns what is to be known of a mesh as it came: repaired, then measured; raises InvalidObject where nothing
-    is left."""
+    """Returns the geometry of a mesh, which is repaired first; raises InvalidObject where no surface is left."""
     mesh, tree, remarks = repaired(mesh)
     size = diameter(mesh.vertices)
     mesh, roughness = smoothed(mesh, size)
@@ -44,27 +44,28 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
     rim = rim_of(mesh, winding, fine.cell)
     holes = holes_of(mesh, rim)
     closed = _is_closed(mesh, winding, holes, size)
-    side = ByWinding(winding, holes) if closed else ByNormal(mesh, rim)
+    if closed:
+        signed = partial(signed_by_winding, winding, holes)
+    else:
+        signed = partial(signed_by_normal, _pseudonormals(mesh, rim))
 
     def exact(index: Indices, within: float) -> tuple[Indices, Array]:
         closest, near = search.closest(fine.nodes_at(index), within)
-        return index[near], side.signed(index[near], fine, closest)
+        return index[near], signed(index[near], fine, closest)
 
     nodes = coarse.nodes()
-    values = side.signed(np.arange(len(nodes)), coarse, search.closest(nodes)[0])
-    sharp = sharpened(coarse, values, fine, exact, sheet=not closed)
-    smooth, sharp_field = coarse.field(values, sheet=not closed), fine.field(sharp, sheet=not closed)
-    remarks = (*remarks, *coarser)
-    geometry = measured(mesh, smooth, sharp_field, diameter=size, closed=closed, remarks=remarks)
+    values = signed(np.arange(len(nodes)), coarse, search.closest(nodes)[0])
+    fields = grid_fields(coarse, values, fine, exact, sheet=not closed)
+    geometry = measured(mesh, *fields, diameter=size, closed=closed, remarks=(*remarks, *coarser))
     return geometry if roughness is None else roughened(geometry, roughness)
 
 
 def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
-    """Returns (e,) which edges of a mesh are its rim: those with one triangle, but for slits.
+    """Returns (e,) which edges of a mesh are its rim: those with one triangle, except at slits.
 
-    `cell` [m]: the spacing of the finest thing that is to be told. Around a point of a rim the winding number runs
-    through all that is between two whole numbers, a quarter of it on each quarter of a turn; around a slit, where edges
-    lie on each other without sharing their vertices (a vertex of one within the other, or each its own), it is whole.
+    `cell` [m]: the cell of the fine grid. Around a point of a rim the winding number takes all values between two
+    integers, a quarter of them on each quarter of a turn. Around a slit, where edges lie on each other without sharing
+    vertices (a vertex of one within the other, or each its own), it is an integer.
     """
     pairs, _, count = mesh.edges
     rim = np.asarray(count == 1)
@@ -76,7 +77,7 @@ def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
     edge = np.repeat(np.arange(len(start)), pieces)
     part = np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5
     middles = start[edge] + (part / pieces[edge])[:, None] * along[edge]
-    # Around each piece, neither along its triangle nor across it.
+    # Four places around each piece, between the directions along its triangle and across it.
     of_edge = np.empty(len(pairs), dtype=np.int64)
     of_edge[mesh.edges[1]] = np.arange(len(mesh.faces))[:, None]
     normal = mesh.doubled_normals[of_edge[rim]]
@@ -85,24 +86,23 @@ def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
     turns = np.stack([normal + lateral, normal - lateral, -normal + lateral, -normal - lateral], axis=1)
     around = middles[:, None] + MESH.slit * cell / np.sqrt(2) * turns[edge]
     number = winding.at(around.reshape(-1, 3)).reshape(-1, 4)
-    open_piece = np.abs(number - np.round(number)).max(axis=1) > MESH.max_open_share
+    open_piece = np.abs(number - np.round(number)).max(axis=1) > MESH.max_fraction
     rim[rim] = np.bincount(edge, open_piece, minlength=len(start)) > 0
     return rim
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Holes:
-    """A `Holes` says where a surface ends."""
+    """A `Holes` is the places where a surface ends: connected runs of boundary edges, with their bounding boxes."""
 
     middles: Array
-    """(h, 3) of each connected run of boundary edges [m]."""
+    """(h, 3) middle of each box [m]."""
     extents: Array
-    """(h,) the diagonal of its bounding box [m]."""
+    """(h,) diagonal of each box [m]."""
 
 
 def holes_of(mesh: Triangles, rim: Mask | None = None) -> Holes:
-    """Returns the holes of a mesh: its rim in connected runs. `rim` (e,): which edges; None: those with one
-    triangle."""
+    """Returns the holes of a mesh whose rim is the edges in `rim` (e,); None: those with one triangle."""
     edges, _, count = mesh.edges
     pairs = edges[count == 1 if rim is None else rim]
     if not len(pairs):
@@ -118,90 +118,76 @@ def holes_of(mesh: Triangles, rim: Mask | None = None) -> Holes:
 
 
 def _is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) -> bool:
-    """Returns whether the surface has an inside: it winds once around what is behind it, and its holes are small."""
+    """Returns whether the surface has an inside: its holes are small, and its winding numbers a closed surface's."""
     if holes.extents.max(initial=0.0) > SURFACE.max_hole * diameter:
         return False
     points, normals, _ = side_samples(mesh)
     step = 1e-4 * diameter
     behind, front = winding.at(points - step * normals), winding.at(points + step * normals)
-    # Where pieces overlap the count goes to 2 and the surface is no boundary: that is closed too.
+    # Where pieces overlap, the winding number is 2 and the surface is no boundary: that is closed too.
     good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
     return bool(good.mean() >= MESH.closed_share)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ByWinding:
-    """`ByWinding` tells sides so: inside is where the surface winds around a point more than half a time.
+def signed_by_winding(
+    winding: Winding, holes: Holes, index: Indices, grid: Grid, closest: ClosestPoints
+) -> Array:
+    """Returns signed distances (n,) [m] of nodes of a grid from a closed mesh: negative where its winding number is
+    above one half.
 
-    Two neighbouring nodes whose distances add up to more than the step between them have no surface between
-    them, so they share a sign: one winding number for each connected set is enough. Near holes, where
-    inside and outside are connected, every node has its own.
+    `index` (n,) of the nodes, `closest` of their points. Two neighbouring nodes whose distances add up to more than the
+    step between them have no surface between them, so they share a sign, and the winding numbers of a few nodes of each
+    connected set are enough. Near holes, where inside and outside are connected, every node's is computed.
     """
+    from handsight._kernels.mesh.connected_nodes import linked  # numba's import is long
 
-    winding: Winding
-    holes: Holes
-
-    def signed(self, index: Indices, grid: Grid, closest: ClosestPoints) -> Array:
-        """Returns signed distances (n,) [m] of these nodes of a grid, given their closest points."""
-        from handsight._kernels.mesh.connected_nodes import linked  # numba's import is long
-
-        points = grid.nodes_at(index)
-        free = np.ones(len(points), dtype=bool)
-        for middle, extent in zip(self.holes.middles, self.holes.extents, strict=True):
-            free &= ((points - middle) ** 2).sum(axis=1) > (extent / 2 + grid.cell) ** 2
-        inside = np.zeros(len(points), dtype=bool)
-        todo = np.arange(len(points))
-        for margin in LINK_MARGINS:
-            limit = margin * grid.cell  # right across a face it is the step, give or take the rounding
-            label = linked(index[todo], grid.shape, closest.distance[todo], free[todo], limit)
-            votes, agreed = self._votes(label, points[todo])
-            inside[todo] = votes[label]
-            todo = todo[~agreed[label]]
-            if not len(todo):
-                break
-        return np.asarray(np.where(inside, -closest.distance, closest.distance))
-
-    def _votes(self, label: Indices, points: Array) -> tuple[Mask, Mask]:
-        """Returns whether each set is inside, and whether its voters agree.
-
-        They do not where a distance that is a little too large has linked the two sides.
-        """
+    points = grid.nodes_at(index)
+    free = np.ones(len(points), dtype=bool)
+    for middle, extent in zip(holes.middles, holes.extents, strict=True):
+        free &= ((points - middle) ** 2).sum(axis=1) > (extent / 2 + grid.cell) ** 2
+    inside = np.zeros(len(points), dtype=bool)
+    todo = np.arange(len(points))
+    # Nodes are linked when their distances add up to this many steps; right across a face it is one, give or take the
+    # rounding. Where nodes of a set disagree, a distance that is a little too large has linked the two sides, and the
+    # set is linked again with a larger margin. The last margin links none.
+    for margin in (1.001, 1.5, np.inf):
+        label = linked(index[todo], grid.shape, closest.distance[todo], free[todo], margin * grid.cell)
         order = np.argsort(label, kind="stable")
         size = np.bincount(label)
         start = np.cumsum(size) - size
-        spread = np.random.default_rng(4).random((len(size), MESH.votes))
+        spread = np.random.default_rng(4).random((len(size), MESH.voters))
         voters = order[start[:, None] + (spread * size[:, None]).astype(np.int64)]
-        asked, which = np.unique(voters, return_inverse=True)
-        inside = self.winding.inside(points[asked])[which].reshape(voters.shape)
-        return inside[:, 0], np.asarray(inside.all(axis=1) | ~inside.any(axis=1))
+        nodes, which = np.unique(voters, return_inverse=True)
+        votes = winding.inside(points[todo][nodes])[which].reshape(voters.shape)
+        inside[todo] = votes[label, 0]
+        agreed = np.asarray(votes.all(axis=1) | ~votes.any(axis=1))
+        todo = todo[~agreed[label]]
+        if not len(todo):
+            break
+    return np.asarray(np.where(inside, -closest.distance, closest.distance))
 
 
-class ByNormal:
-    """`ByNormal` tells sides so: behind an open surface is where its normal at the nearest point looks away; nothing
-    is behind a rim."""
+def signed_by_normal(normals: Array, index: Indices, grid: Grid, closest: ClosestPoints) -> Array:
+    """Returns signed distances (n,) [m] of nodes of a grid from an open mesh: negative behind it, not behind its rim.
 
-    def __init__(self, mesh: Triangles, rim: Mask) -> None:
-        """`rim` (e,): which of the mesh's edges are its rim."""
-        self._normals = _pseudonormals(mesh, rim)
-
-    def signed(self, index: Indices, grid: Grid, closest: ClosestPoints) -> Array:
-        """Returns signed distances (n,) [m] of these nodes of a grid, given their closest points."""
-        zero = closest.weights == 0
-        count = zero.sum(axis=1)
-        # Opposite corner 0 is edge 12, and so on; with two zeros it is the third corner.
-        edge = np.array([2, 3, 1])[zero.argmax(axis=1)]
-        corner = 4 + (~zero).argmax(axis=1)
-        feature = np.where(count == 0, 0, np.where(count == 1, edge, corner))
-        normal = self._normals[closest.face, feature]
-        behind = ((grid.nodes_at(index) - closest.points) * normal).sum(axis=1) < 0
-        return np.asarray(np.where(behind, -closest.distance, closest.distance))
+    `normals` (m, 7, 3): `pseudonormals`; `index` (n,) of the nodes, `closest` of their points.
+    """
+    zero = closest.weights == 0
+    count = zero.sum(axis=1)
+    # Opposite corner 0 is edge 12, and so on; with two zeros the closest point is the third corner.
+    edge = np.array([2, 3, 1])[zero.argmax(axis=1)]
+    corner = 4 + (~zero).argmax(axis=1)
+    feature = np.where(count == 0, 0, np.where(count == 1, edge, corner))
+    normal = normals[closest.face, feature]
+    behind = ((grid.nodes_at(index) - closest.points) * normal).sum(axis=1) < 0
+    return np.asarray(np.where(behind, -closest.distance, closest.distance))
 
 
 def _pseudonormals(mesh: Triangles, rim: Mask) -> Array:
     """Returns (m, 7, 3): each triangle's normals inside, on its edges 01, 12, 20 and at its corners, not normalised.
 
-    Angle-weighted, so that their sign tells the side of the nearest point wherever it lies (Baerentzen and
-    Aanaes 2005); zero on the rim, edges in `rim` (e,).
+    They are weighted by angles, so that their sign is that of the side wherever the closest point lies (Baerentzen and
+    Aanaes 2005); on the rim, edges in `rim` (e,), they are zero.
     """
     faces = mesh.faces
     normal = mesh.doubled_normals / (2 * np.maximum(mesh.areas, 1e-300))[:, None]

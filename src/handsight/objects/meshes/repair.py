@@ -1,4 +1,4 @@
-"""A mesh as it should be, from a mesh as it came, and what had to be done to it in words."""
+"""Repair of a mesh: vertices merged, triangles made consistent and turned outwards, with a remark on each repair."""
 
 from typing import NamedTuple
 
@@ -10,28 +10,28 @@ from scipy.spatial import cKDTree
 from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidObject
 from handsight.objects.meshes.box_tree import BoxTree, Winding, box_tree
-from handsight.objects.surface import Triangles, check_extent, distinct, edges_of
+from handsight.objects.surface import Triangles, check_extent, distinct
 
 
 class RepairOptions(NamedTuple):
-    """`RepairOptions` are what is repaired in a mesh."""
+    """`RepairOptions` say what is repaired in a mesh."""
 
     flat: float = 1e-12  # a triangle whose height is below this part of its longest side has no area
-    side_samples: int = 400  # places at which a mesh is asked which side is outside
-    inside_out: float = -0.55  # a patch sees a winding number of -0.5 in front of it, an inside-out solid -1
-    small_piece: float = 0.01  # part of the area below which a loose piece is left out
+    side_samples: int = 400  # places at which a mesh's outside is found
+    inside_out: float = -0.55
+    """Winding number in front of a piece below which it is inside out: it is -0.5 for a patch, -1 for a solid."""
+    small_piece: float = 0.01  # share of the area below which a separate piece is remarked
     same_corner: float = 1e-4
-    """Corners of edges with one triangle that are closer than this part of the extent are one: files round."""
+    """Corners of edges with one triangle that are closer than this part of the extent are one, because files round."""
 
 
 REPAIR = RepairOptions()
 
 
 def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
-    """Returns a mesh with finite, merged vertices and consistent triangles that face outwards, a tree over it, and
-    remarks.
+    """Returns the mesh with merged vertices and consistent triangles that face outwards, a tree over it, and remarks.
 
-    Raises InvalidObject where no surface is left.
+    Raises InvalidObject where no surface is left, or where a vertex of a triangle is not finite.
     """
     remarks: list[str] = []
     points, triangles = _referenced(mesh.vertices, mesh.faces, remarks)
@@ -39,10 +39,20 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
     first, which = distinct(points, check_extent(points, "vertices"))
     points, triangles = points[first], which[triangles]
     triangles = _distinct(points, triangles, remarks)
-    edges = edges_of(triangles)
+    edges = Triangles(points, triangles).edges
     if (edges[2] == 1).any():
-        points, triangles = _joined(points, triangles, edges[0][edges[2] == 1])
-        edges = edges_of(triangles)
+        used = np.unique(edges[0][edges[2] == 1])
+        extent = float(np.ptp(points, axis=0).max())
+        near = cKDTree(points[used]).query_pairs(REPAIR.same_corner * extent, output_type="ndarray")
+        if len(near):
+            label = components(near[:, 0], near[:, 1], len(used))
+            which = np.arange(len(points))
+            which[used] = used[np.unique(label, return_index=True)[1][label]]
+            triangles = which[triangles]
+            # A triangle between two such corners has become a line.
+            triangles = triangles[(triangles != np.roll(triangles, -1, axis=1)).all(axis=1)]
+            points, triangles = _referenced(points, _distinct(points, triangles, []), [])
+            edges = Triangles(points, triangles).edges
     triangles, turned, orientable = _consistent(triangles, edges)
     if turned:
         remarks.append(f"{turned} of {len(triangles)} triangles were turned to agree with their neighbours")
@@ -55,7 +65,7 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
 
 
 def _referenced(points: Array, triangles: Indices, remarks: list[str]) -> tuple[Array, Indices]:
-    """Returns only vertices that triangles use; those must be finite."""
+    """Returns the vertices that triangles use, and these; raises InvalidObject where such a vertex is not finite."""
     used, which = np.unique(triangles, return_inverse=True)
     finite = np.asarray(np.isfinite(points).all(axis=1))
     if not finite[used].all():
@@ -67,7 +77,7 @@ def _referenced(points: Array, triangles: Indices, remarks: list[str]) -> tuple[
 
 
 def _distinct(points: Array, triangles: Indices, remarks: list[str]) -> Indices:
-    """Returns triangles with an area, each once."""
+    """Returns the triangles with an area, each once; raises InvalidObject where none has an area."""
     corners = points[triangles]
     sides = np.roll(corners, -1, axis=1) - corners
     longest2 = (sides * sides).sum(axis=2).max(axis=1)
@@ -83,29 +93,11 @@ def _distinct(points: Array, triangles: Indices, remarks: list[str]) -> Indices:
     return triangles[np.sort(first)]
 
 
-def _joined(points: Array, triangles: Indices, boundary: Indices) -> tuple[Array, Indices]:
-    """Returns points and triangles where corners (b, 2) of edges with one triangle that are nearly the same are the
-    same."""
-    used = np.unique(boundary)
-    extent = float(np.ptp(points, axis=0).max())
-    near = cKDTree(points[used]).query_pairs(REPAIR.same_corner * extent, output_type="ndarray")
-    if not len(near):
-        return points, triangles
-    label = components(near[:, 0], near[:, 1], len(used))
-    which = np.arange(len(points))
-    which[used] = used[np.unique(label, return_index=True)[1][label]]
-    triangles = which[triangles]
-    # What lay between two such corners is a line now.
-    triangles = triangles[(triangles != np.roll(triangles, -1, axis=1)).all(axis=1)]
-    triangles = _distinct(points, triangles, [])
-    return _referenced(points, triangles, [])
-
-
 def _consistent(faces: Indices, edges: tuple[Indices, ...]) -> tuple[Indices, int, bool]:
     """Returns triangles turned so that neighbours agree, how many were turned, and whether all could agree."""
     _, of_face, count = edges
     order = np.argsort(of_face, axis=None, kind="stable")
-    # Of each edge of just two triangles, its places in these; they agree where they run through it oppositely.
+    # The places of each edge of just two triangles in these, which agree where they run through it in opposite ways.
     first = (np.cumsum(count) - count)[count == 2]
     i, j = order[first], order[first + 1]
     forward = (faces < np.roll(faces, -1, axis=1)).reshape(-1)
@@ -117,8 +109,10 @@ def _consistent(faces: Indices, edges: tuple[Indices, ...]) -> tuple[Indices, in
 
 
 def _facing_out(mesh: Triangles, tree: BoxTree, remarks: list[str]) -> Triangles:
-    """Returns the mesh with every piece that was inside out turned."""
-    piece = _pieces(mesh.faces)
+    """Returns the mesh with every piece that was inside out turned; a piece is connected through shared vertices."""
+    faces = mesh.faces
+    label = components(faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1), int(faces.max()) + 1)
+    piece = np.unique(label[faces[:, 0]], return_inverse=True)[1].reshape(-1)
     count = int(piece.max()) + 1
     points, normals, face = side_samples(mesh)
     step = 1e-4 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))  # less than any wall is thick
@@ -137,28 +131,22 @@ def _facing_out(mesh: Triangles, tree: BoxTree, remarks: list[str]) -> Triangles
     return Triangles(mesh.vertices, _turned_over(mesh.faces, inverted[piece]))
 
 
-def _pieces(faces: Indices) -> Indices:
-    """Returns (m,) the connected piece of each triangle, through shared vertices."""
-    label = components(faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1), int(faces.max()) + 1)
-    return np.unique(label[faces[:, 0]], return_inverse=True)[1].reshape(-1)
-
-
 def _turned_over(faces: Indices, flip: Mask) -> Indices:
-    """Returns triangles (m, 3), those in `flip` (m,) seen from the other side."""
+    """Returns triangles (m, 3), those in `flip` (m,) with their corners in the opposite order."""
     return np.where(flip[:, None], faces[:, [0, 2, 1]], faces)
 
 
 def side_samples(mesh: Triangles) -> tuple[Array, Array, Indices]:
-    """Returns surface points (n, 3) [m], the normals (n, 3) and indices (n,) of their triangles."""
+    """Returns random surface points (n, 3) [m], with the normals (n, 3) and indices (n,) of their triangles."""
     return mesh.draw_on_faces(REPAIR.side_samples, np.random.default_rng(3))
 
 
 def agreeing(i: Indices, j: Indices, agree: Mask, size: int) -> tuple[Mask, bool]:
-    """Returns which (size,) of things to turn, so that linked ones, i (l,) and j (l,), agree, and whether all could.
+    """Returns which of `size` triangles or normals to turn over so that linked ones agree, and whether all do.
 
-    `agree` (l,): whether they do as they are. Each thing stands twice in a graph, as it is and turned; those that
-    agree are linked side to side, others crosswise. What is connected to a thing "as it is" is how its neighbours
-    must stand.
+    i (l,) and j (l,) are linked; `agree` (l,): whether they agree as they are. In a graph each item has two nodes, as
+    it is and turned over. Items that agree are linked side to side, others crosswise, so that the nodes connected to
+    an item "as it is" say which of its neighbours must be turned.
     """
     row = np.concatenate([i, i + size])
     column = np.concatenate([np.where(agree, j, j + size), np.where(agree, j + size, j)])

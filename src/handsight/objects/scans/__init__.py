@@ -1,1 +1,1 @@
-"""Objects made of noisy measurements of their surface."""
+"""Noisy points: their noise, the surface behind them, and how far that may be off the object."""

@@ -1,4 +1,4 @@
-"""The surface that noisy points lie about: quadrics, each as wide as it may be, and how far they are off."""
+"""The surface behind noisy points: a blend of quadrics, each fitted in a window as wide as the shape allows."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,16 +10,8 @@ from scipy.spatial import cKDTree
 from handsight._kernels.mesh.patches import blended
 from handsight._kernels.runtime.threads import in_parts
 from handsight.checks import Array, Indices
+from handsight.objects.scans.noise import Noise, Patches, Points, flat_patches, spacing_of, widened, widths
 from handsight.objects.scans.normals import enough_neighbours, outwards, planes
-from handsight.objects.scans.windows import (
-    Noise,
-    Patches,
-    Points,
-    spacing_of,
-    started,
-    widened,
-    widths,
-)
 
 
 class PatchOptions(NamedTuple):
@@ -29,21 +21,20 @@ class PatchOptions(NamedTuple):
     first: float = 3.0  # the least window [spacings]
     ratio: float = 1.35  # how much wider each is than the one before
     last: float = 0.3  # the widest [diameters]
-    max_widened: float = 9.0  # points that share one noise widen the least window, up to as many
+    max_widened: float = 9.0  # points that share one noise, by whose number the least window is widened
     min_width: float = 3.0  # of a window, in deviations of the noise
     min_lever: float = 5.0
-    """Means of noise and spacing that a window must be wide for its normal to be known to a tenth."""
-    shape_error: float = 2e-4
-    """Of a quadric's residual, what an object's shape may add to the noise [diameters]."""
+    """Width of a window in geometric means of noise and spacing, from which its normal is known to a tenth."""
+    shape_error: float = 2e-4  # what the shape may add to the noise in a quadric's residual [diameters]
     sigma_curvature: float = 8.0  # of curvatures before anything is measured [1/diameters]
-    min_sigma: float = 1e-4  # no scan is taken for better [diameters]
-    rough_windows: int = 3  # windows that tell the faces of an object apart
-    min_noise: float = 0.5  # of a spacing: noise below which the way from a patch to the next has a direction
+    min_sigma: float = 1e-4  # no scan is assumed to be more exact [diameters]
+    rough_windows: int = 3  # windows that are enough to separate the faces of an object
+    min_noise: float = 0.5  # noise below which the way from a patch to the next has a direction [spacings]
     parallel: int = 4096  # nodes that are enough for another thread
     blended: int = 24  # patches that are averaged at a place
     similar: float = 0.05
-    """A patch counts by the inverse variance of its normal and of this part of the median one."""
-    min_trust: float = 0.02  # the least that a patch counts
+    """A patch has the weight of the inverse variance of its normal plus this part of the median variance."""
+    min_trust: float = 0.02  # the least weight of a patch, and the inverse of the largest
 
 
 PATCH_FIT = PatchOptions()
@@ -51,15 +42,15 @@ PATCH_FIT = PatchOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScannedSurface:
-    """A `ScannedSurface` is a surface of many quadric patches."""
+    """A `ScannedSurface` is a surface of many quadric patches, each blended into its neighbours."""
 
     patches: Patches
     tree: cKDTree
-    """Of their points (m, 3)."""
+    """Over the patches' points (m, 3)."""
     around: Indices
-    """(m, k) the patches nearest to each, itself first."""
+    """(m, k) indices of the patches nearest to each, itself first."""
     spacing: float
-    """Between them [m]."""
+    """Between neighbouring patches [m]."""
 
     @property
     def variances(self) -> Array:
@@ -68,22 +59,21 @@ class ScannedSurface:
         return np.stack([v[:, 0], (v[:, 1] + v[:, 2]) / 2, (v[:, 3] + v[:, 5]) / 2], axis=1)
 
     def blended(self, nodes: Array, nearest: Indices) -> Array:
-        """Returns (n, 4) signed distances [m] of nodes (n, 3) near the surface, and ways outwards; `nearest` patches
-        (n,)."""
+        """Returns (n, 4): signed distances [m] of nodes (n, 3) near the surface, and vectors outwards of any length.
+
+        `nearest` (n,): index of the patch nearest to each node.
+        """
         out = np.empty((len(nodes), 4))
-        in_parts(
-            partial(blended, self.patches, self.spacing, self.around),
-            (nearest, nodes, out),
-            PATCH_FIT.parallel,
-        )
+        kernel = partial(blended, self.patches, self.spacing, self.around)
+        in_parts(kernel, (nearest, nodes, out), PATCH_FIT.parallel)
         return out
 
     def heights(self, nodes: Array, nearest: Indices) -> Array:
-        """Returns signed distances (n,) [m] of nodes (n, 3) near the surface, whose nearest patches (n,) are known."""
+        """Returns signed distances (n,) [m] of nodes (n, 3) near the surface; `nearest` (n,) as `blended` takes it."""
         return np.asarray(self.blended(nodes, nearest)[:, 0])
 
     def converged(self) -> tuple[Array, Array]:
-        """Returns points (m, 3) [m] on the blended surface, a patch's each, and unit outward normals (m, 3)."""
+        """Returns the patches' points moved onto the blended surface (m, 3) [m], with unit outward normals (m, 3)."""
         points = self.patches["point"]
         there = self.blended(points, np.arange(len(points)))
         normals = there[:, 1:] / np.linalg.norm(there[:, 1:], axis=1, keepdims=True)
@@ -91,7 +81,7 @@ class ScannedSurface:
 
 
 def fitted(points: Points, noise: Noise) -> ScannedSurface:
-    """Returns the surface through noisy points; where their normals are not known, they are estimated first."""
+    """Returns the surface behind noisy points; normals that are not known are estimated first."""
     noise = replace(noise, sigma=max(noise.sigma, PATCH_FIT.min_sigma * points.diameter))
     if np.isfinite(points.normals).all():
         patches = _fits(points, points.normals[: PATCH_FIT.patches], noise)
@@ -99,9 +89,9 @@ def fitted(points: Points, noise: Noise) -> ScannedSurface:
         centres = points.places[: PATCH_FIT.patches]
         tree = cKDTree(centres)
         count = enough_neighbours(noise.sigma, points.spacing)
-        normals = outwards(centres, planes(points, centres, count), tree)
+        normals = outwards(centres, planes(points.places, centres, count), tree)
         nearest = tree.query(points.places)[1]
-        # Planes tell faces apart, but quadrics do so better: what they found decides once more.
+        # Quadrics separate faces better than planes do, so the signs are decided once more with their normals.
         patches = _fits(replace(points, normals=normals[nearest]), normals, noise, PATCH_FIT.rough_windows)
         normals = patches["normal"].copy()
         if noise.sigma < PATCH_FIT.min_noise * points.spacing:
@@ -117,8 +107,8 @@ def fitted(points: Points, noise: Noise) -> ScannedSurface:
 
 
 def _fits(points: Points, normals: Array, noise: Noise, most: int | None = None) -> Patches:
-    """Returns patches about the first of the points, one for each of the normals (m, 3); in so many windows."""
-    patches = started(points.places[: len(normals)], normals)
+    """Returns patches fitted about the first m points, whose normals (m, 3) are given; in at most `most` windows."""
+    patches = flat_patches(points.places[: len(normals)], normals)
     shared = min(noise.together, PATCH_FIT.max_widened)
     least = max(
         PATCH_FIT.first * points.spacing * np.sqrt(shared),

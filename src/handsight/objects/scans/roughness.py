@@ -1,4 +1,8 @@
-"""How far a scanned surface is off the object it was scanned from, place by place."""
+"""How far a model may be off its object place by place: by a scan's noise, by its holes, or as its file declares.
+
+Each is (m, 4) variances, as of `FieldError`: of the distance, of the normal, and the spurious information that noise
+adds about a flat direction, by the surface's slope and by its curvature.
+"""
 
 from typing import NamedTuple
 
@@ -7,24 +11,32 @@ from scipy.spatial import cKDTree
 
 from handsight._kernels.posterior.spurious_information import LEND
 from handsight.checks import Array
-from handsight.objects.geometry import Roughness
+from handsight.objects.geometry import Geometry, Roughness, with_error
+from handsight.objects.scans.noise import NOISE, Noise, Points
 from handsight.objects.scans.patches import ScannedSurface
-from handsight.objects.scans.windows import WINDOWS, Noise, Points
 
 
 class RoughnessOptions(NamedTuple):
-    """`RoughnessOptions` say how far a scan's surface is off, place by place."""
+    """`RoughnessOptions` say how far a model is off, place by place."""
 
     shared: float = 0.25
-    """The power of its weight in the surface that a patch's variances count by. By the first they would be what the
-    surface is off by on the average; but a patch that ended early by chance still bends it, where it is.
+    """A patch's variances count by its weight in the surface to this power. By the first power they would be the
+    average error of the surface; but a patch whose windows ended early by chance still bends it, where it is.
     """
     chance: float = 4.0  # deviations by which residuals may exceed the noise
     effective: float = 5 / 9  # points of a window that count, for its weights
     fitted: int = 6  # and how many of them a quadric takes
-    per_patch: int = 30  # each place is compared with this many points for a patch
-    min_points: int = 30  # and with so many at least
+    per_patch: int = 30  # points with which each place is compared, for a patch
+    min_points: int = 30  # and at least
     max_points: int = 150  # and at most
+    covered_gap: float = 1.5  # spacings from the nearest point up to which the scanner saw a place
+    open_gap: float = 2.5  # spacings beyond which it did not
+    clear: float = 0.2  # winding numbers this far from 0 and from 1: up to here no surface can pass
+    open: float = 0.4  # from here on one may
+    declared_length: float = 0.05
+    """Correlation length of declared errors [m]: fused depth images err together over centimetres, by the camera's
+    constant error, and so does what was guessed; the points themselves do not show that."""
+    declared_points: int = 8  # nearest points whose declared errors are averaged
 
 
 ROUGHNESS = RoughnessOptions()
@@ -33,34 +45,35 @@ ROUGHNESS = RoughnessOptions()
 def roughness_of(surface: ScannedSurface, points: Points, noise: Noise) -> Roughness:
     """Returns the variances of distance, normal, slope and curvature at each patch, as a contact meets them.
 
-    What the points scatter tells how far the fits are off by chance; what many points near by are off by on the
-    average, more than chance explains, tells where a window was too wide for the shape.
+    The scatter of the points gives the random error of the fits. Where the mean of many residuals is larger than chance
+    explains, a window was too wide for the shape, and that mean is added.
     """
     height, normal, bend = surface.variances.T
-    by_height, by_slope = _oversmoothed(surface, points, noise)
-    slope, detail = normal + by_slope, _unresolved(surface, points, noise)
-    # Detail that the surface has not is missing in its normals; it has no bumps from it to lend.
+    by_height, by_slope = _oversmoothing(surface, points, noise)
+    patches = surface.patches
+    # Detail as fine as the points are apart is what a patch leaves of them beyond their noise.
+    count = np.minimum(np.pi * (patches["window"] / points.spacing) ** 2, NOISE.thinned)
+    many = count * ROUGHNESS.effective - ROUGHNESS.fitted
+    chance = 1 + ROUGHNESS.chance * np.sqrt(2 * noise.together / np.maximum(many, 1.0))
+    detail = np.maximum(patches["spread"] - (0.0 if noise.is_shape else noise.sigma**2 * chance), 0.0)
+    slope = normal + by_slope
+    # Such detail is missing in the surface's normals, but adds no bumps and no spurious information.
     missing = 2 * detail / points.spacing**2
     variances = np.stack([height + by_height + detail, slope + missing, LEND * slope, LEND * bend], axis=1)
-    return Roughness(surface.patches["point"], variances, surface.patches["trust"] ** ROUGHNESS.shared)
+    return Roughness(patches["point"], variances, patches["trust"] ** ROUGHNESS.shared)
 
 
-def _oversmoothed(surface: ScannedSurface, points: Points, noise: Noise) -> tuple[Array, Array]:
+def _oversmoothing(surface: ScannedSurface, points: Points, noise: Noise) -> tuple[Array, Array]:
     """Returns (m,) squared mean [m²] and slope [rad²] of the points' residuals around each patch, less their noise."""
-    count = int(
-        np.clip(
-            ROUGHNESS.per_patch * len(points.places) / len(surface.patches),
-            ROUGHNESS.min_points,
-            ROUGHNESS.max_points,
-        )
-    )
+    share = ROUGHNESS.per_patch * len(points.places) / len(surface.patches)
+    count = int(np.clip(share, ROUGHNESS.min_points, ROUGHNESS.max_points))
     count = min(count, len(points.places))
     centres = surface.patches["point"]
     near = cKDTree(points.places).query(centres, k=count)[1].reshape(-1, count)
     offset = points.places[near] - centres[:, None]
     residual = surface.heights(points.places, surface.tree.query(points.places)[1])[near]
     variance = noise.sigma**2 * noise.together
-    # Points of another face or of the far side tell nothing of this one.
+    # Points of another face or of the far side say nothing about this one.
     known = np.abs(residual) < 5 * np.sqrt(noise.sigma**2 + surface.variances[:, :1])
     many = np.maximum(known.sum(axis=1), 1)
     mean = np.where(known, residual, 0.0).sum(axis=1) / many
@@ -72,14 +85,32 @@ def _oversmoothed(surface: ScannedSurface, points: Points, noise: Noise) -> tupl
     return np.maximum(mean**2 - variance / many, 0.0), np.maximum(slopes, 0.0)
 
 
-def _unresolved(surface: ScannedSurface, points: Points, noise: Noise) -> Array:
-    """Returns (m,) squared height [m²] of what each patch leaves of the points, beyond their noise: detail as fine as
-    these are apart, which from one to the next is off independently."""
-    patches = surface.patches
-    many = (
-        np.minimum(np.pi * (patches["window"] / points.spacing) ** 2, WINDOWS.thinned) * ROUGHNESS.effective
-        - ROUGHNESS.fitted
+def unseen_variances(gap: Array, winding: Array, spacing: float) -> Array:
+    """Returns (n, 4) variances at places where a scan has no points, zero where it has some near by.
+
+    `gap` (n,): distance to the nearest point [m]; `winding` (n,): winding number of the points around the place;
+    `spacing` [m] of the points. Where the winding number is near 1 or 0, the place is enclosed by the points or outside
+    all of them, and no surface passes. In between there is a hole, and the surface may pass as far from the place as
+    the nearest point is, in any direction.
+    """
+    is_open = (np.minimum(winding, 1 - winding) - ROUGHNESS.clear) / (ROUGHNESS.open - ROUGHNESS.clear)
+    is_far = (gap / spacing - ROUGHNESS.covered_gap) / (ROUGHNESS.open_gap - ROUGHNESS.covered_gap)
+    share = np.clip(is_open, 0.0, 1.0) * np.clip(is_far, 0.0, 1.0)
+    return share[:, None] * np.stack(
+        [gap**2, np.ones_like(gap), np.full_like(gap, LEND), np.full_like(gap, LEND / spacing**2)], axis=1
     )
-    chance = 1 + ROUGHNESS.chance * np.sqrt(2 * noise.together / np.maximum(many, 1.0))
-    known = 0.0 if noise.is_shape else noise.sigma**2 * chance
-    return np.asarray(np.maximum(patches["spread"] - known, 0.0))
+
+
+def with_declared_noise(geometry: Geometry, points: Array, sigmas: Array) -> Geometry:
+    """Returns the geometry with larger errors, by the standard deviations (n,) [m] declared for points (n, 3) [m].
+
+    With the correlation exp(-d²/2L²) the standard deviation of a slope is σ/L, that of a curvature √3 σ/L².
+    """
+    tree, variances = cKDTree(points), sigmas**2
+
+    def at(nodes: Array) -> Array:
+        s2 = variances[tree.query(nodes, k=min(ROUGHNESS.declared_points, len(points)))[1]].mean(axis=1)
+        slope, bend = s2 / ROUGHNESS.declared_length**2, 3 * s2 / ROUGHNESS.declared_length**4
+        return np.stack([s2, slope, LEND * slope, LEND * bend], axis=1)
+
+    return with_error(geometry, at)

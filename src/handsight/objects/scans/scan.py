@@ -1,4 +1,4 @@
-"""Which clouds are scans, and the surface behind one."""
+"""Which clouds and meshes are noisy scans, and the surface behind one."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -8,25 +8,24 @@ from scipy.sparse import coo_array, diags_array
 
 from handsight.checks import Array, Indices
 from handsight.objects.geometry import Roughness
-from handsight.objects.scans.noise import NOISE, measured_noise
+from handsight.objects.scans.noise import NOISE, Noise, Points, measured_noise, spacing_of
 from handsight.objects.scans.patches import ScannedSurface, fitted
 from handsight.objects.scans.roughness import roughness_of
-from handsight.objects.scans.windows import Noise, Points, spacing_of
-from handsight.objects.surface import Triangles, edges_of
+from handsight.objects.surface import Triangles
 
 
 class ScanOptions(NamedTuple):
-    """`ScanOptions` say when points are a scan, and which."""
+    """`ScanOptions` say when points, or the vertices of a mesh, are a noisy scan."""
 
-    max_points: int = 20_000  # more say little more about an object that fits into a hand
-    min_points: int = 200  # fewer do not tell noise from shape
+    max_points: int = 20_000  # more add little about an object that fits into a hand
+    min_points: int = 200  # with fewer, noise and shape cannot be separated
     clean: float = 5e-4  # points with normals whose noise is below this are taken for surface [diameters]
     min_vertices: int = 1000  # meshes of fewer were drawn, not scanned
     flat_angle: float = 1e-3  # triangles that meet at less than this angle lie in one plane [rad]
     flat_share: float = 0.1
-    """Where they do so at more than this share of the edges, the mesh was drawn: noise leaves none."""
+    """Where they do so at more than this share of the edges, the mesh was drawn: noise leaves no flat edges."""
     outlying: float = 5.0  # deviations of noise beyond which a point is an outlier
-    own_noise: float = 0.7  # vertices of a scan have at least this part of its noise each of its own
+    own_noise: float = 0.7  # the least part of a scan's noise that neighbouring vertices do not share
     gaussian_quarter: float = 0.3186  # of a standard deviation: a quarter of a Gaussian's draws are smaller
 
 
@@ -35,7 +34,7 @@ SCAN = ScanOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
-    """A `Scan` is what noisy points say of an object's surface."""
+    """A `Scan` is the surface behind noisy points, and how far that may be off the object."""
 
     noise: Noise
     surface: ScannedSurface
@@ -43,10 +42,10 @@ class Scan:
 
 
 def scanned(points: Array, normals: Array | None, diameter: float) -> Scan | None:
-    """Returns the surface behind points (n, 3) [m] with unit outward normals (n, 3) or none; None where the points
-    are surface.
+    """Returns the surface behind points (n, 3) [m] with unit outward normals (n, 3) or None.
 
-    They are where they have normals and no noise to speak of; so are too few to tell.
+    Returns None where the points are taken for the surface itself: with normals and hardly any noise, or where they are
+    too few to measure noise.
     """
     if len(points) < SCAN.min_points:
         return None
@@ -62,48 +61,42 @@ def scanned(points: Array, normals: Array | None, diameter: float) -> Scan | Non
 
 
 def smoothed(mesh: Triangles, diameter: float) -> tuple[Triangles, Roughness | None]:
-    """Returns a mesh with noisy vertices, moved to the surface behind them, and how far that is off; any other as it
-    is."""
+    """Returns a mesh with its vertices moved onto the surface behind their noise, and how far that surface may be off.
+
+    A mesh without noise is returned as it is, with None.
+    """
     used, faces = np.unique(mesh.faces, return_inverse=True)
-    if len(used) < SCAN.min_vertices or _flat_share(mesh) > SCAN.flat_share:
+    if len(used) < SCAN.min_vertices:
+        return mesh, None
+    _, of_face, count = mesh.edges
+    order = np.argsort(of_face.reshape(-1), kind="stable") // 3
+    first = (np.cumsum(count) - count)[count == 2]
+    face_normals = mesh.doubled_normals / np.maximum(2 * mesh.areas, 1e-300)[:, None]
+    differences = np.linalg.norm(face_normals[order[first]] - face_normals[order[first + 1]], axis=1)
+    if not len(differences) or (differences < SCAN.flat_angle).mean() > SCAN.flat_share:
         return mesh, None
     vertices, faces = mesh.vertices[used], faces.reshape(mesh.faces.shape)
-    normals = _vertex_normals(Triangles(vertices, faces))
-    own = _own_noise(vertices, faces, normals)
+    normals = np.zeros_like(vertices)  # means of the triangles', by area
+    for k in range(3):
+        np.add.at(normals, faces[:, k], mesh.doubled_normals)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    own = _independent_noise(vertices, faces, normals)
     scan = scanned(vertices, normals, diameter) if own > SCAN.own_noise * SCAN.clean * diameter else None
     if scan is None or own < SCAN.own_noise * scan.noise.sigma:
         return mesh, None
     there = scan.surface.blended(vertices, scan.surface.tree.query(vertices)[1])
     way = there[:, 1:] / np.linalg.norm(there[:, 1:], axis=1, keepdims=True)
     off = there[:, :1]
-    # What is further off is no noise: a corner that no quadric reaches stays where it is.
+    # A vertex that is further off is no noise: it is at a corner that no quadric reaches, and stays where it is.
     vertices = np.where(np.abs(off) < SCAN.outlying * scan.noise.sigma, vertices - off * way, vertices)
     return Triangles(vertices, faces), scan.roughness
 
 
-def _flat_share(mesh: Triangles) -> float:
-    """Returns the share of edges at which two triangles lie in one plane."""
-    _, of_face, count = edges_of(mesh.faces)
-    order = np.argsort(of_face.reshape(-1), kind="stable") // 3
-    first = (np.cumsum(count) - count)[count == 2]
-    normals = mesh.doubled_normals / np.maximum(2 * mesh.areas, 1e-300)[:, None]
-    differences = np.linalg.norm(normals[order[first]] - normals[order[first + 1]], axis=1)
-    return float((differences < SCAN.flat_angle).mean()) if len(differences) else 1.0
+def _independent_noise(vertices: Array, faces: Indices, normals: Array) -> float:
+    """Returns the noise [m] that each vertex has independently of its neighbours, from second differences to these.
 
-
-def _vertex_normals(mesh: Triangles) -> Array:
-    """Returns (k, 3) unit normals at the vertices, by area."""
-    normals = np.zeros_like(mesh.vertices)
-    for k in range(3):
-        np.add.at(normals, mesh.faces[:, k], mesh.doubled_normals)
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
-
-
-def _own_noise(vertices: Array, faces: Indices, normals: Array) -> float:
-    """Returns the noise [m] that each vertex has of its own, on the quietest part, from second differences to its
-    neighbours.
-
-    Detail as fine as the triangles leaves residuals like noise; from vertex to vertex it is smooth.
+    It is that of the quietest part of the surface. Detail as fine as the triangles leaves the same residuals of
+    quadrics as noise does, but is smooth from vertex to vertex.
     """
     start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     count = len(vertices)

@@ -7,7 +7,7 @@ import pytest
 
 import handsight as hs
 from handsight.simulation import Scenario, model_of, rig_of
-from handsight.tracking.best_weighing import best_weight
+from handsight.tracking import best_weight
 
 SCENARIO = Scenario(object="box", seed=2, motion="weigh", rate=50)
 

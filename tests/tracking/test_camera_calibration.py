@@ -20,7 +20,7 @@ if find_spec("gymnasium_robotics") is None:  # it is not imported: only its file
     pytest.skip("the Shadow hand's files come with handsight[sim]", allow_module_level=True)
 
 from handsight.simulation import Scenario, rig_of
-from handsight.tracking.hand_eye_calibration import HAND_VIEWS, HandViews
+from handsight.tracking.camera_calibration import HAND_VIEWS, HandViews
 
 TRUE = se3.compose(se3.rotation_exp(np.array([0.3, 1.2, -0.4])), np.array([0.4, -0.3, 0.5]))
 OFF = se3.compose(se3.rotation_exp(np.deg2rad([2.0, -3.0, 1.5])), np.array([0.02, -0.015, 0.03]))

@@ -9,7 +9,7 @@ from handsight import se3
 from handsight.contact import Contacts
 from handsight.forces import slip_twist
 from handsight.forces.friction import FRICTION
-from handsight.forces.slip_motion import LENGTH
+from handsight.forces.object_motion import LENGTH
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -92,7 +92,7 @@ def test_a_correction_is_asked_for_when_a_slip_begins_while_it_lasts_and_when_it
     for k in range(200):
         stamp = (k + 1) * PERIOD
         part.update(stamp, felt(1.0 if 0.2 < stamp <= 0.4 else 0.2), smoother())
-        if part.asks(corrected):
+        if part.news(corrected):
             asked.append(stamp)
             corrected = stamp
     assert asked[0] == part.now.began
@@ -157,9 +157,9 @@ def test_contacts_of_fingers_that_let_go_are_forgotten(box, held):
     calibration = box.rig.fingers[finger].calibration
     lifted[finger] = np.concatenate([calibration.bias_force, calibration.bias_torque])
     slippery(held, replace(seen, wrenches=lifted), 3, 50.0)
-    assert finger in held.track_state.memory._last
+    assert finger in held.track_state.memory.last
     slippery(held, replace(seen, wrenches=lifted), 3, 1e-3)
-    assert finger not in held.track_state.memory._last
+    assert finger not in held.track_state.memory.last
 
 
 def test_a_jump_that_is_taken_back_takes_the_slip_back(box, held):

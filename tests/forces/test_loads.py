@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from forces.test_weigher import weighed
 from forces.weighed import CENTER, MASS, TILTS, Held, rig
 from handsight.forces import Weigher
-from handsight.forces.tare import TARE, read_in_air
+from handsight.forces.loads import LOADS, read_in_air
 
 
 def moving(held, bend=0.2, count=21):
@@ -36,7 +36,7 @@ def test_what_may_touch_something_is_no_bias():
     held = Held(noise=1.0)
     assert np.isnan(read_in_air(rig(), moving(held))[[0, 1, 4]]).all()  # these hold the object
     assert np.isnan(read_in_air(rig(), moving(held, bend=0.0))).all()
-    large = Held(biases=biased([TARE.max_force, 0.1, 0]), noise=1.0)
+    large = Held(biases=biased([LOADS.max_bias, 0.1, 0]), noise=1.0)
     assert np.isnan(read_in_air(rig(), moving(large))[2]).all()
     changing = moving(held)
     for k, seen in enumerate(changing):

@@ -1,0 +1,167 @@
+"""The two documents of a library, and the entries that they describe: the objects by number and name.
+
+`models_info.json` is the BOP benchmark's (`bop.py`). `handsight.json`, beside it, has what BOP has no place for: name,
+mass, centre of mass, licence, source, and the checksum of the model's file.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import msgspec
+
+from handsight import checks
+from handsight.errors import InvalidFile, InvalidInput
+from handsight.msgspec_errors import Form, decode, decode_object
+from handsight.objects.files.read import LARGEST_FILE
+from handsight.objects.library.bop import METRES, Info, symmetries_of
+from handsight.objects.symmetry import Symmetries
+
+INFO, FACTS = "models_info.json", "handsight.json"
+LARGEST_DOCUMENT = 20_000_000
+"""Bytes; what is known of ten thousand objects."""
+VERSION = 1
+"""Of the format of `handsight.json`."""
+
+
+class NoLibrary(InvalidFile):
+    """A folder or a URL has no library."""
+
+
+class Facts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A `Facts` is what is known of an object besides its surface; raises InvalidInput for impossible values."""
+
+    name: str
+    """Letters, digits, blanks and `_.+-`, the first a letter or a digit, not all of them digits."""
+    mass: float | None = None
+    """[kg]"""
+    center_of_mass: tuple[float, float, float] | None = None
+    """In the object's frame [m]."""
+    sigma_center_of_mass: float | None = None
+    """One standard deviation per axis [m]."""
+    licence: str = ""
+    source: str = ""
+    """Where the model is from."""
+
+    def __post_init__(self) -> None:
+        # A path or a terminal must not obey a name, and it must not be a number, by which objects are found too.
+        most, max_mass, max_text = checks.MAX_NAME_LENGTH, 100.0, 500
+        is_text = isinstance(self.name, str) and len(self.name) <= most
+        if not is_text or not re.fullmatch(r"\w[\w .+-]*", self.name):
+            expected = f"up to {most} letters, digits, blanks and _.+-, the first a letter or a digit"
+            raise InvalidInput(f"name: expected {expected}, got {checks.brief(self.name)!r}")
+        if self.name != self.name.strip() or re.fullmatch(r"\d+|obj_\d{6,}", self.name):
+            raise InvalidInput(f"name: expected no number and no blank at its end, got {self.name!r}")
+        if self.mass is not None and checks.positive(self.mass, "mass") > max_mass:
+            raise InvalidInput(f"mass: expected kilograms, got {self.mass:g} (grams?)")
+        if self.center_of_mass is not None:
+            checks.in_reach(self.center_of_mass, "center_of_mass", (3,))
+        if self.sigma_center_of_mass is not None:
+            checks.sigma(self.sigma_center_of_mass, "sigma_center_of_mass")
+            if self.center_of_mass is None:
+                raise InvalidInput("sigma_center_of_mass: expected beside center_of_mass only, got it alone")
+        for key, value in (("licence", self.licence), ("source", self.source)):
+            if not isinstance(value, str) or len(value) > max_text:
+                expected = f"a text of up to {max_text} characters"
+                raise InvalidInput(f"{key}: expected {expected}, got {checks.brief(value)}")
+
+
+class Record(Facts, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A `Record` is the facts of an object with the size [bytes] and SHA-256 of its model's file."""
+
+    sha256: str
+    bytes: int
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not re.fullmatch(r"[0-9a-f]{64}", self.sha256):
+            raise InvalidInput(f"sha256: expected 64 hexadecimal digits, got {checks.brief(self.sha256)}")
+        checks.integer(self.bytes, "bytes", LARGEST_FILE)
+
+
+class FactsDocument(msgspec.Struct, forbid_unknown_fields=True):
+    """A `FactsDocument` is the content of `handsight.json`."""
+
+    version: int
+    objects: dict[str, Record]
+
+
+class Documents(NamedTuple):
+    """`Documents` are the bytes of both documents."""
+
+    info: bytes
+    facts: bytes | None
+    """None for a BOP folder that has no `handsight.json`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """An `Entry` is an object of a library."""
+
+    number: int
+    """BOP's `obj_id`."""
+    name: str
+    """The name under which it was added; `obj_000005` for an object without one."""
+    facts: Record | None
+    """Mass, licence, ..., size and checksum of the model's file; None for an object of a BOP folder."""
+    info: Info
+    place: str
+    """Folder or URL of the library."""
+
+    @property
+    def file(self) -> str:
+        """The name of its model's file."""
+        return f"obj_{self.number:06d}.ply"
+
+    @property
+    def diameter(self) -> float:
+        """Largest distance between two surface points [m]."""
+        return METRES * self.info.diameter
+
+    @property
+    def size(self) -> tuple[float, float, float] | None:
+        """Extent along x, y, z [m]; None where the documents do not have it."""
+        x, y, z = self.info.size_x, self.info.size_y, self.info.size_z
+        return None if x is None or y is None or z is None else (METRES * x, METRES * y, METRES * z)
+
+    @cached_property
+    def symmetries(self) -> Symmetries:
+        """The declared symmetries; raises InvalidFile where they are no group."""
+        try:
+            return symmetries_of(self.info)
+        except InvalidInput as error:
+            raise InvalidFile(f"{self.place}: {INFO}: {self.number}.{error}") from None
+
+
+def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
+    """Returns the objects in the order of their numbers; raises InvalidFile, which begins with the place."""
+    where, there = f"{place}: {INFO}", f"{place}: {FACTS}"
+    infos = _by_number(decode(documents.info, dict[str, Info], where), where)
+    records: dict[int, Record] = {}
+    if documents.facts is not None:
+        version = decode_object(documents.facts, there).get("version")
+        if version != VERSION:  # the keys of another version are not known here
+            raise InvalidFile(f"{there}: version: expected {VERSION}, got {checks.brief(version)}")
+        records = _by_number(decode(documents.facts, FactsDocument, there).objects, there)
+    entries, owners = list[Entry](), dict[str, int]()
+    for number in sorted(infos):
+        record = records.get(number)
+        name = record.name if record else f"obj_{number:06d}"  # `Facts` refuses such a name
+        if name in owners:
+            message = f"expected a name of its own, got {name!r}, which is that of object {owners[name]}"
+            raise InvalidFile(f"{there}: objects.{number}.name: {message}")
+        owners[name] = number
+        entries.append(Entry(number=number, name=name, facts=record, info=infos[number], place=place))
+    return tuple(entries)
+
+
+def _by_number(values: Mapping[str, Form], where: str) -> dict[int, Form]:
+    """Returns the values by their keys as numbers; raises InvalidFile for another key, which would name a file."""
+    found: dict[int, Form] = {}
+    for key, value in values.items():
+        if not (key.isascii() and key.isdecimal() and len(key) < 10 and str(int(key)) == key):
+            raise InvalidFile(f"{where}: expected numbers of objects as keys, got {checks.brief(key)!r}")
+        found[int(key)] = value
+    return found
