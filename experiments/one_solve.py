@@ -26,7 +26,7 @@ from handsight.vision.object.depth_tracker import DEPTH_TRACKER
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
 from handsight.vision.palm.hand_in_image import HandInImage
 from shared import report
-from shared.report import Array, Rows
+from testbed.report import Array, Rows
 
 WAYS = ("pose alone", "pose", "points")
 COVERED = (0.0, 0.5, 0.8, 0.95)
@@ -37,7 +37,7 @@ HAND = np.repeat([0.0015, np.deg2rad(0.6)], 3)
 
 
 def uncovered(depth: Array, drawn: Array, share: float, way: float) -> Array:
-    """The image without that share of the object's pixels, `drawn` where the object is, to one side."""
+    """Returns the image without a share of the object's pixels at one side; `drawn` is where the object is."""
     rows, columns = np.nonzero(np.isfinite(drawn))
     side = columns * np.cos(way) + rows * np.sin(way)
     hidden = side <= np.quantile(side, share)
@@ -48,7 +48,7 @@ def uncovered(depth: Array, drawn: Array, share: float, way: float) -> Array:
 
 
 def rows_of(scenario: Scenario, samples: tuple[Sample, ...]) -> Rows:
-    """Errors by both ways at the last image, for each share that is covered."""
+    """Returns the errors of both ways at the last image, for each covered share."""
     rig, model, rng = rig_of(scenario), model_of(scenario), np.random.default_rng(int(scenario.seed))
     last = next(sample for sample in reversed(samples) if sample.observation.depth is not None)
     touched, T = FingertipSensors(rig).contacts(last.observation).contacts, last.T_palm_object
@@ -84,7 +84,7 @@ def rows_of(scenario: Scenario, samples: tuple[Sample, ...]) -> Rows:
 
 
 def in_palm(seen: RefinedPose, T_palm_camera: Array) -> hs.PosePrior:
-    """What an image says of the object in the palm, which itself is known as the seen hand tells it."""
+    """Returns the image's pose of the object in the palm, whose own pose is detected in the image."""
     T, arm = T_palm_camera @ seen.T_camera_object, np.eye(6)
     arm[:3, 3:] = -se3.skew(T[:3, 3])
     covariance = se3.rotate_covariance(T_palm_camera[:3, :3], seen.covariance)
@@ -93,7 +93,7 @@ def in_palm(seen: RefinedPose, T_palm_camera: Array) -> hs.PosePrior:
 
 
 def both(expected: hs.PosePrior, seen: hs.PosePrior) -> hs.PosePrior:
-    """Two poses, each as much as it knows."""
+    """Returns the fusion of two poses by their information."""
     P = expected.covariance
     gain = np.linalg.solve(P + seen.covariance, P).T
     step = gain @ se3.difference(seen.T_palm_object, expected.T_palm_object)
@@ -108,7 +108,7 @@ def fused(
     seen: hs.PosePrior | None,
     points: Array,
 ) -> dict[str, hs.PoseEstimate]:
-    """The estimate by each way; `seen`: None where too little of the object is."""
+    """Returns the estimate of each way; `seen` is None where too little of the object is visible."""
     vision = expected if seen is None else both(expected, seen)
     depth = None if seen is None else hs.DepthPoints.of_image(model, points, seen)
     alone = hs.PoseEstimate.from_gaussian(vision.T_palm_object, vision.covariance, np.empty((0, 6)))
@@ -142,7 +142,7 @@ def main() -> None:
 
 
 def cells(rows: Rows) -> list[str]:
-    """Errors of one way."""
+    """Returns the errors of one way."""
     middle, turn, inside = (report.values(rows, name) for name in ("middle", "turn", "inside"))
     numbers = [np.median(middle), np.quantile(middle, 0.9), np.median(turn), np.quantile(turn, 0.9)]
     return [*(f"{number:.1f}" for number in numbers), f"{100 * inside.mean():.0f} %"]

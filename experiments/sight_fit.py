@@ -13,7 +13,7 @@ from handsight.vision.object.locate import LOCATE, scene_in
 from handsight.vision.object.presence import EVIDENCE, evidence_of
 from shared import report, sight, ycb
 from shared import sight_scenes as scenes
-from shared.report import Array
+from testbed.report import Array
 
 RIGHT = 0.1
 NEVER = -30.0
@@ -33,7 +33,7 @@ def looked_for(name: str, k: int, seed: int) -> tuple[str, dict[str, Array], Arr
 
 
 def loss(weights: Array, indices: Array, evidence: Array) -> float:
-    """Minus the logarithm of the likelihood, with none as one more answer that is worth 0."""
+    """Returns the negative log likelihood, with "none" as one more answer of log odds 0."""
     odds = np.where(evidence[..., 0] > 0, evidence @ weights, NEVER)
     here = np.logaddexp.reduce(np.c_[odds, np.zeros(len(odds))], axis=1)
     true = odds[np.arange(len(odds)), indices]
@@ -44,7 +44,7 @@ def loss(weights: Array, indices: Array, evidence: Array) -> float:
 
 
 def unlikely(worth: Array, modes: list[tuple[Array, Array]]) -> float:
-    """Minus the logarithm of the likelihood of the modes that are right."""
+    """Returns the negative log likelihood of the right modes."""
     total = 0.0
     for each, right in modes:
         weights = np.exp(each @ worth - (each @ worth).max())

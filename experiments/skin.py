@@ -23,7 +23,7 @@ from handsight import se3
 from handsight.simulation import Scenario, model_of, rig_of, simulate
 from handsight.simulation.skin import SKIN
 from shared import figures, report, scenes, skin_scenes
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 WITH = ("tips", "+ pressed", "+ untouched")
 HELD_OUT = 14

@@ -6,7 +6,7 @@ import pytest
 from benchmarks import peers, sight
 from handsight import ObjectModel, se3
 from handsight.vision.object.region import scene_of
-from shared import sight_scenes as scenes
+from testbed import sight_scenes as scenes
 
 
 def rows(right, seconds, hidden="table"):

@@ -212,7 +212,10 @@ def _open(problems: str) -> "Source":
 
 def draw(answered: "Iterable[tuple[Problem, dict[str, Any]]]", plot: Path) -> None:
     """Writes a picture of problems and their answers."""
-    from handsight.viewer.correction_figures import Panel, draw_corrections
+    from handsight.viewer.correction_figures import CorrectionPanel, draw_corrections
 
-    panels = [Panel(problem.model, problem.contacts, problem.vision, answer) for problem, answer in answered]
+    panels = [
+        CorrectionPanel(problem.model, problem.contacts, problem.vision, answer)
+        for problem, answer in answered
+    ]
     draw_corrections(panels, plot)

@@ -29,7 +29,6 @@ from handsight._kernels.math.vec3 import (
     transpose,
     vector,
 )
-from handsight._kernels.records import MEASUREMENT
 from handsight._kernels.runtime.compilation import entry, inner
 
 STATE = 12
@@ -242,13 +241,3 @@ def merge(measurements: Any, most: int, same: Any, Ts: Any, pivot: Any) -> int:
     for k in range(best, last):
         measurements[k] = measurements[k + 1]
     return last
-
-
-def warm() -> None:
-    """Compiles every kernel, or loads its machine code."""
-    Ts, P, pivot, T = np.stack([np.eye(4), np.eye(4)]), np.eye(STATE), np.zeros(3), np.empty((4, 4))
-    measurements = np.array([(np.eye(4), np.eye(4), np.eye(6), np.zeros(6))] * 2, dtype=MEASUREMENT)
-    expect(Ts, pivot, np.eye(4), T)
-    distance2(Ts, P, pivot, measurements[:1])
-    merge(measurements, 1, pivot, Ts, pivot)
-    smooth(Ts, P, pivot, measurements, Ts.copy(), P.copy())

@@ -57,9 +57,3 @@ def at_point(information: Any, radius: float, lever: Any, covariance: Any) -> fl
     for i in range(6):
         largest = max(largest, u.values[i])
     return largest
-
-
-def warm() -> None:
-    """Compiles every kernel, or loads its machine code."""
-    inflate(np.eye(6), np.zeros(6))
-    at_point(np.eye(6), 1.0, np.zeros(3), np.empty((3, 3)))
