@@ -6,8 +6,8 @@ hand's pixels and a part of the object's, on one side, left out. Where the palm 
 hand's error. Then the fingers' contacts are added in two ways, to the same evidence:
 
   pose      the image's pose and its covariance, with what was expected, are the prior of `correct_pose`
-  points    48 of the depth points are contacts without normals in the same solve (`vision.depth_points`); what was
-            expected is the prior
+  points    48 of the depth points are in the same solve as evidence of their own (`hs.DepthPoints`); what was expected
+            is the prior
 
 Errors against the truth modulo symmetry; inside: truths in the 95 % region.
 """
@@ -22,7 +22,6 @@ from handsight.gaussian_pose import GaussianPose
 from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of
 from handsight.simulation.camera import BELIEVED_CAMERA, displacement
 from handsight.tracking.fingertips import FingertipSensors
-from handsight.vision import depth_points
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.object.depth_tracker import DEPTH_TRACKER
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
@@ -109,13 +108,12 @@ def fused(
 ) -> dict[str, hs.PoseEstimate]:
     """Returns the estimate of each way; `seen` is None where too little of the object is visible."""
     vision = expected if seen is None else both(expected, seen)
-    more = None if seen is None else depth_points(model, points, seen)
+    depth = None if seen is None else hs.DepthPoints.of_image(model, points, seen)
     alone = hs.PoseEstimate.from_gaussian(vision.T_palm_object, vision.covariance, np.empty((0, 6)))
-    joined = touched if more is None else touched.joined(more)
     return {
         "pose alone": alone,
         "pose": hs.correct_pose(model, touched, vision=vision),
-        "points": hs.correct_pose(model, joined, vision=expected),
+        "points": hs.correct_pose(model, touched, vision=expected, depth=depth),
     }
 
 
