@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks, se3
+from handsight._deprecated import renamed_members
 from handsight.checks import Array
 from handsight.representation import short_repr
 
 
+@renamed_members(T_palm_object="T_a_b")  # of what was a PosePrior before
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianPose:
     """A `GaussianPose` is the pose of a frame b in a frame a, with its covariance; a variable's name says which

@@ -12,6 +12,7 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
+from handsight._deprecated import renamed_members
 from handsight.bridge.message_types import message_type, ros_name
 from handsight.bridge.network import Network
 from handsight.live import LiveTracker
@@ -31,6 +32,7 @@ def carried(topic: str) -> str:
     return f"rt/{topic.lstrip('/')}"
 
 
+@renamed_members(look="check_network")
 class Bridge:
     """A `Bridge` receives the messages that a tracker listens to, and publishes its answers."""
 

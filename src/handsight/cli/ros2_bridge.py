@@ -25,7 +25,7 @@ def ros2_bridge(
             help="Wait 0.2 s for late messages, so that the poses equal those from a recording of them.",
         ),
     ] = False,
-    former_as_recorded: Annotated[bool, typer.Option("--equal", hidden=True)] = False,
+    former_as_recorded: Annotated[bool, typer.Option("--equal/--no-equal", hidden=True)] = False,
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Port of a page that shows it in the browser. 0: no page.")
     ] = 0,

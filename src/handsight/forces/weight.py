@@ -22,6 +22,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from handsight import se3
+from handsight._deprecated import renamed_members
 from handsight.checks import Array
 from handsight.forces.loads import LoadSum
 from handsight.gaussian_pose import kalman_update
@@ -66,6 +67,7 @@ class Unknowns:
     """Sigma of gravity's direction, about each axis [rad]."""
 
 
+@renamed_members(chance="p_value", chance_fixed="p_fixed")
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighing:
     """A `Weighing` is what an object weighs, and where its centre of mass is in the palm, jointly with the joints'

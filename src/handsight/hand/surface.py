@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 
 from handsight import se3
+from handsight._deprecated import renamed_members
 from handsight.checks import Array, Indices
 from handsight.hand.chains import Chains, transform_points
 
@@ -72,6 +73,7 @@ class HandShape:
         return transform_points(self.vertices_body, self.body_of, Ts)
 
 
+@renamed_members(placed="points_and_sensitivities")
 @dataclass(frozen=True, slots=True, eq=False)
 class HandSurface:
     """A `HandSurface` has points on links of a hand; no object can be deeper in the hand than these points."""

@@ -24,8 +24,11 @@ observations that are complete by then. It guarantees:
 Every message on a topic of the rig is in exactly one count of `report.topics[name]`.
 """
 
+from handsight._deprecated import renamed
 from handsight.messages.report import Report
 from handsight.messages.stream import ObservationStream
 from handsight.messages.topics import OwnTopic, RawMessage, RosType, TopicReport
 
 __all__ = ["ObservationStream", "OwnTopic", "RawMessage", "Report", "RosType", "TopicReport"]
+
+__getattr__ = renamed(__name__, {"CameraIntrinsics": "handsight.camera.Camera"})

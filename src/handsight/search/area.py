@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handsight import checks, se3
+from handsight._deprecated import renamed_keywords, renamed_members
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
@@ -16,6 +17,7 @@ SAME_STABLE_POSE = float(np.deg2rad(20.0))
 """Two stable poses whose tilts differ by less count as one [rad]."""
 
 
+@renamed_members(holds="contains", middles="center_heights", tops="top_heights")
 @dataclass(frozen=True, slots=True, eq=False)
 class Area:
     """An `Area` is a uniform prior over the poses of an object that stands on a table, within a rectangle and at any
@@ -60,6 +62,7 @@ class Area:
         """Returns (n,) whether each of the placements (n, 4) is within the rectangle."""
         return np.asarray(((placements[:, :2] >= self.low) & (placements[:, :2] <= self.high)).all(axis=1))
 
+    @renamed_keywords(places="placements")
     def poses(self, model: ObjectModel, placements: Array) -> Array:
         """Returns Ts_world_object (n, 4, 4) of the object at placements (n, 4)."""
         vertical = np.zeros((len(placements), 3))

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight import checks, se3
+from handsight._deprecated import renamed_members
 from handsight.checks import Array, Indices
 from handsight.contact import Contacts
 from handsight.correction.modes import distinct, pose_distances
@@ -65,6 +66,12 @@ PARTICLES, LIKELIHOOD, CERTAINTY = ParticleOptions(), LikelihoodOptions(), Certa
 MAX_SEED = 2**32
 
 
+@renamed_members(
+    sure="is_certain",
+    weight="probability",
+    prior="pose_world_object",
+    T_world_object="pose_world_object.T_a_b",
+)
 @dataclass(frozen=True, slots=True, eq=False)
 class Mode:
     """A `Mode` is particles within 15 mm and 20° of each other, modulo symmetry, as one Gaussian."""
@@ -86,6 +93,7 @@ class Mode:
         )
 
 
+@renamed_members(places="placements")
 @dataclass(frozen=True, eq=False)
 class Belief:
     """A `Belief` says where the object may stand given every touch so far, as equally likely particles."""

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handsight._deprecated import renamed_members
 from handsight.errors import InvalidObject
 from handsight.simulation.grasp_candidates import Hold, body_of, grasp_candidates
 from handsight.simulation.motion import BOX, CAN, LEGS, MOTION, POWER_CAN, Grasp
@@ -36,6 +37,7 @@ class GraspSearchOptions(NamedTuple):
 GRASP_SEARCH = GraspSearchOptions()
 
 
+@renamed_members(held="succeeded")
 @dataclass(frozen=True, slots=True, eq=False)
 class GraspSearchResult:
     """A `GraspSearchResult` says how an object is grasped, and how that was found."""

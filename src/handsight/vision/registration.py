@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import se3
+from handsight._deprecated import renamed_members
 from handsight.camera import Camera
 from handsight.checks import Indices, Mask
 from handsight.errors import InvalidInput
@@ -15,6 +16,7 @@ BEHIND = 0.01
 """What lies farther behind the nearest surface there is hidden from the colour camera [m]."""
 
 
+@renamed_members(seen="visible")
 class Registered(NamedTuple):
     """A `Registered` is what a depth image's pixels look like."""
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
+from handsight._deprecated import renamed_members
 from handsight._kernels.image import depth_covariance
 from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.camera import Camera, Depth
@@ -49,6 +50,7 @@ WANDERS, WANDERS_IN_PALM = (0.15, 1.0), (0.02, 0.15)
 HIDDEN = "hardly anything of it is seen"
 
 
+@renamed_members(look="candidate")
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
     """A `Sighting` is what a depth image says of an object that is followed."""

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
+from handsight._deprecated import renamed_members
 from handsight._kernels.image import depth_term, pose_score, votes
 from handsight._kernels.image.vision_records import CANDIDATE
 from handsight._kernels.solve import distinct_poses
@@ -55,6 +56,7 @@ logarithm of a mode's weight: chosen by hand between fits to two sets of drawn p
 Candidates = NDArray[np.void]
 
 
+@renamed_members(looks="candidates")
 @dataclass(frozen=True, eq=False)
 class ObjectDetection:
     """An `ObjectDetection` says where an object may be, the likeliest first; nowhere, if it is not there."""

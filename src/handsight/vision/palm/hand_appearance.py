@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from handsight import se3
+from handsight._deprecated import renamed_members
 from handsight._kernels.math import chain
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices, Mask
@@ -80,6 +81,7 @@ class HandAppearance:
         return PlacedHand(self, skin, vertices, axes, float(sigma_joint))
 
 
+@renamed_members(look="appearance", seen_from="visible_from")
 @dataclass(frozen=True, eq=False)
 class PlacedHand:
     """A `PlacedHand` is a hand in the palm's axes, with its joints at certain positions."""
