@@ -105,9 +105,10 @@ def test_pictures_alone_say_where_an_object_is_though_the_camera_is_elsewhere(ca
     sigma = tracker.sigma
     assert shift / 3.5 < sigma < 0.01
     counts = tracker.images
+    assert list(counts) == ["looked_at", "object_seen", "hand_sought", "hand_seen"]  # keys of summary.json
     assert counts["looked_at"] == sum(o.depth is not None for o in observations)
     assert counts["object_seen"] > 0.9 * counts["looked_at"]
-    assert counts["palm_detected"] > 0.7 * counts["hand_sought"] > 0
+    assert counts["hand_seen"] > 0.7 * counts["hand_sought"] > 0
 
 
 def test_touch_comes_on_top(can, seen):

@@ -147,7 +147,7 @@ class ObjectInImages:
         self._hand = HandInImage(rig)
         self._lost = True
         self._detected_at = self._palm_searched_at = -np.inf
-        self.counts = {"looked_at": 0, "object_seen": 0, "hand_sought": 0, "palm_detected": 0}
+        self.counts = {"looked_at": 0, "object_seen": 0, "hand_sought": 0, "hand_seen": 0}
         """Images; those in which the object was detected; searches for the palm; those that detected it."""
 
     def _count(self, name: str) -> None:
@@ -213,7 +213,7 @@ class ObjectInImages:
             found = observe(self._camera, depth, joints, believed, sigmas)
         view = None
         if isinstance(found, PalmDetection):
-            self._count("palm_detected")
+            self._count("hand_seen")
             believed = found.T_camera_palm
             detected = GaussianPose(believed, found.covariance).transformed(camera.T_mount_camera)
             view = HandView(T_mount_palm, detected)
