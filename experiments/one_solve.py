@@ -6,8 +6,8 @@ hand's pixels and a part of the object's, on one side, left out. Where the palm 
 hand's error. Then the fingers' contacts are added in two ways, to the same evidence:
 
   pose      the image's pose and its covariance, with what was expected, are the prior of `correct_pose`
-  points    48 of the depth points are contacts without normals in the same solve (`vision.depth_points`); what was
-            expected is the prior
+  points    48 of the depth points are in the same solve as evidence of their own (`hs.DepthPoints`); what was expected
+            is the prior
 
 Errors against the truth modulo symmetry; inside: truths in the 95 % region.
 """
@@ -18,10 +18,10 @@ import handsight as hs
 from from_pictures import OBJECTS, RATE, errors, grasped
 from handsight import se3
 from handsight.camera import Camera
+from handsight.gaussian_pose import GaussianPose
 from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of
 from handsight.simulation.camera import BELIEVED_CAMERA, displacement
 from handsight.tracking.fingertips import FingertipSensors
-from handsight.vision import depth_points
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.object.depth_tracker import DEPTH_TRACKER
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
@@ -86,20 +86,17 @@ def rows_of(scenario: Scenario, samples: tuple[Sample, ...]) -> Rows:
 
 def in_palm(seen: RefinedPose, T_palm_camera: Array) -> hs.PosePrior:
     """Returns the image's pose of the object in the palm, whose own pose is detected in the image."""
-    T, arm = T_palm_camera @ seen.T_camera_object, np.eye(6)
-    arm[:3, 3:] = -se3.skew(T[:3, 3])
-    covariance = se3.rotate_covariance(T_palm_camera[:3, :3], seen.covariance)
-    covariance = covariance + arm @ np.diag(HAND**2) @ arm.T
-    return hs.PosePrior(T, (covariance + covariance.T) / 2)
+    pose = seen.pose_camera_object.transformed(T_palm_camera)
+    arm = se3.point_jacobian(pose.T_a_b[:3, 3])
+    covariance = pose.covariance + arm @ np.diag(HAND**2) @ arm.T
+    return hs.PosePrior(pose.T_a_b, (covariance + covariance.T) / 2)
 
 
 def both(expected: hs.PosePrior, seen: hs.PosePrior) -> hs.PosePrior:
     """Returns the fusion of two poses by their information."""
-    P = expected.covariance
-    gain = np.linalg.solve(P + seen.covariance, P).T
-    step = gain @ se3.difference(seen.T_palm_object, expected.T_palm_object)
-    P = P - gain @ P
-    return hs.PosePrior(se3.moved(expected.T_palm_object, step), (P + P.T) / 2)
+    first, second = (GaussianPose(each.T_palm_object, each.covariance) for each in (expected, seen))
+    pose = first.fused(second)
+    return hs.PosePrior(pose.T_a_b, (pose.covariance + pose.covariance.T) / 2)
 
 
 def fused(
@@ -111,13 +108,12 @@ def fused(
 ) -> dict[str, hs.PoseEstimate]:
     """Returns the estimate of each way; `seen` is None where too little of the object is visible."""
     vision = expected if seen is None else both(expected, seen)
-    more = None if seen is None else depth_points(model, points, seen)
+    depth = None if seen is None else hs.DepthPoints.of_image(model, points, seen)
     alone = hs.PoseEstimate.from_gaussian(vision.T_palm_object, vision.covariance, np.empty((0, 6)))
-    joined = touched if more is None else touched.joined(more)
     return {
         "pose alone": alone,
         "pose": hs.correct_pose(model, touched, vision=vision),
-        "points": hs.correct_pose(model, joined, vision=expected),
+        "points": hs.correct_pose(model, touched, vision=expected, depth=depth),
     }
 
 

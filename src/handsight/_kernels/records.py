@@ -8,6 +8,8 @@ import numpy as np
 
 SAMPLES = 256
 """Surface samples of an object, with which phase 1 matches contacts."""
+MOST_DEPTH_POINTS = 48
+"""Depth points of one correction: more tell no more of a pose, for their errors are common to many."""
 MOST_ROTATIONS = 121
 """Elements of the largest discrete symmetry group that kernels handle."""
 
@@ -95,10 +97,15 @@ OBJECT_WEIGHT = record(
     ("center_palm", "f8", (3,)),
     ("information", "f8", (3, 3)),  # of the difference of the two, in the palm [1/m²]
 )
+# Points of one depth image, whose errors are shared: each has the variance with which all of them together know no
+# more of the pose than that image does.
+DEPTH_POINTS = record(("count", "i8"), ("variance", "f8"), ("points", "f8", (MOST_DEPTH_POINTS, 3)))
 # A pose and its covariance before touch is taken into account: vision's, or the last estimate.
 PRIOR = record(("pose", POSE), ("covariance", "f8", (6, 6)))
 # The evidence of which a correction has at most one of each kind, each with a flag that tells whether there is one.
-CONSTRAINTS = record(("prior", PRIOR), ("has_prior", "i8"), ("weight", OBJECT_WEIGHT))
+CONSTRAINTS = record(
+    ("prior", PRIOR), ("has_prior", "i8"), ("weight", OBJECT_WEIGHT), ("depth", DEPTH_POINTS)
+)
 # What cannot be inside the object: a point of the hand, the points of one link following each other; or a plane, given
 # by any of its points, and all behind it.
 OUTSIDE = record(
@@ -176,6 +183,7 @@ PROBLEM = record(
     ("constraints", CONSTRAINTS),
     ("first", "i8"),
     ("last", "i8"),
+    ("pose_only", "i8"),  # whether nothing but the pose is computed, for measuring
     ("follows", "i8"),
     ("start", POSE),
     ("answer", ANSWER),

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.prior_term import IDENTITY, rotation_log
+from handsight._kernels.math.so3 import IDENTITY, rotation_log
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
