@@ -14,10 +14,8 @@ import numpy as np
 import handsight as hs
 from handsight import cache_folder
 from handsight.errors import InvalidFile
-from handsight.objects import Symmetries, cache
-from handsight.objects import model as making
-from handsight.objects.geometry import Geometry
-from handsight.objects.surface import Triangles
+from handsight.objects import Geometry, Symmetries, Triangles, cache
+from handsight.objects import model as object_models
 from handsight.simulation import Nuisances, Scenario
 from handsight.simulation.scenario import SCENARIO
 from tests.corpus.door import Case, Door, check_pose, spoilt_bytes, spoilt_value
@@ -35,7 +33,7 @@ def small() -> tuple[Geometry, bytes]:
     ]
     faces = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6)]
     faces += [(0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
-    geometry = making._of_mesh(Triangles(corners, np.array(faces)))
+    geometry = object_models._of_mesh(Triangles(corners, np.array(faces)))
     return geometry, cache.geometry_bytes(geometry)
 
 

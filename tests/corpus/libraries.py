@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handsight.objects import Facts, Library
-from handsight.objects.files import Shape, ply_bytes
+from handsight.objects import Facts, Library, Shape, ply_bytes
 from tests.corpus.door import Case, Door, check_pose, spoilt_bytes, spoilt_text, spoilt_value
 from tests.corpus.object_files import CORNERS, FACES
 

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handsight.objects import ObjectModel
-from handsight.objects.files import read_shape
+from handsight.objects import ObjectModel, read_shape
 from tests.corpus.door import Case, Door, spoilt_bytes, spoilt_text
 
 CORNERS = np.array([[x, y, z] for x in (-30.0, 30) for y in (-45.0, 45) for z in (-25.0, 25)])
