@@ -9,7 +9,7 @@ import trimesh
 import handsight as hs
 from handsight._kernels.mesh.patches import blended
 from handsight.objects import ObjectModel, Triangles, diameter
-from handsight.objects.scans.noise import Noise, Points, flat_patches, measured_noise, spacing_of, widened
+from handsight.objects.scans.noise import Noise, Points, estimated_noise, flat_patches, spacing_of, widened
 from handsight.objects.scans.patches import fitted
 from handsight.objects.scans.scan import scanned, smoothed
 from oracles import fields
@@ -56,7 +56,7 @@ def test_noise_is_estimated_from_the_points(name, seed):
     rng = np.random.default_rng([seed, 5])
     n, sigma = int(np.exp(rng.uniform(np.log(2000), np.log(20_000)))), 10 ** rng.uniform(-3.8, -2.7)
     points, _, rng = drawn(name, n, seed)
-    _, noise = measured_noise(as_points(points + sigma * rng.normal(size=points.shape)))
+    _, noise = estimated_noise(as_points(points + sigma * rng.normal(size=points.shape)))
     assert not noise.is_shape
     assert noise.together == 1
     # Edges count as a little noise where points are far apart.
@@ -67,7 +67,7 @@ def test_noise_is_estimated_from_the_points(name, seed):
 @pytest.mark.parametrize("n", [2000, 6000])
 def test_the_estimated_noise_of_exact_points_is_next_to_none(name, n):
     points, _, _ = drawn(name, n, 1)
-    given, noise = measured_noise(as_points(points))
+    given, noise = estimated_noise(as_points(points))
     assert noise.sigma < 2e-4 * given.diameter
 
 
@@ -76,7 +76,7 @@ def test_noise_that_neighbours_share_is_distinguished_from_independent_noise():
     waves, phases = rng.normal(size=(3, 400)) / 3e-3, rng.uniform(0, 2 * np.pi, 400)
     shared = 8e-4 * np.sqrt(2 / 400) * np.cos(points @ waves + phases).sum(axis=1)
     noisy = points + shared[:, None] * normals + 1e-4 * rng.normal(size=points.shape)
-    _, noise = measured_noise(as_points(noisy))
+    _, noise = estimated_noise(as_points(noisy))
     assert not noise.is_shape
     assert noise.together > 2
     assert 4e-4 < noise.sigma < 1.2e-3

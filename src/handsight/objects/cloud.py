@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidObject
 from handsight.objects.fields import grid_fields, grids
-from handsight.objects.geometry import Geometry, measured, roughened, with_error
+from handsight.objects.geometry import Geometry, geometry_of, roughened, with_error
 from handsight.objects.meshes.box_tree import Winding
 from handsight.objects.scans.normals import estimated_normals
 from handsight.objects.scans.roughness import unseen_variances
@@ -82,7 +82,7 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
         return index, distances(fine.nodes_at(index))
 
     fields = grid_fields(coarse, distances(nodes), fine, exact, sheet=not closed, blur=blur)
-    geometry = measured(cloud, *fields, diameter=size, closed=closed, remarks=(*remarks, *coarser))
+    geometry = geometry_of(cloud, *fields, diameter=size, closed=closed, remarks=(*remarks, *coarser))
     if scan is None:
         return geometry
     geometry = roughened(geometry, scan.roughness)

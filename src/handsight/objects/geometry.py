@@ -98,7 +98,7 @@ class Roughness:
     """(m,) weight of each point in the mean over neighbours."""
 
 
-def measured(
+def geometry_of(
     surface: Surface,
     coarse: GridField,
     fine: Field,

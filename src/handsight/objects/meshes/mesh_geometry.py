@@ -8,7 +8,7 @@ import numpy as np
 
 from handsight.checks import Array, Indices, Mask
 from handsight.objects.fields import Grid, grid_fields, grids
-from handsight.objects.geometry import Geometry, measured, roughened
+from handsight.objects.geometry import Geometry, geometry_of, roughened
 from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding, box_tree
 from handsight.objects.meshes.repair import components, repaired, side_samples
 from handsight.objects.scans.scan import smoothed
@@ -55,7 +55,7 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
     nodes = coarse.nodes()
     values = signed(np.arange(len(nodes)), coarse, search.closest(nodes)[0])
     fields = grid_fields(coarse, values, fine, exact, sheet=not closed)
-    geometry = measured(mesh, *fields, diameter=size, closed=closed, remarks=(*remarks, *coarser))
+    geometry = geometry_of(mesh, *fields, diameter=size, closed=closed, remarks=(*remarks, *coarser))
     return geometry if roughness is None else roughened(geometry, roughness)
 
 

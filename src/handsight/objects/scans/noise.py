@@ -71,7 +71,7 @@ class Noise:
     """Whether `sigma` comes from the object's shape, in which case the noise is smaller."""
 
 
-def measured_noise(points: Points) -> tuple[Points, Noise]:
+def estimated_noise(points: Points) -> tuple[Points, Noise]:
     """Returns the points with their spacing measured along the surface, and their noise.
 
     Points whose noise is larger than their spacing seem sparser than they are, and small windows show no surface. In

@@ -8,7 +8,7 @@ from scipy.sparse import coo_array, diags_array
 
 from handsight.checks import Array, Indices
 from handsight.objects.geometry import Roughness
-from handsight.objects.scans.noise import NOISE, Noise, Points, measured_noise, spacing_of
+from handsight.objects.scans.noise import NOISE, Noise, Points, estimated_noise, spacing_of
 from handsight.objects.scans.patches import ScannedSurface, fitted
 from handsight.objects.scans.roughness import roughness_of
 from handsight.objects.surface import Triangles
@@ -54,7 +54,7 @@ def scanned(points: Array, normals: Array | None, diameter: float) -> Scan | Non
     places = points[order]
     unknown = np.full_like(places, np.nan)
     given = Points(places, unknown if normals is None else normals[order], spacing_of(places), diameter)
-    given, noise = measured_noise(given)
+    given, noise = estimated_noise(given)
     if normals is not None and (noise.is_shape or noise.sigma < SCAN.clean * diameter):
         return None
     surface = fitted(given, noise)
