@@ -30,7 +30,7 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from handsight.camera import Camera
-from handsight.objects.symmetry import nearest
+from handsight.objects import nearest
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import Rig
 from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 import handsight as hs
 import views_around  # beside the scenes
 from handsight import se3
-from handsight.objects.files import Shape, ply_bytes
+from handsight.objects import Shape, ply_bytes
 from handsight.vision.reconstruction.completion import ReconstructedModel, closed, one_object
 from handsight.vision.reconstruction.reconstruct import Reconstruction, View
 from handsight.vision.reconstruction.segmentation import on_table

@@ -16,7 +16,7 @@ import handsight as hs
 from handsight import se3
 from handsight.camera import Camera
 from handsight.hand.surface import HandShape
-from handsight.objects.symmetry import Symmetries, about
+from handsight.objects import Symmetries, about
 from handsight.simulation.camera import spoil
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.palm.hand_mask import hand_mask

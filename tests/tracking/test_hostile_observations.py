@@ -41,7 +41,7 @@ class Life:
         rng = self.rng
         if rng.random() < 0.01:
             self.touching = not self.touching
-        seen = observed(stamp, touching=self.touching, seen=rng.random() < 0.05, T_world_palm=self.palm())
+        seen = observed(stamp, touching=self.touching, visible=rng.random() < 0.05, T_world_palm=self.palm())
         kind = rng.random()
         if kind < 0.02:
             return replace(seen, wrenches={"left": np.full(6, np.nan), "of the other hand": "?"})
