@@ -82,7 +82,7 @@ def test_a_biased_tip_is_said():
     ("spoil", "said"),
     [
         (lambda w: {"th": np.full(6, np.nan)}, "th is silent"),
-        (lambda w: {"th": np.zeros(6)}, "th reads the same for ever"),
+        (lambda w: {"th": np.zeros(6)}, "th always reads the same"),
         (lambda w: {"ff": w["ff"] + [80.0, 0, 0, 0, 0, 0]}, "ff is at the end of its sensor's scale"),
     ],
 )

@@ -57,12 +57,12 @@ def test_a_view_is_believed_when_it_has_been_the_same_a_few_times():
     rng = np.random.default_rng(0)
     E, T, camera = wrong(rng), se3.random(rng, spread=0.3), CameraFromPalm()
     for _ in range(IN_A_ROW):
-        assert len(camera.believed) == 0
+        assert len(camera.confirmed) == 0
         camera = camera.updated(view(rng, E, 1.0, T))
-    assert len(camera.believed) == 1
+    assert len(camera.confirmed) == 1
     for _ in range(50):  # from the same side they err alike
         camera = camera.updated(view(rng, E, 1.0, T))
-    assert len(camera.believed) == 1
+    assert len(camera.confirmed) == 1
 
 
 def test_views_that_jump_about_are_not_believed():
@@ -70,7 +70,7 @@ def test_views_that_jump_about_are_not_believed():
     camera, T = CameraFromPalm(), se3.random(rng, spread=0.3)
     for _ in range(30):
         camera = camera.updated(view(rng, wrong(rng), 1.0, T))
-    assert len(camera.believed) == 0
+    assert len(camera.confirmed) == 0
 
 
 def test_a_camera_that_was_moved_is_noticed():
@@ -79,9 +79,9 @@ def test_a_camera_that_was_moved_is_noticed():
     for E in (one, other):
         for _ in range(IN_A_ROW):
             camera = camera.updated(view(rng, E, 0.5))
-    assert len(camera.believed) == 1
+    assert len(camera.confirmed) == 1
     pivot = np.zeros(3)
-    np.testing.assert_allclose(camera.believed[0].bias(pivot).T_a_b, other, atol=0.03)
+    np.testing.assert_allclose(camera.confirmed[0].bias(pivot).T_a_b, other, atol=0.03)
 
 
 @pytest.mark.parametrize("seed", range(5))

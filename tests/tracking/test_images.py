@@ -156,7 +156,8 @@ def test_an_image_that_comes_late_is_placed_by_its_stamp(can):
     # The camera is where the rig has it; to one that takes images for new, the palm is seen behind itself.
     pivot = can.T_palm_object[:3, 3]
     off = [
-        np.linalg.norm(t.vision.camera_from_palm.believed[0].bias(pivot).T_a_b[:3, 3]) for t in (right, wrong)
+        np.linalg.norm(t.vision.camera_from_palm.confirmed[0].bias(pivot).T_a_b[:3, 3])
+        for t in (right, wrong)
     ]
     assert off[0] < 0.006
     assert off[1] == pytest.approx(0.02 * LATE / 5, abs=0.006)

@@ -203,7 +203,7 @@ def test_a_wrong_object_is_uncertain_and_then_lost(can):
     for seen in can.observations:
         tracker.update(seen)
     assert tracker.state == "uncertain"
-    assert tracker.reason == "the contacts do not fit the object where it is believed to be"
+    assert tracker.reason == "the contacts do not fit the object at its estimated pose"
     for k in range(1, 4):
         tracker.update(later(can.observations[-1], 0.9 * k))
     assert tracker.state == "lost"

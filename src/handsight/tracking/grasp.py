@@ -1,4 +1,4 @@
-"""The fingers over time: whether the hand grasps the object, and the last contacts of fingers that have let go."""
+"""The fingers over time: whether they grasp the object, and the last contacts of those that have let go."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -18,9 +18,9 @@ class GraspDetection(NamedTuple):
     """A `GraspDetection` says when an object is grasped, lifted and released."""
 
     release_after: float = 0.2
-    """The object is released after nothing was touched for so long [s]: contacts flicker as fingers close."""
+    """The object is released once nothing was touched for so long [s]: contacts flicker while fingers close."""
     lifted: float = 0.005  # a palm that rose by so much since the grasp has lifted the object [m]
-    min_fingers: int = 2  # fingers that stay and hold the object in place while others come and go
+    min_fingers: int = 2  # so many fingers that stay hold the object in place while others come and go
 
 
 GRASP = GraspDetection()
@@ -34,18 +34,18 @@ class GraspState:
     lifted: bool = False
     """Whether the palm has risen by `GRASP.lifted` since the grasp."""
     fingers: frozenset[str] = frozenset()
-    """Those that touched last."""
+    """The fingers that touched last."""
     touched_at: float = -math.inf
-    """[s]"""
+    """When any finger last touched [s]."""
     lowest: float | None = None
-    """Height of the palm in the world, its lowest since the grasp [m]."""
+    """Lowest height of the palm in the world since the grasp [m]; None where it is unknown."""
 
     def after(
         self, fingers: tuple[str, ...], stamp: float, T_world_palm: Array | None
     ) -> tuple["GraspState", GraspChange | None]:
-        """Returns the state after an observation with these fingers touching, and what has changed.
+        """Returns the state after an observation in which `fingers` touch, and the change of the grasp, if any.
 
-        That is a grasp that has begun or ended, or whose fingers are so different that the object may have moved.
+        "regrasped" means that so few of the fingers have stayed that the object may have moved.
         """
         now, grasped, lowest = frozenset(fingers), self.grasped, self.lowest
         touched_at = stamp if now else self.touched_at
@@ -67,14 +67,14 @@ class GraspState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactMemory:
-    """A `ContactMemory` keeps the last contact of each finger that has let go: the object stays there for a while."""
+    """A `ContactMemory` keeps the last contact of each finger: after it lets go, the object stays there for a while."""
 
     seconds: float
     """How long a contact is kept; 0: not at all."""
     process_noise: Array
     """(6,) variance of the object's motion in the palm, per second."""
     last: Mapping[str, tuple[Contacts, int, float]] = field(default_factory=dict)
-    """By finger: the contacts among which its last one was, in the palm frame, its row, and the stamp [s]."""
+    """By finger: the contacts of an observation in the palm frame, the row of the finger's own, and the stamp [s]."""
 
     def after(self, fingers: tuple[str, ...], contacts: Contacts | None, stamp: float) -> "ContactMemory":
         """Returns the memory with the contacts of fingers that touch, and without those that are too old."""
@@ -90,9 +90,9 @@ class ContactMemory:
         return replace(self, last={finger: kept for finger, kept in self.last.items() if finger in fingers})
 
     def added(self, fingers: tuple[str, ...], contacts: Contacts, stamp: float) -> tuple[Contacts, list[str]]:
-        """Returns the given contacts followed by those of other fingers, and the names of these fingers.
+        """Returns the given contacts followed by the remembered ones of other fingers, and the names of these fingers.
 
-        To the covariance of a remembered contact that of the object's motion since then is added.
+        The covariance of a remembered contact is inflated by the object's random walk since its stamp.
         """
         others = {finger: kept for finger, kept in self.last.items() if finger not in fingers}
         if not others:

@@ -1,4 +1,4 @@
-"""A rig's tactile arrays over time: each is read above its baseline, what it read while nothing was touched."""
+"""A rig's tactile arrays over time; the baseline of each is what it read while nothing was touched."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -19,10 +19,10 @@ from handsight.rig import Rig
 class SkinOptions(NamedTuple):
     """`SkinOptions` say how readings of tactile arrays are used."""
 
-    min_baseline: int = 5  # readings of an untouched array, of which the mean is its baseline, at least
-    max_baseline: int = 50  # and at most
+    min_baseline: int = 5  # fewest readings of an untouched array whose mean is used as its baseline
+    max_baseline: int = 50  # most readings that are averaged
     changed_share: float = 0.3
-    """The pose is corrected again where more than this part of the taxels that are or were pressed has changed."""
+    """The pose is corrected again when more than this share of the taxels that are or were pressed has changed."""
 
 
 SKIN = SkinOptions()
@@ -33,13 +33,14 @@ Place = tuple[Array, Array | None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Untouched:
-    """An `Untouched` sums up an array's readings while nothing was touched."""
+    """An `Untouched` is the sum of an array's readings while nothing was touched."""
 
     count: int
+    """The number of readings."""
     total: Array
     """(rows, columns) their sum."""
     varied: Mask
-    """(rows, columns) which taxels have ever changed."""
+    """(rows, columns) whether the taxel has ever changed."""
     last: Array
     """(rows, columns) the last reading."""
 
@@ -54,9 +55,9 @@ class Untouched:
         return Untouched(self.count + 1, self.total + reading, varied, reading)
 
     def baseline(self, full_scale: float | None) -> Array | float:
-        """Returns (rows, columns) the mean reading, NaN for dead and stuck taxels; 0 of too few readings.
+        """Returns (rows, columns) the mean reading, NaN for dead and stuck taxels; 0 if there were too few readings.
 
-        Those are taxels at full scale, and those that never change where most do.
+        A taxel is stuck at full scale, and dead if it never changes while most others do.
         """
         if self.count < SKIN.min_baseline:
             return 0.0
@@ -72,9 +73,9 @@ class SkinContacts:
     """A `SkinContacts` is what all tactile arrays measure at one instant."""
 
     touches: Mapping[str, tuple[SkinTouch, Place]] = field(default_factory=dict)
-    """By array that has a reading and whose link's place is known."""
+    """By array, which taxels are pressed, and where the array is; without arrays whose link's pose is unknown."""
     untouched: Mapping[str, Untouched] = field(default_factory=dict)
-    """By array, its readings so far while nothing was touched."""
+    """By array, the sum of its readings so far while nothing was touched."""
 
     @property
     def pressed(self) -> bool:
@@ -90,9 +91,9 @@ class SkinContacts:
         return found
 
     def beside(self, outside: Outside | None) -> Outside | None:
-        """Returns `outside` with the points above untouched taxels, at which the object cannot be either.
+        """Returns `outside` together with the points above untouched taxels, which the object cannot contain either.
 
-        Arrays that are not pressed anywhere do not count.
+        Only arrays with a pressed taxel add points.
         """
         for touch, place in self.touches.values():
             if touch.pressed.any():
@@ -101,7 +102,7 @@ class SkinContacts:
         return outside
 
     def news(self, last: "SkinContacts") -> bool:
-        """Returns whether other taxels are pressed than in `last`, that of the last correction."""
+        """Returns whether many other taxels are pressed than in `last`, the value at the last correction."""
         if self.touches.keys() != last.touches.keys():
             return True
         for name, (touch, _) in self.touches.items():
@@ -115,7 +116,7 @@ NOTHING = SkinContacts()
 
 
 class SkinSensors:
-    """A `SkinSensors` is a rig's tactile arrays."""
+    """A `SkinSensors` reads a rig's tactile arrays."""
 
     def __init__(self, rig: Rig) -> None:
         """The frame of each array must be a body of the rig's hand."""
@@ -129,10 +130,10 @@ class SkinSensors:
     def observed(
         self, observation: Observation, before: SkinContacts = NOTHING, *, touched: bool
     ) -> SkinContacts:
-        """Returns what the arrays measure now; those on links whose joints are missing are left out.
+        """Returns what the arrays measure now; arrays on links whose joints are missing are left out.
 
-        `before` is what they measured at the last observation. `touched`: a fingertip touches something, so an array
-        may, too, and its reading is not added to its baseline. Raises InvalidInput.
+        `before` is what they measured at the last observation. `touched`: whether a fingertip touches something; then
+        an array may be touched, too, so its reading is not added to its baseline. Raises InvalidInput.
         """
         if not isinstance(observation.skin, Mapping):
             came = checks.brief(observation.skin)
@@ -152,7 +153,7 @@ class SkinSensors:
         return SkinContacts(touches, untouched)
 
     def _place(self, name: str, joint_positions: Mapping[str, float] | None) -> Place | None:
-        """Returns the place of an array's link; None where joints are missing."""
+        """Returns the pose of an array's link with its change by joint errors; None where joints are missing."""
         chains = self._chains[name]
         if not chains.joints:
             return chains.homes[0], None
