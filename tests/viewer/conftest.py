@@ -15,8 +15,7 @@ import handsight
 from handsight.evaluation import Truths
 from handsight.recording import open_recording
 from handsight.rig import Rig
-from handsight.tracking import Tracker
-from handsight.tracking.replay import Tally
+from handsight.tracking import Tally, Tracker
 from handsight.viewer.player import Timeline
 from handsight.viewer.replay_moments import follow
 

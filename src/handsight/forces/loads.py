@@ -107,7 +107,7 @@ def load_sum(
     """Returns the mean sum of loads over n observations, evenly spaced, of a grip that hardly changes.
 
     Nothing may be `lacking` in them. `touched`: by finger that touches, the contact's point in the palm [m], and its
-    normal. `joints` (j,): the estimated offsets of the hand's moving joints, how much too much they read [rad].
+    normal. `joints` (j,): the estimated offsets of the hand's moving joints, reading less true position [rad].
     """
     n, names = len(observations), tuple(rig.fingers)
     rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]

@@ -73,7 +73,7 @@ class Weighing:
     """A `Weighing` is an object's mass and its centre of mass in the palm, jointly with the joints' errors."""
 
     mean: Array
-    """(4 + j,) mass [kg], centre in the palm [m], and how much too much the joints read [rad]."""
+    """(4 + j,) mass [kg], centre in the palm [m], and the joints' offsets: reading less true position [rad]."""
     joint_covariance: Array
     """(4 + j, 4 + j) of `mean`."""
     chi2: float

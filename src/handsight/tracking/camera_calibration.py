@@ -144,7 +144,9 @@ class HandViews:
     def __init__(self, rig: Rig) -> None:
         """Nothing is gathered if the rig's camera has no intrinsics, or its hand no shapes."""
         self._rig, self._views = rig, list[tuple[Array, Array, Array]]()
+        """Of each view: T_mount_camera (4, 4), the hand's middle in the mount (3,) [m], and a covariance (6, 6)."""
         self._last, self.images, self.refusals = -np.inf, 0, Counter[str]()
+        """Stamp of the last image that was used [s], their number, and why the palm was not detected in some."""
         self._camera: Camera | None = None
         self._hand = HandInImage(rig)
         camera = rig.camera

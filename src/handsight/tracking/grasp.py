@@ -65,6 +65,17 @@ class GraspState:
         return GraspState(grasped, lifted, last, touched_at, lowest), change
 
 
+class LastContact(NamedTuple):
+    """A `LastContact` is the last contact of one finger."""
+
+    contacts: Contacts
+    """All contacts of that observation, in the palm frame."""
+    row: int
+    """The row of the finger's own."""
+    stamp: float
+    """[s]"""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactMemory:
     """A `ContactMemory` keeps the last contact of each finger: after it lets go, the object stays there for a while."""
@@ -73,8 +84,8 @@ class ContactMemory:
     """How long a contact is kept; 0: not at all."""
     process_noise: Array
     """(6,) variance of the object's motion in the palm, per second."""
-    last: Mapping[str, tuple[Contacts, int, float]] = field(default_factory=dict)
-    """By finger: the contacts of an observation in the palm frame, the row of the finger's own, and the stamp [s]."""
+    last: Mapping[str, LastContact] = field(default_factory=dict)
+    """By finger."""
 
     def after(self, fingers: tuple[str, ...], contacts: Contacts | None, stamp: float) -> "ContactMemory":
         """Returns the memory with the contacts of fingers that touch, and without those that are too old."""
@@ -82,24 +93,25 @@ class ContactMemory:
             return self
         last = dict(self.last)
         if contacts is not None:
-            last.update((finger, (contacts, row, stamp)) for row, finger in enumerate(fingers))
-        return replace(self, last={f: kept for f, kept in last.items() if stamp - kept[2] <= self.seconds})
+            last.update((finger, LastContact(contacts, row, stamp)) for row, finger in enumerate(fingers))
+        kept = {finger: old for finger, old in last.items() if stamp - old.stamp <= self.seconds}
+        return replace(self, last=kept)
 
     def only(self, fingers: Iterable[str]) -> "ContactMemory":
         """Returns the memory with the contacts of these fingers alone."""
-        return replace(self, last={finger: kept for finger, kept in self.last.items() if finger in fingers})
+        return replace(self, last={finger: old for finger, old in self.last.items() if finger in fingers})
 
     def added(self, fingers: tuple[str, ...], contacts: Contacts, stamp: float) -> tuple[Contacts, list[str]]:
         """Returns the given contacts followed by the remembered ones of other fingers, and the names of these fingers.
 
         The covariance of a remembered contact is inflated by the object's random walk since its stamp.
         """
-        others = {finger: kept for finger, kept in self.last.items() if finger not in fingers}
+        others = {finger: old for finger, old in self.last.items() if finger not in fingers}
         if not others:
             return contacts, []
-        parts = [contacts, *(then.select([row]) for then, row, _ in others.values())]
+        parts = [contacts, *(old.contacts.select([old.row]) for old in others.values())]
         covariance = np.concatenate([part.covariance for part in parts])
-        ages = [max(stamp - then, 0.0) for _, _, then in others.values()]
+        ages = [max(stamp - old.stamp, 0.0) for old in others.values()]
         covariance[len(contacts) :] += [np.diag(process_variance(self.process_noise, age)) for age in ages]
         points = np.concatenate([part.points_palm for part in parts])
         normals = np.concatenate([part.normals_palm for part in parts])

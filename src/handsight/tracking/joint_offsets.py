@@ -6,9 +6,11 @@ with differently bent fingers exclude the others.
 
 A joint that reads too much displaces every contact beyond it, and the measured centre of mass as well. To treat these
 errors as independent would lose a part of what they tell of the pose. So pose and offsets δq are solved for together,
-to first order: if the pose moves by x and the joints read δq more than estimated, contact i is off the surface by r + A
-(M x - K δq), where M is the effect of the object's motion on a contact that stays in the palm, and K the effect of the
-joints.
+to first order: if the pose moves by x and the joints read δq more than estimated, contact i is off the surface by
+
+    r + A (M x - K δq),
+
+where M is the effect of the object's motion on a contact that stays in the palm, and K the effect of the joints.
 """
 
 from collections.abc import Mapping
@@ -32,7 +34,7 @@ CREEP = 0.1
 
 @dataclass(frozen=True, eq=False)
 class JointOffsets:
-    """`JointOffsets` are how much too much joints read, jointly Gaussian."""
+    """`JointOffsets` are the constant errors of joints: reading less true position, jointly Gaussian."""
 
     joints: tuple[str, ...]
     """The j joints that move a tip in the palm."""

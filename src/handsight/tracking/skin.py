@@ -27,8 +27,14 @@ class SkinOptions(NamedTuple):
 
 SKIN = SkinOptions()
 
-Place = tuple[Array, Array | None]
-"""T_palm_frame (4, 4) of an array's link, and its change (6, j) by its joints' errors; None: fixed in the palm."""
+
+class ArrayPose(NamedTuple):
+    """An `ArrayPose` is the pose in the palm of the link that carries a tactile array."""
+
+    T_palm_frame: Array
+    """(4, 4)"""
+    by_error: Array | None
+    """(6, j) change of the pose for one sigma of each joint's error; None: the link is fixed in the palm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +78,7 @@ class Untouched:
 class SkinContacts:
     """A `SkinContacts` is what all tactile arrays measure at one instant."""
 
-    touches: Mapping[str, tuple[SkinTouch, Place]] = field(default_factory=dict)
+    touches: Mapping[str, tuple[SkinTouch, ArrayPose]] = field(default_factory=dict)
     """By array, which taxels are pressed, and where the array is; without arrays whose link's pose is unknown."""
     untouched: Mapping[str, Untouched] = field(default_factory=dict)
     """By array, the sum of its readings so far while nothing was touched."""
@@ -85,8 +91,8 @@ class SkinContacts:
     def contacts(self) -> Contacts | None:
         """Returns the pressed taxels' contacts in the palm; None where no taxel is pressed."""
         found: Contacts | None = None
-        for touch, (T_palm_frame, _) in self.touches.values():
-            more = touch.contacts(T_palm_frame)
+        for touch, pose in self.touches.values():
+            more = touch.contacts(pose.T_palm_frame)
             found = more if found is None else found if more is None else found.joined(more)
         return found
 
@@ -95,9 +101,9 @@ class SkinContacts:
 
         Only arrays with a pressed taxel add points.
         """
-        for touch, place in self.touches.values():
+        for touch, pose in self.touches.values():
             if touch.pressed.any():
-                more = Outside.of_skin(touch, *place)
+                more = Outside.of_skin(touch, pose.T_palm_frame, pose.by_error)
                 outside = more if outside is None else outside.joined(more)
         return outside
 
@@ -138,7 +144,7 @@ class SkinSensors:
         if not isinstance(observation.skin, Mapping):
             came = checks.brief(observation.skin)
             raise InvalidInput(f"observation.skin: expected a mapping from array to readings, got {came}")
-        touches, untouched = dict[str, tuple[SkinTouch, Place]](), dict(before.untouched)
+        touches, untouched = dict[str, tuple[SkinTouch, ArrayPose]](), dict(before.untouched)
         for name, array in self.rig.skin.items():
             if name not in observation.skin:
                 continue
@@ -148,17 +154,17 @@ class SkinSensors:
                 clean = np.where(np.isfinite(reading), reading, 0.0)
                 untouched[name] = known = Untouched.first(clean) if known is None else known.after(clean)
             touch = array.touch(reading, 0.0 if known is None else known.baseline(array.full_scale))
-            if (place := self._place(name, observation.joint_positions)) is not None:
-                touches[name] = touch, place
+            if (pose := self._pose(name, observation.joint_positions)) is not None:
+                touches[name] = touch, pose
         return SkinContacts(touches, untouched)
 
-    def _place(self, name: str, joint_positions: Mapping[str, float] | None) -> Place | None:
-        """Returns the pose of an array's link with its change by joint errors; None where joints are missing."""
+    def _pose(self, name: str, joint_positions: Mapping[str, float] | None) -> ArrayPose | None:
+        """Returns the pose of an array's link; None where joints are missing."""
         chains = self._chains[name]
         if not chains.joints:
-            return chains.homes[0], None
+            return ArrayPose(chains.homes[0], None)
         if joint_positions is None or not joint_positions.keys() >= set(chains.joints):
             return None
         Ts, axes = chains.poses(joint_positions)
         J = chains.jacobians(Ts[:, :3, 3].copy(), np.zeros(1, dtype=np.int64), axes)[0]
-        return Ts[0], self._sigma_joint * J
+        return ArrayPose(Ts[0], self._sigma_joint * J)
