@@ -111,13 +111,13 @@ def skew(v: Array) -> Array:
 
 
 def point_jacobian(arm: Array) -> Array:
-    """Returns the derivative (6, 6) of (δp, δθ) at a point of a body by (δp, δθ) at the body's origin.
+    """Returns the derivatives (..., 6, 6) of (δp, δθ) at a point of a body by (δp, δθ) at the body's origin.
 
-    `arm` (3,) leads from the origin to the point, along the outer frame's axes [m]. The point moves by
+    `arm` (..., 3) leads from the origin to the point, along the outer frame's axes [m]. The point moves by
     δp - [arm]ₓ δθ, because a rotation acts over the lever arm; the first three rows are the derivative of the point.
     """
-    J = np.eye(6)
-    J[:3, 3:] = -skew(arm)
+    J = np.eye(6) + np.zeros((*arm.shape[:-1], 1, 1))
+    J[..., :3, 3:] = -skew(arm)
     return J
 
 

@@ -16,8 +16,7 @@ from handsight.evaluation import Truths
 from handsight.recording import open_recording
 from handsight.rig import Rig
 from handsight.tracking import Tally, Tracker
-from handsight.viewer.player import Timeline
-from handsight.viewer.replay_moments import follow
+from handsight.viewer.timeline import Timeline, follow
 
 for name, extra in (("mujoco", "robot"), ("rosbags", "robot"), ("gymnasium_robotics", "sim")):
     if find_spec(name) is None:

@@ -87,6 +87,9 @@ def correct(
       normal points to the object's side.
     * **weight**: `{"center_object": [x, y, z], "center_palm": [x, y, z], "sigma": 0.003}`: where the object's centre of
       mass is, in the object's and in the palm's frame; or `"covariance"`, 3x3.
+    * **depth**: `points_palm`, up to 48 points of a depth image that lie on the object, and their common `sigma` [m].
+    * **skin**: of tactile arrays, `contacts`, the pressed taxels; `untouched_palm`, points above the others; and
+      `sigmas`, six numbers [m, rad]: how wrong an array is as a whole.
     * **answer**: `maximum` and `mean` of the posterior's best mode, or `best` (default): the mean where the contacts
       bound a slide and do not fix it, else the maximum.
     * **samples**: above 0, answer with the mean of this many samples of the posterior instead (at most 1000000), a slow
@@ -209,7 +212,10 @@ def _open(problems: str) -> "Source":
 
 def draw(answered: "Iterable[tuple[Problem, dict[str, Any]]]", plot: Path) -> None:
     """Writes a picture of problems and their answers."""
-    from handsight.viewer.correction_figures import Panel, draw_corrections
+    from handsight.viewer.correction_figures import CorrectionPanel, draw_corrections
 
-    panels = [Panel(problem.model, problem.contacts, problem.vision, answer) for problem, answer in answered]
+    panels = [
+        CorrectionPanel(problem.model, problem.contacts, problem.vision, answer)
+        for problem, answer in answered
+    ]
     draw_corrections(panels, plot)

@@ -86,11 +86,11 @@ class HandPixels:
         if believed is None or of is None:
             return None
         last = self._T_measured_believed
-        near, detect = believed, self._hand.detected
-        sigma = of.sigma_position_constant, of.sigma_rotation_constant
+        near, sigma = believed, (of.sigma_position_constant, of.sigma_rotation_constant)
         if last is not None:  # the hand has been detected: it is near where that puts it [m, rad]
-            near, detect, sigma = last @ believed, self._hand.followed, (0.01, float(np.deg2rad(2)))
-        found = detect(camera, depth, observation.joint_positions, near, sigma) if min(sigma) > 0 else None
+            near, sigma = last @ believed, (0.01, float(np.deg2rad(2)))
+        given = camera, depth, observation.joint_positions, near, sigma
+        found = self._hand.detected(*given, follow=last is not None) if min(sigma) > 0 else None
         if isinstance(found, PalmDetection):
             near = found.T_camera_palm
             self._T_measured_believed = near @ se3.inverse(believed)

@@ -10,7 +10,7 @@ from handsight import checks
 from handsight.checks import Array, Mask
 from handsight.contact import Contacts
 from handsight.contact.taxels import SkinTouch
-from handsight.correction import Outside
+from handsight.correction import SkinEvidence
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig import Rig
@@ -96,16 +96,14 @@ class SkinContacts:
             found = more if found is None else found if more is None else found.joined(more)
         return found
 
-    def beside(self, outside: Outside | None) -> Outside | None:
-        """Returns `outside` together with the points above untouched taxels, which the object cannot contain either.
-
-        Only arrays with a pressed taxel add points.
-        """
+    def evidence(self) -> SkinEvidence | None:
+        """Returns the evidence of the arrays on which a taxel is pressed; None where there is none."""
+        found: SkinEvidence | None = None
         for touch, pose in self.touches.values():
             if touch.pressed.any():
-                more = Outside.of_skin(touch, pose.T_palm_frame, pose.by_error)
-                outside = more if outside is None else outside.joined(more)
-        return outside
+                more = SkinEvidence.of(touch, pose.T_palm_frame, pose.by_error)
+                found = more if found is None else found.joined(more)
+        return found
 
     def news(self, last: "SkinContacts") -> bool:
         """Returns whether many other taxels are pressed than in `last`, the value at the last correction."""
