@@ -25,7 +25,7 @@ from handsight.observation import Observation
 from handsight.recording import open_recording
 from handsight.rig import Rig
 from handsight.simulation import Scenario
-from handsight.tracking.replay import Tally
+from handsight.tracking import Tally
 from handsight.viewer import Viewer
 from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page

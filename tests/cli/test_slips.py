@@ -7,7 +7,7 @@ import pytest
 from handsight.cli.track import grip
 from handsight.cli.track_summary import TrackResult
 from handsight.forces import Slip
-from handsight.tracking.replay import Tally
+from handsight.tracking import Tally
 from handsight.tracking.skin import NOTHING
 from handsight.viewer.timeline import slips_of
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 from handsight.messages.decode import Measurement
 from handsight.messages.report import Report
 from handsight.messages.topics import MessageRejected
+from handsight.observation import MAX_JUMP
 
 
 class ClockOptions(NamedTuple):
@@ -26,7 +27,7 @@ class ClockOptions(NamedTuple):
     reorder_window: float = 0.2  # of stamps, to put a recording's messages in order [s]
     max_wait: float = 0.002  # how long a live robot's joint states wait for what belongs to them [s]
     max_silence: float = 0.1  # they do not wait for a topic that has been silent for longer [s]
-    max_jump: float = 1.0
+    max_jump: float = MAX_JUMP
     """Joint states that jump ahead by more must be confirmed by the next, and back by more by the next two [s]."""
     confirming: int = 3  # joint states in a row that are back and say that the clock is
     max_waiting: int = 50_000  # measurements that are kept

@@ -1,4 +1,4 @@
-"""The prior of a search by touch: where on a table an object may stand before anything has touched it."""
+"""The prior of a search by touch: where on a table the object may stand before it is touched."""
 
 from dataclasses import dataclass
 
@@ -20,17 +20,16 @@ SAME_STABLE_POSE = float(np.deg2rad(20.0))
 @renamed_members(holds="contains", middles="center_heights", tops="top_heights")
 @dataclass(frozen=True, slots=True, eq=False)
 class Area:
-    """An `Area` is a uniform prior over the poses of an object that stands on a table, within a rectangle and at any
-    yaw.
+    """An `Area` is a uniform prior over the poses of an object that stands on a table, in a rectangle, at any yaw.
 
-    A placement is a row (x [m], y [m], yaw [rad], index of the stable pose): where the middle of the object's bounds is
-    in the world, how far the object is turned about the vertical, and on which of its sides it stands.
+    A placement is a row (x [m], y [m], yaw [rad], index of the stable pose): the position of the middle of the object's
+    bounds in the world, the rotation about the vertical, and the side on which the object stands.
     """
 
     low: Array
     """(2,) smallest x and y of the middle of the object's bounds, in the world [m]."""
     high: Array
-    """(2,) largest x and y [m]."""
+    """(2,) largest x and y of it [m]."""
     table: Table
     """The table that the object stands on."""
     Rs_world_object: Array
@@ -86,8 +85,8 @@ class Area:
 def resting(model: ObjectModel) -> Array:
     """Returns Rs_world_object (k, 3, 3) of the object's stable poses on a plane, the likeliest first.
 
-    They are those of a body of constant density (`trimesh.poses`), modulo the object's symmetries and turns about the
-    vertical. Raises InvalidInput for a cloud or an open surface.
+    The object is taken to be of constant density (`trimesh.poses`). Poses that differ by a symmetry of the object or by
+    a rotation about the vertical count as one. Raises InvalidInput for a cloud or an open surface.
     """
     import trimesh
 

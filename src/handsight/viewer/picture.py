@@ -147,8 +147,8 @@ def palm_in_camera(rig: Rig, from_palm: CameraFromPalm, T_world_palm: Array | No
     T_mount_palm = np.eye(4) if mounted.on == "palm" else T_world_palm
     if T_mount_palm is None:
         return None
-    if from_palm.believed:
-        T_mount_palm = from_palm.believed[-1].expected(T_mount_palm)
+    if from_palm.confirmed:
+        T_mount_palm = from_palm.confirmed[-1].expected(T_mount_palm)
     return np.asarray(se3.inverse(mounted.T_mount_camera) @ T_mount_palm)
 
 
