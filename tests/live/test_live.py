@@ -261,7 +261,7 @@ def test_a_users_pose_begins_a_track_without_vision():
 @pytest.mark.parametrize(
     ("message", "expected"),
     [
-        (asked("/handsight/object", "std_msgs/msg/String", data="spoon"), "object: expected one of the rig (can)"),
+        (asked("/handsight/object", "std_msgs/msg/String", data="spoon"), "object: expected a name of the rig (can)"),
         (asked("/handsight/object", "std_msgs/msg/Empty"), "expected a std_msgs/msg/String, got std_msgs/msg/Empty"),
         (asked("/handsight/reset", "std_msgs/msg/Empty"), "begun anew: vision's next pose starts"),
         (asked("/handsight/object", "std_msgs/msg/String", data="can"), "the object is can"),

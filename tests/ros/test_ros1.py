@@ -140,5 +140,5 @@ def test_a_wrong_parameter_is_said_in_a_sentence(tmp_path):
     with graph(tmp_path) as running:
         with pytest.raises(AssertionError, match="the node ended") as error:
             running.node(RIG, object="spoon")
-        assert "object: expected one of the rig (can)" in str(error.value)
+        assert "object: expected a name of the rig (can)" in str(error.value)
         assert "Traceback" not in str(error.value)

@@ -2,8 +2,8 @@
 
 import contextlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -13,7 +13,7 @@ from handsight.cli.terminal import announce_compiling, say
 from handsight.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from handsight.objects import Library, ObjectModel, ObjectSpec
+    from handsight.objects import ObjectModel
     from handsight.recording import Recording
     from handsight.rig import Rig
     from handsight.tracking import Tracker, TrackerSettings
@@ -164,13 +164,14 @@ def find_models(
     `library` None: the default one; `scale`: metres per unit of a mesh file. Raises InvalidInput.
     """
     from handsight.objects import Library
-    from handsight.objects.library import NoLibrary
+    from handsight.objects.library import NoLibrary, find_model
 
     objects, opened = {} if rig is None else rig.objects, Library(library)
     if wanted := tuple(names) or tuple(objects):
         place = "" if rig is None else str(rig_path)
         models = [
-            object_named(name, objects=objects, place=place, library=opened, scale=scale) for name in wanted
+            find_model(name, objects, place, library=opened, scale=scale, argument="--object")
+            for name in wanted
         ]
     elif rig is not None:
         raise InvalidInput(f"--object: expected, got nothing; {rig_path} knows none")
@@ -188,34 +189,3 @@ def find_models(
         twice = next(name for name, count in Counter(model.name for model in models).items() if count > 1)
         raise InvalidInput(f"--object: expected objects of different names, got {twice!r} twice")
     return by_name
-
-
-def object_named(
-    name: str, *, objects: "Mapping[str, ObjectSpec]", place: str, library: "Library", scale: float
-) -> "ObjectModel":
-    """Returns the model of that name among a rig's `objects` or in the library, or of a mesh file of that path.
-
-    `place`: the rig's path, for the message, or empty. Raises InvalidInput where there is none.
-    """
-    from handsight.checks import suggestion
-    from handsight.objects import ObjectModel
-    from handsight.objects.library import NoLibrary
-
-    if name in objects:
-        return replace(objects[name].model(), name=name)
-    if Path(name).is_file():
-        return ObjectModel.from_file(name, scale=scale)
-    try:
-        entries = library.entries()
-    except NoLibrary:  # there need not be one
-        entries = ()
-    for entry in entries:
-        if name in (entry.name, str(entry.number), entry.file.removesuffix(".ply")):
-            return library.model(entry.name)
-    in_library = (
-        f"the library {library.place}" if entries else f"a library (there is none at {library.place})"
-    )
-    known = suggestion(name, {*objects, *(entry.name for entry in entries)})
-    raise InvalidInput(
-        f"--object: expected a name of {place or in_library} or a mesh file, got {name!r}{known}"
-    )

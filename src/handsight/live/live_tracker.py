@@ -13,7 +13,7 @@ from handsight.errors import HandsightError, InvalidInput
 from handsight.live.answers import Answer, Writer
 from handsight.live.health import Health
 from handsight.live.markers import Markers
-from handsight.live.requests import REQUESTS, model_named, requested_start, requested_text
+from handsight.live.requests import REQUESTS, requested_model, requested_start, requested_text
 from handsight.messages import ObservationStream, RawMessage
 from handsight.messages.clocks import PromptBuffer, ReorderBuffer
 from handsight.messages.topics import OwnTopic, RosType, rig_topics
@@ -141,7 +141,7 @@ class LiveTracker:
 
         Raises a HandsightError where there is none, and the present track goes on.
         """
-        model = model_named(name, self.rig)
+        model = requested_model(name, self.rig)
         return self._start(model, None, f"the object is {name}: vision's next pose starts")
 
     def start(self, message: RawMessage) -> "Future[str]":

@@ -10,7 +10,7 @@ from typing import Protocol
 from handsight.errors import HandsightError
 from handsight.live.answers import Answer
 from handsight.live.live_tracker import LiveTracker
-from handsight.live.requests import REQUESTS, model_named
+from handsight.live.requests import REQUESTS, requested_model
 from handsight.messages import RawMessage
 from handsight.messages.clocks import CLOCKS
 from handsight.rig import Rig
@@ -46,7 +46,7 @@ def live_tracker(
     known = Rig.from_file(rig)
     if not name and len(known.objects) == 1:
         name = next(iter(known.objects))
-    model, settings = model_named(name or "", known), TrackerSettings(rate=rate or None, images=images)
+    model, settings = requested_model(name or "", known), TrackerSettings(rate=rate or None, images=images)
     return LiveTracker(known, model, encoding=encoding, settings=settings, equal=equal)
 
 

@@ -1,19 +1,18 @@
 """What a user asks a running tracker for, by topics that every transport has: a start, an object, a new track."""
 
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from handsight import checks, se3
+from handsight import se3
 from handsight.checks import Array
 from handsight.correction import PosePrior
 from handsight.errors import HandsightError, InvalidInput
 from handsight.messages import RawMessage, TopicReport
 from handsight.messages.decode import decode, typestore
 from handsight.messages.topics import OwnTopic, RosType
-from handsight.objects import ObjectModel
+from handsight.objects import Library, ObjectModel
+from handsight.objects.library import find_model
 from handsight.observation import PoseMeasurement
 from handsight.rig import Rig
 
@@ -64,17 +63,7 @@ def requested_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -
     return PosePrior(T_palm_object, se3.rotate_covariance(T_palm_frame[:3, :3], pose.covariance))
 
 
-def model_named(name: str, rig: Rig) -> ObjectModel:
+def requested_model(name: str, rig: Rig) -> ObjectModel:
     """Returns the object of that name in the rig, of a mesh file, or of the library; raises a HandsightError."""
-    if name in rig.objects:
-        return replace(rig.objects[name].model(), name=name)
-    if Path(name).is_file():
-        return ObjectModel.from_file(name)
-    try:
-        return ObjectModel.from_library(name)
-    except HandsightError as error:
-        known = ", ".join(rig.objects) or "none"
-        raise InvalidInput(
-            f"object: expected one of the rig ({known}), a mesh file or one of the library, "
-            f"got {checks.brief(repr(name))} ({error})"
-        ) from None
+    place = f"the rig ({', '.join(rig.objects) or 'none'})"
+    return find_model(name, rig.objects, place, library=Library())
