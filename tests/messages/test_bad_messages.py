@@ -140,7 +140,7 @@ def test_a_sensor_that_is_stuck_is_named_and_left_out():
     assert all("ff" in seen.wrenches for seen in observations)
     assert stream.report.topics["/th/wrench"].stuck == 79
     assert stream.report.fingers == {
-        "th": "reads the same six numbers beyond 0.5 s while others change, in 79 messages: a dead sensor? left out"
+        "th": "reads the same six numbers for more than 0.5 s while others change, in 79 messages: a dead sensor? left out"
     }
 
 

@@ -1,4 +1,4 @@
-"""What a user asks a running tracker for, by topics that every transport has: a start, an object, a new track."""
+"""A user's requests to a running tracker, as messages on topics: a first pose, another object, a new track."""
 
 from typing import Any
 
@@ -21,11 +21,11 @@ REQUESTS: dict[str, tuple[str, ...]] = {
     OwnTopic.OBJECT: (RosType.TEXT,),
     OwnTopic.RESET: (RosType.EMPTY,),
 }
-"""The types of a user's requests, by topic."""
+"""The types that a request may have, by topic."""
 
 
 def requested_text(message: RawMessage) -> str:
-    """Returns the text of a String; raises InvalidInput."""
+    """Returns the text of a std_msgs/String; raises InvalidInput."""
     try:
         store: Any = typestore(message.encoding)
         return str(getattr(store, f"deserialize_{message.encoding}")(message.data, RosType.TEXT).data)
@@ -38,9 +38,9 @@ def requested_text(message: RawMessage) -> str:
 
 
 def requested_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -> PosePrior:
-    """Returns a user's pose of the object, in the palm; raises InvalidInput.
+    """Returns a user's pose of the object, converted to the palm's frame; raises InvalidInput.
 
-    `T_world_palm`: the palm's pose now, for a user's pose in the world; None: it is not known.
+    `T_world_palm`: the current pose of the palm, for a user's pose in the world; None: unknown.
     """
     topic = TopicReport(message.topic, "vision", (RosType.POSE_COVARIANCE,))
     found = decode(message, topic, rig.frames)
