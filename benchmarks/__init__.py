@@ -1,7 +1,6 @@
 """handsight against its peers: time, success and accuracy side by side. Run with `python -m benchmarks`."""
 
 import os
-import sys
 from pathlib import Path
 
 # Threads of one peer that wait for more work by spinning would slow the next one, on the same cores.
@@ -9,6 +8,3 @@ for name, value in (("OMP_WAIT_POLICY", "PASSIVE"), ("GOMP_SPINCOUNT", "0"), ("K
     os.environ.setdefault(name, value)
 
 ROOT = Path(__file__).parents[1]
-# Tables and figures are the experiments', and `shared` puts the problems, which are the tests', on the path.
-if str(ROOT / "experiments") not in sys.path:
-    sys.path.append(str(ROOT / "experiments"))

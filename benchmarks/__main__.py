@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import frontier, gate, plots, suite, tables
-from shared import report
+from testbed import report
 
 
 def parsed(arguments: list[str] | None = None) -> argparse.Namespace:
-    """What was asked for."""
+    """Returns the parsed arguments."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="handsight against its peers")
     add = parser.add_argument
     quick = "two minutes instead of fifteen; peers' settings from frontier.json"
@@ -27,7 +27,7 @@ def parsed(arguments: list[str] | None = None) -> argparse.Namespace:
 
 
 def sections(options: argparse.Namespace) -> list[str]:
-    """What to run: all, or those asked for; a gate alone needs only what it compares."""
+    """Returns the sections to run: all, the given ones, or with the gate alone those that it compares."""
     names = [name for name in suite.NAMES if name in (options.only or suite.NAMES)]
     if options.gate and not options.only:
         names = [name for name in names if name in gate.GATED.values()]
@@ -35,12 +35,12 @@ def sections(options: argparse.Namespace) -> list[str]:
 
 
 def say(text: str) -> None:
-    """Progress, at once."""
+    """Prints progress immediately."""
     print(text, flush=True)
 
 
 def passes(run: suite.Suite, baseline: dict[str, Any]) -> bool:
-    """Whether nothing is lost; what seems lost is measured again, and the best of the measurements counts."""
+    """Returns whether nothing got slower; a ratio that seems to is measured again, and the best measurement counts."""
     for _ in range(gate.MEASUREMENTS - 1):
         lost, before = gate.losses(run.results["ratios"], baseline), dict(run.results["ratios"])
         for sentence in lost.values():
@@ -58,7 +58,7 @@ def passes(run: suite.Suite, baseline: dict[str, Any]) -> bool:
 
 
 def write(run: suite.Suite, folder: Path) -> None:
-    """JSON and figures of what was measured."""
+    """Writes the results as JSON and figures."""
     folder.mkdir(parents=True, exist_ok=True)
     found = run.results["sections"]
     path = folder / "benchmarks.json"
@@ -71,7 +71,7 @@ def write(run: suite.Suite, folder: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs what was asked for; the exit code."""
+    """Runs the sections; returns the exit code."""
     options = parsed(arguments)
     baseline = gate.stored()
     if options.gate and baseline is None:

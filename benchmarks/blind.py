@@ -17,7 +17,7 @@ from benchmarks import timing, workload
 from benchmarks.peers.scaling_series import ScalingSeries
 from benchmarks.shapes import bumpy
 from benchmarks.workload import Problem
-from shared import scenes
+from testbed import scenes
 
 Row = dict[str, Any]
 MANY = 60
@@ -25,7 +25,7 @@ MANY = 60
 
 
 def problems(name: str, count: int, seed: int = workload.REPORTED_ON) -> list[Problem]:
-    """Five contacts on the box, or anywhere on a bumpy mesh."""
+    """Returns problems of five contacts on the box, or anywhere on a bumpy mesh."""
     if name == "box":
         return [workload.draw("box", workload.NEAR, k, seed) for k in range(count)]
     vertices, faces = bumpy(4)
@@ -38,13 +38,13 @@ def problems(name: str, count: int, seed: int = workload.REPORTED_ON) -> list[Pr
 
 
 def ours(problem: Problem) -> np.ndarray:
-    """Up to eight modes (k, 4, 4), best first."""
+    """Returns up to eight modes (k, 4, 4), best first."""
     estimate = hs.correct_pose(problem.model, problem.contacts)
     return np.stack([h.T_palm_object for h in estimate.hypotheses])[:8]
 
 
 def many(count: int, seconds: float) -> Row:
-    """The row of sixty contacts without normals, anywhere on the bumpy mesh."""
+    """Returns the row of sixty contacts without normals, anywhere on the bumpy mesh."""
     model, results = problems("bumpy mesh", 1)[0].model, []
     touch, end = scenes.anywhere_on(model), time.perf_counter() + seconds
     for k in range(count):
@@ -61,14 +61,14 @@ def many(count: int, seconds: float) -> Row:
 
 
 def summary(object_name: str, name: str, results: list[tuple[float, bool, bool]]) -> Row:
-    """The row of some results: seconds, whether the first mode is right, whether any is."""
+    """Returns a row of results: seconds, whether the first mode is right, whether any is."""
     took, first, among = zip(*results, strict=True)
     success = {"success": float(np.mean(first)), "among_8": float(np.mean(among))}
     return {"object": object_name, "name": name, **success, **timing.summary(took)}
 
 
 def run(count: int, seconds: float) -> list[Row]:
-    """A row for each method and object."""
+    """Returns a row for each method and object."""
     series, rows = ScalingSeries(), []
     methods = {"handsight, blind": ours, series.name: series.solve}
     for name in ("box", "bumpy mesh"):

@@ -27,7 +27,7 @@ Batch = tuple[Callable[[], Any], Callable[[Any], np.ndarray]]
 
 
 def run(queries: int, seconds: float) -> tuple[list[Row], dict[str, Any], dict[str, str]]:
-    """Rows, ratios of time per query (field / peer), and which peers are missing and why."""
+    """Returns rows, ratios of time per query (field / peer), and the missing peers with the reason."""
     vertices, faces = can(TRIANGLES, 0.033, 0.115)
     model = hs.ObjectModel.from_mesh(vertices, faces)
     points, truth, at_rim = drawn(queries)
@@ -48,7 +48,7 @@ def run(queries: int, seconds: float) -> tuple[list[Row], dict[str, Any], dict[s
 
 
 def drawn(queries: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (n, 3) near the can, their true unsigned distance, and which are near a rim."""
+    """Returns points (n, 3) near the can, their true unsigned distance, and which are near a rim."""
     exact = models()["can"]
     rng = np.random.default_rng(0)
     surface, normals = exact.sample(queries, seed=3)
@@ -63,7 +63,7 @@ def drawn(queries: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def gathered(
     model: hs.ObjectModel, vertices: np.ndarray, faces: np.ndarray, points: np.ndarray
 ) -> tuple[dict[str, Any], dict[str, str]]:
-    """The calls by name, trees and scenes built, and the peers that are not there."""
+    """Returns the calls by name, with trees and scenes built, and the missing peers."""
     surface, normals = model.sample(SAMPLES)
     tree = cKDTree(surface)
     batches: dict[str, Any] = {
@@ -90,7 +90,7 @@ def gathered(
 
 
 def open3d_batches(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> dict[str, Batch]:
-    """Closest points, and signed distances, of an Open3D scene (float32, all cores)."""
+    """Returns calls for Open3D's closest points and signed distances (float32, all cores)."""
     import open3d as o3d
 
     scene = o3d.t.geometry.RaycastingScene()
@@ -112,7 +112,7 @@ def open3d_batches(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) 
 
 
 def trimesh_batches(vertices: np.ndarray, faces: np.ndarray) -> Callable[[np.ndarray], Batch]:
-    """The batch of some points, by trimesh."""
+    """Returns a call for trimesh's closest points of a batch."""
     import rtree  # noqa: F401 - trimesh finds out only when asked
     import trimesh
 
@@ -121,7 +121,7 @@ def trimesh_batches(vertices: np.ndarray, faces: np.ndarray) -> Callable[[np.nda
 
 
 def row(name: str, batch: Batch, per_query: np.ndarray, truth: np.ndarray, at_rim: np.ndarray) -> Row:
-    """Time per query, and the error on faces and at rims: median and 95 % quantile [mm]."""
+    """Returns the time per query, and the error on faces and at rims: median and 95 % quantile [mm]."""
     call, read = batch
     error = 1e3 * np.abs(read(call()) - truth)
     return {

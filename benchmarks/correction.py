@@ -16,7 +16,7 @@ Row = dict[str, Any]
 
 @dataclass
 class Entrant:
-    """One peer in one case, and what was measured of it."""
+    """An `Entrant` is one peer in one case, with its measurements."""
 
     key: str
     peer: Peer
@@ -26,7 +26,7 @@ class Entrant:
     hot: list[float] = field(default_factory=list)
 
     def run(self, problem: Problem, solve: Solve) -> None:
-        """One cold solve, judged."""
+        """Solves one problem cold and judges the answer."""
         answer, took = timing.once(solve)
         self.seconds.append(took)
         T_hat = workload.pose_of(answer)
@@ -34,7 +34,7 @@ class Entrant:
             self.verdicts.append(workload.judged(problem, T_hat))
 
     def row(self, object_name: str, error: str) -> Row:
-        """The table's line."""
+        """Returns the line of the table."""
         hot = {"hot_median_s": float(np.median(self.hot))} if self.hot else {}
         judged = workload.accuracy(self.verdicts) if self.verdicts else {"success": None}
         return {
@@ -52,7 +52,7 @@ class Entrant:
 
 
 def entrants(peers: dict[str, Peer], object_name: str, error: str, chosen: Row) -> list[Entrant]:
-    """The peers with the settings chosen for this case, prepared and compiled."""
+    """Returns the peers with the settings chosen for this case, prepared and compiled."""
     found = []
     for key, peer in peers.items():
         tuned, setting = frontier.tuned(key, peer, object_name, error, chosen)
@@ -121,7 +121,7 @@ def run(
 def ratios(
     near: dict[str, dict[str, list[float]]], of: Callable[..., dict[str, float]] = timing.ratio
 ) -> dict[str, Any]:
-    """ours / peer, and kernel / peer; below 1 where ours is faster."""
+    """Returns the ratios of time ours / peer and kernel / peer, below 1 where ours is faster."""
     found: dict[str, Any] = {}
     for ours in ("ours", "ours_kernel"):
         for peer in ("paper", "paper_pruned", "scipy", "open3d", "small_gicp"):

@@ -14,7 +14,7 @@ from benchmarks import workload
 from benchmarks.kernels import Evaluation
 from benchmarks.shapes import bumpy
 from handsight import ObjectModel
-from shared import report
+from testbed import report
 
 CONTACTS = 5
 TRANSFORM = 9 + 9
@@ -33,13 +33,13 @@ NODES = CONTACTS * 64 * 4
 
 
 def flops(grid: bool) -> int:
-    """Of one evaluation. An exact field's own few are not counted."""
+    """Returns the operations of one evaluation, without the few of an exact field."""
     return CONTACTS * (TRANSFORM + TURN + ROWS + SUMS + (SPLINE if grid else 0)) + VISION
 
 
 @numba.njit(fastmath=True)
 def multiplied(n):
-    """n times 64 independent fused multiply-adds."""
+    """Computes n times 64 independent fused multiply-adds."""
     x = np.linspace(0.1, 0.2, 64)
     for _ in range(n):
         for k in range(64):
@@ -48,7 +48,7 @@ def multiplied(n):
 
 
 def best(call, n: int) -> float:
-    """Seconds of one of the n that a call does; the least of many."""
+    """Returns the least time of one of the n evaluations of a call [s]."""
     call(n)
     times = []
     for _ in range(25):

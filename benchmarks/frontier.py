@@ -25,14 +25,14 @@ Row = dict[str, Any]
 
 
 def case_name(object_name: str, error: str) -> str:
-    """The key of one table."""
+    """Returns the key of one table."""
     return f"{object_name}, {error}"
 
 
 def measured(
     peer: Peer, object_name: str, error: str, trials: range, seed: int
 ) -> tuple[list[bool], list[float]]:
-    """Whether each problem was solved, and its seconds (cold)."""
+    """Returns whether each problem was solved, and its time cold [s]."""
     peer.prepare(workload.models()[object_name])
     found, seconds = [], []
     with timing.undisturbed(), timing.silent_stderr():
@@ -46,7 +46,7 @@ def measured(
 
 
 def swept(peer: Any, object_name: str, error: str, seconds: float) -> list[Row]:
-    """A row for each setting that time allowed: setting, success, median_s, problems."""
+    """Returns a row for each setting that time allowed: setting, success, median_s, problems."""
     end = time.perf_counter() + seconds
     rows: list[Row] = []
     for setting in shuffled(peer.settings()):
@@ -63,13 +63,13 @@ def swept(peer: Any, object_name: str, error: str, seconds: float) -> list[Row]:
 
 
 def shuffled(settings: list[Row]) -> list[Row]:
-    """In an order that a cut by time does not favour."""
+    """Returns the settings in an order in which a time limit favours none."""
     order = np.random.default_rng(0).permutation(len(settings))
     return [settings[i] for i in order]
 
 
 def row_of(peer: Peer, setting: Row, object_name: str, error: str, problems: int) -> Row:
-    """One setting's success and time on the choosing seed."""
+    """Returns a setting's success and time on the seed for choosing."""
     found, seconds = measured(peer, object_name, error, range(problems), workload.CHOSEN_ON)
     return {
         "setting": setting,
@@ -80,7 +80,7 @@ def row_of(peer: Peer, setting: Row, object_name: str, error: str, problems: int
 
 
 def chosen(rows: list[Row]) -> Row:
-    """The fastest within .02 of the best success, among the settings seen on most problems."""
+    """Returns the fastest setting within .02 of the best success, among those tried on most problems."""
     most = max(row["problems"] for row in rows)
     sure = [row for row in rows if row["problems"] == most]
     best = max(row["success"] for row in sure)
@@ -88,7 +88,7 @@ def chosen(rows: list[Row]) -> Row:
 
 
 def pareto(rows: list[Row]) -> list[Row]:
-    """Those that no other beats in both time and success, fastest first."""
+    """Returns the settings that no other beats in both time and success, fastest first."""
     front: list[Row] = []
     for row in sorted(rows, key=lambda row: (row["median_s"], -row["success"])):
         if not front or row["success"] > front[-1]["success"]:
@@ -97,7 +97,7 @@ def pareto(rows: list[Row]) -> list[Row]:
 
 
 def search(peers: dict[str, Any], errors: list[str], seconds: float, say: Callable[[str], None]) -> Row:
-    """Chosen settings and fronts of every peer that has settings, each with its share of the seconds."""
+    """Returns chosen settings and fronts of each peer that has settings, each with its share of the time."""
     tunable = {key: peer for key, peer in peers.items() if hasattr(peer, "settings")}
     cases = [(o, e) for o in workload.OBJECTS for e in errors]
     weight = {key: len(peer.settings()) ** 0.5 for key, peer in tunable.items()}
@@ -117,12 +117,12 @@ def search(peers: dict[str, Any], errors: list[str], seconds: float, say: Callab
 
 
 def stored(path: Path = FILE) -> Row:
-    """What a full run has chosen; nothing where there is no such file."""
+    """Returns the settings that a full run has chosen; none where there is no such file."""
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"peers": {}}
 
 
 def tuned(key: str, peer: Any, object_name: str, error: str, frontier: Row) -> tuple[Peer, Row | None]:
-    """The peer with the setting chosen for this case, and that setting; as it is where none was."""
+    """Returns the peer with the setting chosen for this case, if one was, and that setting."""
     entry = frontier["peers"].get(key, {}).get(case_name(object_name, error))
     if entry is None:
         return peer, None

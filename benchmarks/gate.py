@@ -33,12 +33,12 @@ PEERS = {"ours", "ours_kernel", "paper", "small_gicp"}
 
 
 def stored(path: Path = FILE) -> dict[str, Any] | None:
-    """The committed baseline; None where there is none."""
+    """Returns the committed baseline; None where there is none."""
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 
 
 def baseline_of(results: dict[str, Any]) -> dict[str, Any]:
-    """What of a run's results is kept: ratios, successes, and whose they are."""
+    """Returns the part of a run's results that is kept: ratios, successes, and their peers."""
     return {
         "machine": results["machine"],
         "ratios": {
@@ -49,13 +49,13 @@ def baseline_of(results: dict[str, Any]) -> dict[str, Any]:
 
 
 def successes(results: dict[str, Any]) -> dict[str, float]:
-    """handsight's share of problems found, by case."""
+    """Returns handsight's share of solved problems, by case."""
     rows = results["sections"].get("correction", [])
     return {f"{r['object']}, {r['error']}": r["success"] for r in rows if r["peer"] == "ours"}
 
 
 def losses(ratios: dict[str, Any], baseline: dict[str, Any]) -> dict[str, str]:
-    """A sentence for each ratio that is more than a quarter above the baseline's. What was not measured is no loss."""
+    """Returns a sentence for each measured ratio that is more than a quarter above the baseline's."""
     found = {}
     for name, was in baseline["ratios"].items():
         if name in GATED and name in ratios:
@@ -66,7 +66,7 @@ def losses(ratios: dict[str, Any], baseline: dict[str, Any]) -> dict[str, str]:
 
 
 def fallen(results: dict[str, Any], baseline: dict[str, Any]) -> list[str]:
-    """A sentence for each case of which fewer problems are solved."""
+    """Returns a sentence for each case in which fewer problems are solved."""
     now = successes(results)
     return [
         f"{case}: {now[case]:.3f} of the problems solved, were {was:.3f}"
@@ -76,7 +76,7 @@ def fallen(results: dict[str, Any], baseline: dict[str, Any]) -> list[str]:
 
 
 def compared(ratios: dict[str, Any], baseline: dict[str, Any]) -> list[list[str]]:
-    """Rows for the table: name, now with its interval, then, change."""
+    """Returns rows of the table: name, present ratio with its interval, former ratio, change."""
     rows = []
     for name, was in baseline["ratios"].items():
         if name not in ratios:

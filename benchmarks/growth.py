@@ -19,7 +19,7 @@ from benchmarks.peers.ours import with_starts
 from benchmarks.shapes import bumpy, can
 from benchmarks.workload import Peer, Problem
 from handsight.errors import InvalidInput
-from shared import scenes
+from testbed import scenes
 
 CONTACTS = (2, 3, 5, 8, 12)
 OUTSIDE = (0, 10, 30, 100, 200, 500)
@@ -34,7 +34,7 @@ Row = dict[str, Any]
 
 
 def contacts(peers: dict[str, Peer], chosen: Row, seconds: float) -> list[Row]:
-    """Cold median time and success of each peer on the box, by number of contacts."""
+    """Returns cold median time and success of each peer on the box, by number of contacts."""
     rows = []
     for n in CONTACTS:
         problems = [workload.draw("box", workload.NEAR, k, contacts=n) for k in range(100)]
@@ -43,7 +43,7 @@ def contacts(peers: dict[str, Peer], chosen: Row, seconds: float) -> list[Row]:
 
 
 def outside(peers: dict[str, Peer], chosen: Row, seconds: float) -> list[Row]:
-    """The same by number of points of the hand, for the peers that know what to do with them: ours."""
+    """Returns the same by number of points of the hand, for the peers that use them: ours."""
     rows, mine = [], {key: peer for key, peer in peers.items() if key == "ours"}
     for n in OUTSIDE:
         drawn = [workload.draw("box", workload.NEAR, k) for k in range(100)]
@@ -55,7 +55,7 @@ def outside(peers: dict[str, Peer], chosen: Row, seconds: float) -> list[Row]:
 def compared(
     peers: dict[str, Peer], chosen: Row, problems: list[Problem], seconds: float, at: dict[str, int]
 ) -> list[Row]:
-    """A row for each peer: time and success over as many of these problems as time allows."""
+    """Returns a row for each peer: time and success over as many of these problems as time allows."""
     tuned = {key: frontier.tuned(key, peer, "box", workload.NEAR, chosen)[0] for key, peer in peers.items()}
     times: dict[str, list[float]] = {key: [] for key in tuned}
     verdicts: dict[str, list[workload.Verdict]] = {key: [] for key in tuned}
@@ -82,7 +82,7 @@ def compared(
 
 
 def hypotheses(seconds: float) -> list[Row]:
-    """Seconds, and hypotheses per second, of a batch of both phases by its size, without and with a hand."""
+    """Returns the time, and hypotheses per second, of a batch of both phases by its size, without and with a hand."""
     rows = []
     problem = workload.draw("box", workload.NEAR, 1)
     held = replace(problem, outside=scenes.behind_contacts(problem.scene, HAND))
@@ -138,7 +138,7 @@ def batch(seconds: float) -> tuple[list[Row], dict[str, Any]]:
 
 
 def meshes(seconds: float) -> list[Row]:
-    """Seconds to build an object from a file, to load it again, and per query, by triangles of its mesh."""
+    """Returns the time to build an object from a file, to load it again, and per query, by triangles of its mesh."""
     hs.ObjectModel.from_mesh(*bumpy(2))  # kernels compiled before
     rows = [built("can.ply", *can(MEDIUM, 0.033, 0.115))]
     end = time.perf_counter() + seconds
@@ -153,7 +153,7 @@ def meshes(seconds: float) -> list[Row]:
 
 
 def built(name: str, vertices: np.ndarray, faces: np.ndarray) -> Row:
-    """One mesh: from its file to a model with an empty cache, the same again from it, a batch of queries."""
+    """Measures one mesh: its file to a model with an empty cache, again with a full one, and a batch of queries."""
     with tempfile.TemporaryDirectory() as folder, cache_in(folder):
         path = Path(folder) / name
         trimesh.Trimesh(vertices, faces, process=False).export(path)
@@ -172,7 +172,7 @@ def built(name: str, vertices: np.ndarray, faces: np.ndarray) -> Row:
 
 @contextlib.contextmanager
 def cache_in(folder: str) -> Iterator[None]:
-    """Objects are kept there, and nowhere else."""
+    """Keeps objects in a folder, and nowhere else."""
     kept = os.environ.get("HANDSIGHT_CACHE")
     os.environ["HANDSIGHT_CACHE"] = folder
     try:
@@ -186,7 +186,7 @@ def cache_in(folder: str) -> Iterator[None]:
 def run(
     peers: dict[str, Peer], chosen: Row, seconds: float, say: Callable[[str], None]
 ) -> dict[str, list[Row]]:
-    """All four, each with its share of the time."""
+    """Returns all four tables, each with its share of the time."""
     parts: dict[str, Callable[[], list[Row]]] = {
         "contacts": lambda: contacts(peers, chosen, 0.2 * seconds),
         "outside": lambda: outside(peers, chosen, 0.1 * seconds),

@@ -13,12 +13,12 @@ from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.runtime.compilation import FAST
 from handsight._kernels.runtime.threads import alone
-from handsight._kernels.runtime.warm import warm
 from handsight._kernels.solve import batch
 from handsight.correction.estimate import PoseEstimate
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
 from handsight.correction.solve import kernel_call, solve_single_start
+from handsight.tracking.warm import warm
 
 __all__ = ["Evaluation", "alone", "fits_at_once", "kernel_call", "stages", "warm"]
 
@@ -32,12 +32,12 @@ PRIOR_TERM, TERM, UNCERTAINTY, WORKSPACE = (
 
 
 def fits_at_once(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -> bool:
-    """Whether a single start is enough; else a wrong contact is searched for."""
+    """Returns whether a single start is enough; else a wrong contact is searched for."""
     return solve_single_start(Problem(model, contacts, vision, NO_OUTSIDE)) is not None
 
 
 def stages(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -> dict[str, Call]:
-    """The parts of one correction, each as a call."""
+    """Returns the parts of one correction as calls, by name."""
     rows, residuals = np.zeros(1, dtype=records.PROBLEM), np.empty((len(contacts), 2))
     rows["constraints"], rows["last"] = vision.record, len(contacts)
     given = model.record.model, model.record.nodes, contacts.record, NO_OUTSIDE, rows, residuals
@@ -50,24 +50,23 @@ def stages(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -
 
 
 class Evaluation:
-    """The normal equations of contacts and vision at one pose, evaluated again and again."""
+    """An `Evaluation` computes the normal equations of contacts and vision at one pose, repeatedly."""
 
     def __init__(self, model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -> None:
         self._given = model.record.model, model.record.nodes, contacts.record, vision.record, NO_OUTSIDE
         self.bytes = len(contacts) * 8 * (6 + 1 + 16) + records.PRIOR_TERM.itemsize + 8 * 56
-        """Read in double precision: contacts, their weights, vision, the equations."""
+        """Bytes that an evaluation reads in double precision: contacts, their weights, vision, the equations."""
 
     def __call__(self, n: int) -> float:
-        """n evaluations, each at a pose a hair from the last."""
+        """Computes n evaluations, each at a slightly different pose."""
         return float(_evaluations(n, *self._given))
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
 def _evaluations(n, model, nodes, contacts, constraints, outside):
     prior, workspace, rows = local(PRIOR_TERM), local(WORKSPACE), np.empty(len(contacts), TERM)
-    center = batch.load_terms(contacts, rows)
-    batch.fill_prior(model[0], constraints[0], center, prior)
-    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0].weight, prior, center)
+    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0], prior, center)
     R, p = pose_of(constraints[0].prior.pose)
     for k in range(n):
         pose = R, (p[0] + 1e-9 * k, p[1], p[2])

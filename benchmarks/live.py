@@ -20,7 +20,6 @@ import numpy as np
 import psutil
 from rosbags import rosbag1
 
-from handsight.cli.simulate import BEGINS
 from handsight.messages.decode import typestore
 from handsight.messages.topics import rig_topics
 from handsight.objects import ObjectSpec
@@ -31,6 +30,7 @@ from handsight.recording.rosbag1 import Rosbag1Source
 from handsight.rig import Rig
 from handsight.rig.save import write as write_rig
 from handsight.simulation import Scenario, rig_of, simulate
+from testbed.recordings import BEGINS
 from tests.ros.ros1 import Graph, graph, messages_of
 
 RATE = 500.0
@@ -38,7 +38,7 @@ POSE = "/handsight/pose"
 
 
 def held(seconds: float) -> Iterator[Observation]:
-    """A grasp, and then its last half second forth and back, so that nothing jumps."""
+    """Yields observations of a grasp, and then of its last half second forth and back, so that nothing jumps."""
     samples = [
         each.observation for each in simulate(Scenario(object="can", seed=1, motion="grasp", rate=RATE))
     ]
@@ -56,7 +56,7 @@ def held(seconds: float) -> Iterator[Observation]:
 
 
 def recording(folder: Path, seconds: float, *, sights: bool) -> tuple[Path, Path]:
-    """A bag and its rig."""
+    """Returns the paths of a bag and its rig."""
     rig = rig_of(Scenario())
     rig = replace(rig, objects={"can": ObjectSpec(cylinder=(0.033, 0.122))})
     path, rig_path = folder / f"{sights}.mcap", folder / "rig.yaml"
@@ -69,7 +69,7 @@ def recording(folder: Path, seconds: float, *, sights: bool) -> tuple[Path, Path
 
 
 def as_bag(path: Path, rig: Rig) -> Path:
-    """The same recording as ROS 1 has it."""
+    """Returns the path of the same recording as a bag of ROS 1."""
     cdr, bag = typestore("cdr"), path.with_suffix(".bag")
     with rosbag1.Writer(bag) as writer:
         connections = {}
@@ -85,7 +85,7 @@ def as_bag(path: Path, rig: Rig) -> Path:
 
 
 def latencies(bag: Path, inputs: tuple[str, ...]) -> np.ndarray:
-    """(n,) from the last input of a stamp to its pose [s], after the first two seconds."""
+    """Returns the times (n,) from the last input of a stamp to its pose [s], after the first two seconds."""
     store, last, found = typestore("ros1"), dict[int, float](), list[tuple[int, float]]()
     with closing(Rosbag1Source(bag)) as source:
         for each in source.messages((*inputs, POSE)):

@@ -42,12 +42,12 @@ Stamp = tuple[int, int]
 
 
 def stamp_of(data: bytes) -> Stamp:
-    """Seconds and nanoseconds, which a header begins with."""
+    """Returns the seconds and nanoseconds at the beginning of a header."""
     return int.from_bytes(data[4:8], "little"), int.from_bytes(data[8:12], "little")
 
 
 def listen(told: Connection, environment: Mapping[str, str]) -> None:
-    """Sends what has come once it is asked to: of poses stamp and time, and the last diagnostics."""
+    """Sends what was received when it is asked: stamps and times of poses, and the last diagnostics."""
     joined = Network(environment)
     readers = [
         DataReader(
@@ -75,7 +75,7 @@ def listen(told: Connection, environment: Mapping[str, str]) -> None:
 
 
 def played(joined: Network, messages: list[RawMessage]) -> dict[Stamp, int]:
-    """By stamp when the last of its messages was sent, at their pace [ns]."""
+    """Returns by stamp when the last of its messages was sent, at the pace of the recording [ns]."""
     kinds = {each.topic: each.type for each in messages}
     writers: dict[str, Any] = {
         topic: DataWriter(
@@ -122,7 +122,7 @@ def measured(running: Processes, follower: Any, messages: list[RawMessage], name
 
 
 def said(bag: Path, rig: Path) -> list[RawMessage]:
-    """What the robot says, but the truth."""
+    """Returns the robot's messages without the truth."""
     topics = rig_topics(Rig.from_file(rig))
     messages = McapSource(bag.with_suffix(".mcap")).messages(topics)
     return [each for each in messages if topics[each.topic].role != "truth"]

@@ -6,13 +6,13 @@ import platform
 from datetime import UTC, datetime
 from typing import Any
 
-from shared import report
+from testbed import report
 
 PACKAGES = ("handsight", "numpy", "scipy", "numba", "trimesh", "open3d", "small_gicp")
 
 
 def description() -> dict[str, Any]:
-    """Processor, cores, load before the run, versions."""
+    """Returns processor, cores, load before the run, and versions."""
     return {
         "description": report.machine(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import frontier
-from shared import figures
+from testbed import figures
 
 COLOURS = {
     "ours": "#2e9e4f",
@@ -19,13 +19,13 @@ Row = dict[str, Any]
 
 
 def save(figure: Any, folder: Path, name: str) -> None:
-    """Both formats."""
+    """Writes a figure in both formats."""
     figure.savefig(folder / f"{name}.svg")
     figures.save(figure, folder / f"{name}.png")
 
 
 def time_and_success(rows: list[Row], chosen: Row, folder: Path) -> None:
-    """A panel for each case: median time, its p99 as a whisker, success; the paper's frontier as a line."""
+    """Draws a panel for each case: median time, its p99 as a whisker, success; the paper's frontier as a line."""
     plt = figures.pyplot()
     cases = list(dict.fromkeys((row["object"], row["error"]) for row in rows))
     columns = (len(cases) + 1) // 2 if len(cases) > 2 else len(cases)
@@ -53,7 +53,7 @@ def time_and_success(rows: list[Row], chosen: Row, folder: Path) -> None:
 
 
 def _front(panel: Any, chosen: Row, case: tuple[str, str]) -> None:
-    """The paper's settings that no other beats, from the choosing seed."""
+    """Draws the paper's settings that no other beats, on the seed for choosing."""
     entry = chosen["peers"].get("paper", {}).get(frontier.case_name(*case))
     if entry:
         front = entry["front"]
@@ -70,7 +70,7 @@ def _front(panel: Any, chosen: Row, case: tuple[str, str]) -> None:
 
 
 def growth(parts: dict[str, list[Row]], folder: Path) -> None:
-    """Four log-log panels."""
+    """Draws four log-log panels."""
     plt = figures.pyplot()
     figure, ((a, b), (c, d)) = plt.subplots(2, 2, figsize=(9.6, 7.2), layout="constrained")
     _by_peer(a, parts["contacts"], "contacts", "contacts")

@@ -19,7 +19,7 @@ Row = dict[str, Any]
 
 
 def drawn(n: int, seed: int = 0) -> tuple[np.ndarray, ...]:
-    """Forces [N], torques [N m] and true points [m] of n pushes with friction and local torque."""
+    """Returns forces [N], torques [N m] and true points [m] of n pushes with friction and local torque."""
     rng = np.random.default_rng(seed)
     q = rng.normal(size=(n, 3))
     q /= np.linalg.norm(q, axis=1, keepdims=True)
@@ -35,7 +35,7 @@ def drawn(n: int, seed: int = 0) -> tuple[np.ndarray, ...]:
 
 @numba.njit(error_model="numpy", cache=True)
 def iterative(forces, torques, axes, most, points):
-    """Writes the points (n, 3) of each wrench by damped Newton; answers the steps taken by all of them."""
+    """Writes the point of each wrench, (n, 3), by damped Newton; returns the number of steps of all of them."""
     total = 0
     W, x, H, r = 1.0 / axes, np.empty(4), np.empty((4, 4)), np.empty(4)
     N, step = np.empty((4, 4)), np.empty(4)
@@ -117,7 +117,7 @@ def system(x, F, M, W, r, H):
 
 
 def run(count: int, seconds: float) -> tuple[list[Row], dict[str, Any]]:
-    """Rows with contacts per second and error, and the ratio closed form / iterative of time per contact."""
+    """Returns rows with contacts per second and error, and the ratio closed form / iterative of time per contact."""
     forces, torques, truth = drawn(count)
     few = max(count // 100, 1000)
     points = np.empty((few, 3))
@@ -143,7 +143,7 @@ def run(count: int, seconds: float) -> tuple[list[Row], dict[str, Any]]:
 
 
 def fingers(forces: np.ndarray, torques: np.ndarray, seconds: float) -> list[Row]:
-    """Five fingers from the public door: one call for all, and a call each."""
+    """Returns rows of five fingers by public functions: one call for all, and a call each."""
     calls = [
         ("five fingers, one call", lambda: hs.contacts_from_wrenches(forces[:5], torques[:5], TIP)),
         (
@@ -160,7 +160,7 @@ def fingers(forces: np.ndarray, torques: np.ndarray, seconds: float) -> list[Row
 
 
 def row(name: str, per_contact: np.ndarray, answered: float, error: np.ndarray) -> Row:
-    """Time per contact, rate, share found within 1 µm, and the 99 % error [m]."""
+    """Returns time per contact, rate, share found within 1 µm, and the 99 % error [m]."""
     found = answered * float(np.mean(error < 1e-6))
     rate = 1 / float(np.median(per_contact))
     summary = timing.summary(per_contact)

@@ -8,7 +8,7 @@ SIZE = 0.05
 
 
 def bumpy(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [m] and faces, 20 · 4^subdivisions of them: a ball with smooth dents and no symmetry."""
+    """Returns vertices [m] and 20 · 4^subdivisions faces of a ball with smooth dents and no symmetry."""
     ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
     u = np.asarray(ball.vertices)
     x, y, z = u.T
@@ -19,7 +19,7 @@ def bumpy(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def can(triangles: int, radius: float, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """A closed cylinder centred at the origin, axis z, of about so many triangles, none of them a sliver."""
+    """Returns a closed cylinder about the origin and z, of about so many triangles, none of them a sliver."""
     around = max(16, int(np.sqrt(triangles * np.pi * radius / (height + radius))))
     side = max(2, int(around * height / (2 * np.pi * radius)))
     rings = max(2, int(around / (2 * np.pi)))

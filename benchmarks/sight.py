@@ -15,21 +15,20 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
-import sight_tracking as tracking
 from benchmarks import peers, timing
 from benchmarks.targets import Target
 from handsight.vision.object.region import Scene, scene_of, table_plane
-from shared import report, sight, ycb
-from shared import sight_scenes as scenes
-from shared.report import Rows
-from shared.sequences import drawn
+from testbed import report, sequences, sight, ycb
+from testbed import sight_scenes as scenes
+from testbed import sight_sequences as drawn
+from testbed.report import Rows
 
 RIGHT = 0.1
 OURS, FPFH, GICP = "ours", "open3d_fpfh", "small_gicp"
 
 
 def scene_in(picture: scenes.Picture) -> Scene:
-    """The parts of a picture that may be the object: what everyone gets."""
+    """Returns the parts of a picture that may be the object, which every peer gets."""
     clear = np.ones(picture.depth.shape, dtype=bool) if picture.hand is None else ~picture.hand
     table = table_plane(scenes.WIDE, picture.depth, clear, extent=1.5 * picture.model.diameter)
     return scene_of(scenes.WIDE, picture.depth, wanted=picture.wanted, hand=picture.hand, table=table)
@@ -37,14 +36,14 @@ def scene_in(picture: scenes.Picture) -> Scene:
 
 @functools.cache
 def prepared(peer: str, of: str) -> Any:
-    """A peer that has made of an object what it likes."""
+    """Returns a peer that has prepared an object."""
     made = peers.FIRST_POSES[peer]()
     made.prepare(sight.objects()[of])
     return made
 
 
 def first_poses(names: Sequence[str], trials: int, seed: int) -> Rows:
-    """A row for each picture and peer, taken in turn, another one first each time."""
+    """Returns a row for each picture and peer; the order of the peers rotates."""
     rows: Rows = []
     for k, (name, number, _) in enumerate(report.progress(sight.tasks(trials, [seed]), "first poses")):
         of, picture = sight.picture(name, number, seed)
@@ -63,15 +62,15 @@ def first_poses(names: Sequence[str], trials: int, seed: int) -> Rows:
     return rows
 
 
-def followed(sequences: int, seed: int) -> Rows:
-    """A row for each image and follower, taken in turn; each begins at the true pose."""
-    folder, hand, rows = ycb.data_or_goodbye(), tracking.hand_shape(), []
-    for k in report.progress(range(sequences), "following"):
-        of, rng = tracking.OBJECTS[k % len(tracking.OBJECTS)], np.random.default_rng([seed, k])
+def followed(number: int, seed: int) -> Rows:
+    """Returns a row for each image and follower, taken in turn; each begins at the true pose."""
+    folder, hand, rows = ycb.data_or_goodbye(), sequences.hand_shape(), []
+    for k in report.progress(range(number), "following"):
+        of, rng = sequences.OBJECTS[k % len(sequences.OBJECTS)], np.random.default_rng([seed, k])
         model: hs.ObjectModel = ycb.load(folder, of).model
-        aside = tracking.ASIDE[k % len(tracking.ASIDE)]
+        aside = sequences.ASIDE[k % len(sequences.ASIDE)]
         images = drawn.sequence(model, hand, rng, aside=aside, hold=k % 2 == 0)
-        for row in tracking.followed(of, model, images, {"sequence": k}):
+        for row in sequences.followed(of, model, images, {"sequence": k}):
             peer = {"handsight": OURS, "small_gicp": GICP}.get(row["method"])
             if peer is not None:
                 rows.append({key: row[key] for key in ("sequence", "image", "mm", "deg")}
@@ -81,8 +80,8 @@ def followed(sequences: int, seed: int) -> Rows:
 
 
 def binned(hidden: float) -> str:
-    """The bin of occlusion of an image of a sequence."""
-    low, high = next((low, high) for low, high in tracking.BINS if low < hidden <= high)
+    """Returns the bin of occlusion of an image of a sequence."""
+    low, high = next((low, high) for low, high in sequences.BINS if low < hidden <= high)
     return f"{max(low, 0):.0%} to {min(high, 1):.0%}"
 
 
@@ -104,26 +103,26 @@ def show(title: str, rows: Rows, names: Iterable[str]) -> None:
 
 
 def ratio(rows: Rows, peer: str, **key: object) -> dict[str, float]:
-    """A peer's median time over ours, with its interval. Raises KeyError where the peer was not here."""
+    """Returns a peer's median time over ours, with its interval; raises KeyError where the peer is missing."""
     here(rows, peer)
     theirs, mine = (report.values(rows, "seconds", peer=who, **key) for who in (peer, OURS))
     return timing.ratio(theirs, mine)
 
 
 def here(rows: Rows, peer: str) -> None:
-    """Raises KeyError where a peer has no rows: what it was to be compared in is not measured."""
+    """Raises KeyError where a peer has no rows, so that its comparison is not measured."""
     if peer not in report.distinct(rows, "peer"):
         raise KeyError(peer)
 
 
 def spread(rows: Rows, peer: str, name: str) -> str:
-    """The ratio in one bin, as a table has it."""
+    """Returns the text of the ratio in one bin."""
     found = ratio(rows, peer, hidden=name)
     return f"{found['ratio']:.1f} ({found['low']:.1f}-{found['high']:.1f})"
 
 
 def ahead(rows: Rows, peer: str) -> float:
-    """By how much more often we are right than a peer, in the bin where that is least. Raises KeyError as `ratio`."""
+    """Returns our share of right answers less a peer's, in the bin where that is least; raises KeyError as `ratio`."""
     here(rows, peer)
     shares = [
         report.values(rows, "right", hidden=name, peer=OURS).mean()
@@ -134,7 +133,7 @@ def ahead(rows: Rows, peer: str) -> float:
 
 
 def judge(found: dict[str, Rows]) -> None:
-    """Prints what was promised and what was measured."""
+    """Prints targets and measurements."""
     wanted = [
         Target("first pose, right more often in each bin, by", lambda r: ahead(r["first"], FPFH), 0.2, False),
         Target("first pose, faster by", lambda r: ratio(r["first"], FPFH)["ratio"], 20, False, unit="x"),

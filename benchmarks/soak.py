@@ -18,9 +18,10 @@ from dataclasses import dataclass, field
 from typing import IO, NamedTuple
 
 import psutil
+from rich.console import Console
+from rich.progress import Progress
 
-from handsight.cli.terminal import bar
-from shared import report
+from testbed import report
 
 STEP = 1e-4
 """How far each line's problem lies from the one before [m]; its answer is exact to far less."""
@@ -32,7 +33,7 @@ LOOK_EVERY = 1.0
 
 
 def line(i: int) -> str:
-    """The problem of a number."""
+    """Returns the problem of a number."""
     if i % MALFORMED_EVERY == MALFORMED_EVERY - 1:
         return json.dumps({f"line {i}": 0})
     y = STEP * (i % PERIOD)
@@ -47,7 +48,7 @@ def line(i: int) -> str:
 
 
 def is_answer(i: int, text: str) -> bool:
-    """Whether a text is the answer to the problem of that number."""
+    """Returns whether a text is the answer to the problem of that number."""
     answer = json.loads(text)
     if i % MALFORMED_EVERY == MALFORMED_EVERY - 1:
         return str(answer.get("error", "")).startswith(f"line {i}: unknown key")
@@ -56,20 +57,20 @@ def is_answer(i: int, text: str) -> bool:
 
 @dataclass
 class Watch:
-    """What is seen of a command from outside, while its workers are killed at random."""
+    """A `Watch` measures a command from outside, and kills its workers at random."""
 
     process: psutil.Process
     every: int
-    """Answers between two deaths, about; 0: none."""
+    """About the number of answers between two deaths; 0: no worker is killed."""
     rng: random.Random = field(default_factory=lambda: random.Random(0))
     came: int = 0
     killed: int = 0
     memory: list[tuple[float, float]] = field(default_factory=list)
-    """Of the command and of its largest worker, look by look [MB]."""
+    """Memory of the command and of its largest worker at each check [MB]."""
     over: threading.Event = field(default_factory=threading.Event)
 
     def run(self) -> None:
-        """Looks and kills until it is over."""
+        """Measures and kills until the command ends."""
         due = self._next()
         while not self.over.wait(LOOK_EVERY):
             sizes = [(resident(worker), worker) for worker in workers(self.process)]
@@ -84,17 +85,17 @@ class Watch:
 
 
 class Soaked(NamedTuple):
-    """What came of a run."""
+    """A `Soaked` is the result of a run."""
 
     watch: Watch
     wrong: int
-    """Answers that were not those of their lines."""
+    """Number of answers that do not belong to their lines."""
     code: int
     seconds: float
 
 
 def resident(process: psutil.Process) -> float:
-    """Megabytes in memory; 0 of one that has ended."""
+    """Returns the megabytes of a process in memory; 0 if it has ended."""
     try:
         return float(process.memory_info().rss) / 1e6
     except psutil.Error:
@@ -102,7 +103,7 @@ def resident(process: psutil.Process) -> float:
 
 
 def workers(process: psutil.Process) -> list[psutil.Process]:
-    """A command's worker processes, without what Python's multiprocessing has beside them."""
+    """Returns a command's worker processes, without the helpers of Python's multiprocessing."""
     found = []
     for child in process.children():
         try:
@@ -113,7 +114,7 @@ def workers(process: psutil.Process) -> list[psutil.Process]:
 
 
 def fed(sink: IO[bytes], count: int) -> None:
-    """Writes the lines."""
+    """Writes the problems to a stream."""
     with sink:
         for first in range(0, count, 100):
             some = range(first, min(first + 100, count))
@@ -121,13 +122,14 @@ def fed(sink: IO[bytes], count: int) -> None:
 
 
 def soak(count: int, size: int, every: int) -> Soaked:
-    """Runs the command; what came of it."""
+    """Runs the command and returns the result."""
     arguments = [sys.executable, "-m", "handsight.cli", "correct", "-", "--workers", str(size)]
     with (
         tempfile.TemporaryFile() as said,
         subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said) as command,
-        bar(f"{count} lines") as move,
+        Progress(console=Console(stderr=True), transient=True) as bar,
     ):
+        task = bar.add_task(f"{count} lines", total=count)
         assert command.stdin is not None
         assert command.stdout is not None
         watch, began = Watch(psutil.Process(command.pid), every), time.monotonic()
@@ -142,7 +144,8 @@ def soak(count: int, size: int, every: int) -> Soaked:
             wrong += not is_answer(watch.came, text.decode())
             watch.came += 1
             if watch.came % 1000 == 0:
-                move(watch.came / count, f"{watch.came} answers, {watch.killed} workers killed")
+                message = f"{watch.came} answers, {watch.killed} workers killed"
+                bar.update(task, completed=watch.came, description=message)
         code, seconds = command.wait(), time.monotonic() - began
         watch.over.set()
         said.seek(0)
@@ -151,7 +154,7 @@ def soak(count: int, size: int, every: int) -> Soaked:
 
 
 def row(count: int, found: Soaked) -> list[str]:
-    """The run for the table; memory after a tenth, at the end, and the most."""
+    """Returns the row of the table; memory is given after a tenth, at the end, and at most."""
     # Medians of the second tenth and the last; the last look of all finds workers that have gone.
     looks = found.watch.memory[:-1] or [(0.0, 0.0)]
     tenth = max(len(looks) // 10, 1)
@@ -173,7 +176,7 @@ def row(count: int, found: Soaked) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The exit code: 0 where each line was answered once and in its place."""
+    """Returns the exit code: 0 where each line was answered once and in its place."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__.splitlines()[0])
     add, default = parser.add_argument, "default: %(default)s"
     add("--lines", type=int, default=20_000, help=default)

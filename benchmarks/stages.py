@@ -7,7 +7,7 @@ import numpy as np
 
 import handsight as hs
 from benchmarks import kernels, workload
-from shared import report
+from testbed import report
 
 PROBLEMS, REPEATS = 12, 1500
 OTHER = np.ones(2 << 17)
@@ -15,7 +15,7 @@ OTHER = np.ones(2 << 17)
 
 
 def microseconds(call: Callable[[], object], before: Callable[[], object] = lambda: None) -> float:
-    """The median of many repeats; `before` is called before each, and not timed."""
+    """Returns the median time of many repeats; `before` is called before each, and not timed."""
     call()
     times = np.empty(REPEATS)
     for k in range(REPEATS):
@@ -27,7 +27,7 @@ def microseconds(call: Callable[[], object], before: Callable[[], object] = lamb
 
 
 def stages(problem: workload.Problem) -> dict[str, float]:
-    """The whole after other data, and hot; then its parts [µs]."""
+    """Returns the times of a correction after other data, and hot; then those of its parts [µs]."""
     model, contacts, vision = problem.model, problem.contacts, problem.vision
 
     def correct() -> object:

@@ -28,7 +28,7 @@ SOLVES = 20
 
 
 def process_seconds(code: str, **environment: str) -> float:
-    """Wall time of a whole Python process, interpreter included."""
+    """Returns the wall time of a Python process, interpreter included [s]."""
     begin = time.perf_counter()
     subprocess.run(
         [sys.executable, "-c", code],
@@ -41,7 +41,7 @@ def process_seconds(code: str, **environment: str) -> float:
 
 
 def run(repeats: int, *, compile_too: bool) -> list[Row]:
-    """A row for each kind of start."""
+    """Returns a row for each kind of start."""
     kinds = {
         "an empty interpreter": "pass",
         "import handsight": IMPORT,
@@ -57,7 +57,7 @@ def run(repeats: int, *, compile_too: bool) -> list[Row]:
 
 
 def started(name: str, code: str, repeats: int) -> Row:
-    """One kind of start; the first fills the disk's cache and handsight's, and does not count."""
+    """Measures one kind of start; the first fills the disk's cache and handsight's, and does not count."""
     try:
         process_seconds(code)
         return {"name": name} | timing.summary([process_seconds(code) for _ in range(repeats)])
@@ -66,7 +66,7 @@ def started(name: str, code: str, repeats: int) -> Row:
 
 
 def memory(keys: list[str]) -> list[Row]:
-    """Peak resident memory of a process that prepares and solves with one peer only [MB]; first, with none."""
+    """Returns the peak resident memory of a process that solves with one peer only [MB]; first, with none."""
     rows = []
     for key in ["none", *keys]:
         done = subprocess.run(
@@ -85,7 +85,7 @@ def memory(keys: list[str]) -> list[Row]:
 
 
 def solve_a_few(key: str) -> Row:
-    """Peak memory of this process after some solves on the box; `none`: after drawing the problems."""
+    """Prints the peak memory of this process after some solves on the box; `none`: after drawing the problems."""
     problems = [workload.draw("box", workload.NEAR, k) for k in range(SOLVES)]
     begin = time.perf_counter()
     if key != "none":
@@ -101,7 +101,7 @@ def solve_a_few(key: str) -> Row:
 
 
 def peak_mb() -> float:
-    """Largest resident memory of this process so far [MB]."""
+    """Returns the largest resident memory of this process so far [MB]."""
     try:  # getrusage would count what the parent had when it forked
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
         return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024

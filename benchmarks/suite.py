@@ -36,7 +36,7 @@ NAMES = (*FULL, "startup", "memory")
 
 @dataclass
 class Suite:
-    """One run: what it measures with, and what it has found."""
+    """A `Suite` is one run: its peers and settings, and its results."""
 
     quick: bool
     say: Callable[[str], None]
@@ -53,7 +53,7 @@ class Suite:
         self.results |= {"skipped": missing, "seconds": {}, "frontier": self.chosen}
 
     def warm(self) -> None:
-        """Compiles what is not yet, outside all times."""
+        """Compiles all that is not yet compiled, outside all times."""
         begin = time.perf_counter()
         kernels.warm(lambda *_: None)
         self.say(f"compiled, or loaded what was, in {time.perf_counter() - begin:.1f} s")

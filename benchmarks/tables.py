@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from benchmarks import gate, targets
-from shared import report
+from testbed import report
 
 Row = dict[str, Any]
 

@@ -11,7 +11,7 @@ NEAR, FAR = "20 mm / 15°", "85 mm / 30°"
 
 @dataclass(frozen=True)
 class Target:
-    """One promise."""
+    """A `Target` is one promise."""
 
     what: str
     read: Read
@@ -21,7 +21,7 @@ class Target:
     unit: str = ""
 
     def row(self, results: Results) -> list[str]:
-        """What, measured, wanted, met."""
+        """Returns a row: name, measured value, target, whether it is met."""
         sign = "≤" if self.at_most else "≥"
         wanted = f"{sign} {self.limit:g} {self.unit}"
         try:
@@ -36,7 +36,7 @@ class Target:
 
 
 def worst(peer: str, key: str, error: str = NEAR) -> Read:
-    """The larger of can and box."""
+    """Returns the larger value of can and box."""
     return lambda results: max(r[key] for r in _cases(results, peer, error))
 
 
@@ -45,12 +45,12 @@ def _cases(results: Results, peer: str, error: str) -> list[Results]:
 
 
 def tail(results: Results) -> float:
-    """p99 over median, the larger of can and box."""
+    """Returns p99 over median, the larger of can and box."""
     return max(r["p99_s"] / r["median_s"] for r in _cases(results, "ours", NEAR))
 
 
 def success_over(peer: str, object_name: str) -> Read:
-    """Our success over a peer's on one object."""
+    """Returns our success over a peer's on one object."""
 
     def read(results: Results) -> float:
         found = {r["peer"]: r["success"] for r in results["sections"]["correction"]
@@ -61,29 +61,29 @@ def success_over(peer: str, object_name: str) -> Read:
 
 
 def times_faster(ratio: str) -> Read:
-    """One over a ratio."""
+    """Returns the inverse of a ratio."""
     return lambda results: 1 / results["ratios"][ratio]["ratio"]
 
 
 def ratio(name: str) -> Read:
-    """As it is."""
+    """Returns the number itself."""
     return lambda results: results["ratios"][name]["ratio"]
 
 
 def of(section: str, name: str, key: str = "median_s") -> Read:
-    """One number of the row whose name begins so."""
+    """Returns a number of the row whose name begins with a text."""
     return lambda results: next(r[key] for r in results["sections"][section] if r["name"].startswith(name))
 
 
 def slowest(section: str, name: str) -> Read:
-    """The largest median of the rows whose name begins so."""
+    """Returns the largest median of the rows whose name begins with a text."""
     return lambda results: max(
         r["median_s"] for r in results["sections"][section] if r["name"].startswith(name)
     )
 
 
 def best_rate(outside: int) -> Read:
-    """The most hypotheses per second at any size of batch."""
+    """Returns the most hypotheses per second at any size of batch."""
     return lambda results: max(
         r["per_second"]
         for r in results["sections"]["growth"]["hypotheses"]
@@ -92,7 +92,7 @@ def best_rate(outside: int) -> Read:
 
 
 def mesh_of_16k(key: str) -> Read:
-    """Of the can's mesh."""
+    """Returns a number of the can's mesh."""
     return lambda results: next(
         r[key] for r in results["sections"]["growth"]["meshes"] if r["shape"] == "can.ply"
     )
@@ -131,5 +131,5 @@ TARGETS = [
 
 
 def rows(results: Results) -> list[list[str]]:
-    """A row for each promise."""
+    """Returns a row for each promise."""
     return [target.row(results) for target in TARGETS]

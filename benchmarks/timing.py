@@ -12,7 +12,7 @@ import numpy as np
 
 @contextlib.contextmanager
 def undisturbed() -> Iterator[None]:
-    """No garbage collection while timing."""
+    """Prevents garbage collection while timing."""
     was = gc.isenabled()
     gc.collect()
     gc.disable()
@@ -25,7 +25,7 @@ def undisturbed() -> Iterator[None]:
 
 @contextlib.contextmanager
 def silent_stderr() -> Iterator[None]:
-    """What libraries write to stderr from C++ goes nowhere: a terminal would cost them more than their work."""
+    """Discards what libraries write to stderr from C++: on a terminal it would take longer than their work."""
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)
@@ -37,14 +37,14 @@ def silent_stderr() -> Iterator[None]:
 
 
 def once(call: Callable[[], object]) -> tuple[object, float]:
-    """What the call answers, and its seconds."""
+    """Returns the result of a call, and its duration [s]."""
     begin = time.perf_counter()
     answer = call()
     return answer, time.perf_counter() - begin
 
 
 def hot(call: Callable[[], object], seconds: float = 0.05, least: int = 5, most: int = 2000) -> np.ndarray:
-    """Seconds of each of many repeats of one call, after two that do not count."""
+    """Returns the durations of many repeats of one call [s], after two that do not count."""
     call(), call()
     times: list[float] = []
     end = time.perf_counter() + seconds
@@ -57,7 +57,7 @@ def hot(call: Callable[[], object], seconds: float = 0.05, least: int = 5, most:
 def in_turn(
     calls: Sequence[tuple[str, Callable[[], object]]], seconds: float, least: int = 5, most: int = 400
 ) -> dict[str, np.ndarray]:
-    """Seconds of each of several calls, taken in turn, after one round that does not count."""
+    """Returns the durations of several calls in turn [s], after one round that does not count."""
     times: dict[str, list[float]] = {name: [] for name, _ in calls}
     for _, call in calls:
         call()
@@ -72,7 +72,7 @@ def in_turn(
 
 
 def summary(seconds: Sequence[float] | np.ndarray) -> dict[str, float]:
-    """Median, 99 % quantile and least [s], and of how many."""
+    """Returns median, 99 % quantile and least duration [s], and their number."""
     array = np.asarray(seconds, dtype=np.float64)
     return {
         "median_s": float(np.median(array)),

@@ -18,14 +18,13 @@ from pathlib import Path
 import numpy as np
 
 import handsight as hs
-from handsight.cli.options import Run
-from handsight.cli.simulate import record
-from handsight.cli.terminal import bar
-from handsight.cli.track import tracked
+from handsight.recording import open_recording
 from handsight.rig import Rig
 from handsight.simulation import Scenario, model_of, rig_of, simulate
 from handsight.tracking import TrackerSettings
-from shared import report
+from handsight.tracking.replay import Tally, replay
+from testbed import report
+from testbed.recordings import record
 
 STEP, SEEN_EVERY, RATE = 1e-3, 0.1, 500.0
 KINDS = {
@@ -36,13 +35,13 @@ KINDS = {
 
 
 def held_grasp() -> tuple[list[hs.Observation], list[hs.Observation]]:
-    """A can being grasped, and the part of it in which it is held."""
+    """Returns observations of a can that is grasped, and of the part in which it is in hand."""
     samples = list(simulate(Scenario(object="can", seed=1)))
     return [s.observation for s in samples], [s.observation for s in samples if s.phase == "hold"]
 
 
 def stream(held: list[hs.Observation], begin: float, count: int) -> Iterator[hs.Observation]:
-    """The held part round and round, `STEP` apart."""
+    """Yields the part in hand again and again, `STEP` apart."""
     seen = [observation.vision for observation in held if observation.vision is not None]
     every = round(SEEN_EVERY / STEP)
     for k in range(count):
@@ -51,27 +50,25 @@ def stream(held: list[hs.Observation], begin: float, count: int) -> Iterator[hs.
 
 
 def resident() -> float:
-    """Megabytes of this process in memory."""
+    """Returns the megabytes of this process in memory."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def updated(kind: str, count: int) -> list[str]:
-    """A row of the table."""
+    """Returns a row of the table."""
     grasp, held = held_grasp()
     tracker = hs.Tracker(rig_of(Scenario()), model_of(Scenario()), settings=KINDS[kind])
     for observation in grasp:
         tracker.update(observation)
     took, corrections = np.full(count, np.nan), tracker.corrections  # all of its pages now
     memory, began = [], time.perf_counter()
-    with bar(kind) as advance:
-        for k, observation in enumerate(stream(held, 10.0, count)):
-            if k % max(count // 10, 1) == 0:
-                memory.append(resident())
-                advance(k / count)
-            begin = time.perf_counter()
-            tracker.update(observation)
-            took[k] = time.perf_counter() - begin
+    for k, observation in enumerate(stream(held, 10.0, count)):
+        if k % max(count // 10, 1) == 0:
+            memory.append(resident())
+        begin = time.perf_counter()
+        tracker.update(observation)
+        took[k] = time.perf_counter() - begin
     memory.append(resident())
     median, tail = 1e6 * np.quantile(took, [0.5, 0.99])
     return [
@@ -88,7 +85,7 @@ def updated(kind: str, count: int) -> list[str]:
 
 
 def cpu(name: str, scenario: Scenario) -> list[str]:
-    """A row: what a sight costs, and what another update, along a simulated recording."""
+    """Returns a row: the cost of an update with vision's pose, and of another, along a simulated recording."""
     tracker, took, sights = hs.Tracker(rig_of(scenario), model_of(scenario)), [], []
     for sample in simulate(scenario):
         begin = time.thread_time()
@@ -101,7 +98,7 @@ def cpu(name: str, scenario: Scenario) -> list[str]:
 
 
 def print_cpu() -> None:
-    """Prints what a sight costs."""
+    """Prints the cost of updates with vision's pose."""
     cells = [
         cpu(f"{thing}, {how}", Scenario(object=thing, seed=1, motion=motion, rate=RATE))
         for thing in ("can", "box")
@@ -113,23 +110,26 @@ def print_cpu() -> None:
 
 
 def replayed(images: bool, repeats: int) -> list[str]:
-    """A row: a recording of 18.4 s (1.9 s with images) from file to poses, a hundred corrections a second."""
+    """Returns a row: a recording of 18.4 s (1.9 s with images) from file to poses, a hundred corrections a second."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "can.mcap"
         scenario = Scenario(object="can", seed=1, motion="grasp" if images else "manipulate", images=images)
         record(scenario, path)
         rig = Rig.from_file(path.with_name("can.rig.yaml"))
-        settings = TrackerSettings(rate=100)
-        run = Run(path, rig, model_of(scenario), settings)
-        ended = [tracked(run, lambda *said: None) for _ in range(repeats)]
-        factors = [one.tally.recorded / one.tally.wall for one in ended]
+        tallies = []
+        for _ in range(repeats):
+            tracker, tally = hs.Tracker(rig, model_of(scenario), settings=TrackerSettings(rate=100)), Tally()
+            with open_recording(path, rig) as recording:
+                for _step in replay(recording.observations(), tracker, tally):
+                    pass
+            tallies.append(tally)
+        factors = [tally.recorded / tally.wall for tally in tallies]
         size = path.stat().st_size / 1e6
-    first = ended[0]
     return [
         "with RGB-D at 30 Hz" if images else "no images",
-        f"{first.tally.recorded:.1f}",
+        f"{tally.recorded:.1f}",
         f"{size:.1f}",
-        str(first.corrections),
+        str(tracker.corrections),
         f"{np.median(factors):.1f}",
         f"{min(factors):.1f}-{max(factors):.1f}",
     ]

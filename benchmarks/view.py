@@ -20,8 +20,6 @@ from pathlib import Path
 import psutil
 
 import handsight as hs
-from handsight.cli.demo import DATA
-from handsight.cli.simulate import record
 from handsight.evaluation import Truths
 from handsight.observation import Observation
 from handsight.recording import open_recording
@@ -29,13 +27,13 @@ from handsight.rig import Rig
 from handsight.simulation import Scenario
 from handsight.tracking.replay import Tally
 from handsight.viewer import Viewer
-from handsight.viewer.curves import curves
 from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page
-from handsight.viewer.player import PLAYER, Timeline
-from handsight.viewer.replay_moments import follow
-from handsight.viewer.viewer_process import Frame
-from shared import report
+from handsight.viewer.player import PLAYER
+from handsight.viewer.timeline import TIMELINE, Timeline, curves, follow
+from handsight.viewer.viewer_process import PageUpdate
+from testbed import report
+from testbed.recordings import record
 
 READER = """
 import sys
@@ -47,11 +45,13 @@ with connect(sys.argv[1], subprotocols=["viser-v" + version("viser")], max_size=
         pass
 """
 OBSERVATIONS = 600
+DATA = Path(hs.__file__).parent / "data"
+"""The built-in recordings."""
 
 
 @dataclass
 class Tracked:
-    """A recording and what was tracked in it."""
+    """A `Tracked` is a recording and its moments."""
 
     rig: Rig
     model: hs.ObjectModel
@@ -61,7 +61,7 @@ class Tracked:
 
 
 def tracked(path: Path) -> Tracked:
-    """The first seconds of a recording."""
+    """Tracks the first seconds of a recording."""
     rig = Rig.from_file(path.with_name(f"{path.stem}.rig.yaml"))
     model, timeline = rig.objects["can"].model(), Timeline()
     with open_recording(path, rig) as recording:
@@ -74,7 +74,7 @@ def tracked(path: Path) -> Tracked:
 
 @contextlib.contextmanager
 def read(page: Page) -> Iterator[None]:
-    """Somebody takes all that the page sends."""
+    """Reads all that the page sends, as a browser would."""
     address = page.address.replace("http", "ws")
     with subprocess.Popen([sys.executable, "-c", READER, address], stdout=subprocess.PIPE) as reader:
         assert reader.stdout is not None
@@ -85,7 +85,7 @@ def read(page: Page) -> Iterator[None]:
 
 
 def frames(name: str, seen: Tracked) -> list[str]:
-    """A row: CPU of a frame."""
+    """Returns a row: CPU time of a frame."""
     with contextlib.closing(Page(seen.rig, seen.model)) as page, read(page):
         shown = curves(seen.timeline.moments, seen.model, seen.truths)
         page.draw(seen.timeline.moments[0])  # what is done once is no frame's
@@ -97,13 +97,13 @@ def frames(name: str, seen: Tracked) -> list[str]:
             if begin - plotted > PLAYER.plot_period:
                 plotted = begin
                 page.draw_curves(shown, moment.stamp)
-            time.sleep(max(0.0, PLAYER.frame - (time.monotonic() - begin)))
+            time.sleep(max(0.0, TIMELINE.frame - (time.monotonic() - begin)))
         count = len(seen.timeline.moments) - 1
         return [name, str(count), f"{1e3 * (time.process_time() - began) / count:.1f}"]
 
 
 def updates(seen: Tracked, count: int) -> list[str]:
-    """A row: CPU that the tracker's process spends on its viewer, and the page's own while nobody looks."""
+    """Returns a row: CPU time of the tracker's process for its viewer, and of the page's while nobody watches."""
     tracker = hs.Tracker(seen.rig, seen.model)
     for observation in seen.observations:
         tracker.update(observation)
@@ -122,7 +122,7 @@ def updates(seen: Tracked, count: int) -> list[str]:
     watched = 1e6 * (time.process_time() - began) / count
     began = time.process_time()
     for _ in range(count // 10):
-        pickle.dumps(Frame(None, moment, None, None))
+        pickle.dumps(PageUpdate(None, moment, None, None))
     sent = 1e7 * (time.process_time() - began) / count
     return [f"{unwatched:.1f}", f"{unwatched + watched:.1f}", f"{sent:.0f}", f"{idle:.2f}"]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
-from shared import scenes
+from testbed import scenes
 
 NEAR, FAR = scenes.VISION_ERRORS
 OBJECTS = tuple(scenes.OBJECTS)
@@ -29,27 +29,27 @@ Solve = Callable[[], Any]
 
 
 class Peer(Protocol):
-    """One way to solve a correction problem."""
+    """A `Peer` is one way to solve a correction problem."""
 
     name: str
-    """As tables call it."""
+    """Name in tables."""
     uses_normals: bool
-    """Whether the contacts' normals count."""
+    """Whether it uses the contacts' normals."""
     uses_prior: bool
-    """Whether vision counts as evidence; otherwise it is a first guess and nothing more."""
+    """Whether vision is evidence; otherwise it is only an initial guess."""
 
     def prepare(self, model: hs.ObjectModel) -> None:
-        """Builds what is built once per object. Not timed."""
+        """Prepares an object, once and not timed."""
         ...
 
     def ready(self, problem: "Problem") -> Solve:
-        """The call to time, for an object that was prepared last."""
+        """Returns the call to time, for the object that was prepared last."""
         ...
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One grasp with its truth."""
+    """A `Problem` is one grasp with its truth."""
 
     object_name: str
     model: hs.ObjectModel
@@ -59,18 +59,18 @@ class Problem:
 
     @property
     def contacts(self) -> hs.Contacts:
-        """What was felt."""
+        """The contacts."""
         return self.scene.contacts
 
     @property
     def vision(self) -> hs.PosePrior:
-        """What was seen."""
+        """Vision's pose."""
         return self.scene.vision
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """How far an answer is from the truth, modulo symmetry, in what the contacts observe."""
+    """A `Verdict` is the error of an answer, modulo symmetry, in the directions that contacts observe."""
 
     shift: float
     """[m]"""
@@ -79,17 +79,17 @@ class Verdict:
 
     @property
     def found(self) -> bool:
-        """The experiments' criterion."""
+        """Whether the answer is right, by the experiments' criterion."""
         return bool(self.shift < SHIFT_LIMIT and self.turn < TURN_LIMIT)
 
 
 def models() -> dict[str, hs.ObjectModel]:
-    """Can and box."""
+    """Returns the models of can and box."""
     return {name: make() for name, (make, _) in scenes.OBJECTS.items()}
 
 
 def draw(object_name: str, error: str, trial: int, seed: int = REPORTED_ON, contacts: int = 5) -> Problem:
-    """Problem number `trial` of a seed; can and box at 20 and 85 mm are those of experiments/convergence.py."""
+    """Returns problem `trial` of a seed; can and box at 20 and 85 mm are those of experiments/convergence.py."""
     o, e = OBJECTS.index(object_name), list(scenes.VISION_ERRORS).index(error)
     rng = np.random.default_rng([seed, o, e, trial])
     make, touch = scenes.OBJECTS[object_name]
@@ -126,7 +126,7 @@ def judged(problem: Problem, T_hat: np.ndarray) -> Verdict:
 
 
 def open_directions(problem: Problem) -> np.ndarray:
-    """(k, 6) directions (δp, radius δθ), object's axes, that the true contacts do not fix."""
+    """Returns the directions (k, 6) of (δp, radius δθ), object's axes, that the true contacts leave unobservable."""
     scene, model = problem.scene, problem.model
     points, normals = scene.points_object, scene.normals_object
     values = model.fine.evaluate(points)
@@ -152,7 +152,7 @@ def open_directions(problem: Problem) -> np.ndarray:
 
 
 def accuracy(verdicts: list[Verdict]) -> dict[str, Any]:
-    """Share found, and of those the median shift and turn."""
+    """Returns the share of right answers, and their median shift and rotation."""
     good = [v for v in verdicts if v.found]
     return {
         "problems": len(verdicts),

@@ -14,7 +14,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 import handsight as hs
 from shared import report, scenes, ycb
-from shared.report import Array, Rows
+from testbed.report import Array, Rows
 
 SIGMA_POINT, SIGMA_NORMAL = 1e-3, 0.1
 """Of the finger [m, rad]: the defaults of `Contacts`."""

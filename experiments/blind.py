@@ -35,7 +35,7 @@ from handsight.simulation.touch_search import (
     touch_search_rig,
 )
 from shared import figures, report, ycb
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 OBJECTS = ("can", "box")
 TOUCHES = 6
@@ -54,7 +54,7 @@ STAGES = dict(
 
 
 def through(belief: Belief, point: Array, heights: Any, rng: np.random.Generator) -> Sweep:
-    """A level line through a point (2,), in any direction, as short as may be."""
+    """Returns a level sweep through a point (2,), in any direction, as short as possible."""
     angle = rng.uniform(0, 2 * np.pi)
     way = np.array([np.cos(angle), np.sin(angle)])
     height = belief.area.table.height + rng.choice(heights)
@@ -63,17 +63,17 @@ def through(belief: Belief, point: Array, heights: Any, rng: np.random.Generator
 
 
 def at_random(belief: Belief, heights: Any, rng: np.random.Generator) -> Sweep:
-    """A line through any point of the area."""
+    """Returns a sweep through a random point of the area."""
     return through(belief, rng.uniform(belief.area.low, belief.area.high), heights, rng)
 
 
 def through_mean(belief: Belief, heights: Any, rng: np.random.Generator) -> Sweep:
-    """A line through the mean of what is believed."""
+    """Returns a sweep through the mean of the belief."""
     return through(belief, belief.placements[:, :2].mean(axis=0), heights, rng)
 
 
 def by_information(belief: Belief, heights: Any, _: np.random.Generator) -> Sweep:
-    """The best of many."""
+    """Returns the best of many sweeps."""
     return best_sweep(belief, heights, PROBE.radius)
 
 
@@ -85,7 +85,7 @@ POLICIES: dict[str, Callable[[Belief, Any, np.random.Generator], Sweep]] = {
 
 
 def search(name: str, seed: int, policy: str, touches: int, model: hs.ObjectModel | None = None) -> Rows:
-    """A row after each touch of one search."""
+    """Returns a row for each touch of one search."""
     scenario = Scenario(object=name, seed=seed)
     probe, belief = start_search(scenario, model_of(scenario) if model is None else model)
     rng, start, rows = np.random.default_rng((seed, 20)), probe.T_world_object, list[Row]()
@@ -104,13 +104,13 @@ def search(name: str, seed: int, policy: str, touches: int, model: hs.ObjectMode
 
 
 def _chi2(belief: Belief, T_world_object: Array) -> float:
-    """Squared error in the table's plane by its stated covariance, per freedom."""
+    """Returns the squared error in the table's plane by its stated covariance, per degree of freedom."""
     off = (T_world_object - belief.pose.T_a_b)[:2, 3]
     return float(off @ np.linalg.solve(belief.pose.covariance[:2, :2], off) / 2)
 
 
 def whole_task(name: str, seed: int) -> Row:
-    """Errors of a tracker that is told what a search has found, and nothing of any camera."""
+    """Returns the errors of a tracker that is given the pose of a search, and nothing of a camera."""
     scenario = Scenario(object=name, seed=seed, motion="weigh")
     rig = touch_search_rig(scenario)
     model = rig.objects[name].model()
@@ -131,13 +131,13 @@ def whole_task(name: str, seed: int) -> Row:
 
 
 def _errors(stage: str, model: hs.ObjectModel, T_true: Array, T_hat: Array) -> Row:
-    """Of the middle and of the turn, modulo symmetry."""
+    """Returns the errors of the middle and of the rotation, modulo symmetry."""
     shift, turn = (float(error[0]) for error in pose_distances(model, T_true[None], T_hat))
     return {f"{stage} mm": 1e3 * shift, f"{stage} deg": float(np.rad2deg(turn))}
 
 
 def ycb_rows(seeds: list[int]) -> Rows:
-    """Searches for ten YCB objects as they stand in their files; none without the data."""
+    """Returns searches for ten YCB objects at the rotation of their files; none without the data."""
     folder = ycb.data_folder()
     rows: Rows = []
     if folder is None:
@@ -186,7 +186,7 @@ def main() -> None:
 
 
 def shares(rows: Rows, name: str = "located") -> Array:
-    """(touches,) share of the searches that are located after each touch."""
+    """Returns the share of searches that have located the object after each touch, (touches,)."""
     return np.array([report.values(rows, name, touch=k).mean() for k in report.distinct(rows, "touch")])
 
 

@@ -27,7 +27,7 @@ import handsight as hs
 from handsight import se3
 from handsight.correction import paper
 from shared import claims_figure, report, scenes
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 START = (0.01, float(np.deg2rad(12)))
 EDGE_METHODS = {

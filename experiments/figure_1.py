@@ -13,7 +13,7 @@ import numpy as np
 from handsight import se3
 from shared import figures, report
 from shared.grasp_trials import last_instant, rig, surface, typical
-from shared.report import Array, Row
+from testbed.report import Array, Row
 
 MIDDLE = slice(130, 466), slice(200, 600)
 """The part of the camera's image that is shown."""

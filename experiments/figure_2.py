@@ -20,7 +20,7 @@ import numpy as np
 import handsight as hs
 from handsight.correction import paper
 from shared import figures, report, scenes
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 METHOD = paper.PaperMethod()
 LEAST = (25, 50, 100, 200, 400, 800, 1600)

@@ -18,7 +18,7 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from shared import figures, report, scenes
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 METHODS = {"LM with normals (paper)": "paper-lm", "handsight": "handsight"}
 SIGMAS = (1e-4, float(np.deg2rad(0.3)))

@@ -14,7 +14,7 @@ from handsight.contact import compensate
 from handsight.simulation import Nuisances, Scenario
 from shared import figures, report
 from shared.grasp_trials import INSTANTS, OBJECTS, last_instant, rig, sensing_errors
-from shared.report import Array
+from testbed.report import Array
 
 FINGER = "th"
 NOISE_DRAWS = 4

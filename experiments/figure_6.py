@@ -21,7 +21,7 @@ import numpy as np
 
 from shared import figures, report
 from shared.grasp_errors import SIDE, centre_from_corners, corners
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 SIGMAS_MM = (0.1, 0.3, 0.5, 1.0, 2.0)
 """Reading errors per axis [mm]: half a millimetre is what the paper's ground can give."""

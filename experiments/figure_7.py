@@ -7,7 +7,7 @@ through the fingers), and corrected (pink). Needs EGL or OSMesa; without, it say
 from shared import figures, report
 from shared.grasp_methods import corrected
 from shared.grasp_trials import OBJECTS, read_error, typical
-from shared.report import Array, Row
+from testbed.report import Array, Row
 
 METHODS = {"can": "best, table", "box": "best, outside, table"}
 

@@ -19,7 +19,7 @@ from shared import figures, report, scenes
 from shared.grasp_errors import pose_errors
 from shared.grasp_trials import OBJECTS, exact_model, seen_in_palm
 from shared.manipulations import TRACKED, recorded, tracked
-from shared.report import Array, Row
+from testbed.report import Array, Row
 
 WAYS = {"can": "best, table", "box": "best, outside, table"}
 COLOURS = {"x": "#2b5fd0", "y": "#2e9e4f"}

@@ -38,7 +38,7 @@ from handsight.simulation.camera import BELIEVED_CAMERA, displacement
 from handsight.tracking import TrackerSettings
 from handsight.vision import DepthTracker, hand_mask
 from shared import figures, report, scenes
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 OBJECTS = ("can", "box")
 RATE = 20.0
@@ -55,13 +55,13 @@ INSIDE = 12.59
 
 @lru_cache(maxsize=2)
 def grasped(scenario: Scenario) -> tuple[Sample, ...] | None:
-    """A grasp with its images; None where it does not hold."""
+    """Returns a grasp with its images; None where the hand drops the object."""
     samples = tuple(simulate(scenario))
     return None if samples[-1].dropped else samples
 
 
 def covered(samples: tuple[Sample, ...], scenario: Scenario, share: float) -> tuple[Sample, ...]:
-    """The same without depth on that share of the object's pixels, those to one side of the image, but at first."""
+    """Returns the samples without depth on a share of the object's pixels, those at one side, after the first image."""
     if not share:
         return samples
     rig, model = rig_of(scenario), model_of(scenario)
@@ -84,7 +84,7 @@ def covered(samples: tuple[Sample, ...], scenario: Scenario, share: float) -> tu
 
 
 def calibrated(samples: tuple[Sample, ...], rig: Rig, model: hs.ObjectModel) -> Iterator[Observation]:
-    """Observations with the pose that their images give, hand and object looked for where the calibration has them."""
+    """Yields observations with the pose of their images; the calibration says where hand and object are searched."""
     camera, shape = Camera.of(rig.camera), rig.hand.shape()
     follower, T_camera_world = DepthTracker(model, camera), se3.inverse(BELIEVED_CAMERA)
     for sample in samples:
@@ -101,7 +101,7 @@ def calibrated(samples: tuple[Sample, ...], rig: Rig, model: hs.ObjectModel) -> 
 
 
 def answers(samples: tuple[Sample, ...], scenario: Scenario, ways: tuple[str, ...]) -> dict[str, Any]:
-    """The last estimate by each way; None where there is none."""
+    """Returns the last estimate of each way; None where there is none."""
     rig, model = rig_of(scenario), model_of(scenario)
     seen = list(calibrated(samples, rig, model)) if {"pictures", "pictures + touch"} & {*ways} else []
     found: dict[str, Any] = {}
@@ -124,7 +124,7 @@ def answers(samples: tuple[Sample, ...], scenario: Scenario, ways: tuple[str, ..
 
 
 def errors(model: hs.ObjectModel, estimate: Any, T: Array) -> Row:
-    """Of one estimate: its middle [mm], turn [deg], and whether the truth is in its 95 % region."""
+    """Returns errors of an estimate: middle [mm], rotation [deg], and whether the truth is in its 95 % region."""
     if estimate is None:
         return {"middle": np.nan, "turn": np.nan, "inside": np.nan}
     near = nearest(model.symmetries, T, estimate.T_palm_object, model.radius)
@@ -140,7 +140,7 @@ def errors(model: hs.ObjectModel, estimate: Any, T: Array) -> Row:
 
 
 def rows_of(scenario: Scenario, share: float, ways: tuple[str, ...]) -> Rows:
-    """A row for each way; none where the grasp does not hold."""
+    """Returns a row for each way; none where the hand drops the object."""
     samples = grasped(scenario)
     if samples is None:
         return []
@@ -150,7 +150,7 @@ def rows_of(scenario: Scenario, share: float, ways: tuple[str, ...]) -> Rows:
 
 
 def settings() -> Iterator[tuple[str, float, dict[str, float]]]:
-    """By name: the share that is covered, and nuisances."""
+    """Yields settings: name, covered share, and nuisances."""
     yield "as it is", 0.0, {}
     for share in COVERED:
         yield f"{100 * share:.0f} % covered", share, {}
@@ -233,7 +233,7 @@ def print_settings(rows: Rows) -> None:
 
 
 def print_gains(rows: Rows) -> None:
-    """What touch adds to sight's error, grasp by grasp."""
+    """Prints how touch changes vision's error, grasp by grasp."""
     table = []
     for name in report.distinct(rows, "setting"):
         # The rows of both ways are of the same grasps, in the same order.

@@ -20,7 +20,7 @@ import handsight as hs
 from handsight import se3
 from shared import figures, report, scenes
 from shared.grips import ON_TABLE, gripped
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 ANSWERS: dict[str, dict[str, Any]] = {
     "maximum": {"answer": "maximum"},

@@ -22,7 +22,7 @@ from handsight.evaluation import correction_errors
 from handsight.simulation import Nuisances, Sample, Scenario, rig_of, simulate
 from handsight.tracking import JointOffsets
 from shared import figures, report, scenes
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 GRASPS = 8
 """Of each object."""
@@ -33,7 +33,7 @@ WAYS = {"as new": False, "learnt": True}
 
 @cache
 def grasped(name: str, seed: int) -> tuple[Sample, ...] | None:
-    """A grasp by a hand without joint offsets; None where it does not hold."""
+    """Returns a grasp by a hand without joint offsets; None where it drops the object."""
     perfect = Nuisances(joint_offset=0.0)
     samples = tuple(simulate(Scenario(object=name, seed=seed, rate=50, nuisances=perfect)))
     return None if samples[-1].dropped else samples
@@ -42,7 +42,7 @@ def grasped(name: str, seed: int) -> tuple[Sample, ...] | None:
 def followed(
     tracker: hs.Tracker, samples: tuple[Sample, ...], offsets: dict[str, float]
 ) -> hs.PoseEstimate | None:
-    """The last answer of a tracker whose hand's joints read too much by `offsets`."""
+    """Returns the last estimate of a tracker whose hand's joints have errors `offsets`."""
     estimate = None
     for sample in samples:
         joints = sample.observation.joint_positions or {}
@@ -52,7 +52,7 @@ def followed(
 
 
 def hand(rng: np.random.Generator, first_seed: int) -> Rows:
-    """A row for each grasp of one hand, each way."""
+    """Returns a row for each grasp of one hand and each way."""
     rig = rig_of(Scenario())
     offsets = dict(zip(rig.hand.joint_names, SIGMA * rng.normal(size=len(rig.hand.joint_names)), strict=True))
     order = [(name, first_seed + k) for k in rng.permutation(GRASPS) for name in OBJECTS]
@@ -73,7 +73,7 @@ def hand(rng: np.random.Generator, first_seed: int) -> Rows:
 
 
 def errors(model: hs.ObjectModel, estimate: hs.PoseEstimate, T: Array) -> Row:
-    """Of one answer."""
+    """Returns the errors of an estimate."""
     none = np.zeros((1, 3))
     found = correction_errors(model, estimate.T_palm_object, T, none, estimate.unobservable)
     squared, freedom = scenes.chi2(model, estimate.T_palm_object, estimate.information, T)
@@ -82,7 +82,7 @@ def errors(model: hs.ObjectModel, estimate: hs.PoseEstimate, T: Array) -> Row:
 
 
 def left(known: JointOffsets, offsets: dict[str, float]) -> Row:
-    """Of the offsets, after a grip [deg]."""
+    """Returns the errors of the offsets after a grip [deg]."""
     off = known.mean - [offsets[joint] for joint in known.joints]
     claimed = np.sqrt(np.trace(known.covariance) / len(off))
     return {"offsets": np.rad2deg(np.sqrt(np.mean(off**2))), "claimed": np.rad2deg(claimed)}

@@ -13,14 +13,14 @@ import numpy as np
 from PIL import Image
 
 from handsight import se3
-from handsight.cli.simulate import record
 from handsight.simulation import Scenario, camera_facing, simulate
 from handsight.simulation.camera import INTRINSICS, spoil
 from handsight.simulation.rendering import Renderer
 from handsight.simulation.scene import scene
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from shared import scenes
-from shared.report import Array, Row
+from testbed.recordings import record
+from testbed.report import Array, Row
 
 FOLDER = Path(__file__).parent.parent / "src/handsight/data"
 NOISE_POINT, NOISE_NORMAL_DEG = 0.001, 4.0

@@ -19,7 +19,7 @@ from handsight import se3
 from handsight.correction import Outside, Plane
 from shared import report, scenes
 from shared.grips import IN_SPACE, ON_TABLE, gripped
-from shared.report import Array, Row
+from testbed.report import Array, Row
 
 SAMPLES, QUICK_SAMPLES = 100_000, 20_000
 REPEATS = 10
@@ -30,7 +30,7 @@ SPIN = 1e-6
 
 
 def problem(kind: str, rng: np.random.Generator) -> tuple[hs.ObjectModel, hs.Contacts, Row]:
-    """The object, its contacts, and what else is known."""
+    """Returns the object, its contacts, and the other evidence."""
     half = rng.uniform([0.015, 0.02, 0.03], [0.05, 0.05, 0.10])
     flat = kind.startswith("box")
     model = hs.ObjectModel.box(2 * half) if flat else hs.ObjectModel.cylinder(half[1], 2 * half[2])
@@ -50,7 +50,7 @@ def problem(kind: str, rng: np.random.Generator) -> tuple[hs.ObjectModel, hs.Con
 
 
 def off_by(model: hs.ObjectModel, estimate: hs.PoseEstimate, sampled: hs.PoseEstimate) -> tuple[float, Array]:
-    """How far a mean is off another's [its deviations], and the deviations as shares of its."""
+    """Returns a mean's distance from a reference in its standard deviations, and the ratios of standard deviations."""
     scale = np.repeat([1.0, model.radius], 3)
     theirs, ours = (e.information / np.outer(scale, scale) for e in (sampled, estimate))
     values, vectors = np.linalg.eigh(theirs)
@@ -62,7 +62,7 @@ def off_by(model: hs.ObjectModel, estimate: hs.PoseEstimate, sampled: hs.PoseEst
 
 
 def trial(kind: str, rng: np.random.Generator, samples: int) -> Row | None:
-    """One problem; None where no slide is left open, or more than one hypothesis."""
+    """Returns the rows of one problem; None where no slide is unobservable, or there are several hypotheses."""
     model, contacts, known = problem(kind, rng)
     ask = partial(hs.correct_pose, model, contacts, **known)
     maximum, before = report.timed(partial(ask, answer="maximum"))

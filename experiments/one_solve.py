@@ -6,8 +6,8 @@ hand's pixels and a part of the object's, on one side, left out. Where the palm 
 hand's error. Then the fingers' contacts are added in two ways, to the same evidence:
 
   pose      the image's pose and its covariance, with what was expected, are the prior of `correct_pose`
-  points    48 of the depth points are contacts without normals in the same solve (`vision.depth_points`); what was
-            expected is the prior
+  points    48 of the depth points are in the same solve as evidence of their own (`hs.DepthPoints`); what was expected
+            is the prior
 
 Errors against the truth modulo symmetry; inside: truths in the 95 % region.
 """
@@ -18,16 +18,16 @@ import handsight as hs
 from from_pictures import OBJECTS, RATE, errors, grasped
 from handsight import se3
 from handsight.camera import Camera
+from handsight.gaussian_pose import GaussianPose
 from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of
 from handsight.simulation.camera import BELIEVED_CAMERA, displacement
 from handsight.tracking.fingertips import FingertipSensors
-from handsight.vision import depth_points
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.object.depth_tracker import DEPTH_TRACKER
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
 from handsight.vision.palm.hand_in_image import HandInImage
 from shared import report
-from shared.report import Array, Rows
+from testbed.report import Array, Rows
 
 WAYS = ("pose alone", "pose", "points")
 COVERED = (0.0, 0.5, 0.8, 0.95)
@@ -38,7 +38,7 @@ HAND = np.repeat([0.0015, np.deg2rad(0.6)], 3)
 
 
 def uncovered(depth: Array, drawn: Array, share: float, way: float) -> Array:
-    """The image without that share of the object's pixels, `drawn` where the object is, to one side."""
+    """Returns the image without a share of the object's pixels at one side; `drawn` is where the object is."""
     rows, columns = np.nonzero(np.isfinite(drawn))
     side = columns * np.cos(way) + rows * np.sin(way)
     hidden = side <= np.quantile(side, share)
@@ -49,7 +49,7 @@ def uncovered(depth: Array, drawn: Array, share: float, way: float) -> Array:
 
 
 def rows_of(scenario: Scenario, samples: tuple[Sample, ...]) -> Rows:
-    """Errors by both ways at the last image, for each share that is covered."""
+    """Returns the errors of both ways at the last image, for each covered share."""
     rig, model, rng = rig_of(scenario), model_of(scenario), np.random.default_rng(int(scenario.seed))
     last = next(sample for sample in reversed(samples) if sample.observation.depth is not None)
     touched, T = FingertipSensors(rig).contacts(last.observation).contacts, last.T_palm_object
@@ -85,21 +85,18 @@ def rows_of(scenario: Scenario, samples: tuple[Sample, ...]) -> Rows:
 
 
 def in_palm(seen: RefinedPose, T_palm_camera: Array) -> hs.PosePrior:
-    """What an image says of the object in the palm, which itself is known as the seen hand tells it."""
-    T, arm = T_palm_camera @ seen.T_camera_object, np.eye(6)
-    arm[:3, 3:] = -se3.skew(T[:3, 3])
-    covariance = se3.rotate_covariance(T_palm_camera[:3, :3], seen.covariance)
-    covariance = covariance + arm @ np.diag(HAND**2) @ arm.T
-    return hs.PosePrior(T, (covariance + covariance.T) / 2)
+    """Returns the image's pose of the object in the palm, whose own pose is detected in the image."""
+    pose = seen.pose_camera_object.transformed(T_palm_camera)
+    arm = se3.point_jacobian(pose.T_a_b[:3, 3])
+    covariance = pose.covariance + arm @ np.diag(HAND**2) @ arm.T
+    return hs.PosePrior(pose.T_a_b, (covariance + covariance.T) / 2)
 
 
 def both(expected: hs.PosePrior, seen: hs.PosePrior) -> hs.PosePrior:
-    """Two poses, each as much as it knows."""
-    P = expected.covariance
-    gain = np.linalg.solve(P + seen.covariance, P).T
-    step = gain @ se3.difference(seen.T_palm_object, expected.T_palm_object)
-    P = P - gain @ P
-    return hs.PosePrior(se3.moved(expected.T_palm_object, step), (P + P.T) / 2)
+    """Returns the fusion of two poses by their information."""
+    first, second = (GaussianPose(each.T_palm_object, each.covariance) for each in (expected, seen))
+    pose = first.fused(second)
+    return hs.PosePrior(pose.T_a_b, (pose.covariance + pose.covariance.T) / 2)
 
 
 def fused(
@@ -109,15 +106,14 @@ def fused(
     seen: hs.PosePrior | None,
     points: Array,
 ) -> dict[str, hs.PoseEstimate]:
-    """The estimate by each way; `seen`: None where too little of the object is."""
+    """Returns the estimate of each way; `seen` is None where too little of the object is visible."""
     vision = expected if seen is None else both(expected, seen)
-    more = None if seen is None else depth_points(model, points, seen)
+    depth = None if seen is None else hs.DepthPoints.of_image(model, points, seen)
     alone = hs.PoseEstimate.from_gaussian(vision.T_palm_object, vision.covariance, np.empty((0, 6)))
-    joined = touched if more is None else touched.joined(more)
     return {
         "pose alone": alone,
         "pose": hs.correct_pose(model, touched, vision=vision),
-        "points": hs.correct_pose(model, joined, vision=expected),
+        "points": hs.correct_pose(model, touched, vision=expected, depth=depth),
     }
 
 
@@ -144,7 +140,7 @@ def main() -> None:
 
 
 def cells(rows: Rows) -> list[str]:
-    """Errors of one way."""
+    """Returns the errors of one way."""
     middle, turn, inside = (report.values(rows, name) for name in ("middle", "turn", "inside"))
     numbers = [np.median(middle), np.quantile(middle, 0.9), np.median(turn), np.quantile(turn, 0.9)]
     return [*(f"{number:.1f}" for number in numbers), f"{100 * inside.mean():.0f} %"]

@@ -18,7 +18,7 @@ import handsight as hs
 from handsight.simulation import Scenario, model_of, rig_of, simulate
 from handsight.tracking.replay import Tally, replay
 from shared import report, scenes, ycb
-from shared.report import Row, Rows
+from testbed.report import Row, Rows
 
 MESHES = (
     "002_master_chef_can", "004_sugar_box", "006_mustard_bottle",
@@ -32,7 +32,7 @@ LAST = 2 / 3
 
 
 def objects() -> dict[str, str]:
-    """By name, what `Scenario` takes."""
+    """Returns the arguments `object` of `Scenario` by name."""
     folder = ycb.data_folder()
     meshes = {name[4:]: f"{folder}/ycb_meshes/{name}.ply" for name in MESHES} if folder else {}
     return {"can": "can", "box": "box"} | meshes
@@ -40,12 +40,12 @@ def objects() -> dict[str, str]:
 
 @cache
 def known(name: str) -> hs.ObjectModel:
-    """An object as the robot has it: the same for all seeds."""
+    """Returns the robot's model of an object, the same for all seeds."""
     return model_of(Scenario(object=name))
 
 
 def run(name: str, seed: int) -> Row | None:
-    """What one manipulation came to; None where the object was dropped."""
+    """Returns the results of one manipulation; None where the object was dropped."""
     scenario = Scenario(object=name, seed=seed, motion="manipulate", rate=RATE)
     samples = list(simulate(scenario))
     if any(sample.dropped for sample in samples):
@@ -63,7 +63,7 @@ def run(name: str, seed: int) -> Row | None:
 
 
 def judged(model: hs.ObjectModel, estimate: hs.PoseEstimate, T: report.Array) -> Row:
-    """How far an answer is off, in millimetres and degrees and in its own units."""
+    """Returns the errors of an estimate, in millimetres and degrees, and by its own covariance."""
     T_near = scenes.nearest_truth(model, T, estimate.T_palm_object)
     middle = np.append(model.center_object, 1.0)
     off = np.linalg.norm((estimate.T_palm_object - T_near) @ middle)
@@ -74,7 +74,7 @@ def judged(model: hs.ObjectModel, estimate: hs.PoseEstimate, T: report.Array) ->
 
 
 def runs(name: str, options: report.Options) -> Iterator[Row]:
-    """Those that held."""
+    """Returns the runs in which the hand held the object."""
     for k in report.progress(range(options.trials), name):
         found = run(objects()[name], options.first_seed + k)
         if found is not None:
@@ -117,7 +117,7 @@ def main() -> None:
 
 
 def cells(rows: Rows) -> list[str]:
-    """What the table says of runs."""
+    """Returns the cells of the table for some runs."""
     inside = report.values(rows, "inside")
     return [
         f"{inside.mean():.2f}", f"{inside.min():.2f}", f"{report.values(rows, 'off').mean():.1f}",

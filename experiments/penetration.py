@@ -18,7 +18,7 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from shared import figures, report, scenes
-from shared.report import Array, Rows
+from testbed.report import Array, Rows
 
 RADIUS, LENGTH, RINGS, AROUND = 0.008, 0.050, 7, 10
 PALM_BEHIND, PALM_HALF = 0.010, (0.045, 0.040)

@@ -27,8 +27,8 @@ from handsight.vision.reconstruction.reconstruct import Reconstruction, View
 from handsight.vision.reconstruction.segmentation import on_table
 from scans import Thing, grasp
 from shared import figures, report, scenes, ycb
-from shared.report import Array, Row, Rows
 from sight_scenes import CAMERA
+from testbed.report import Array, Row, Rows
 
 YCB = ("006_mustard_bottle", "021_bleach_cleanser")
 CELL, BOUND, COVERED = 0.002, 0.006, 0.004
@@ -52,7 +52,7 @@ def things(quick: bool) -> dict[str, hs.ObjectModel]:
 def trial(
     name: str, model: hs.ObjectModel, motion: str, grasps: int, rng: np.random.Generator
 ) -> tuple[Row, ReconstructedModel]:
-    """One reconstruction, and grasps corrected with it."""
+    """Returns rows of one reconstruction, and of grasps corrected with it."""
     shape = views_around.standing(model)
     Ts = views_around.path(MOTIONS[motion], rng)
     images = views_around.pictures(Ts, shape, rng)
@@ -89,7 +89,7 @@ def trial(
 
 
 def as_a_file(found: ReconstructedModel) -> hs.ObjectModel:
-    """The model of the file that `handsight reconstruct` writes."""
+    """Returns the model of the file that `handsight reconstruct` writes."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "model.ply"
         path.write_bytes(ply_bytes(Shape(found.points, sigmas=found.sigmas), 1.0, found.measured))
@@ -97,14 +97,14 @@ def as_a_file(found: ReconstructedModel) -> hs.ObjectModel:
 
 
 def bounds(model: hs.ObjectModel) -> Array:
-    """(2, 3) of what is fused, on the table [m]."""
+    """Returns the bounds (2, 3) of the fused surface on the table [m]."""
     x, y, height = np.ptp(model.bounds_object, axis=0)
     side = max(x, y) / 2 + MARGIN
     return np.array([[-side, -side, -BELOW], [side, side, height + MARGIN]])
 
 
 def laid(model: hs.ObjectModel, T_object_table: Array, points: Array) -> Array:
-    """(4, 4) what lays points on a model, robustly: nobody says where the growing surface has its frame."""
+    """Returns the transform (4, 4) that aligns points of a surface in an unknown frame with a model, robustly."""
 
     def T(x: Array) -> Array:
         return se3.compose(se3.rotation_exp(x[3:]), x[:3])
@@ -117,7 +117,7 @@ def laid(model: hs.ObjectModel, T_object_table: Array, points: Array) -> Array:
 
 
 def judged(model: hs.ObjectModel, points: Array, heights: Array) -> Row:
-    """How far seen points (n, 3) in the object's frame are off the object, and how much of it they cover."""
+    """Returns the distances of reconstructed points (n, 3) from the object, and the share of it that they cover."""
     off = model.evaluate(points[heights > STANDS]).distance
     truth, normals = model.sample(4000)
     low = model.bounds_object[0, 2]
@@ -132,7 +132,7 @@ def judged(model: hs.ObjectModel, points: Array, heights: Array) -> Row:
 
 
 def peer(model: hs.ObjectModel, images: list[Array], Ts: Array, T_object_table: Array) -> Row:
-    """The same of Open3D's VoxelBlockGrid, of the same cells and bound; nothing where it is not installed."""
+    """Returns the same for Open3D's VoxelBlockGrid with the same cells and bound; nothing where it is not installed."""
     try:
         import open3d as o3d
     except ImportError:

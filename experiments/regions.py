@@ -20,7 +20,7 @@ from scipy.special import chdtri
 import handsight as hs
 from shared import figures, report, scenes, ycb
 from shared.grips import IN_SPACE, ON_TABLE, gripped
-from shared.report import Row, Rows
+from testbed.report import Row, Rows
 
 MESHES = ("006_mustard_bottle", "021_bleach_cleanser")
 LEVELS = ("in 50%", "in 95%")

@@ -21,7 +21,7 @@ import handsight as hs
 from handsight import se3
 from handsight.objects.symmetry import Symmetries
 from shared import figures, report, scenes, ycb
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 POINTS = 4000
 SIGMAS_MM = (0.5, 1.0, 2.0)
@@ -38,7 +38,7 @@ Draw = Callable[[Rng], scenes.Surface]
 
 @dataclass(frozen=True)
 class Thing:
-    """An object, and how it is touched."""
+    """A `Thing` is an object, and how it is touched."""
 
     model: hs.ObjectModel
     draw: Draw
@@ -59,14 +59,14 @@ def things() -> dict[str, Thing]:
 
 
 def white(sigma: float, normals: bool, thing: Thing, rng: Rng) -> hs.ObjectModel:
-    """A scan whose points are off by their own noise."""
+    """Returns a scan whose points have independent noise."""
     points, outward = thing.model.sample(POINTS, int(rng.integers(1 << 31)))
     noisy = points + sigma * rng.normal(size=points.shape)
     return hs.ObjectModel.from_points(noisy, outward if normals else None)
 
 
 def fused(thing: Thing, rng: Rng) -> hs.ObjectModel:
-    """A scan like depth images fused into one cloud."""
+    """Returns a scan like depth images fused into one cloud."""
     points, normals = thing.model.sample(10 * POINTS, int(rng.integers(1 << 31)))
     waves, phases = rng.normal(size=(3, WAVES)) / FUSED_LENGTH, rng.uniform(0, 2 * np.pi, WAVES)
     noise = FUSED_SIGMA * np.sqrt(2 / WAVES) * np.cos(points @ waves + phases).sum(axis=1)
@@ -97,7 +97,7 @@ def cells() -> Iterator[tuple[str, str, Thing, Callable[[Thing, Rng], hs.ObjectM
 
 
 def grasp(thing: Thing, scan: hs.ObjectModel, rng: Rng) -> Row:
-    """One grasp, answered with the object itself and with its scan."""
+    """Returns a row of one grasp, corrected with the object itself and with its scan."""
     scene = scenes.random_scene(thing.draw(rng), rng, error=VISION)
     open_ = truly_open(thing.model, scene)
     row: Row = {"open": len(open_)}
@@ -116,7 +116,7 @@ def grasp(thing: Thing, scan: hs.ObjectModel, rng: Rng) -> Row:
 
 
 def truly_open(model: hs.ObjectModel, scene: scenes.Scene) -> Array:
-    """(k, 6) what contacts on the true surface cannot see of the true object at its true pose."""
+    """Returns the directions (k, 6) that contacts on the true surface leave unobservable at the true pose."""
     T = scene.T_palm_object
     contacts = hs.Contacts(
         se3.apply(T, scene.points_object),
@@ -128,7 +128,7 @@ def truly_open(model: hs.ObjectModel, scene: scenes.Scene) -> Array:
 
 
 def named(open_: Array, said: Array) -> float:
-    """How many of the open directions are among those said."""
+    """Returns how many of the unobservable directions are reported."""
     return float((np.linalg.norm(open_ @ said.T, axis=1) > NAMED).sum()) if len(said) else 0.0
 
 

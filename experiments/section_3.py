@@ -31,8 +31,8 @@ from shared.grasp_errors import between, mean_interval, removed_interval
 from shared.grasp_methods import OURS, PAPER, rows_of
 from shared.grasp_trials import OBJECTS, again, grasps, sensing_errors, silent
 from shared.manipulations import TRACKED, WITH_SAMPLES, run_rows
-from shared.report import Row, Rows
 from shared.section_3_targets import judged
+from testbed.report import Row, Rows
 
 NOISE_DRAWS = 2
 RUNS = 8

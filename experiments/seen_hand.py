@@ -25,7 +25,7 @@ from handsight.hand import Hand
 from handsight.simulation import Scenario, rig_of
 from handsight.vision import HandAppearance, PalmDetection, PalmNotFound, PlacedHand, detect_palm, follow_palm
 from shared import figures, hand_scenes, report, ycb
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 BELIEFS = ((20.0, 2.0), (40.0, 4.0), (60.0, 4.0), (80.0, 5.0), (None, None))
 """Off by [mm, °]; None: as the simulator's camera is."""
@@ -42,7 +42,7 @@ ARM = ("robot0:forearm", "robot0:wrist")
 
 
 class Stage:
-    """The hand, the objects, and what is worked out of them once."""
+    """A `Stage` is the hand, the objects, and all that is computed of them once."""
 
     def __init__(self) -> None:
         self.hand = rig_of(Scenario(object="can")).hand
@@ -66,7 +66,7 @@ class Stage:
 def scene_and_belief(
     stage: Stage, options: report.Options, trial: int, off: tuple[Any, Any], joints: float
 ) -> tuple[Any, Any, Array, tuple[float, float]]:
-    """A picture, the hand as it is believed to be, its believed pose, and what is said of how far that is off."""
+    """Returns a picture, the believed hand, its believed pose, and the stated errors of both."""
     rng = options.rng(trial, 77)
     shapes = stage.shape, stage.objects[trial % len(stage.objects)], stage.arm if trial % 2 else None
     scene = hand_scenes.hand_scene(stage.hand, shapes, rng, sigma_joint=np.deg2rad(joints))
@@ -83,13 +83,13 @@ def scene_and_belief(
 
 
 def searched(depth: Array, hand: PlacedHand, believed: Array, sigmas: Any) -> PalmDetection | PalmNotFound:
-    """Without a last picture."""
+    """Detects the palm without a previous picture."""
     camera, (position, rotation) = hand_scenes.CAMERA, sigmas
     return detect_palm(camera, depth, hand, believed, sigma_position=position, sigma_rotation=rotation)
 
 
 def followed(depth: Array, hand: PlacedHand, believed: Array, _: Any) -> PalmDetection | PalmNotFound:
-    """From where the last picture has had it."""
+    """Detects the palm near its pose in the previous picture."""
     return follow_palm(hand_scenes.CAMERA, depth, hand, believed)
 
 
@@ -101,7 +101,7 @@ def tried(
     joints: float,
     look: Any = searched,
 ) -> Row:
-    """One picture: what came of it."""
+    """Returns the row of one picture."""
     scene, hand, believed, sigmas = scene_and_belief(stage, options, trial, off, joints)
     start = time.process_time()
     seen = look(scene.depth, hand, believed, sigmas)
@@ -148,7 +148,7 @@ def print_rows(title: str, rows: Rows, key: str) -> None:
 
 
 def draw(stage: Stage, options: report.Options) -> None:
-    """The hand's outline on the first pictures: as believed, and as seen."""
+    """Draws the hand's outline on the first pictures, as believed and as detected."""
     figure, axes = figures.pyplot().subplots(2, 3, figsize=(9, 6), layout="constrained")
     for trial, column in enumerate(axes.T):
         scene, hand, believed, sigmas = scene_and_belief(stage, options, trial, BELIEFS[3], 1.0)

@@ -16,7 +16,7 @@ from shared import figures, report
 from shared.grasp_errors import between, mean_interval
 from shared.grasp_methods import rows_of
 from shared.grasp_trials import OBJECTS, Trial, grasps, last_instant, trial_of
-from shared.report import Rows
+from testbed.report import Rows
 
 METHODS = {"can": "best", "box": "best, outside, table"}
 ARM = 5e-3

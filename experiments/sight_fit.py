@@ -1,4 +1,4 @@
-"""Fits what recognition weighs, on the development seeds: the numbers of `handsight.vision.object.presence`.
+"""Fits what recognition weighs, on the development seeds: the numbers of `handsight.vision.object.first_pose`.
 
 Each object is looked for in each picture. The likeliest weights say which it is of, and, with that object left out,
 that it is none of the others. The worth of a mode's score is fitted beside it.
@@ -8,12 +8,12 @@ that it is none of the others. The worth of a mode's score is fitted beside it.
 import numpy as np
 from scipy.optimize import minimize
 
-from handsight.vision.object.first_pose import first_pose, scores
-from handsight.vision.object.locate import LOCATE, scene_in
-from handsight.vision.object.presence import EVIDENCE, evidence_of
+from handsight.vision.object.first_pose import EVIDENCE, FIRST_POSE, evidence_of, first_pose
+from handsight.vision.object.locate import LOCATE
+from handsight.vision.object.region import scene_of
 from shared import report, sight, ycb
 from shared import sight_scenes as scenes
-from shared.report import Array
+from testbed.report import Array
 
 RIGHT = 0.1
 NEVER = -30.0
@@ -26,14 +26,17 @@ def looked_for(name: str, k: int, seed: int) -> tuple[str, dict[str, Array], Arr
     of, picture = sight.picture(name, k, seed)
     models = sight.objects()
     extent = LOCATE.max_plane * max(model.diameter for model in models.values())
-    scene = scene_in(scenes.WIDE, picture.depth, extent, wanted=picture.wanted, hand=picture.hand)
+    wanted, hand = picture.wanted, picture.hand
+    scene = scene_of(scenes.WIDE, picture.depth, wanted=wanted, hand=hand, extent=extent)
     found = {each: first_pose(model, scene) for each, model in models.items()}
     right = scenes.mssd(picture.model, picture.T_camera_object, found[of].Ts_camera_object) < RIGHT
-    return of, {each: one.candidates[:1] for each, one in found.items()}, scores(found[of].candidates), right
+    modes = found[of].candidates
+    scores = np.stack([modes["score"], modes["close"] ** FIRST_POSE.close_exponent], axis=1)
+    return of, {each: one.candidates[:1] for each, one in found.items()}, scores, right
 
 
 def loss(weights: Array, indices: Array, evidence: Array) -> float:
-    """Minus the logarithm of the likelihood, with none as one more answer that is worth 0."""
+    """Returns the negative log likelihood, with "none" as one more answer of log odds 0."""
     odds = np.where(evidence[..., 0] > 0, evidence @ weights, NEVER)
     here = np.logaddexp.reduce(np.c_[odds, np.zeros(len(odds))], axis=1)
     true = odds[np.arange(len(odds)), indices]
@@ -44,7 +47,7 @@ def loss(weights: Array, indices: Array, evidence: Array) -> float:
 
 
 def unlikely(worth: Array, modes: list[tuple[Array, Array]]) -> float:
-    """Minus the logarithm of the likelihood of the modes that are right."""
+    """Returns the negative log likelihood of the right modes."""
     total = 0.0
     for each, right in modes:
         weights = np.exp(each @ worth - (each @ worth).max())

@@ -10,19 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from handsight.vision.object.locate import LOCATE
-from handsight.vision.object.presence import log_odds, probabilities
-from handsight.vision.object.recognition import recognise
+from handsight.vision.object.first_pose import log_odds, probabilities
+from handsight.vision.object.locate import LOCATE, recognise
 from shared import figures, report, sight, ycb
 from shared import sight_scenes as scenes
-from shared.report import Array
+from testbed.report import Array
 
 RIGHT = 0.1
 THRESHOLDS = (0.01, 0.02, 0.03, 0.1, 0.3, 0.5, 0.9)
 
 
 def trial(name: str, k: int, seed: int) -> report.Row:
-    """What ten objects that are looked for in one picture have for them."""
+    """Returns the evidence for each of ten objects in one picture."""
     of, picture = sight.picture(name, k, seed)
     answer = recognise(sight.objects(), scenes.WIDE, picture.depth, wanted=picture.wanted, hand=picture.hand)
     odds = {
@@ -56,7 +55,7 @@ def main() -> None:
 
 
 def odds_of(rows: report.Rows) -> tuple[Array, Array]:
-    """(n, 10) log odds of each object, and (n, 10) whether it is the one."""
+    """Returns the log odds of each object, (n, 10), and whether it is the right one, (n, 10)."""
     names = list(sight.objects())
     odds = np.array([[row[name] for name in names] for row in rows])
     return odds, np.array([[row["object"] == name for name in names] for row in rows])
@@ -76,7 +75,7 @@ def show(rows: report.Rows) -> None:
 
 
 def kept_and_claimed(rows: report.Rows, threshold: float) -> tuple[float, float]:
-    """Of single objects that are looked for: shares that are claimed of those found right, and of absent ones."""
+    """Returns the shares of correctly found and of absent objects that are reported, each searched alone."""
     odds, true = odds_of(rows)
     found = np.array([row["add_s"] < RIGHT for row in rows])
     claimed = np.vectorize(lambda x: probabilities(np.array([x]))[0])(odds) > threshold
@@ -84,7 +83,7 @@ def kept_and_claimed(rows: report.Rows, threshold: float) -> tuple[float, float]
 
 
 def show_thresholds(rows: report.Rows) -> None:
-    """Prints what `locate` keeps and claims."""
+    """Prints which objects `locate` reports."""
     cells = []
     for threshold in THRESHOLDS:
         mine = "default" if threshold == LOCATE.min_probability else ""

@@ -34,7 +34,7 @@ from handsight.simulation import Sample, Scenario, model_of, rig_of, simulate
 from handsight.simulation.scenario import SCENARIO
 from handsight.tracking import FingertipSensors
 from shared import figures, report, scenes, slips
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 RATE, CARRY_RATE = 250.0, 100.0
 """Samples a second."""
@@ -47,20 +47,20 @@ WAYS = (("without weight", ""), ("weighed", "weighed "))
 
 @dataclass(frozen=True)
 class Felt:
-    """What was said and what is true, sample by sample, from when the object is in the hand."""
+    """A `Felt` is detections and truth, sample by sample, from when the object is in the hand."""
 
     stamps: Array
     alarms: Array
     least: Array
     friction: Array
     speeds: Array
-    """Of the finger that slips least [m/s]."""
+    """Speed of the finger that slips least [m/s]."""
     ways: Array
-    """Angles [deg] while it slips; NaN else."""
+    """Angles [deg] while the object slips, else NaN."""
 
 
 def followed(samples: list[Sample]) -> Felt:
-    """What a detector says of a run."""
+    """Returns the detections in a run."""
     rig = rig_of(Scenario())
     sensors, detector, rows = FingertipSensors(rig), SlipDetector(rig), []
     for sample in samples:
@@ -77,7 +77,7 @@ def followed(samples: list[Sample]) -> Felt:
 
 
 def off_by(sample: Sample, twist: Array | None) -> float:
-    """Between the object's motion along the tips by a twist about the palm's origin, and the true one [deg]."""
+    """Returns the angle between the object's motion along the tips by an estimated twist, and the true one [deg]."""
     if twist is None:
         return np.nan
     said, true = [], []
@@ -91,7 +91,7 @@ def off_by(sample: Sample, twist: Array | None) -> float:
 
 
 def pull_row(name: str, seed: int) -> tuple[Row, Felt | None]:
-    """What became of one pull; no more than that where the hand did not hold the object until then."""
+    """Returns the row of one pull; a short one where the hand did not hold the object until then."""
     scenario = slips.scenario(name, seed, RATE)
     samples, mu = list(simulate(scenario)), scenario.nuisances.friction
     pulled = [i for i, sample in enumerate(samples) if sample.phase == "pull"]
@@ -112,7 +112,7 @@ def pull_row(name: str, seed: int) -> tuple[Row, Felt | None]:
 
 
 def tracked(samples: list[Sample], model: hs.ObjectModel) -> Row:
-    """Errors of a tracker through a pull, and how often its region holds the truth."""
+    """Returns the errors of a tracker through a pull, and how often its region contains the truth."""
     tracker, errors, inside, first = hs.Tracker(rig_of(Scenario()), model), [], [], None
     for sample in samples:
         estimate = tracker.update(sample.observation)
@@ -133,7 +133,7 @@ def tracked(samples: list[Sample], model: hs.ObjectModel) -> Row:
 
 
 def carry_row(name: str, seed: int) -> Row:
-    """Alarms while an object is carried, until it is dropped."""
+    """Returns the alarms while an object is carried, until it is dropped."""
     scenario = Scenario(object=name, seed=seed, motion="manipulate", rate=CARRY_RATE)
     felt = followed([sample for sample in simulate(scenario) if not sample.dropped])
     counted = slips.counted(felt.alarms > 0, felt.speeds, 1 / CARRY_RATE)
@@ -162,7 +162,7 @@ def main() -> None:
 
 
 def print_pulls(name: str, rows: Rows) -> None:
-    """A line of what was noticed, and one of what the tracker makes of it."""
+    """Prints a line of detections, and one of the tracker's errors."""
     held = [row for row in rows if "slips" in row]
     if not held:
         report.say(f"{name}: dropped before any pull")

@@ -33,7 +33,7 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from shared import figures, report, scenes
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 SHAPES = CUBE, CYLINDER = "cube", "cylinder"
 METHODS = (

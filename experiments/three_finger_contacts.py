@@ -28,7 +28,7 @@ from scipy.special import chdtri
 import handsight as hs
 from handsight import se3
 from shared import figures, report, scenes, ycb
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 POINT_QUANTILES, NORMAL_QUANTILES = (0.29e-3, 1.0e-3), np.deg2rad([4.9, 30.7])
 """What the data's description says of the contacts: distance to the true surface [m] and angle to its normal

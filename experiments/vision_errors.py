@@ -25,7 +25,7 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from shared import figures, report, scenes, ycb
-from shared.report import Array, Row, Rows
+from testbed.report import Array, Row, Rows
 
 COUNTS = (3, 5)
 NOISE = (1e-3, float(np.deg2rad(5)))

@@ -18,27 +18,29 @@ tilt [mm], with the weight and without.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import handsight as hs
 from handsight import se3
-from handsight.cli.demo import DATA
 from handsight.correction import WeightEvidence
 from handsight.forces import Weigher
 from handsight.objects import Symmetries
 from handsight.recording import open_recording
 from handsight.rig import Rig
 from handsight.simulation import Nuisances, Scenario, simulate
+from handsight.simulation.loads import Payload, center_of_mass
 from handsight.simulation.motion import MOTION, WEIGH_LEGS
-from handsight.simulation.payload import Payload, center_of_mass
 from handsight.tracking import JointOffsets
 from shared import report, wrong_weights, ycb
 from shared.grasp_trials import exact_model, fingertips, rig, trial_of
-from shared.report import Array, Row, Rows
 from shared.weight_tables import show
+from testbed.report import Array, Row, Rows
 
+DATA = Path(hs.__file__).parent / "data"
+"""The built-in recordings."""
 ENDS = MOTION.at_rest + np.cumsum(WEIGH_LEGS[:, 0])
 LIFTED, HOLDS, MOVES = ENDS[1], ENDS[[2, 4, 6, 8, 10]], ENDS[10]
 """When it is lifted, when the holds of the five orientations end, and when it begins to be shaken [s]."""
@@ -52,18 +54,18 @@ SEEN_FOR, TILTED = 1.0, 12.5
 
 @dataclass(frozen=True)
 class Run:
-    """A weighing, its sensors read a hundred times a second."""
+    """Returns a weighing, with sensors read a hundred times a second."""
 
     scenario: Scenario
     samples: Sequence[Any]
     touched: Sequence[Any]
-    """FingertipContacts of each."""
+    """The contacts of each sample."""
     model: hs.ObjectModel
     center_object: Array
 
 
 def recorded(scenario: Scenario) -> Run | None:
-    """The run from the lift on; None where the object was dropped."""
+    """Returns the run from the lift on; None where the object was dropped."""
     samples = list(simulate(scenario))
     if samples[-1].dropped:
         return None
@@ -76,7 +78,7 @@ def recorded(scenario: Scenario) -> Run | None:
 
 
 def weighed(run: Run, weigher: Weigher) -> Iterator[tuple[Any, Weigher]]:
-    """Each sample with which there is a new weighing."""
+    """Yields each sample that completes a new weighing."""
     offsets = JointOffsets.of(rig())
     for sample, touch in zip(run.samples, run.touched, strict=True):
         if weigher.update(sample.observation, touch.fingers, touch.contacts, (offsets.mean, offsets.root)):
@@ -84,7 +86,7 @@ def weighed(run: Run, weigher: Weigher) -> Iterator[tuple[Any, Weigher]]:
 
 
 def error(run: Run, sample: Any, weigher: Weigher, *, across: bool) -> tuple[float, float]:
-    """How far the centre of mass in the palm is off [mm], and its NEES per freedom; across what hangs, or in space."""
+    """Returns the error of the centre of mass in the palm [mm], and its NEES per freedom, horizontally or in space."""
     found, T, load = weigher.weighing, sample.T_palm_object, weigher._last
     assert found is not None
     assert load is not None
@@ -96,26 +98,26 @@ def error(run: Run, sample: Any, weigher: Weigher, *, across: bool) -> tuple[flo
 
 
 def across_gravity(sample: Any) -> Array:
-    """(2, 3) directions of the palm at right angles to gravity."""
+    """Returns two horizontal directions (2, 3) in the palm."""
     down = sample.observation.T_world_palm[2:3, :3]
     return np.asarray(np.linalg.svd(down)[2][1:])
 
 
 def gripped(run: Run, sample: Any) -> Array:
-    """(3,) unit: the direction in the palm that most of the contacts' normals have, or the opposite one."""
+    """Returns the unit direction (3,) in the palm along which most of the contacts' normals are, up to its sign."""
     held = trial_of(run.scenario, sample, run.model)
     assert held is not None
     return np.asarray(np.linalg.svd(held.contacts.normals_palm)[2][0])
 
 
 def of_hold(stamp: float) -> int:
-    """Which orientation's last mean ends at a stamp, from 1 on; 0: none."""
+    """Returns the number of the orientation whose last mean ends at a stamp, from 1 on; 0: none."""
     near = np.flatnonzero((HOLDS - stamp > -1e-6) & (HOLDS - stamp < 0.2))
     return int(near[0]) + 1 if len(near) else 0
 
 
 def pose_error(run: Run, sample: Any, weight: WeightEvidence | None) -> tuple[Row, Any]:
-    """The pose's error [mm] with and without a weight, by contacts, vision and the hand; and the answer."""
+    """Returns the pose's error [mm] with and without a weight, by contacts, vision and the hand; and the estimate."""
     trial = trial_of(run.scenario, sample, run.model)
     assert trial is not None
     found = hs.correct_pose(
@@ -125,7 +127,7 @@ def pose_error(run: Run, sample: Any, weight: WeightEvidence | None) -> tuple[Ro
 
 
 def errors_of(run: Run, sample: Any, T: Array) -> Row:
-    """Of a pose: the middle's error in space, across gravity and along what the fingers grip [mm], and the turn [°]."""
+    """Returns errors of a pose: the middle's in space, horizontally and along the grip [mm], and the rotation's [°]."""
     T_true, middle = sample.T_palm_object, run.model.center_object
     T = run.model.nearest(T, T_true)
     off = (T[:3, :3] @ middle + T[:3, 3]) - (T_true[:3, :3] @ middle + T_true[:3, 3])
@@ -138,7 +140,7 @@ def errors_of(run: Run, sample: Any, T: Array) -> Row:
 
 
 def shared(run: Run, sample: Any, weigher: Weigher, answer: Any) -> Row:
-    """The errors once contacts and weight have shared their joints' errors."""
+    """Returns the errors after contacts and weight have shared their joints' errors."""
     trial, weighing = trial_of(run.scenario, sample, run.model), weigher.believed
     assert trial is not None
     given = evidence(run, weigher)

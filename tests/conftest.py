@@ -50,12 +50,13 @@ def pytest_sessionstart(session):
     worker = getattr(session.config, "workerinput", None)
     if worker is None:
         return  # a few tests need few kernels, and compile those
-    from handsight._kernels.runtime import compilation, warm
+    from handsight._kernels.runtime import kernel_cache
+    from handsight.tracking import warm
 
     count, k = int(worker["workercount"]), int(worker["workerid"].removeprefix("gw"))
     names = list(warm.GROUPS)
     for name in sorted(names, key=lambda name: (names.index(name) % count != k, names.index(name))):
-        done = compilation.folder() / f"{name}.done"
+        done = kernel_cache.folder() / f"{name}.done"
         with locked(done.with_suffix(".lock")):
             if not done.exists():
                 warm.GROUPS[name]()

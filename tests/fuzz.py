@@ -7,7 +7,7 @@ import time
 import traceback
 from collections import Counter
 
-from handsight._kernels.runtime.warm import warm
+from handsight.tracking.warm import warm
 from tests.corpus.door import Fault, knock
 from tests.corpus.doors import DOORS
 

@@ -8,8 +8,8 @@ from handsight._kernels.runtime.compilation import entry
 
 
 def kept(function):
-    """As `entry`; compiled again when its file has changed, of which numba sees the function's byte code alone."""
+    """As `entry`; compiled again when its file has changed, which the stamp of the package's kernels does not cover."""
     kernel = entry(function)
     source = hashlib.sha256(Path(inspect.getfile(function)).read_bytes()).hexdigest()[:8]
-    kernel._cache._cache_file._kernel += f".{source}"
+    kernel._cache.name += f".{source}"
     return kernel

@@ -22,7 +22,7 @@ MACHINE = "machine.json"
 
 
 def parsed() -> argparse.Namespace:
-    """What was asked for."""
+    """Returns the parsed arguments."""
     about = golden.__doc__.splitlines()[0] if golden.__doc__ else None
     parser = argparse.ArgumentParser(prog="python -m benchmarks.golden", description=about)
     add = parser.add_argument
@@ -51,7 +51,7 @@ def record(folder: Path, groups: list[str]) -> None:
 
 
 def compare(folder: Path, groups: list[str], *, quick: bool, rounding: bool) -> bool:
-    """Whether the answers of these groups are those that were recorded."""
+    """Returns whether the answers of these groups are those that were recorded."""
     before, now = json.loads((folder / MACHINE).read_text(encoding="utf-8")), machine.description()
     for what in ("description", "system", "versions"):
         if before.get(what) != now.get(what):
@@ -69,7 +69,7 @@ def compare(folder: Path, groups: list[str], *, quick: bool, rounding: bool) -> 
 
 
 def main() -> int:
-    """The exit code: 1 where an answer differs."""
+    """Returns the exit code: 1 where an answer differs."""
     given = parsed()
     warnings.simplefilter("ignore")
     usual = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "handsight")

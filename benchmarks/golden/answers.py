@@ -28,7 +28,7 @@ SMALLEST = 1e-300
 
 
 def rows_of(**fields: Any) -> Answer:
-    """An answer of numbers and words; None is one row of NaN."""
+    """Returns an answer of numbers and words; None is one row of NaN."""
     answer = {}
     for name, value in fields.items():
         width = WIDTHS.get(name, 1)
@@ -38,7 +38,7 @@ def rows_of(**fields: Any) -> Answer:
 
 
 def estimate_rows(estimate: Any) -> Answer:
-    """All that an estimate of the object's pose says."""
+    """Returns all numbers of an estimate of the object's pose."""
     residuals = estimate.residuals
     return rows_of(
         pose=estimate.T_palm_object,
@@ -70,7 +70,7 @@ def write(folder: Path, group: str, answers: dict[str, Answer]) -> None:
 
 
 def read(folder: Path, group: str) -> dict[str, Answer]:
-    """What `write` has written."""
+    """Returns the answers that `write` has written."""
     answers: dict[str, Answer] = json.loads((folder / f"{group}.json").read_text(encoding="utf-8"))
     with np.load(folder / f"{group}.npz") as arrays:
         for field in (name for name in arrays.files if not name.endswith(".rows")):
@@ -82,7 +82,7 @@ def read(folder: Path, group: str) -> dict[str, Answer]:
 
 
 def apart(field: str, before: Array, now: Array) -> dict[str, float]:
-    """By how much a field's numbers differ, in the units of LIMITS; infinity where they cannot be compared."""
+    """Returns the difference of a field's numbers in the units of LIMITS; infinity where they cannot be compared."""
     width = WIDTHS.get(field, 1)
     kinds = ("mm", "deg") if width == 16 else ("covariance",) if width == 36 else ("other",)
     if before.shape != now.shape or (np.isnan(before) != np.isnan(now)).any():
@@ -108,7 +108,7 @@ def apart(field: str, before: Array, now: Array) -> dict[str, float]:
 
 
 def compared(before: Answer, now: Answer, *, rounding: bool) -> dict[str, Any]:
-    """How one answer differs: whether its numbers or words do, by how much, and whether its pose has flipped."""
+    """Returns whether numbers or words of an answer differ, by how much, and whether its pose has flipped."""
     same, words, flipped = before.keys() == now.keys(), False, False
     most = dict.fromkeys(LIMITS, 0.0) | {"other": 0.0 if same else np.inf}
     for field in before.keys() & now.keys():

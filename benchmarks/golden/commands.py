@@ -78,7 +78,7 @@ def columns(path: Path) -> Answer:
 
 
 def tracked(folder: Path, *, quick: bool) -> Answers:
-    """What `handsight track` writes of each recording."""
+    """Returns what `handsight track` writes for each recording."""
     for name, told in TRACKED.items():
         if quick and name != "box":
             continue
@@ -89,7 +89,7 @@ def tracked(folder: Path, *, quick: bool) -> Answers:
 
 
 def weighed(folder: Path, *, quick: bool) -> Answers:
-    """What `handsight track` says of mass and centre of mass."""
+    """Returns mass and centre of mass by `handsight track`."""
     for name, told in list(WEIGHED.items())[: 1 if quick else None]:
         path = recording(folder / "recordings", name, told)
         with tempfile.TemporaryDirectory() as results:
@@ -99,7 +99,7 @@ def weighed(folder: Path, *, quick: bool) -> Answers:
 
 
 def located(folder: Path, *, quick: bool) -> Answers:
-    """What `handsight locate` answers for objects in real depth images, each in the whole image."""
+    """Returns the answers of `handsight locate` for objects in real depth images, each in the complete image."""
     asked = list(_objects())[:IMAGES]
     for scene, frame, name in asked[:: 10 if quick else 1]:
         source = data("ycbv_frames", scene, frame)

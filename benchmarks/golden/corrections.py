@@ -22,7 +22,7 @@ Rng = np.random.Generator
 
 
 def touched(kind: str, shape: Shape, T: Array, rng: Rng, k: int) -> Any:
-    """The contacts of the k-th problem of a kind, with the object at T."""
+    """Returns the contacts of the k-th problem of a kind, with the object at T."""
     n = int(rng.integers(*FINGERS.get(kind, (1, 7))))
     points, normals = on(shape, rng, n)
     points = points @ T[:3, :3].T + T[:3, 3] + NOISE[0] * rng.normal(size=(n, 3))
@@ -38,7 +38,7 @@ def touched(kind: str, shape: Shape, T: Array, rng: Rng, k: int) -> Any:
 
 
 def looked(kind: str, T: Array, rng: Rng) -> Any:
-    """Where vision sees an object that is at T."""
+    """Returns vision's pose of an object that is at T."""
     length, angle = (0.085, 0.52) if kind == "far" else (0.02, 0.26)
     error = transform(rng, length, angle)
     seen = np.eye(4)
@@ -47,7 +47,7 @@ def looked(kind: str, T: Array, rng: Rng) -> Any:
 
 
 def hand_points(shape: Shape, T: Array, rng: Rng, k: int) -> Any:
-    """Sixty points that cannot be inside an object at T, some of them 2 mm inside; every other time with links."""
+    """Returns sixty points that cannot be inside an object at T, some 2 mm inside; every second time with links."""
     points, normals = on(shape, rng, 60)
     points = (points + rng.uniform(-0.002, 0.04, (60, 1)) * normals) @ T[:3, :3].T + T[:3, 3]
     links, slacks = rng.integers(0, 6, 60), rng.uniform(0, 2e-3, 60)
@@ -58,7 +58,7 @@ def hand_points(shape: Shape, T: Array, rng: Rng, k: int) -> Any:
 
 
 def planes(shape: Shape, T: Array, rng: Rng, k: int) -> Any:
-    """One or two planes that an object at T lies on, within 4 mm."""
+    """Returns one or two planes that an object at T lies on, within 4 mm."""
     places, found = shape[0] @ T[:3, :3].T + T[:3, 3], []
     for _ in range(1 + k % 2):
         way = rng.normal(size=3)
@@ -68,14 +68,14 @@ def planes(shape: Shape, T: Array, rng: Rng, k: int) -> Any:
 
 
 def weight(shape: Shape, T: Array, rng: Rng, k: int) -> Any:
-    """Where the centre of mass of an object at T is weighed, every fifth time 4 cm beside it."""
+    """Returns the measured centre of mass of an object at T, every fifth time 4 cm beside the true one."""
     middle = (shape[0].min(axis=0) + shape[0].max(axis=0)) / 2
     off = (0.04 if k % 5 == 0 else 3e-3) * rng.normal(size=3)
     return WeightEvidence(middle, T[:3, :3] @ middle + T[:3, 3] + off, 9e-6 * np.eye(3))
 
 
 def problem(kind: str, shape: Shape, rng: Rng, k: int) -> dict[str, Any]:
-    """What `correct_pose` is given in the k-th problem of a kind, beside the model."""
+    """Returns the arguments of `correct_pose` in the k-th problem of a kind, beside the model."""
     T = transform(rng, 0.15, 3.0)
     given: dict[str, Any] = {"contacts": touched(kind, shape, T, rng, k), "vision": looked(kind, T, rng)}
     if kind == "blind":
@@ -96,7 +96,7 @@ def problem(kind: str, shape: Shape, rng: Rng, k: int) -> dict[str, Any]:
 
 
 def answered(_: Path, *, quick: bool) -> Answers:
-    """What `correct_pose` answers to each problem, and `correct_poses` to those of the last kind."""
+    """Returns the answers of `correct_pose` to each problem, and of `correct_poses` to those of the last kind."""
     surfaces = shapes.made()
     models = shapes.models(surfaces)
     together: dict[str, list[tuple[str, Any]]] = {}

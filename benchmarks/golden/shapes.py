@@ -20,20 +20,20 @@ SCANNED = ("box", "post", "006_mustard_bottle")
 
 
 def data(*parts: str) -> Path:
-    """A place in the data beside handsight: in $HANDSIGHT_DATA, else `shared/data` beside the checkout."""
+    """Returns a path in the data beside handsight: in $HANDSIGHT_DATA, else `shared/data` beside the checkout."""
     named = os.environ.get("HANDSIGHT_DATA")
     folder = Path(named) if named else Path(__file__).resolve().parents[3] / "shared" / "data"
     return folder.joinpath(*parts)
 
 
 def mesh(*parts: str) -> Shape:
-    """The triangles of a mesh among the data."""
+    """Returns the triangles of a mesh among the data."""
     loaded = trimesh.load_mesh(data(*parts), process=False)
     return np.asarray(loaded.vertices, dtype=float), np.asarray(loaded.faces, dtype=np.int64)
 
 
 def lathe(profile: Any, sides: int) -> Shape:
-    """The surface of a profile of (radius, height) [m], from below, turned about z; it is open where its ends are."""
+    """Returns the surface of a profile of (radius, height) [m], from below, turned about z and open at its ends."""
     angle = 2 * np.pi * np.arange(sides) / sides
     ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(sides)], axis=1)
     vertices = np.concatenate([radius * ring + [0, 0, height] for radius, height in profile])
@@ -51,7 +51,7 @@ def lathe(profile: Any, sides: int) -> Shape:
 
 
 def on(shape: Shape, rng: np.random.Generator, n: int) -> tuple[Array, Array]:
-    """Points (n, 3) anywhere on a surface [m], and its outward normals (n, 3) there."""
+    """Returns points (n, 3) anywhere on a surface [m], and its outward normals (n, 3) there."""
     corners = shape[0][shape[1]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(normals, axis=1)
@@ -61,7 +61,7 @@ def on(shape: Shape, rng: np.random.Generator, n: int) -> tuple[Array, Array]:
 
 
 def transform(rng: np.random.Generator, length: float, angle: float) -> Array:
-    """A random shift and turn (4, 4), of that root mean square length [m] and angle [rad]."""
+    """Returns a random transform (4, 4) of that root mean square length [m] and angle [rad]."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(angle / np.sqrt(3) * rng.normal(size=3)).as_matrix()
     T[:3, 3] = length / np.sqrt(3) * rng.normal(size=3)
@@ -69,7 +69,7 @@ def transform(rng: np.random.Generator, length: float, angle: float) -> Array:
 
 
 def made() -> dict[str, Shape]:
-    """Surfaces by name: a can, a box and a ball, a post that is no convex one, an open bowl, and four meshes."""
+    """Returns surfaces by name: a can, a box, a ball, a post that is not convex, an open bowl, and four meshes."""
     cube = lathe([(0, -0.5), (0.5**0.5, -0.5), (0.5**0.5, 0.5), (0, 0.5)], 4)
     turned = cube[0] @ Rotation.from_rotvec([0, 0, np.pi / 4]).as_matrix()
     arc = np.linspace(0, np.pi, 33)
@@ -84,7 +84,7 @@ def made() -> dict[str, Shape]:
 
 
 def models(shapes: dict[str, Shape]) -> dict[str, Any]:
-    """The models of these surfaces by name, and of three of them as scans, of noisy points."""
+    """Returns the models of these surfaces by name, and of three of them as scans, of noisy points."""
     found: dict[str, Any] = {
         "can": hs.ObjectModel.cylinder(radius=0.033, height=0.115),
         "box": hs.ObjectModel.box((0.06, 0.09, 0.14)),

@@ -1,12 +1,17 @@
-"""What the experiments share: problems and trials, how errors are measured, tables, figures."""
+"""What several experiments share: simulated trials, methods and their errors; and the names of `testbed`, the room that
+benchmarks share with them, which lies beside this folder."""
 
 import sys
 from pathlib import Path
 
-# The problems are the tests' (tests/scenes.py): what is published was found on what is tested.
-sys.path.append(str(Path(__file__).parents[2] / "tests"))
+# An experiment is run as a file, and Python then looks for modules in its folder alone.
+sys.path.append(str(Path(__file__).parents[2]))
 
-import hand_scenes as hand_scenes
-import scenes as scenes
-import sight_scenes as sight_scenes
-import skin_scenes as skin_scenes
+from testbed import figures as figures
+from testbed import hand_scenes as hand_scenes
+from testbed import report as report
+from testbed import scenes as scenes
+from testbed import sight as sight
+from testbed import sight_scenes as sight_scenes
+from testbed import skin_scenes as skin_scenes
+from testbed import ycb as ycb

@@ -1,4 +1,4 @@
-"""The figure of `claims.py`: a panel or two for each claim."""
+"""The figure of `claims.py`, with a panel or two for each claim."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from shared import figures, report
-from shared.report import Rows
+from testbed.report import Rows
 
 COLOURS = ("#4878a8", "#c2185b", "#8f5fb8")
 
@@ -39,7 +39,7 @@ def draw(measured: Mapping[str, Rows], path: Path) -> None:
 
 
 def draw_edges(axes: Any, rows: Rows) -> None:
-    """Bars with standard errors: near an edge and far from any, for each method."""
+    """Draws bars with standard errors for each method, near an edge and far from all edges."""
     table = report.grouped(rows, ("near_edge", "method"), ("wrong_face",))
     for near, label, color, shift in (
         (1, "1-5 mm from an edge", "#c2185b", -0.2),
@@ -57,7 +57,7 @@ def draw_edges(axes: Any, rows: Rows) -> None:
 
 
 def draw_weights(axes: Any, rows: Rows, names: Mapping[str, str]) -> None:
-    """Means with standard errors against w_n, the error solid and what the method sees of it dashed."""
+    """Draws means with standard errors over w_n: the error solid, its observable part dashed."""
     table = report.grouped(rows, ("shape", "w_n_cm"), names)
     for shape, color in zip(("cube", "cylinder"), COLOURS, strict=False):
         chosen = report.chosen(table, shape=shape)
@@ -75,7 +75,7 @@ def draw_weights(axes: Any, rows: Rows, names: Mapping[str, str]) -> None:
 
 
 def plain(axes: Any) -> None:
-    """Plain numbers at 1, 2 and 5 on logarithmic axes."""
+    """Sets plain numbers at 1, 2 and 5 on logarithmic axes."""
     from matplotlib.ticker import LogLocator
 
     for axis in (axes.xaxis, axes.yaxis):
@@ -86,7 +86,7 @@ def plain(axes: Any) -> None:
 
 
 def draw_minima(axes: Any, rows: Rows) -> None:
-    """Each grasp's error at the nearest minimum and the cheapest; above the diagonal the latter is worse."""
+    """Draws each grasp's error at the cheapest minimum over that at the nearest, worse above the diagonal."""
     for shape, color in zip(("box", "can"), COLOURS, strict=False):
         for part, filled, label in (("_symmetric", True, "modulo symmetry"), ("", False, "as it is")):
             x, y = (report.values(rows, f"{n}{part}_mm", object=shape) for n in ("nearest", "cheapest"))
@@ -103,7 +103,7 @@ def draw_minima(axes: Any, rows: Rows) -> None:
 
 
 def draw_speed(axes: Any, rows: Rows, task: str, xlabel: str) -> None:
-    """Medians with quartiles against the number of points."""
+    """Draws medians with quartiles over the number of points."""
     chosen = report.chosen(rows, task=task)
     for way, color in zip(report.distinct(chosen, "way"), COLOURS, strict=False):
         columns = ("points", "q25_us", "median_us", "q75_us")

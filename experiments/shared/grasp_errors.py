@@ -1,4 +1,4 @@
-"""Errors of a pose in the hand, as the paper measures them (eq. 8) and as a simulator knows them, with their spread."""
+"""Errors of a pose in the hand, as the paper measures them (eq. 8) and by the simulator's truth, with intervals."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,20 +9,20 @@ import handsight as hs
 from handsight import se3
 from handsight.evaluation import base_center
 from shared import scenes
-from shared.report import Array, Row
+from testbed.report import Array, Row
 
 GRID = 0.001
-"""To what the corners are read off the paper on the table [m]."""
+"""Resolution to which corners are read off the paper on the table [m]."""
 SIDE = 0.06
-"""Of a square on the table [m]; the paper says 'known dimensions' and no number."""
+"""Side of a square on the table [m]; the paper gives no number."""
 QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 RESAMPLES, CONFIDENCE = 2000, 0.95
 Interval = tuple[float, float, float]
-"""A value and the ends of its 95 % interval."""
+"""A value, and the ends of its 95 % interval."""
 
 
 def centre_from_corners(p1: Any, p2: Any) -> Array:
-    """The object's centre (..., 2) from two corners: `p1` across the square from it, `p2` next to it.
+    """Returns the object's centre (..., 2) from two corners: `p1` across the square from it, `p2` next to it.
 
     Eq. 8. Seen from above, x right and y up, the square is walked counterclockwise centre, `p2`, `p1`.
     """
@@ -31,7 +31,7 @@ def centre_from_corners(p1: Any, p2: Any) -> Array:
 
 
 def corners(centre: Array, angle: float, side: float = SIDE) -> Array:
-    """(4, 2, 2): p₁ and p₂ of each of the four squares around a centre, as eq. 8 wants them."""
+    """Returns the corners p₁ and p₂ of eq. 8 for each of the four squares around a centre, (4, 2, 2)."""
     turns = angle + np.arange(4) * np.pi / 2
     along = side * np.stack([np.cos(turns), np.sin(turns)], axis=1)
     p2 = centre + along
@@ -39,7 +39,7 @@ def corners(centre: Array, angle: float, side: float = SIDE) -> Array:
 
 
 def read_centre(xy: Array, angle: float) -> Array:
-    """(2,) the base's centre on the table [m] by eq. 8, from two corners read to a millimetre."""
+    """Returns the base's centre (2,) on the table [m] by eq. 8, from two corners read to a millimetre."""
     p1, p2 = corners(np.asarray(xy), angle)[0]
     return centre_from_corners(*(GRID * np.round(p / GRID) for p in (p1, p2)))
 
@@ -47,7 +47,7 @@ def read_centre(xy: Array, angle: float) -> Array:
 def pose_errors(
     model: hs.ObjectModel, T_palm_object: Array, sample: Any, open_directions: Array | Sequence[Array] = ()
 ) -> Row:
-    """Errors of a pose modulo symmetry, in millimetres and degrees.
+    """Returns the errors of a pose modulo symmetry, in millimetres and degrees.
 
     `open_directions` (k, 6): in which the contacts leave the pose open, as `PoseEstimate.unobservable`.
 
@@ -79,7 +79,7 @@ def pose_errors(
 
 
 def open_sigma(model: hs.ObjectModel, estimate: hs.PoseEstimate) -> float:
-    """Standard deviation [mm] that an estimate states along its open directions, declared symmetries aside."""
+    """Returns the standard deviation [mm] of an estimate along its unobservable directions but symmetries."""
     scale = np.repeat([1.0, 1 / model.radius], 3)
     values, vectors = np.linalg.eigh(estimate.information * scale[:, None] * scale)
     known = values > 1e-9 * max(values[-1], 1e-300)
@@ -88,14 +88,14 @@ def open_sigma(model: hs.ObjectModel, estimate: hs.PoseEstimate) -> float:
 
 
 def mean_interval(values: Any, seed: int = 0) -> Interval:
-    """Mean, and the ends of its 95 % interval by bootstrap."""
+    """Returns the mean, and the ends of its 95 % interval by bootstrap."""
     array = np.asarray(values, dtype=np.float64)
     means = array[_resampled(len(array), seed)].mean(axis=1)
     return float(array.mean()), *_ends(means)
 
 
 def removed_interval(before: Array, after: Array, seed: int = 0) -> Interval:
-    """Share of the mean error that was removed [%], and the ends of its 95 % interval by bootstrap over pairs."""
+    """Returns the removed share of the mean error [%], and the ends of its 95 % interval by bootstrap over pairs."""
     before, after = (np.asarray(v, dtype=np.float64) for v in (before, after))
     rows = _resampled(len(before), seed)
     shares = 100 * (1 - after[rows].mean(axis=1) / before[rows].mean(axis=1))
@@ -112,6 +112,6 @@ def _ends(values: Array) -> tuple[float, float]:
 
 
 def between(interval: Interval, digits: int = 1) -> str:
-    """`value [low, high]` as text."""
+    """Returns the text `value [low, high]`."""
     value, low, high = interval
     return f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"

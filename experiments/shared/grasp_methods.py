@@ -1,4 +1,4 @@
-"""The corrections that section III compares, each run on a simulated grasp: a row of errors a method."""
+"""The corrections that section III compares, each run on a simulated grasp, with a row of errors for each."""
 
 import functools
 from collections.abc import Iterable
@@ -10,13 +10,13 @@ import handsight as hs
 from shared import report, scenes
 from shared.grasp_errors import open_sigma, pose_errors
 from shared.grasp_trials import Trial, exact_model
-from shared.report import Row, Rows
+from testbed.report import Row, Rows
 
 SAMPLES = 4000
 WEIGHTS_CM = (1, 2, 5, 10)
-"""Of the paper's normals, w_n."""
+"""The weight w_n of the paper's normals."""
 LEAST_FINGERS = 2
-"""The paper's method asks for; with fewer vision's pose stays."""
+"""Fingers that the paper's method needs; with fewer, vision's pose stays."""
 PAPER = {
     "paper-gd, w_n 10 cm": hs.PaperMethod(optimizer="gd"),
     "paper-lm, no normals": hs.PaperMethod(normals=False),
@@ -27,19 +27,19 @@ ANSWERS: dict[str, dict[str, Any]] = {
     "best": {},
     "samples": {"samples": SAMPLES},
 }
-"""The default is the best one: the mean where the maximum is at the end of a slide; by samples it is checked."""
+"""The default answer is the mean where the maximum is at the end of a slide; sampling checks it."""
 OURS = {
     f"{name}{', outside' * outside}{', table' * table}": (how, outside, table)
     for name, how in ANSWERS.items()
     for outside in (False, True)
     for table in (False, True)
 }
-"""What `correct_pose` is asked for, whether points of the hand are evidence, whether the table is."""
+"""Answer of `correct_pose`, whether points of the hand are evidence, and whether the table is."""
 
 
 @functools.cache
 def warm() -> None:
-    """Compiles what is compiled at its first call, so that times are of corrections."""
+    """Calls everything that is compiled at its first call, so that times are those of corrections."""
     model = scenes.box()
     points, normals = model.sample(4)
     contacts = hs.Contacts(points, normals, sigma_point=1e-3, sigma_normal=0.1)
@@ -51,7 +51,7 @@ def warm() -> None:
 
 
 def rows_of(trial: Trial, methods: Iterable[str]) -> Rows:
-    """A row for each of the methods (names of `PAPER` and `OURS`), vision's errors beside its own."""
+    """Returns a row for each method (a name of `PAPER` or `OURS`), with its errors and vision's."""
     warm()
     rows = []
     for name in methods:
@@ -63,7 +63,7 @@ def rows_of(trial: Trial, methods: Iterable[str]) -> Rows:
 
 
 def corrected(trial: Trial, name: str) -> hs.PoseEstimate:
-    """The estimate of one of the methods."""
+    """Returns the estimate of one method."""
     if name in PAPER:
         return hs.correct_pose(trial.model, trial.contacts, vision=trial.vision, method=PAPER[name])
     how, outside, table = OURS[name]

@@ -21,72 +21,72 @@ from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, 
 from handsight.tracking import FingertipContacts, FingertipSensors, PoseBiasSmoother
 from handsight.tracking.measurements import on_table
 from shared.grasp_errors import pose_errors
-from shared.report import Array
+from testbed.report import Array
 
 OBJECTS = ("can", "box")
 OUTSIDE = 500
-"""Points of the hand's surface, shrunk by 1.5 mm, that cannot be inside the object."""
+"""Number of points of the hand's surface, shrunk by 1.5 mm, that cannot be inside the object."""
 INSTANTS = 10.0
-"""Observations a second of a grasp: only its last one is used."""
+"""Observations per second of a grasp, of which only the last is used."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One grasp at its last instant."""
+    """A `Trial` is a grasp at its last instant."""
 
     scenario: Scenario
     sample: Sample
     model: hs.ObjectModel
-    """What the robot takes the object for."""
+    """The robot's model of the object."""
     touch: FingertipContacts
-    """What its fingertips felt; some contact."""
+    """The contacts of its fingertips, at least one."""
     vision: hs.PosePrior
     standing: hs.PosePrior
-    """The same, given that the object stands on the table."""
+    """That prior, given that the object stands on the table."""
     outside: Array
-    """(500, 3) points of the hand in the palm [m]."""
+    """Points (500, 3) of the hand in the palm [m]."""
 
     @property
     def contacts(self) -> hs.Contacts:
-        """In the palm."""
+        """True pose (4, 4) in the palm."""
         assert self.touch.contacts is not None
         return self.touch.contacts
 
 
 @cache
 def rig() -> Any:
-    """The `hs.Rig` as it knows itself, nothing missing; the same for both objects and all nuisances."""
+    """Returns the complete rig that the robot believes in, the same for both objects and all nuisances."""
     return rig_of(Scenario())
 
 
 @cache
 def fingertips() -> FingertipSensors:
-    """Its fingertips."""
+    """Returns the sensors of the rig's fingertips."""
     return FingertipSensors(rig())
 
 
 @cache
 def surface() -> Any:
-    """The `HandSurface` of its links, without the tips, which touch the object."""
+    """Returns the surface of its links without the tips, which touch the object."""
     return rig().hand.surface(OUTSIDE, without=[finger.frame for finger in rig().fingers.values()])
 
 
 @lru_cache(maxsize=64)  # several experiments ask for the same grasp, and some for the same twice
 def last_instant(scenario: Scenario) -> Sample:
-    """The sample at the end of a grasp."""
+    """Returns the sample at the end of a grasp."""
     *_, last = simulate(scenario)
     return last
 
 
 def seen_in_palm(observation: Any) -> Array:
-    """T_palm_object (4, 4) as vision has it."""
+    """Returns T_palm_object (4, 4) as vision measures it."""
     T_world_object: Array = rig().camera.T_mount_camera @ observation.vision.T_frame_object
     T_palm_object: Array = se3.inverse(observation.T_world_palm) @ T_world_object
     return T_palm_object
 
 
 def vision_prior(observation: Any) -> hs.PosePrior:
-    """The seen pose with the camera's constant error and noise as its covariance."""
+    """Returns vision's pose with the camera's constant error and noise as its covariance."""
     camera = rig().camera
     position = camera.sigma_position**2 + camera.sigma_position_constant**2
     rotation = camera.sigma_rotation**2 + camera.sigma_rotation_constant**2
@@ -94,7 +94,7 @@ def vision_prior(observation: Any) -> hs.PosePrior:
 
 
 def standing(prior: hs.PosePrior, model: hs.ObjectModel, T_world_palm: Array) -> hs.PosePrior:
-    """The prior given that the object stands on the table; as it was where that contradicts it."""
+    """Returns the prior given that the object stands on the table, or the same prior where that contradicts it."""
     no_bias = 1e-6 * np.eye(6)
     state = PoseBiasSmoother.from_prior(prior.T_palm_object, prior.covariance, no_bias, np.zeros(3)).now
     stood = on_table(state, model, rig().table, T_world_palm)
@@ -102,7 +102,7 @@ def standing(prior: hs.PosePrior, model: hs.ObjectModel, T_world_palm: Array) ->
 
 
 def trial_of(scenario: Scenario, sample: Any, model: hs.ObjectModel | None = None) -> Trial | None:
-    """The problem of a sample; None where no finger touches. `model`: as the robot has it, if it is at hand."""
+    """Returns the problem of a sample; None where no finger touches. `model` is the robot's, if it is already built."""
     observation = sample.observation
     touch = fingertips().contacts(observation)
     if touch.contacts is None:
@@ -116,12 +116,12 @@ def trial_of(scenario: Scenario, sample: Any, model: hs.ObjectModel | None = Non
 
 @cache
 def exact_model(name: str) -> hs.ObjectModel:
-    """The object as it is."""
+    """Returns the exact model of the object."""
     return model_of(Scenario(object=name))
 
 
 def grasps(name: str, number: int, first: int, left_out: Any) -> Iterator[Trial]:
-    """`number` trials of that object with usual nuisances, by seeds from `first` on.
+    """Returns `number` trials of an object with the usual nuisances, by seeds from `first` on.
 
     `left_out` counts why a seed gave none.
     """
@@ -140,24 +140,24 @@ def grasps(name: str, number: int, first: int, left_out: Any) -> Iterator[Trial]
 
 
 def typical(name: str, number: int, first: int) -> Trial:
-    """Of some grasps the one whose vision is wrong by the middle amount."""
+    """Returns the grasp whose error of vision is the median."""
     trials = list(grasps(name, number, first, Counter()))
     return sorted(trials, key=lambda t: read_error(t, t.vision.T_palm_object))[len(trials) // 2]
 
 
 def read_error(trial: Trial, T_palm_object: Array) -> float:
-    """Of the base's centre [mm], as the paper measures it."""
+    """Returns the error of the base's centre [mm] as the paper measures it."""
     return float(pose_errors(trial.model, T_palm_object, trial.sample)["read"])
 
 
 def again(trial: Trial, **nuisances: Any) -> Trial | None:
-    """The same grasp with other nuisances; None where no finger touches."""
+    """Returns the same grasp with other nuisances; None where no finger touches."""
     changed = replace(trial.scenario, nuisances=replace(trial.scenario.nuisances, **nuisances))
     return trial_of(changed, last_instant(changed), trial.model)
 
 
 def silent(trial: Trial) -> Counter[str]:
-    """How many fingers of the truth were left out of the contacts, by reason."""
+    """Returns how many fingers that truly touch have no contact, by reason."""
     pushed = trial.sample.forces_object
     return Counter(reason for name, reason in trial.touch.reasons.items() if pushed.get(name, 0.0) > 0.1)
 
@@ -165,7 +165,7 @@ def silent(trial: Trial) -> Counter[str]:
 def sensing_errors(
     scenario: Scenario, draws: int, rng: np.random.Generator
 ) -> tuple[list[float], list[float]]:
-    """How far contacts are from the simulator's [m]: without any noise, and with 10 mN and 0.05 mN m.
+    """Returns the errors of contacts [m]: without any noise, and with 10 mN and 0.05 mN m.
 
     Of tips that touch the object and nothing else, joints exact: sensing alone.
     """

@@ -1,24 +1,24 @@
-"""Grips that contacts bound and do not fix: two fingers and a thumb on opposite sides, vision far off."""
+"""Grips in which contacts bound a slide without fixing it: two fingers oppose a thumb, and vision is far off."""
 
 import numpy as np
 
 import handsight as hs
 from handsight import se3
 from shared import scenes
-from shared.report import Array
+from testbed.report import Array
 
 NOISE = (1.6e-3, float(np.deg2rad(4)))
-"""Of a contact per axis: what joint offsets of 1 degree leave."""
+"""Noise of a contact per axis, as joint offsets of 1 degree cause it."""
 PLANE_MEAN, TURN = 0.080, np.deg2rad(10)
-"""Vision's error in the table's plane on average [m], and of the turn, root mean square [rad]."""
+"""Mean length of vision's error in the table's plane [m], and root mean square of its rotation [rad]."""
 ON_TABLE, IN_SPACE = 0.003, PLANE_MEAN / np.sqrt(np.pi / 2)  # a Rayleigh length has this mean
-"""One standard deviation of the height [m]: where the table is known, and where it is not."""
+"""Standard deviations of the height [m]: with a known table, and without."""
 
 
 def gripped(
     surface: scenes.Surface, rng: np.random.Generator, height: float
 ) -> tuple[hs.Contacts, hs.PosePrior, Array]:
-    """Contacts, vision, its covariance stated truthfully, and the true pose; the table's normal is the object's z."""
+    """Returns contacts, vision's pose with its true covariance, and the true pose; the object's z is vertical."""
     T = se3.random(rng, spread=0.1)
     R = T[:3, :3]
     contacts = scenes.touched(T, surface, NOISE, rng)

@@ -1,4 +1,4 @@
-"""An object that is moved, lifted and turned in the hand: the pose over time, as the paper's Fig. 8 has it."""
+"""An object that is moved, lifted and turned in the hand: its pose over time, as in the paper's figure 8."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,18 +15,18 @@ from handsight.tracking.replay import Step, Tally, replay
 from shared.grasp_errors import pose_errors
 from shared.grasp_methods import LEAST_FINGERS, PAPER, SAMPLES
 from shared.grasp_trials import OUTSIDE, exact_model, fingertips, rig, seen_in_palm, vision_prior
-from shared.report import Row, Rows
+from testbed.report import Row, Rows
 
 RATE = 50.0
-"""Observations a second; vision sees ten times a second."""
+"""Observations per second; vision measures ten times a second."""
 LAST = 2 / 3
-"""Errors are taken from this share of a run on: by then the palm has turned by 75 degrees."""
+"""Share of a run after which errors count: the palm has turned by 75 degrees by then."""
 PAPER_TRACKED = "paper-lm, w_n 5 cm"
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """How a tracker is set up."""
+    """The settings of one tracker."""
 
     answer: str = "best"
     outside: bool = False
@@ -43,17 +43,17 @@ TRACKED = {
     "best, outside, table": Tracked(outside=True),
 }
 WITH_SAMPLES = TRACKED | {"samples, outside, table": Tracked(outside=True, samples=SAMPLES)}
-"""Samples take 20 s a run."""
+"""Sampling takes 20 s for a run."""
 
 
 @lru_cache(maxsize=2)  # figure 8 shows the first of those that section III's repetition judges
 def recorded(name: str, seed: int) -> list[Sample]:
-    """All samples of a manipulation."""
+    """Returns all samples of a manipulation."""
     return list(simulate(Scenario(object=name, seed=seed, motion="manipulate", rate=RATE)))
 
 
 def tracked(name: str, samples: Sequence[Sample], how: Tracked) -> list[Step]:
-    """The tracker's answers to a run."""
+    """Returns the tracker's estimates in a run."""
     robot = rig() if how.table else replace(rig(), table=None)
     outside = OUTSIDE if how.outside else 0
     settings = TrackerSettings(answer=how.answer, outside=outside, samples=how.samples)
@@ -62,14 +62,14 @@ def tracked(name: str, samples: Sequence[Sample], how: Tracked) -> list[Step]:
 
 
 def turned(samples: Sequence[Any]) -> float:
-    """The largest turn of the palm between two instants of a run [°], as far as its first one tells."""
+    """Returns the largest rotation of the palm from the first instant of a run [°]."""
     first = samples[0].observation.T_world_palm[:3, :3]
     turns = [se3.rotation_log(s.observation.T_world_palm[:3, :3] @ first.T) for s in samples]
     return float(np.rad2deg(np.linalg.norm(turns, axis=1).max()))
 
 
 def run_rows(name: str, seed: int, ways: Mapping[str, Tracked]) -> Rows | None:
-    """A row a method: mean errors over the last third of a run, where vision saw; None where it was dropped."""
+    """Returns a row of mean errors for each method, where vision measures late in a run; None if it was dropped."""
     samples = recorded(name, seed)
     if samples[-1].dropped:
         return None
@@ -89,7 +89,7 @@ def run_rows(name: str, seed: int, ways: Mapping[str, Tracked]) -> Rows | None:
 
 
 def by_paper(model: hs.ObjectModel, samples: Sequence[Sample]) -> tuple[list[Any], list[int]]:
-    """The paper's method whenever vision sees: (pose in the palm, no directions, sample) each, and the iterations."""
+    """Returns the paper's poses where vision measures, as (pose in the palm, no directions, sample), and iterations."""
     found, iterations = [], []
     for sample in samples:
         if sample.observation.vision is None:
@@ -106,7 +106,7 @@ def by_paper(model: hs.ObjectModel, samples: Sequence[Sample]) -> tuple[list[Any
 
 
 def _run_row(model: hs.ObjectModel, method: str, found: Sequence[Any], fingers: Sequence[Any]) -> Row:
-    """Mean errors of (pose, open directions, sample) each, and of vision's."""
+    """Returns the mean errors of poses, given as (pose, unobservable directions, sample), and of vision's."""
     ours = [pose_errors(model, T, sample, directions) for T, directions, sample in found]
     seen = [pose_errors(model, seen_in_palm(s.observation), s, directions) for _, directions, s in found]
     row = {"method": method, **{key: float(np.mean([e[key] for e in ours])) for key in ours[0]}}

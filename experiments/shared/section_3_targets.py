@@ -1,11 +1,11 @@
-"""What section III's repetition should reach, and whether it did."""
+"""Targets of the repetition of section III, and whether they are met."""
 
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from shared.report import Row, Rows
+from testbed.report import Row, Rows
 
 REMOVED = (
     # object, experiment, method, least share removed [%], most error as read [mm]
@@ -15,17 +15,17 @@ REMOVED = (
     ("box", "time", "best, outside, table", 95, None),
 )
 DEPTH_POINT = 95
-"""Least share of vision's error removed in the directions that contacts can see [%]."""
+"""Smallest share of vision's error that is removed in observable directions [%]."""
 SENSING = {("can", "clean"): 60, ("box", "clean"): 30, ("can", "noisy"): 200, ("box", "noisy"): 200}
-"""Most mean error of a contact's location [µm]."""
+"""Largest mean error of a contact's location [µm]."""
 REGIONS = {"in 50%": (45, 60), "in 95%": (92, 98)}
-"""Share of truths in the stated regions [%]."""
+"""Shares of truths within the stated regions [%]."""
 HONEST = {"can": ("best", "best, table"), "box": ("best, outside", "best, outside, table")}
 WHEN = {"instant": "one instant", "time": "over time"}
 
 
 def judged(found: Row) -> Rows:
-    """A line a target: what, what was wanted, what was found, whether it is met."""
+    """Returns a line for each target: its name, the target, the measured value, and whether it is met."""
     return [*_paper(found), *_removed(found), *_seen(found), *_sensing(found), *_regions(found)]
 
 

@@ -1,24 +1,24 @@
-"""Pulls that make an object slip in the simulated hand, and what counts as a slip that was noticed."""
+"""Pulls that make an object slip in the simulated hand, and which of its slips count as detected."""
 
 import numpy as np
 
 from handsight.simulation import Nuisances, Sample, Scenario
 from handsight.simulation.scenario import Profile
-from shared.report import Array, Row
+from testbed.report import Array, Row
 
 PRESSED = 0.2
-"""A tip that presses the object less has no say [N]."""
+"""Force on a tip below which it is ignored [N]."""
 FAST, SLOW = 3e-3, 5e-4
-"""The object slips where all tips slide faster than the first, holds where one is slower than the second [m/s]."""
+"""The object slips if all tips slide faster than the first speed, and holds if one is slower than the second [m/s]."""
 NEAR, JOINED, LEAST = 0.02, 0.1, 1e-3
-"""So near to a slip an alarm is of it; slips with less between them are one [s]; shorter ones are none [m]."""
+"""Largest time between an alarm and its slip [s]; time below which two slips are one [s]; shortest slip [m]."""
 MOTIONS: tuple[Profile, ...] = ("ramp", "steps", "sine")
 FORCES, TORQUES = {"box": (3.0, 9.0), "can": (6.0, 16.0)}, {"box": (0.02, 0.08), "can": (0.04, 0.16)}
-"""Of the pulls, between [N], [N m]."""
+"""Ranges of the pulls' forces [N] and torques [N m]."""
 
 
 def scenario(name: str, seed: int, rate: float) -> Scenario:
-    """A pull, all of it drawn by the seed; every other one with a torque."""
+    """Returns a pull drawn by the seed; every second one has a torque."""
     rng = np.random.default_rng((seed, 99))
     friction, force, torque = rng.uniform(0.5, 1.0), rng.uniform(*FORCES[name]), rng.uniform(*TORQUES[name])
     nuisances = Nuisances(friction=friction, pull_force=force, pull_torque=torque if seed % 2 else 0.0)
@@ -26,13 +26,16 @@ def scenario(name: str, seed: int, rate: float) -> Scenario:
 
 
 def speed(sample: Sample) -> float:
-    """Of the tip along which the object slips least, of those that press it [m/s]; 0 where none does."""
+    """Returns the smallest slip speed among the tips that press the object [m/s]; 0 where none does."""
     forces = sample.forces_object
     return min((t.speed for finger, t in sample.touches.items() if forces[finger] > PRESSED), default=0.0)
 
 
 def counted(alarms: Array, speeds: Array, period: float) -> Row:
-    """How many samples were in alarm, rightly and strictly so, how many slipped, how many of those were in alarm."""
+    """Returns how many samples had an alarm, a right one, a strictly right one, and how many slipped.
+
+    `found` counts those that slipped and had an alarm.
+    """
     around = np.ones(2 * round(NEAR / period) + 1)
     right, strictly = (np.convolve(speeds > least, around, "same") > 0 for least in (SLOW, FAST))
     slipped = speeds > FAST
@@ -44,7 +47,7 @@ def counted(alarms: Array, speeds: Array, period: float) -> Row:
 
 
 def delays(alarms: Array, speeds: Array, stamps: Array) -> list[float | None]:
-    """From the begin of each slip to its alarm [s], which may have begun before it; None where there was none."""
+    """Returns the delay of each slip's alarm [s], negative if it began before the slip; None if there was none."""
     found: list[float | None] = []
     period = float(stamps[1] - stamps[0])
     ringing = runs(alarms, 0.0, period)
@@ -57,7 +60,7 @@ def delays(alarms: Array, speeds: Array, stamps: Array) -> list[float | None]:
 
 
 def runs(flags: Array, joined: float, period: float) -> list[tuple[int, int]]:
-    """Begin and end of each time the flags are set; those with less than `joined` [s] between them are one."""
+    """Returns begin and end of each time that flags are set; those less than `joined` [s] apart are one."""
     edges = np.diff(np.r_[0, flags.astype(int), 0])
     found: list[tuple[int, int]] = []
     for begin, end in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True):

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from shared import report
-from shared.report import Rows
+from testbed import report
+from testbed.report import Rows
 
 ACCELERATIONS = (0.0, 0.4, 1.0, 2.0, np.inf)
-"""Between which means are counted together [m/s²]."""
+"""Bounds of the classes of acceleration over which means are taken [m/s²]."""
 
 
 def show(rows: Rows) -> None:

@@ -1,4 +1,4 @@
-"""What can be wrong with a weight, and what a tracker makes of it: whether it is said, and what the pose comes to.
+"""Causes of a wrong weight, and how a tracker copes: whether it reports the cause, and the error of its pose.
 
 Vision stays on, as errors of the camera are told from those of the pose only while the palm tilts.
 """
@@ -14,17 +14,17 @@ import handsight as hs
 from handsight.objects import Symmetries
 from handsight.simulation import Nuisances, Scenario, simulate
 from shared.grasp_trials import exact_model, rig
-from shared.report import Array, Row
+from testbed.report import Array, Row
 
 MASS, OFF, FULL_SCALE = 0.15, 0.02, 80.0
-"""Of the objects [kg], how far off a centre of mass is declared [m], and what a sensor cannot read [N]."""
+"""Masses of the objects [kg], errors of a declared centre of mass [m], forces that no sensor measures [N]."""
 USUAL = ("nothing is", "the palm has not risen", "a finger is on the table", "the object slips")
-"""How reasons begin why nothing is weighed where nothing is wrong."""
+"""Beginnings of the reasons for not weighing that do not report an error."""
 
 
 @dataclass(frozen=True)
 class Wrong:
-    """What is wrong: with what is simulated, or read, or what the robot believes of itself or the object."""
+    """A `Wrong` is an error of the simulation, of the readings, or of what the robot believes."""
 
     nuisances: Mapping[str, float] = field(default_factory=dict)
     change: Callable[[Any], Any] = lambda observation: observation
@@ -34,7 +34,7 @@ class Wrong:
 
 
 def ways(name: str, seed: int) -> dict[str, Wrong]:
-    """By what is said of it."""
+    """Returns the causes by name, those of one object and seed."""
     direction = np.random.default_rng(seed).normal(size=3)
     bare = "lf" if name == "can" else "mf"
     sensed = {finger: known for finger, known in rig().fingers.items() if finger != bare}
@@ -55,7 +55,7 @@ def ways(name: str, seed: int) -> dict[str, Wrong]:
 
 
 def rows(name: str, seed: int, until: float) -> Iterator[Row]:
-    """A row of each that did not drop the object, by observations until then [s]."""
+    """Yields a row for each cause for which the object was not dropped, by observations until then [s]."""
     simulated: dict[tuple[tuple[str, float], ...], list[Any]] = {}
     for what, wrong in ways(name, seed).items():
         key = tuple(wrong.nuisances.items())
@@ -79,7 +79,7 @@ def _samples(name: str, seed: int, nuisances: Mapping[str, float], until: float)
 
 
 def _followed(tracker: Any, samples: list[Any], wrong: Wrong) -> tuple[float, float, float]:
-    """Whether it is said that something is wrong, ever and at last, and the error of the object's middle [mm]."""
+    """Returns whether an error is reported, ever and at the end, and the error of the object's middle [mm]."""
     ever = now = False
     for sample in samples:
         estimate = tracker.update(wrong.change(sample.observation))

@@ -36,11 +36,13 @@ if _typing.TYPE_CHECKING:  # "as" marks a name as exported
         contacts_from_wrenches as contacts_from_wrenches,
     )
     from handsight.correction import (
+        DepthPoints as DepthPoints,
         Outside as Outside,
         PaperMethod as PaperMethod,
         Plane as Plane,
         PoseEstimate as PoseEstimate,
         PosePrior as PosePrior,
+        SkinEvidence as SkinEvidence,
         TwoPhase as TwoPhase,
         WeightEvidence as WeightEvidence,
         correct_pose as correct_pose,
@@ -59,7 +61,8 @@ _NAMES = {
     "camera": "Camera",
     "contact": "Contact Contacts Ellipsoid NoContact Sphere calibrate_wrench contact_from_wrench "
     "contacts_from_wrenches",
-    "correction": "Outside PaperMethod Plane PoseEstimate PosePrior TwoPhase WeightEvidence correct_pose correct_poses",
+    "correction": "DepthPoints Outside PaperMethod Plane PoseEstimate PosePrior SkinEvidence TwoPhase WeightEvidence "
+    "correct_pose correct_poses",
     "errors": "HandsightError InvalidInput",
     "objects": "ObjectModel",
     "observation": "Observation PoseMeasurement",

@@ -21,7 +21,7 @@ Depth = NDArray[np.float32]
 
 
 class ImageSource(Protocol):
-    """An `ImageSource` may know the intrinsics of its images, as a rig's camera does."""
+    """An `ImageSource`, such as a rig's camera, may know the intrinsics of its images."""
 
     @property
     def intrinsics(self) -> Array | None:
@@ -37,17 +37,17 @@ class ImageSource(Protocol):
 
 
 class DrawnTriangles(NamedTuple):
-    """`DrawnTriangles` are a depth image of triangles, with the triangle in each pixel."""
+    """`DrawnTriangles` are a depth image of triangles, with the label of the triangle in each pixel."""
 
     depth: Depth
     """(h, w) along the optical axis [m], infinite where there is none."""
     labels: NDArray[np.int32]
-    """(h, w) of the nearest triangle, -1 where there is none."""
+    """(h, w) label of the nearest triangle, -1 where there is none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A `Camera` is a pinhole camera behind a lens, as its intrinsics say.
+    """A `Camera` is a pinhole camera behind a lens, by its intrinsics.
 
     Its optical frame has x right, y down and z forward; pixel centres are at whole numbers.
     """
@@ -62,12 +62,11 @@ class Camera:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput for what is no camera."""
+        """Raises InvalidInput for a matrix, a size or a lens that no camera has."""
         K = checks.finite(self.matrix, "matrix", (3, 3))
         if not (K[0, 0] > 0 and K[1, 1] > 0) or K[0, 1] or K[1, 0] or (K[2] != [0, 0, 1]).any():
-            raise InvalidInput(
-                f"matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {checks.brief(K)}"
-            )
+            expected = "expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+            raise InvalidInput(f"matrix: {expected}, got {checks.brief(K)}")
         width, height = (checks.integer(n, "size", MAX_PIXELS) for n in self.size)
         if not 0 < width * height <= MAX_PIXELS:
             raise InvalidInput(f"size: expected width and height above 0, got {width} x {height}")
@@ -91,7 +90,7 @@ class Camera:
         row["cx"], row["cy"] = self.matrix[0, 2], self.matrix[1, 2]
         row["lens"][: len(self.lens)] = self.lens
         steepest = pinhole.rays(record, rays)
-        # Beyond the image a lens is believed a tenth farther: its polynomials may lead steeper rays back into it.
+        # A lens is used a tenth beyond the image: its polynomials may lead steeper rays back into the image.
         row["reach2"] = 1.1**2 * steepest if self.lens.any() else np.inf
         rays.setflags(write=False)
         return record, rays
@@ -121,7 +120,7 @@ class Camera:
         return image.astype(np.float32, copy=False)
 
     def points(self, depth: ArrayLike) -> NDArray[np.float32]:
-        """Returns the points (h, w, 3) [m] in the camera of a depth image (h, w) [m], NaN where it has none."""
+        """Returns the points (h, w, 3) [m] of a depth image (h, w) [m], in the camera; NaN where it has no depth."""
         z = self.check_depth(depth)
         points = np.empty((*z.shape, 3), dtype=np.float32)
         with np.errstate(invalid="ignore"):
@@ -132,14 +131,14 @@ class Camera:
         return points
 
     def project(self, points_camera: ArrayLike) -> Array:
-        """Returns column and row (n, 2) of points (n, 3) [m] in the camera; NaN of those out of view."""
+        """Returns column and row (n, 2) of points (n, 3) [m] in the camera; NaN for those out of view."""
         points = checks.finite(points_camera, "points_camera", (None, 3))
         pixels = np.empty((len(points), 2))
         pinhole.pixels_of(self.record, points, pixels)
         return pixels
 
     def draw(self, vertices_camera: Array, faces: Indices, labels: Indices | None = None) -> DrawnTriangles:
-        """Returns the image of triangles `faces` (m, 3) of vertices (k, 3) [m]; `labels` (m,) are drawn for each."""
+        """Returns the image of triangles `faces` (m, 3) of vertices (k, 3) [m] with labels (m,); None: all 0."""
         depth = np.full(self.size[::-1], np.inf, dtype=np.float32)
         drawn = np.full(self.size[::-1], -1, dtype=np.int32)
         named = np.zeros(len(faces), dtype=np.int64) if labels is None else labels
@@ -148,9 +147,9 @@ class Camera:
 
 
 def check_lens(value: ArrayLike, name: str) -> Array:
-    """Returns the coefficients of a lens (n,); raises InvalidInput for another number of them.
+    """Returns the coefficients of a lens (n,): none, plumb_bob without or with k3, or a rational polynomial.
 
-    They are none, plumb_bob without and with k3, or a rational polynomial.
+    Raises InvalidInput for another number of them.
     """
     lens = checks.finite(value, name, (None,))
     if len(lens) not in (0, 4, 5, 8):

@@ -111,12 +111,13 @@ def skew(v: Array) -> Array:
 
 
 def point_jacobian(arm: Array) -> Array:
-    """Returns the derivative (6, 6) of (δp, δθ) at a point of a body by that of its origin, `arm` (3,) from there.
+    """Returns the derivative (..., 6, 6) of (δp, δθ) at a point of a body by that of its origin, `arm` (..., 3) from
+    there.
 
     The point moves by δp - [arm]ₓ δθ: the turn acts over the lever arm. Its first three rows are of the point alone.
     """
-    J = np.eye(6)
-    J[:3, 3:] = -skew(arm)
+    J = np.eye(6) + np.zeros((*arm.shape[:-1], 1, 1))
+    J[..., :3, 3:] = -skew(arm)
     return J
 
 

@@ -12,7 +12,7 @@ from benchmarks.peers.paper_numba import PaperCompiled
 from benchmarks.peers.scipy_lsq import left_jacobian
 from benchmarks.workload import FAR, NEAR
 from handsight import se3
-from shared import scenes
+from testbed import scenes
 
 OBJECTS = workload.OBJECTS
 BASELINE = {

@@ -6,7 +6,7 @@ import pytest
 from benchmarks import peers, sight
 from handsight import ObjectModel, se3
 from handsight.vision.object.region import scene_of
-from shared import sight_scenes as scenes
+from testbed import sight_scenes as scenes
 
 
 def rows(right, seconds, hidden="table"):
@@ -38,7 +38,7 @@ def test_each_peer_finds_an_object_that_stands_alone(name):
     rng = np.random.default_rng(4)
     T = se3.compose(se3.random(rng)[:3, :3], np.array([0.02, -0.03, 0.45]))
     depth = scenes.WIDE.draw(se3.apply(T, model.vertices), model.faces).depth
-    scene = scene_of(scenes.WIDE, np.nan_to_num(depth), wanted=np.isfinite(depth))
+    scene = scene_of(scenes.WIDE, np.nan_to_num(depth, posinf=0), wanted=np.isfinite(depth))
     made[name].prepare(model)
     found = made[name].ready(scene)()
     assert scenes.adds(model, T, found[None])[0] < sight.RIGHT

@@ -135,17 +135,17 @@ def test_editors_and_users_see_the_same_names():
 def test_warmup_says_what_it_compiled_and_where_it_is(monkeypatch, capsys):
     import types
 
-    from handsight._kernels.runtime import compilation
+    from handsight._kernels.runtime import kernel_cache
     from handsight.cli.main import warmup
 
-    warm = types.ModuleType("handsight._kernels.runtime.warm")
+    warm = types.ModuleType("handsight.tracking.warm")
     warm.warm = lambda report: (report("fields", 1.25), report("solver", 20.0))
-    monkeypatch.setitem(sys.modules, "handsight._kernels.runtime.warm", warm)
+    monkeypatch.setitem(sys.modules, "handsight.tracking.warm", warm)
     warmup()
     out, said = capsys.readouterr()
     assert said.splitlines() == ["   1.2 s  fields", "  20.0 s  solver"]
     assert re.match(r"compiled in \d\.\d s; kept in ", out)
-    assert str(compilation.folder()) in out
+    assert str(kernel_cache.folder()) in out
 
 
 def test_contact_converts_wrenches(asked, tmp_path):

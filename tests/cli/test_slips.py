@@ -9,7 +9,7 @@ from handsight.cli.track_summary import TrackResult
 from handsight.forces import Slip
 from handsight.tracking.replay import Tally
 from handsight.tracking.skin import NOTHING
-from handsight.viewer.curves import slips_of
+from handsight.viewer.timeline import slips_of
 
 
 def steps():

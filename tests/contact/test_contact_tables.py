@@ -12,11 +12,29 @@ from handsight.contact import (
     Ellipsoid,
     Sphere,
     contact_from_wrench,
+    contacts_from_wrenches,
     convert,
 )
-from handsight.contact.tables import COLUMNS, read_wrenches
 from handsight.errors import InvalidFile, InvalidInput
 
+COLUMNS = [
+    "reason",
+    "x",
+    "y",
+    "z",
+    "nx",
+    "ny",
+    "nz",
+    "force_normal",
+    "force_tangential_x",
+    "force_tangential_y",
+    "force_tangential_z",
+    "torque",
+    "sigma_x",
+    "sigma_y",
+    "sigma_z",
+    "sigma_normal",
+]
 TIP = Ellipsoid(PAPER_TIP, cap=0.0, max_friction=1.0)
 HEADER = "stamp,finger,fx,fy,fz,tx,ty,tz\n"
 FIVE = HEADER + (
@@ -94,20 +112,20 @@ def test_a_stamp_from_csv_keeps_all_its_digits_as_a_json_number():
     assert json.loads(out.splitlines()[3])["finger"] == "l,f"
 
 
-def test_a_table_may_be_longer_than_a_chunk():
-    truth = touches(np.random.default_rng(1), TIP, 25)
+def test_a_table_may_be_longer_than_what_is_read_at_once():
+    truth = touches(np.random.default_rng(1), TIP, 9000)
     text = "fx,fy,fz,tx,ty,tz\n" + "".join(
         ",".join(map(repr, row)) + "\n" for row in np.hstack([truth.forces, truth.torques]).tolist()
     )
-    for chunk in (1, 7, 25, 100):
-        rows = list(read_wrenches(io.StringIO(text), chunk=chunk))
-        assert max(len(some.forces) for some in rows) <= chunk
-        np.testing.assert_array_equal(np.concatenate([some.forces for some in rows]), truth.forces)
-        np.testing.assert_array_equal(np.concatenate([some.torques for some in rows]), truth.torques)
-    twenty_thousand = "fx,fy,fz,tx,ty,tz\n" + "0,0,-1,0,0,0\n" * 20_000
-    counts, out = converted(twenty_thousand)
-    assert counts["contact"] == 20_000
-    assert len(out.splitlines()) == 20_001
+    counts, out = converted(text, format="jsonl")
+    rows, batch = (
+        [json.loads(line) for line in out.splitlines()],
+        contacts_from_wrenches(truth.forces, truth.torques, TIP),
+    )
+    assert len(rows) == sum(counts.values()) == 9000
+    points = np.array([row["point"] for row in rows if row["reason"] == "contact"])
+    np.testing.assert_array_equal(points, batch.points)
+    assert [i for i, row in enumerate(rows) if row["reason"] == "contact"] == batch.rows.tolist()
 
 
 def test_files_are_converted_by_their_names(tmp_path):

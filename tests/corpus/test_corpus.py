@@ -2,8 +2,8 @@
 
 import pytest
 
-from handsight._kernels.runtime.warm import warm
 from handsight.errors import HandsightError
+from handsight.tracking.warm import warm
 from tests.corpus.door import check_sentence, knock
 from tests.corpus.doors import CASES, DOORS
 

@@ -16,7 +16,7 @@ EVERYONE = np.ones((1, 5), dtype=bool)
 
 def summary(problem, T, used=EVERYONE):
     """The ANSWER at a pose, first order."""
-    return solve._summaries(problem, descents_at(T[None]), used, first_order=True)[0]
+    return solve.summaries(problem, descents_at(T[None]), used, first_order=True)[0]
 
 
 def test_contacts_are_whitened_as_their_noise_is():

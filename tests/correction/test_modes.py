@@ -41,7 +41,7 @@ def _calibrated(model, nodes, constraints, outside, descents, values, vectors):
     prior = local(PRIOR_TERM)
     prior_term.vision_prior(model[0], constraints[0].prior, prior, local(UNCERTAINTY))
     evidence = terms.Evidence(
-        model[0], nodes, np.empty(0, TERM), outside, constraints[0].weight, prior, (0.0, 0.0, 0.0)
+        model[0], nodes, np.empty(0, TERM), outside, constraints[0], prior, (0.0, 0.0, 0.0)
     )
     pose, rises = pose_of(descents[0].pose), np.empty(6)
     uncertainty.calibrated_information(evidence, pose, CALIBRATION.stride, values, vectors, rises)

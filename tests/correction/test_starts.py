@@ -7,9 +7,8 @@ import handsight as hs
 from handsight import se3
 from handsight._kernels.runtime.threads import alone
 from handsight.correction import outliers, solve, starts
-from handsight.correction.budget import Budget
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import Problem, TwoPhase, poses_of
+from handsight.correction.problem import Budget, Problem, TwoPhase, poses_of
 from oracles import fields
 from scenes import BOX_NORMALS, BOX_POINTS, NOISE, box, can, grasp, off, on_can_side, random_scene
 
@@ -144,7 +143,7 @@ def test_a_longer_budget_finds_nothing_worse(monkeypatch):
     everyone = np.ones((1, 5), dtype=bool)
     for units in range(1, 8):
         clock = iter(range(1000))
-        monkeypatch.setattr("handsight.correction.budget.time.perf_counter", lambda clock=clock: next(clock))
+        monkeypatch.setattr("handsight.correction.problem.time.perf_counter", lambda clock=clock: next(clock))
         found = outliers.solve_robustly(given, TwoPhase(), Budget(ends=units))
         costs.append(found.cost)
     monkeypatch.undo()

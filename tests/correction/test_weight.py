@@ -56,7 +56,7 @@ def test_weight_is_information_of_its_rows():
     given = Problem(box(), contacts, seen(), NO_OUTSIDE)
     everyone = np.ones((1, 3), dtype=bool)
     with_weight, without = (
-        solve._summaries(problem, descents_at(T_TRUE[None]), everyone, first_order=True)[0]
+        solve.summaries(problem, descents_at(T_TRUE[None]), everyone, first_order=True)[0]
         for problem in (replace(given, weight=weight), given)
     )
     J = np.hstack([np.eye(3), -se3.skew(T_TRUE[:3, :3] @ center)]) / 1e-3

@@ -1,12 +1,9 @@
 """The experiments on generated problems run as a user would run them, and find what they are cited for."""
 
-import os
-
 import numpy as np
 import pytest
 
 from experiments.experiment_runs import column, run
-from shared import report
 
 
 @pytest.mark.slow
@@ -59,25 +56,6 @@ def test_what_a_model_adds_is_that_of_a_circle_on_a_can(tmp_path, monkeypatch):
     bend = np.rad2deg(1 / 33) / np.sqrt(2)
     np.testing.assert_allclose(column(rows, "bend °", object="cylinder, exact"), bend, rtol=1e-3)
     assert column(rows, "bend °", object="box, exact").max() == 0
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--trials", "1"], "argument --trials: expected a whole number of at least 2, got '1'"),
-        (["--trials", "x"], "argument --trials: expected a whole number of at least 2, got 'x'"),
-        (["--seed", "-1"], "argument --seed: expected a whole number of at least 0, got '-1'"),
-        (["--shift-mm", "nan"], "argument --shift-mm: expected a number of at least 0, got 'nan'"),
-        (["--output", os.devnull], f"argument --output: {os.devnull}: File exists"),
-    ],
-)
-def test_wrong_arguments_of_an_experiment_are_said_in_a_sentence(arguments, message, monkeypatch, capsys):
-    parser = report.parser("An experiment.")
-    parser.add_argument("--shift-mm", type=report.amount)
-    monkeypatch.setattr("sys.argv", ["experiment.py", *arguments])
-    with pytest.raises(SystemExit):
-        report.parsed(parser, trials=100, quick_trials=6)
-    assert capsys.readouterr().err.splitlines()[-1].endswith(f"error: {message}")
 
 
 @pytest.mark.slow

@@ -9,8 +9,6 @@ import trimesh
 
 from handsight._kernels.math.spreading import snapped, spread_out
 from handsight._kernels.mesh.connected_nodes import linked
-from handsight._kernels.mesh.nearest_triangle import closest_points
-from handsight._kernels.runtime import warm
 from handsight.objects import ObjectModel
 from handsight.objects.meshes.box_tree import ClosestPointSearch, Winding, box_tree
 from objects.object_shapes import box_mesh, divided, prism, triangles
@@ -249,15 +247,14 @@ def test_several_threads_at_once_are_answered_as_one_is(rng):
     def answers(points, wait=True):
         if wait:
             gate.wait(timeout=60)
-        return closest_points(points, np.inf, search._tree), winding.at(points), *model.evaluate(points)
+        return search.closest(points)[0].distance, winding.at(points), *model.evaluate(points)
 
     alone = [answers(points, wait=False) for points in sets]
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(answers, sets))
     for one, other in zip(alone, together, strict=True):
-        for k, (a, b) in enumerate(zip(one, other, strict=True)):
-            # Of equally near triangles the one tried first is taken, and that is the last point's.
-            np.testing.assert_allclose(a[:, 0] if k == 0 else a, b[:, 0] if k == 0 else b, rtol=0, atol=1e-12)
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_allclose(a, b, rtol=0, atol=1e-12)
 
 
 def test_fields_are_evaluated_by_their_definitions(rng):
@@ -295,27 +292,3 @@ def test_closest_points_and_winding_numbers_take_any_layout_of_points(rng):
     for same in (np.asfortranarray(points), np.repeat(points, 2, axis=0)[::2], still):
         np.testing.assert_array_equal(search.closest(same)[0].distance, search.closest(points)[0].distance)
         np.testing.assert_array_equal(winding.at(same), winding.at(points))
-
-
-def test_warming_compiles_what_building_an_object_calls(rng):
-    from handsight._kernels.math import spreading
-    from handsight._kernels.mesh import connected_nodes, field, nearest_triangle, winding
-
-    told = []
-    warm.warm(lambda name, seconds: told.append((name, seconds)))
-    assert [name for name, _ in told] == list(warm.GROUPS)
-    kernels = (
-        nearest_triangle.closest,
-        winding.winding,
-        connected_nodes.linked,
-        spreading.spread_out,
-        spreading.snapped,
-        field.evaluate,
-    )
-    before = [len(kernel.signatures) for kernel in kernels]
-    size = 0.05 + 0.001 * rng.random()  # of its own: nothing is remembered
-    model = ObjectModel.from_mesh(*bumpy(size=size))
-    model.evaluate(np.zeros((3, 3)))
-    ObjectModel.box((size, size, size)).evaluate(np.zeros((3, 3)))
-    ObjectModel.from_points(*model.sample(500))
-    assert [len(kernel.signatures) for kernel in kernels] == before

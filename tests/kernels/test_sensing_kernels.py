@@ -271,16 +271,3 @@ def test_the_kernels_are_imported_with_the_first_contact():
         "assert 'numba' not in sys.modules; find([0, 0, -1], [0, 0, 0], tip); assert 'numba' in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_warming_compiles_every_kernel():
-    code = (
-        "from handsight._kernels.touch import sensing as k; k.warm()\n"
-        "kernels = k.sense, k.sense_one, k.covariances\n"
-        "assert all(len(f.signatures) == 1 for f in kernels)\n"
-        "from handsight.contact import Sphere, contact_from_wrench, contacts_from_wrenches\n"
-        "contact_from_wrench([0, 0, -1], [0, 0, 0], Sphere(0.01))\n"
-        "contacts_from_wrenches([[0, 0, -1]], [[0, 0, 0]], Sphere(0.01)).covariances\n"
-        "assert all(len(f.signatures) == 1 for f in kernels)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)

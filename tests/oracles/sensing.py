@@ -10,13 +10,10 @@ from numpy.typing import NDArray
 
 from handsight import se3
 from handsight.checks import MAX_LOAD, Array
-from handsight.contact.contact import Reason, symmetric
-from handsight.contact.fingertips import Fingertip
+from handsight.contact import Fingertip, Reason
 
 GRAZING = 1e-6
 """A push counts as one from this cosine (on the sphere) on; below, the wrench's axis misses the surface."""
-VANISHING = 1e-150
-"""A force this much smaller than its torque, in doubles, has no direction left."""
 
 
 class Sensed(NamedTuple):
@@ -46,10 +43,8 @@ def sense(F: Array, M: Array, fingertip: Fingertip, sigmas: Array) -> Sensed:
 
 
 class _Push(NamedTuple):
-    """Solutions of eq. 7 on the unit sphere, for forces and torques divided by `scale`."""
+    """Solutions of eq. 7 on the unit sphere."""
 
-    scale: Array
-    """(k,) a power of two, so that dividing by it is exact."""
     forces: Array
     """(k, 3) along the surface's axes."""
     q: Array
@@ -64,10 +59,6 @@ class _Push(NamedTuple):
 
 def _push(F: Array, M: Array, fingertip: Fingertip) -> _Push:
     """The one push that explains each wrench (the other root of eq. 7 is the pull from the other side)."""
-    largest = np.maximum(np.abs(F).max(axis=1, initial=0.0), np.abs(M).max(axis=1, initial=0.0))
-    # Exponents are those of the doubles themselves: no finite wrench over- or underflows below.
-    scale = np.ldexp(1.0, np.frexp(largest)[1] - 1)
-    F, M = F / scale[:, None], M / scale[:, None]
     T = fingertip.T_surface_sensor
     if T is not None:
         F = F @ T[:3, :3].T
@@ -79,10 +70,10 @@ def _push(F: Array, M: Array, fingertip: Fingertip) -> _Push:
     root = -np.sqrt((ff - mm) + 2j * (f * m).sum(axis=1))
     c, kappa = root.real, root.imag
     q = c[:, None] * f + kappa[:, None] * m + np.cross(f, m)
-    grazing = ~(c < -np.maximum(GRAZING * np.sqrt(ff), VANISHING))
+    grazing = ~(c < -GRAZING * np.sqrt(ff))
     length = np.linalg.norm(q, axis=1, keepdims=True)
     # The length is |f|² + κ², but for rounding: dividing by it lands on the surface.
-    return _Push(scale, F, q / np.where(length > 0, length, 1.0), c, kappa, grazing)
+    return _Push(F, q / np.where(length > 0, length, 1.0), c, kappa, grazing)
 
 
 def _judge(push: _Push, fingertip: Fingertip) -> NDArray[np.int8]:
@@ -102,7 +93,7 @@ def _judge(push: _Push, fingertip: Fingertip) -> NDArray[np.int8]:
 def _sensed(
     reasons: NDArray[np.int8], rows: NDArray[np.intp], push: _Push, fingertip: Fingertip, sigmas: Array
 ) -> Sensed:
-    """The contacts back from the sphere and the scale."""
+    """The contacts back from the sphere."""
     W = 1 / fingertip.semi_axes
     steepness = np.linalg.norm(push.q * W, axis=1)
     return Sensed(
@@ -110,9 +101,9 @@ def _sensed(
         rows=rows,
         points=push.q * fingertip.semi_axes,
         normals=_normals(push.q, fingertip),
-        forces=_rescaled(push.forces, push.scale[:, None]),
-        forces_normal=_rescaled(-push.c / steepness, push.scale),
-        torques=_rescaled(-push.kappa * steepness / W.prod(), push.scale),
+        forces=push.forces,
+        forces_normal=-push.c / steepness,
+        torques=-push.kappa * steepness / W.prod(),
         covariances=_covariances(push, fingertip, sigmas),
     )
 
@@ -133,13 +124,13 @@ def _covariances(push: _Push, fingertip: Fingertip, sigmas: Array) -> Array:
     if T is not None:
         by_force = (by_force + by_torque @ se3.skew(T[:3, 3])) @ T[:3, :3]
         by_torque = by_torque @ T[:3, :3]
-    by_reading = np.concatenate([by_force, by_torque], axis=-1) * (sigmas / push.scale[:, None, None])
+    by_reading = np.concatenate([by_force, by_torque], axis=-1) * sigmas
 
     normals, steepness = _normals(q, fingertip), np.linalg.norm(q * W, axis=1)
     flat = np.eye(3) - normals[:, :, None] * normals[:, None, :]
     normal_by_q = -flat * W / steepness[:, None, None]
     spread = np.concatenate([by_reading / W[:, None], normal_by_q @ by_reading], axis=1)
-    return symmetric(spread @ spread.swapaxes(-1, -2))
+    return spread @ spread.swapaxes(-1, -2)
 
 
 def _normals(q: Array, fingertip: Fingertip) -> Array:
@@ -149,17 +140,4 @@ def _normals(q: Array, fingertip: Fingertip) -> Array:
 
 
 def _taken(push: _Push, rows: NDArray[np.bool_]) -> _Push:
-    return _Push(
-        push.scale[rows],
-        push.forces[rows],
-        push.q[rows],
-        push.c[rows],
-        push.kappa[rows],
-        push.grazing[rows],
-    )
-
-
-def _rescaled(values: Array, scale: Array) -> Array:
-    """`values * scale`, kept finite where only the product overflows."""
-    most = np.finfo(np.float64).max
-    return np.clip(values * scale, -most, most)
+    return _Push(*(values[rows] for values in push))

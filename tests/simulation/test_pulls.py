@@ -10,7 +10,7 @@ from handsight import se3
 from handsight.cli.simulate import write_slips
 from handsight.recording import RecordingWriter, open_recording
 from handsight.simulation import Nuisances, Scenario, rig_of, simulate
-from handsight.simulation.pull import PULL, Pull, height
+from handsight.simulation.loads import PULL, Pull, pull_share
 from handsight.simulation.scenario import SCENARIO
 from simulation.simulated import only, sensed
 
@@ -27,7 +27,7 @@ def pull(motion="ramp", seed=0, **strength):
 @pytest.mark.parametrize("motion", ["ramp", "steps", "sine"])
 def test_a_pull_grows_to_its_height_and_is_nothing_before_and_after(motion):
     times = np.arange(0, PULL.duration, 0.001)
-    heights = np.array([height(motion, t) for t in times])
+    heights = np.array([pull_share(motion, t) for t in times])
     assert heights.min() >= 0
     assert 0.9 < heights.max() <= 1
     assert np.abs(np.diff(heights)).max() < 0.01
@@ -40,8 +40,8 @@ def test_a_pull_grows_to_its_height_and_is_nothing_before_and_after(motion):
 
 
 def test_steps_rest_and_a_sine_comes_back():
-    assert height("steps", 1.9 * PULL.step) == height("steps", 1.5 * PULL.step)
-    assert height("sine", 2 / 1.5) == pytest.approx(0, abs=1e-12)
+    assert pull_share("steps", 1.9 * PULL.step) == pull_share("steps", 1.5 * PULL.step)
+    assert pull_share("sine", 2 / 1.5) == pytest.approx(0, abs=1e-12)
 
 
 def test_a_pull_lets_go_of_what_has_slipped_and_does_not_follow_what_flies():

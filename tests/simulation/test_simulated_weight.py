@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from handsight.simulation import Nuisances, Scenario
+from handsight.simulation.loads import Payload, center_of_mass
 from handsight.simulation.motion import WEIGH_LEGS, palm_poses
-from handsight.simulation.payload import Payload, center_of_mass
 from handsight.simulation.scene import FINGERS
-from handsight.simulation.simulate import _one_tip
+from handsight.simulation.simulate import tip_biases
 from simulation.simulated import only
 
 
@@ -62,9 +62,9 @@ def test_what_bears_an_object_presses_upwards_on_its_underside():
 
 
 def test_one_gripping_tip_is_biased():
-    found = [_one_tip(only(tip_bias=0.1), seed) for seed in range(8)]
+    found = [tip_biases(only(tip_bias=0.1), seed) for seed in range(8)]
     sizes = np.linalg.norm(found, axis=2)
     np.testing.assert_allclose(np.sort(sizes)[:, -1], 0.1)
     assert (np.sort(sizes)[:, :-1] == 0).all()
     assert {FINGERS[k] for k in sizes.argmax(axis=1)} <= {"ff", "mf", "th"}
-    assert not _one_tip(only(), 0).any()
+    assert not tip_biases(only(), 0).any()

@@ -13,7 +13,7 @@ import scenes
 from handsight import se3
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
-from handsight.correction.surface_at_contacts import information_by_contact
+from handsight.correction.solve import information_by_contact
 from handsight.errors import InvalidInput
 from handsight.tracking import FingertipSensors, JointOffsets, Tracker
 from handsight.tracking.joint_offsets import CREEP

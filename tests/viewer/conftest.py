@@ -17,8 +17,7 @@ from handsight.recording import open_recording
 from handsight.rig import Rig
 from handsight.tracking import Tracker
 from handsight.tracking.replay import Tally
-from handsight.viewer.player import Timeline
-from handsight.viewer.replay_moments import follow
+from handsight.viewer.timeline import Timeline, follow
 
 for name, extra in (("mujoco", "robot"), ("rosbags", "robot"), ("gymnasium_robotics", "sim")):
     if find_spec(name) is None:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from handsight import se3
-from handsight.viewer.curves import curves
 from handsight.viewer.player import Player
 from handsight.viewer.scene import quaternions_wxyz
+from handsight.viewer.timeline import curves
 from viewer.conftest import needs_viser
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -45,7 +45,7 @@ def until(condition):
 def amber(page):
     """(2,) column and row of the middle of what is drawn in the object's colour, from a camera that stands still."""
     (client,), camera = page.server.get_clients().values(), page.server.initial_camera
-    forward = camera.normals_at - camera.position
+    forward = camera.look_at - camera.position
     right = np.cross(forward, camera.up)
     axes = [axis / np.linalg.norm(axis) for axis in (right, np.cross(forward, right), forward)]
     turned = quaternions_wxyz(se3.compose(np.stack(axes, axis=1), np.zeros(3)))

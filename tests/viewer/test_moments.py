@@ -15,14 +15,12 @@ from handsight.observation import Observation
 from handsight.tracking import Tracker
 from handsight.tracking.camera_from_palm import CameraFromPalm
 from handsight.tracking.replay import Tally, replay
-from handsight.viewer.curves import curves
 from handsight.viewer.moment import VISION_FOR, Measured, Moment
 from handsight.viewer.panel import share
 from handsight.viewer.picture import edge, jpeg, picture
-from handsight.viewer.player import PLAYER, Timeline
 from handsight.viewer.scene import LAYERS
-from handsight.viewer.sentence import sentence
-from handsight.viewer.shapes import SHAPES, ellipsoid, middle, opened
+from handsight.viewer.shapes import SHAPES, direction_line, ellipsoid, middle
+from handsight.viewer.timeline import TIMELINE, Timeline, curves
 
 
 def touched(tracked):
@@ -42,7 +40,7 @@ def test_a_recording_is_shown_as_track_gives_it(tracked):
             step.sigma,
             step.fingers,
         )
-    assert min(np.diff([moment.stamp for moment in moments])) >= PLAYER.frame - 1e-3
+    assert min(np.diff([moment.stamp for moment in moments])) >= TIMELINE.frame - 1e-3
 
 
 def test_what_vision_said_is_shown_for_a_while(tracked):
@@ -91,10 +89,10 @@ def test_the_timeline_gives_the_last_moment_that_is_not_later(tracked):
 def test_seconds_since_1970_are_times_since_the_beginning(tracked):
     timeline = Timeline()
     for k, moment in enumerate(tracked.timeline.moments * 3):
-        assert timeline.append(dataclasses.replace(moment, stamp=1.7e9 + k * PLAYER.frame, vision=None))
+        assert timeline.append(dataclasses.replace(moment, stamp=1.7e9 + k * TIMELINE.frame, vision=None))
     for k, moment in enumerate(timeline.moments):
         assert timeline.at(moment.stamp - timeline.begin) is moment
-        assert timeline.at(k * PLAYER.frame) is moment
+        assert timeline.at(k * TIMELINE.frame) is moment
     assert timeline.at(timeline.length) is timeline.moments[-1]
     found = curves(timeline.moments, tracked.model, tracked.truths)
     assert (found.times[0], found.times[-1]) == (0.0, timeline.length)
@@ -123,7 +121,7 @@ def test_curves_are_the_sigmas_and_errors_of_the_answers(tracked):
 
 
 def said(tracked, **changes):
-    return sentence(dataclasses.replace(touched(tracked), **changes))
+    return dataclasses.replace(touched(tracked), **changes).sentence
 
 
 def test_one_sentence_says_why_the_state_is_what_it_is(tracked):
@@ -181,11 +179,11 @@ def test_a_slide_is_drawn_along_and_a_turn_about_its_direction(seed):
     model, rng = ObjectModel.cylinder(0.03, 0.1), np.random.default_rng(seed)
     axis, center = rng.normal(size=3), rng.normal(size=3)
     axis /= np.linalg.norm(axis)
-    slide = opened(np.r_[axis, 0, 0, 0], center, model)
+    slide = direction_line(np.r_[axis, 0, 0, 0], center, model)
     assert not slide.turn
     np.testing.assert_allclose(np.cross(slide.line[1] - slide.line[0], axis), 0, atol=1e-12)
     np.testing.assert_allclose(slide.line.mean(axis=0), center)
-    turn = opened(np.r_[0, 0, 0, axis], center, model)
+    turn = direction_line(np.r_[0, 0, 0, axis], center, model)
     assert turn.turn
     np.testing.assert_allclose((turn.line - center) @ axis, 0, atol=1e-12)
     radii = np.linalg.norm(turn.line - center, axis=1)

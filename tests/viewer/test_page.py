@@ -114,6 +114,20 @@ def test_what_is_not_wanted_is_not_there(page, tracked):
     assert not any(handle.visible for handle in shown)
 
 
+def test_the_camera_faces_the_hand_and_the_object_with_the_world_upright(page, tracked):
+    moment = tracked.timeline.moments[-1]
+    page.draw(moment)
+    camera = page.server.initial_camera
+    places = [T[:3, 3] for T in moment.links(tracked.rig).values()] + [moment.estimate.T_palm_object[:3, 3]]
+    middle = (np.min(places, axis=0) + np.max(places, axis=0)) / 2
+    np.testing.assert_allclose(camera.look_at, middle)
+    np.testing.assert_allclose(camera.up, moment.T_world_palm[2, :3])
+    axis = (middle - camera.position) / np.linalg.norm(middle - camera.position)
+    assert -0.8 < axis @ camera.up < -0.1  # from somewhat above
+    half = np.max(np.linalg.norm(np.array(places) - middle, axis=1))
+    assert half < np.linalg.norm(middle - camera.position) < 5 * half
+
+
 def test_a_moment_that_is_drawn_again_sends_nothing_of_the_scene(page, tracked):
     moment = tracked.timeline.moments[-1]
     page.draw(moment)
@@ -375,8 +389,8 @@ def test_a_port_that_is_none_is_said(tracked, pages, port):
 
 
 def test_the_states_strip_has_each_state_in_its_place(page):
-    from handsight.viewer.curves import Curves
     from handsight.viewer.panel import STATES
+    from handsight.viewer.timeline import Curves
 
     times = np.linspace(0, 10, 11)
     states = ["lost"] * 3 + ["tracking"] * 8
@@ -387,8 +401,8 @@ def test_the_states_strip_has_each_state_in_its_place(page):
 
 
 def test_slips_are_marked_under_the_states(page):
-    from handsight.viewer.curves import Curves
     from handsight.viewer.panel import SLIP
+    from handsight.viewer.timeline import Curves
 
     times = np.linspace(0, 10, 11)
     page.draw_curves(Curves(times, np.ones(11), None, ["tracking"] * 11), 5.0)

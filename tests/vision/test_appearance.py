@@ -82,7 +82,9 @@ def test_pairs_that_would_be_read_past_their_end_are_made_anew(folder, monkeypat
 
 
 def test_where_nothing_can_be_kept_it_is_said_once(folder, monkeypatch):
-    folder.parent.mkdir(exist_ok=True)
-    folder.write_text("a file")
+    def full(*_):
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(cache, "write_entry", full)
     with pytest.warns(ObjectWarning, match="what objects look like cannot be cached there"):
         looked_at(monkeypatch)

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import label
 
 from handsight._kernels.image import depth_image
-from handsight._kernels.image.pose_score import HAND, OUT, TABLE
-from handsight._kernels.image.vision_records import DEPTH_POINT
+from handsight._kernels.image.vision_records import DEPTH_POINT, HAND, OUT, TABLE
 from sight_scenes import CAMERA
 
 

@@ -7,11 +7,13 @@ import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels.image import depth_covariance, depth_term, near_points
-from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_POINT, WINDOW
+from handsight._kernels.image import depth_image, depth_term
+from handsight._kernels.image.vision_records import DEPTH_POINT, STAGE, WINDOW
 from handsight.errors import InvalidInput, InvalidTransform
+from handsight.gaussian_pose import GaussianPose
 from handsight.vision import DepthTracker
-from handsight.vision.object.depth_tracker import DEPTH_TRACKER
+from handsight.vision.candidates import candidates_at, poses_of
+from handsight.vision.object.depth_tracker import DEPTH_TRACKER, surface_shift
 from sight_scenes import CAMERA, drawn, letter, looking, noisy
 from sight_sequences import jug
 
@@ -271,12 +273,11 @@ def test_points_near_the_surface_are_those_that_are():
     T, depth = table.T_camera_table @ at(0.004), table.depth(at())
     labels = np.zeros(depth.shape, dtype=np.int32)
     labels[:, 150:] = -1
-    window, look = np.zeros(1, dtype=WINDOW), np.zeros(1, dtype=CANDIDATE)
-    look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
+    window, look = np.zeros(1, dtype=WINDOW), candidates_at(T[None])
     window["rows"], window["columns"], window["step"], window["within"] = (40, 220), (60, 300), 1, 0.01
     seen = np.zeros(30_000, dtype=DEPTH_POINT)
     image = CAMERA.rays, depth, labels
-    count = near_points.near_points(model().record[:2], image, window, look, seen)
+    count = depth_image.near_points(model().record[:2], image, window, look, seen)
     box = (slice(40, 220), slice(60, 150))
     z = depth[box].astype(np.float64)
     points = np.concatenate([CAMERA.rays[box] * z[..., None], z[..., None]], axis=2)[z > 0]
@@ -284,7 +285,7 @@ def test_points_near_the_surface_are_those_that_are():
     assert count == near.sum() > 1000
     np.testing.assert_allclose(seen["point"][:count], points[near], atol=1e-6)
     few = np.zeros(100, dtype=DEPTH_POINT)
-    assert near_points.near_points(model().record[:2], image, window, look, few) == 100
+    assert depth_image.near_points(model().record[:2], image, window, look, few) == 100
     places = (few["point"][:, None] == seen["point"][None, :count]).all(axis=2).argmax(axis=1)
     assert set(np.diff(places)) <= {count // 100, count // 100 + 1}
 
@@ -296,7 +297,7 @@ def test_what_is_on_the_plane_is_left_out():
     window = np.zeros(1, dtype=WINDOW)
     window["rows"], window["columns"] = (0, 240), (0, 320)
     window["plane"], window["plane_within"] = table.plane, 0.01
-    near_points.leave_out_plane((CAMERA.rays, depth, labels), window)
+    depth_image.leave_out_plane((CAMERA.rays, depth, labels), window)
     points = np.concatenate([CAMERA.rays * depth[..., None], depth[..., None]], axis=2)
     np.testing.assert_array_equal(labels < 0, points @ table.plane[:3] + table.plane[3] <= 0.01)
 
@@ -304,12 +305,7 @@ def test_what_is_on_the_plane_is_left_out():
 def test_of_a_hidden_object_as_many_points_are_taken_as_are_left():
     table = Table(3)
     T, depth = table.T_camera_table @ at(), table.depth(at())
-    labels, look, window = (
-        np.zeros(depth.shape, np.int32),
-        np.zeros(1, dtype=CANDIDATE),
-        np.zeros(1, dtype=WINDOW),
-    )
-    look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
+    labels, look, window = np.zeros(depth.shape, np.int32), candidates_at(T[None]), np.zeros(1, dtype=WINDOW)
     window["rows"], window["columns"], window["within"] = (0, 240), (0, 320), 0.01
     counts = []
     for step in (1, 7):
@@ -320,19 +316,18 @@ def test_of_a_hidden_object_as_many_points_are_taken_as_are_left():
             labels[:, int(middle - 60 * shown) : int(middle + 60 * shown)] = 0
             window["step"] = step
             image = CAMERA.rays, depth, labels
-            counts.append(near_points.near_points(model().record[:2], image, window, look, seen))
+            counts.append(depth_image.near_points(model().record[:2], image, window, look, seen))
     assert counts[0] == counts[2] == 1500
     assert 0 < counts[1] == counts[3] < 1500
 
 
 def settled(known, points, start, off, thing=None):
     """The pose (4, 4) that points (n, 3) of a model at `start` moved by `off` settle, from `start` on."""
-    rows, look = np.zeros(len(points), dtype=DEPTH_POINT), np.zeros(1, dtype=CANDIDATE)
+    rows, look = np.zeros(len(points), dtype=DEPTH_POINT), candidates_at(start[None])
     rows["point"] = se3.apply(off @ start, points)
-    look["pose"]["rotation"], look["pose"]["position"] = start[:3, :3], start[:3, 3]
-    rungs = np.array([[1, 0.02, 0.02, 30, 1.0]])
-    depth_term.refine_near(*(thing or model()).record[:2], rows, rungs, known, look)
-    return se3.compose(look["pose"]["rotation"], look["pose"]["position"])[0]
+    stages = np.array([(1, 0.02, 0.02, 30, 1)], dtype=STAGE)
+    depth_term.refine_poses(*(thing or model()).record[:2], rows, stages, 1.0, known, look)
+    return poses_of(look)[0]
 
 
 def test_what_is_known_beforehand_holds_a_pose_as_far_as_points_do_not():
@@ -362,8 +357,8 @@ def test_how_far_a_surface_may_be_off_is_the_most_that_a_deviation_moves_it():
         along = R[:, axis]
         covariance = 1e-12 * np.eye(6)
         covariance[:3, :3] += sigma**2 * np.outer(along, along)
-        off = depth_covariance.largest_shift(*can.record[:2], R, covariance)
+        off = surface_shift(can, GaussianPose(se3.compose(R, np.zeros(3)), covariance))
         assert off == pytest.approx(expected, rel=0.05)
     spin = 1e-12 * np.eye(6)
     spin[3:, 3:] += 0.3**2 * np.outer(R[:, 2], R[:, 2])
-    assert depth_covariance.largest_shift(*can.record[:2], R, spin) < 1e-4
+    assert surface_shift(can, GaussianPose(se3.compose(R, np.zeros(3)), spin)) < 1e-4

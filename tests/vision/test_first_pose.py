@@ -10,12 +10,16 @@ from scipy.optimize import least_squares
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels.image import depth_covariance, depth_term, pose_score, votes
-from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_POINT
+from handsight._kernels.image import depth_term, pose_score, votes
+from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_ERROR, DEPTH_POINT, STAGE
+from handsight.gaussian_pose import GaussianPose
 from handsight.objects.symmetry import nearest
+from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, poses_of
+from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.object.appearance import appearance_of
-from handsight.vision.object.first_pose import distinct, first_pose
-from handsight.vision.object.region import scene_of, table_plane
+from handsight.vision.object.first_pose import FIRST_POSE, distinct, first_pose
+from handsight.vision.object.region import observed_points, scene_of, table_plane
+from handsight.vision.pose_covariance import UNKNOWN, center_covariances, pose_covariances
 from sight_scenes import CAMERA, drawn, letter, looking, noisy, on_table
 
 
@@ -52,20 +56,14 @@ def seen(points, normals, T):
     return rows
 
 
-def looks_at(Ts):
-    looks = np.zeros(len(Ts), dtype=CANDIDATE)
-    looks["pose"]["rotation"], looks["pose"]["position"] = Ts[:, :3, :3], Ts[:, :3, 3]
-    return looks
-
-
 def test_votes_for_a_whole_object_find_it():
     rng = np.random.default_rng(0)
     appearance, T = appearance_of(model()), se3.random(rng)
     points, normals = model().sample(400, 3)
     looks = np.zeros((20, votes.PEAKS), dtype=CANDIDATE)
-    limits = np.array([model().diameter, 140])
-    votes.vote(appearance.pairs, appearance.voters, seen(points, normals, T), np.arange(20), limits, looks)
-    Ts = se3.compose(looks["pose"]["rotation"], looks["pose"]["position"])
+    table, rows = appearance.pairs, seen(points, normals, T)
+    votes.vote(table, appearance.voters, model().diameter, rows, np.arange(20), 140, looks)
+    Ts = poses_of(looks)
     places = se3.apply(Ts.reshape(-1, 4, 4), model().points_object)
     off = np.abs(places - se3.apply(T, model().points_object)).max(axis=(1, 2)).reshape(20, votes.PEAKS)
     # As coarse as cells are; some faces are like others.
@@ -84,16 +82,15 @@ def test_points_settle_where_least_squares_puts_them(fine):
     start = truth @ se3.compose(
         se3.rotation_exp(np.array([0.03, -0.02, 0.04])), np.array([2e-3, -1e-3, 2e-3])
     )
-    look = np.zeros(1, dtype=CANDIDATE)
-    look["pose"]["rotation"], look["pose"]["position"] = start[:3, :3], start[:3, 3]
-    depth_term.refine_poses(*model().record[:2], rows, np.array([fine, bound, bound, 40]), look)
-    found = se3.compose(look["pose"]["rotation"], look["pose"]["position"])[0]
+    look, stages = candidates_at(start[None]), np.array([(fine, bound, bound, 40, 1)], dtype=STAGE)
+    depth_term.refine_poses(*model().record[:2], rows, stages, 1.0, NOTHING_KNOWN, look)
+    found = poses_of(look)[0]
 
     def distances(T):
         return model().evaluate(se3.apply(se3.inverse(T), rows["point"]), fine=fine).distance
 
     values = model().evaluate(se3.apply(se3.inverse(found), rows["point"]), fine=fine)
-    agrees = (values.gradient @ found[:3, :3].T * rows["normal"]).sum(axis=1) > depth_term.AGREES
+    agrees = (values.gradient @ found[:3, :3].T * rows["normal"]).sum(axis=1) > depth_term.MIN_COSINE
     weight = agrees * np.clip(1 - (values.distance / bound) ** 2, 0, None)
 
     def residuals(x):
@@ -118,7 +115,7 @@ def test_poses_that_go_on_are_apart_modulo_symmetry(kind):
     group, far = thing.symmetries.rotations, 0.4
     Ts = se3.random(rng, 60, spread=0.02)
     Ts = np.concatenate([Ts, Ts @ group[rng.integers(len(group), size=60)]])
-    looks, worth = looks_at(Ts), rng.normal(size=len(Ts))
+    looks, worth = candidates_at(Ts), rng.normal(size=len(Ts))
     centers = se3.compose(np.eye(3), thing.center_object)
     expected = []
     for k in np.argsort(-worth):
@@ -127,15 +124,15 @@ def test_poses_that_go_on_are_apart_modulo_symmetry(kind):
         shift, turn = (np.linalg.norm(delta[:, half], axis=1) for half in (slice(3), slice(3, 6)))
         if (np.hypot(shift, thing.radius * turn) > far * thing.diameter).all():
             expected.append(k)
-    np.testing.assert_array_equal(distinct(thing, looks, worth, 200, far), expected)
-    np.testing.assert_array_equal(distinct(thing, looks, worth, 5, far), expected[:5])
+    np.testing.assert_array_equal(distinct(thing, looks, worth, 200, far), looks[expected])
+    np.testing.assert_array_equal(distinct(thing, looks, worth, 5, far), looks[expected[:5]])
 
 
 def test_points_are_close_by_their_distance():
     T = se3.random(np.random.default_rng(2))
     points, normals = model().sample(100, 4)
     rows = seen(points + 0.004 * np.random.default_rng(3).normal(size=(100, 3)), normals, T)
-    look = looks_at(T[None])
+    look = candidates_at(T[None])
     depth_term.closeness(*model().record[:2], rows, np.array([0.003]), look)
     distance = model().evaluate(se3.apply(se3.inverse(T), rows["point"])).distance
     assert look["close"][0] == pytest.approx(np.clip(1 - (distance / 0.003) ** 2, 0, None).sum(), rel=1e-6)
@@ -150,21 +147,16 @@ def test_what_points_say_counts_the_errors_that_they_share(count):
     facing = np.flatnonzero((se3.apply(T, points) * (normals @ T[:3, :3].T)).sum(axis=1) < 0)
     facing = rng.permutation(facing)[:count]  # as seen points are
     points, normals = points[facing], normals[facing]
-    rows, look, bound = (
-        seen(points + 3e-4 * rng.normal(size=points.shape), normals, T),
-        looks_at(T[None]),
-        0.006,
-    )
-    errors, told = (
-        np.array([[4e-6, 2e-6, 3e-6, 1e-6, 1 / 0.01**2, 1 / 0.08**2, bound, 1e-7, 1e-3, 20, 30]]),
-        np.empty((1, 3, 6, 6)),
-    )
-    depth_term.inform_all(*model().record[:2], rows, errors, look, told)
+    rows, bound = seen(points + 3e-4 * rng.normal(size=points.shape), normals, T), 0.006
+    look, found = candidates_at(T[None]), np.empty((1, 2, 6, 6))
+    look["bound"] = bound
+    errors = np.array([(4e-6, 2e-6, 3e-6, 1e-6, 1 / 0.01**2, 1 / 0.08**2)], dtype=DEPTH_ERROR)
+    depth_term.inform_all(*model().record[:2], rows, errors, look, found)
     P = rows["point"]
     values = model().evaluate(se3.apply(se3.inverse(T), P))
     g = values.gradient @ T[:3, :3].T
     weight = np.clip(1 - (values.distance / bound) ** 2, 0, None) ** 2
-    weight *= (g * rows["normal"]).sum(axis=1) > depth_term.AGREES
+    weight *= (g * rows["normal"]).sum(axis=1) > depth_term.MIN_COSINE
     lever = np.c_[g, np.cross(P - se3.apply(T, model().center_object[None]), g)]
     scale = np.repeat([1, model().radius], 3)
     A = (lever * weight[:, None]).T @ lever / np.outer(scale, scale)
@@ -173,37 +165,48 @@ def test_what_points_say_counts_the_errors_that_they_share(count):
     C = 4e-6 * np.eye(len(P)) + 2e-6 * np.exp(-apart2 / 0.01**2) + 3e-6 * np.exp(-apart2 / 0.08**2) + 1e-6
     pulls = lever * (weight * (g * P).sum(axis=1) / P[:, 2])[:, None] / scale
     S = pulls.T @ C @ pulls
-    told[:, :2] /= np.outer(scale, scale)
-    np.testing.assert_allclose(told[0, 0], A, atol=1e-3 * np.abs(A).max())
-    within = 1e-3 if count < depth_term.PAIRED else 0.15
-    np.testing.assert_allclose(told[0, 1], S, atol=within * np.abs(S).max())
-    np.testing.assert_allclose(told[0, 2], plain_covariance(told[0], errors[0], look, T), rtol=1e-6)
+    np.testing.assert_allclose(found[0, 0], A, atol=1e-3 * np.abs(A).max())
+    within = 1e-3 if count < depth_term.COMPARED else 0.15
+    np.testing.assert_allclose(found[0, 1], S, atol=within * np.abs(S).max())
+    assert look["weight"][0] == pytest.approx(weight.sum(), rel=1e-6)
 
 
-def plain_covariance(told, error, look, T):
-    """Of the object's origin, by what points say of its centre, in NumPy."""
-    scale, turns = np.repeat([1, model().radius], 3), np.diag([0, 0, 0, 1, 1, 1])
-    A, S = (
-        vectors @ np.diag(np.maximum(values, 0)) @ vectors.T
-        for values, vectors in map(np.linalg.eigh, (told[0] - look["weight"] * error[8] * turns, told[1]))
-    )
-    S = S + (depth_covariance.LEAST * np.trace(told[1]) / 6 + 1e-12) * np.eye(6)
-    information = A @ np.linalg.inv(S) @ A + np.diag(np.repeat(error[9:], 3))
-    J = np.eye(6)
-    J[:3, 3:] = se3.skew(T[:3, :3] @ model().center_object)
-    J = J / scale
-    return J @ (np.linalg.inv(information) + error[7] * np.eye(6)) @ J.T
+def test_a_weighted_fit_is_off_as_the_errors_of_its_points_make_it():
+    """Of many fits to points whose errors are correlated, the covariance is A⁻¹ S A⁻¹."""
+    rng = np.random.default_rng(5)
+    rows, weights = rng.normal(size=(40, 6)), rng.uniform(0.2, 1, 40)
+    root = 1e-3 * rng.normal(size=(40, 40))
+    A, pulls = rows.T @ (weights[:, None] * rows), rows.T * weights
+    informed, unknown = np.stack([A, pulls @ root @ root.T @ pulls.T])[None], np.full(6, 1e-12)
+    found = pose_covariances(informed, unknown, np.array([4e-6]))[0]
+    fits = np.linalg.solve(A, pulls @ (root @ rng.normal(size=(40, 20_000))))
+    np.testing.assert_allclose(found - 4e-6 * np.eye(6), np.cov(fits), atol=0.05 * np.abs(found).max())
+
+
+def test_what_no_point_observes_is_unknown_and_the_rest_is_known_to_millimetres():
+    """Of a can the spin, as far as from one side of it to the other."""
+    can = hs.ObjectModel.cylinder(0.03, 0.1)
+    T = se3.compose(se3.random(np.random.default_rng(6))[:3, :3], np.array([0.02, 0.01, 0.5]))
+    points, normals = can.sample(1500, 1)
+    look, rows = candidates_at(T[None]), seen(points, normals, T)
+    look["bound"] = 0.006
+    covariance = center_covariances(can, CAMERA, rows, look, STRUCTURED_LIGHT)[0]
+    axis = np.append(np.zeros(3), T[:3, 2])
+    assert axis @ covariance @ axis == pytest.approx((UNKNOWN[1] * can.diameter / can.radius) ** 2, rel=0.02)
+    across = np.linalg.svd(axis[None])[2][1:]
+    assert np.linalg.eigvalsh(across @ covariance @ across.T).max() < 0.1**2
+    assert np.sqrt(np.diag(covariance)[:3].max()) < 5e-3
 
 
 def test_of_a_convex_object_all_that_faces_a_side_is_seen():
     box = hs.ObjectModel.box((0.05, 0.08, 0.03))
-    samples, directions, visible = appearance_of(box).sides
-    np.testing.assert_array_equal(visible, directions @ samples[1].T > pose_score.POSE_SCORE.facing_cosine)
+    samples, directions, visible = appearance_of(box).sides[:3]
+    np.testing.assert_array_equal(visible, directions @ samples[1].T > pose_score.MIN_FACING)
 
 
 def test_what_is_behind_another_part_of_the_object_is_not_seen():
     """From the side of the small block the foot of the tower is behind it; from above it is not."""
-    samples, directions, visible = appearance_of(model()).sides
+    samples, directions, visible, _ = appearance_of(model()).sides
     faces_x = (samples[1][:, 0] > 0.9) & (np.abs(samples[0][:, 0] + 0.01) < 2e-3)  # the tower's side
     behind = faces_x & (np.abs(samples[0][:, 1] + 0.01) < 0.01) & (samples[0][:, 2] < 0.05)
     clear = faces_x & (samples[0][:, 2] > 0.06)
@@ -238,11 +241,9 @@ def test_explained_pixels_are_those_of_the_silhouette():
         T, _, _, T_camera_table = picture(seed, neighbours=0)
         depth, labels = drawn(T_camera_table, [letter()], [se3.inverse(T_camera_table) @ T])
         scene = scene_of(CAMERA, np.where(np.isfinite(depth), depth, 0), wanted=labels == 0)
-        look, appearance = np.zeros(1, dtype=CANDIDATE), appearance_of(model())
-        look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
-        limits = np.array([appearance.sample_area, 0.006, *model().center_object])
-        image = scene.depth, scene.labels
-        pose_score.score_all(CAMERA.record, image, appearance.sides, scene.sizes, limits, look)
+        look, sides = candidates_at(T[None]), appearance_of(model()).sides
+        look["bound"], image = 0.006, (scene.depth, scene.labels)
+        pose_score.score_all(CAMERA.record, image, sides, scene.sizes, model().center_object, look)
         assert look["explained"][0] == pytest.approx((labels == 0).sum(), rel=0.15)
         assert look["passed"][0] + look["hidden"][0] < 0.1 * look["expected"][0]
 
@@ -251,12 +252,11 @@ def test_nothing_is_under_the_table():
     """Beside itself the object would be seen past, if it is above the table, and cannot be where it is below."""
     T, depth, _, T_camera_table = picture(0, neighbours=0)
     plane = np.append(T_camera_table[:3, 2], -T_camera_table[:3, 2] @ T_camera_table[:3, 3])
-    scene, appearance = scene_of(CAMERA, depth, wanted=depth > 0, table=plane), appearance_of(model())
-    limits = np.array([appearance.sample_area, 0.006, *model().center_object])
+    scene, sides = scene_of(CAMERA, depth, wanted=depth > 0, table=plane), appearance_of(model()).sides
     lifts = [T_camera_table[:3, :3] @ [0.08, 0.08, height] for height in (0.05, -0.12)]
-    looks = looks_at(np.stack([T] + [se3.compose(np.eye(3), lift) @ T for lift in lifts]))
-    image = scene.depth, scene.labels
-    pose_score.score_all(CAMERA.record, image, appearance.sides, scene.sizes, limits, looks)
+    looks = candidates_at(np.stack([T] + [se3.compose(np.eye(3), lift) @ T for lift in lifts]))
+    looks["bound"], image = 0.006, (scene.depth, scene.labels)
+    pose_score.score_all(CAMERA.record, image, sides, scene.sizes, model().center_object, looks)
     share = looks["passed"] / looks["expected"]
     assert share[0] < 0.15
     assert share[1:].min() > 0.8
@@ -278,6 +278,18 @@ def test_an_object_beside_another_is_found_without_a_guess():
         right.append(off.max() < 0.1 * model().diameter)
         assert (np.diff(found.weights) <= 0).all()
     assert sum(right) >= 19
+
+
+def test_the_covariances_are_of_the_objects_origin():
+    _, depth, labels, _ = picture(0, neighbours=0)
+    scene = scene_of(CAMERA, depth, wanted=labels == 0)
+    found = first_pose(model(), scene)
+    points = observed_points(scene, FIRST_POSE.spacing * model().diameter, FIRST_POSE.max_points)
+    centers = center_covariances(model(), CAMERA, points, found.candidates, STRUCTURED_LIGHT)
+    assert len(centers) > 1
+    for T, covariance, expected in zip(found.Ts_camera_object, found.covariances, centers, strict=True):
+        center = GaussianPose(T, covariance).at_point(model().center_object)
+        np.testing.assert_allclose(center.covariance, expected, rtol=1e-6, atol=1e-9)
 
 
 def test_where_nothing_is_there_is_no_pose():

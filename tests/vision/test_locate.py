@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
-from handsight.vision.object.locate import LOCATE, locate
-from handsight.vision.object.presence import probabilities
-from handsight.vision.object.recognition import recognise
+from handsight.vision.object.first_pose import probabilities
+from handsight.vision.object.locate import LOCATE, locate, recognise
 from sight_scenes import CAMERA, drawn, letter, looking, mssd, noisy, on_table
 
 

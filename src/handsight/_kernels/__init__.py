@@ -1,5 +1,5 @@
-"""The compiled inner loops. Flat arrays in, flat arrays out; nothing is checked and nothing is explained here.
+"""What computes, compiled by numba: records and arrays in, results written to arrays. Nothing is checked here.
 
-Each kernel names its twin: the plain NumPy code, in the room it serves, that says what it means and that the
-tests hold it to. Importing this package costs numba's import, so the rooms do it at their first call.
+The rooms check what users give, and call these kernels. Importing numba takes half a second, so rooms that can do
+without it import their kernels at the first call.
 """

@@ -17,7 +17,15 @@ from handsight import checks, se3
 from handsight.batch.lines import LONGEST
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import Outside, Plane, PosePrior, WeightEvidence, correct_pose
+from handsight.correction import (
+    DepthPoints,
+    Outside,
+    Plane,
+    PosePrior,
+    SkinEvidence,
+    WeightEvidence,
+    correct_pose,
+)
 from handsight.correction.problem import MOST_CONTACTS, check_number
 from handsight.errors import HandsightError, InvalidInput
 from handsight.msgspec_errors import explain, field_name
@@ -70,6 +78,17 @@ class WeightFields(_Strict):
     covariance: Any = None
 
 
+class DepthFields(_Strict):
+    points_palm: Any
+    sigma: Any
+
+
+class SkinFields(_Strict):
+    sigmas: Any
+    contacts: list[ContactFields] = []
+    untouched_palm: Any = []
+
+
 class ProblemFields(_Strict):
     """A `ProblemFields` is the content of a line; `handsight correct --help` explains each key."""
 
@@ -80,6 +99,8 @@ class ProblemFields(_Strict):
     outside: Any = None
     planes: list[PlaneFields] = []
     weight: WeightFields | None = None
+    depth: DepthFields | None = None
+    skin: SkinFields | None = None
     answer: str = "best"
     samples: Any = 0
     budget: Any = None
@@ -116,6 +137,11 @@ class Reader:
         contacts = _contacts(fields.contacts, of_residual=fields.contacts_of_residual)
         options = {name: getattr(fields, name) for name in ("answer", "samples", "budget", "method")}
         options |= {"outside": outside, "weight": _weight(fields.weight)}
+        if (depth := fields.depth) is not None:
+            options["depth"] = DepthPoints(depth.points_palm, depth.sigma)
+        if (skin := fields.skin) is not None:
+            pressed = _contacts(skin.contacts, of_residual=False) if skin.contacts else None
+            options["skin"] = SkinEvidence(pressed, skin.untouched_palm, skin.sigmas)
         return Problem(self.model(fields.object), contacts, _vision(fields.vision), options)
 
     def model(self, fields: ObjectFields) -> ObjectModel:

@@ -88,6 +88,9 @@ def correct(
       normal points to the object's side.
     * **weight**: `{"center_object": [x, y, z], "center_palm": [x, y, z], "sigma": 0.003}`: where the object's centre of
       mass is, in the object's and in the palm's frame; or `"covariance"`, 3x3.
+    * **depth**: `points_palm`, up to 48 points of a depth image that are on the object, and their common `sigma` [m].
+    * **skin**: of tactile arrays, `contacts`, the pressed taxels; `untouched_palm`, points above the other taxels; and
+      `sigmas`, six standard deviations of the pose of an entire array [m, rad].
     * **answer**: `maximum` or `mean` of the posterior's best mode, or `best` (default): the mean where the contacts
       bound a slide but do not fix it, else the maximum.
     * **samples**: above 0, the answer is the mean of this many samples of the posterior instead (at most 1000000), as a
@@ -95,7 +98,7 @@ def correct(
     * **budget**: seconds after which the search for better poses and wrong contacts stops; "converged" is false if it
       stopped early.
     * **method**: `handsight` (default), or one of the paper's: `paper-lm`, `paper-gd`, `paper-lm-distance`,
-    `paper-gd-distance`.
+      `paper-gd-distance`.
 
     Each answer has the pose, its covariance and information, the residuals, the directions that are unobservable by
     touch, the outliers among the contacts, and other hypotheses. A wrong line is answered with `{"error": ...}` in its
@@ -211,7 +214,10 @@ def _open(problems: str) -> "Source":
 
 def draw(answered: "Iterable[tuple[Problem, dict[str, Any]]]", plot: Path) -> None:
     """Writes a picture of problems and their answers."""
-    from handsight.viewer.correction_figures import Panel, draw_corrections
+    from handsight.viewer.correction_figures import CorrectionPanel, draw_corrections
 
-    panels = [Panel(problem.model, problem.contacts, problem.vision, answer) for problem, answer in answered]
+    panels = [
+        CorrectionPanel(problem.model, problem.contacts, problem.vision, answer)
+        for problem, answer in answered
+    ]
     draw_corrections(panels, plot)

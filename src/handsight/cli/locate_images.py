@@ -152,14 +152,14 @@ def locator(targets: Targets) -> "Callable[[Frame], Located]":
 
     Everything that is compiled or computed once is done here, so that the seconds of an image do not contain it.
     """
-    from handsight._kernels.runtime import warm_vision
     from handsight.recording.detections import Located
+    from handsight.tracking.warm import find_object
     from handsight.vision import locate, recognise
     from handsight.vision.object.appearance import appearance_of
 
     models = targets.models
     first = next(iter(models.values()))
-    warm_vision.warm(*first.record[:2])
+    find_object()
     for model in models.values():
         appearance_of(model)
 

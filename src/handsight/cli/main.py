@@ -99,8 +99,8 @@ def warmup() -> None:
     handsight warmup
     ```
     """
-    from handsight._kernels.runtime.compilation import folder
-    from handsight._kernels.runtime.warm import warm
+    from handsight._kernels.runtime.kernel_cache import folder
+    from handsight.tracking.warm import warm
 
     started = time.monotonic()
     warm(lambda name, seconds: say(f"{seconds:6.1f} s  {name}"))

@@ -148,7 +148,7 @@ def record(
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
     from handsight.simulation import rig_of, simulate, simulate_touch_search, touch_search_rig
-    from handsight.simulation.pull import pulls
+    from handsight.simulation.loads import pulls
 
     _check_suffix(path)
     rig = touch_search_rig(scenario) if blind else rig_of(scenario)

@@ -65,7 +65,7 @@ def discard(stream: IO[str]) -> None:
 def announce_compiling() -> None:
     """Makes a terminal show a message before the first kernel is compiled, which takes minutes."""
     if sys.stderr.isatty():
-        from handsight._kernels.runtime.compilation import on_compile
+        from handsight._kernels.runtime.kernel_cache import on_compile
 
         on_compile.append(lambda: say("compiling handsight's kernels, once on this machine ..."))
 

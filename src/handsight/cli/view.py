@@ -75,9 +75,8 @@ def _show(run: Run, page: "Page") -> None:
     """Tracks a recording while its page plays it, then waits for Ctrl-C; exits with 1 where there is no pose."""
     from handsight.evaluation import Truths
     from handsight.tracking.replay import Tally
-    from handsight.viewer.curves import curves
-    from handsight.viewer.player import Player, Timeline
-    from handsight.viewer.replay_moments import follow
+    from handsight.viewer.player import Player
+    from handsight.viewer.timeline import Timeline, curves, follow
 
     timeline, tally = Timeline(), Tally()
     with run.opened() as (recording, tracker):

@@ -146,6 +146,11 @@ class ContactBatch:
         return np.asarray(self.records["force_normal"])
 
     @property
+    def forces_tangential(self) -> Array:
+        """(k, 3) parts of `forces` in the tangent planes [N]."""
+        return np.asarray(self.forces - self.forces_normal[:, None] * self.normals)
+
+    @property
     def torques(self) -> Array:
         """(k,) local torques about the normals [N m]."""
         return np.asarray(self.records["torque"])

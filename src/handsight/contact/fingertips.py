@@ -19,7 +19,7 @@ from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 
 SMALLEST, LARGEST = 1e-5, 0.2
-"""Range of a fingertip's semi-axes [m]; outside, the unit is wrong."""
+"""Range of a fingertip's semi-axes [m]; a length outside of it has another unit."""
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
@@ -152,45 +152,51 @@ def parse_fingertip(text: str) -> Fingertip:
     shape = shape.strip().lower()
     if shape not in ("ellipsoid", "sphere") or not colon:
         raise InvalidInput(f"fingertip: expected ellipsoid:A,B,Cmm or sphere:Rmm, got {text!r}")
-    sizes, *options = re.split(r"[,;](?=[^,;=]*=)", rest)
+    sizes, *parts = re.split(r"[,;](?=[^,;=]*=)", rest)
     lengths = _lengths(sizes, shape, 3 if shape == "ellipsoid" else 1)
-    names = {"cap": "cap", "friction": "max_friction", "min_force": "min_force", "sensor": "T_surface_sensor"}
-    arguments: dict[str, Any] = {}
-    for option in options:
-        name, _, value = (part.strip() for part in option.partition("="))
-        if name not in names:
-            raise InvalidInput(f"fingertip: expected options {', '.join(names)}, got {name!r}")
-        if names[name] in arguments:
+    known, options = ("cap", "friction", "min_force", "sensor"), dict[str, Any]()
+    for part in parts:
+        name, _, value = (word.strip() for word in part.partition("="))
+        if name not in known:
+            raise InvalidInput(f"fingertip: expected options {', '.join(known)}, got {name!r}")
+        if name in options:
             raise InvalidInput(f"fingertip: expected {name} once, got it twice")
         if name == "cap":
-            arguments["cap"] = _lengths(value, name, 1)[0]
+            options[name] = _lengths(value, name, 1)[0]
         elif name == "sensor":
-            arguments["T_surface_sensor"] = se3.compose(np.eye(3), np.array(_lengths(value, name, 3)))
+            options[name] = se3.compose(np.eye(3), np.array(_lengths(value, name, 3)))
         else:
-            unit = "N" if name == "min_force" else ""
-            match = _NUMBER.fullmatch(value)
-            if not match or match[2] not in ("", unit):
-                hint = f" [{unit}]" if unit else ""
-                raise InvalidInput(f"fingertip: {name}: expected a number{hint}, got {value!r}")
-            arguments[names[name]] = float(match[1])
+            options[name] = _number(value, name, "N" if name == "min_force" else "")
+    names = {"friction": "max_friction", "sensor": "T_surface_sensor"}
+    arguments = {names.get(name, name): value for name, value in options.items()}
     try:
         return Ellipsoid(lengths, **arguments) if shape == "ellipsoid" else Sphere(lengths[0], **arguments)
     except InvalidInput as error:
         raise InvalidInput(f"fingertip {text!r}: {error}") from None
 
 
+def _number(text: str, name: str, unit: str) -> float:
+    """Returns a number, after which its unit may stand."""
+    match = _NUMBER.fullmatch(text)
+    if not match or match[2] not in ("", unit):
+        raise InvalidInput(
+            f"fingertip: {name}: expected a number{f' [{unit}]' if unit else ''}, got {text!r}"
+        )
+    return float(match[1])
+
+
 def _lengths(text: str, name: str, count: int) -> list[float]:
-    """Returns `count` lengths [m]; the unit after the last one is that of those without a unit."""
+    """Returns `count` lengths [m]; the unit of the last one is that of those without a unit."""
     text = text.strip()
-    matches = [_NUMBER.fullmatch(part.strip()) for part in re.split("[,;]", text)]
-    numbers = [(float(match[1]), match[2]) for match in matches if match]
-    if len(matches) != count or len(numbers) != count:
+    matches = [match for part in re.split("[,;]", text) if (match := _NUMBER.fullmatch(part.strip()))]
+    if len(matches) != count or len(re.split("[,;]", text)) != count:
         expected = "a length such as 9mm" if count == 1 else f"{count} lengths such as 8,8,12mm"
         raise InvalidInput(f"fingertip: {name}: expected {expected}, got {text!r}")
-    metres = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-    units = [unit or numbers[-1][1] for _, unit in numbers]
-    for unit in units:
+    metres, lengths = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}, []
+    for match in matches:
+        unit = match[2] or matches[-1][2]
         if unit not in metres:
             came = f"the unit {unit!r}" if unit else "no unit"
             raise InvalidInput(f"fingertip: {name}: expected mm, cm or m in {text!r}, got {came}")
-    return [value * metres[unit] for (value, _), unit in zip(numbers, units, strict=True)]
+        lengths.append(float(match[1]) * metres[unit])
+    return lengths

@@ -1,6 +1,6 @@
-"""Tables of wrenches, as CSV or JSON lines, and the tables of the contacts that are computed from them.
+"""Tables of wrenches, as CSV or JSON lines, and tables of the contacts that are computed from them.
 
-Tables are read and written in chunks, so that they may be larger than the memory.
+They are read and written in chunks, so that a table may be larger than the memory.
 """
 
 import contextlib
@@ -12,8 +12,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import chain, count, islice, repeat
+from itertools import chain, islice
 from pathlib import Path
 from typing import Literal, TextIO
 
@@ -69,43 +68,28 @@ of point and normal).
 """
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WrenchRows:
-    """`WrenchRows` are some consecutive rows of a table of wrenches."""
+def read_wrenches(source: Place) -> Iterator[tuple[list[Labels], Array]]:
+    """Yields the rows of a table of wrenches, 8192 at a time; its first character tells CSV from JSON lines.
 
-    labels: list[Labels]
-    """For each row its `stamp` and `finger`, if the table has them; as text from CSV."""
-    forces: Array
-    """(n, 3) forces [N]; NaN where the table has no number."""
-    torques: Array
-    """(n, 3) torques [N m]; NaN where the table has no number."""
-
-
-def read_wrenches(source: Place, *, chunk: int = 8192) -> Iterator[WrenchRows]:
-    """Yields the rows of a table of wrenches, `chunk` at a time; its first character tells CSV from JSON lines.
-
-    Blank lines are skipped. Raises an InvalidFile that names the file, the line, the column, what was expected and what
-    came; also for a table without rows.
+    Of each row its labels, `stamp` and `finger` if the table has them (text, from CSV), and of all rows forces [N] and
+    torques [N m] (n, 6), NaN where there is no number. Blank lines are skipped. Raises an InvalidFile that names the
+    file, the line, the column, what was expected and what came; also for a table without rows.
     """
-    is_path = isinstance(source, str | os.PathLike)
-    name = str(source) if is_path else stream_name(source)
+    name = str(source) if isinstance(source, str | os.PathLike) else stream_name(source)
     empty = True
     try:
         with contextlib.ExitStack() as stack:
             if isinstance(source, str | os.PathLike):
                 source = stack.enter_context(Path(source).open(encoding="utf-8", newline=""))
-            lines = _lines(source, name)
-            blank, first = 0, ""
-            for first in lines:
-                if first.strip():
-                    break
-                blank += 1
-            parse = _json_rows if first.lstrip().startswith("{") else _csv_rows
-            rows = parse(chain(repeat("\n", blank), [first], lines), name)
-            while some := list(islice(rows, chunk)):
+            head = [source.readline().removeprefix("\ufeff")]
+            while head[-1].isspace():
+                head.append(source.readline())
+            parse = _json_rows if head[-1].lstrip().startswith("{") else _csv_rows
+            rows = parse(chain(head, source), name)
+            while some := list(islice(rows, 8192)):
                 empty = False
-                numbers = np.array([numbers for _, numbers in some], dtype=np.float64)
-                yield WrenchRows([labels for labels, _ in some], numbers[:, :3], numbers[:, 3:])
+                labels, numbers = zip(*some, strict=True)
+                yield list(labels), np.array(numbers, dtype=np.float64)
     except OSError as error:
         raise InvalidFile(f"{name}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError as error:
@@ -114,28 +98,14 @@ def read_wrenches(source: Place, *, chunk: int = 8192) -> Iterator[WrenchRows]:
         raise InvalidFile(f"{name}: expected at least one wrench, got an empty table")
 
 
-def _lines(file: TextIO, name: str) -> Iterator[str]:
-    """Yields the lines, without a byte order mark before the first."""
-    mark, longest = "\ufeff", 100_000
-    for i in count(1):
-        line = file.readline(longest + 1)
-        if len(line) > longest:
-            raise InvalidFile(f"{name}: line {i}: expected at most {longest} characters, got more")
-        if not line:
-            return
-        yield line.removeprefix(mark)
-        mark = ""
-
-
 def _csv_rows(lines: Iterator[str], name: str) -> Iterator[tuple[Labels, list[float]]]:
-    """Yields labels and six numbers of each row."""
-    reader = csv.reader(lines, strict=True)
+    """Yields the labels and the six numbers of each row."""
+    reader, header = csv.reader(lines, strict=True), list[str]()
     try:
-        header: list[str] = []
         for cells in reader:
-            if len(cells) < 2 and not "".join(cells).strip():
-                continue
             where = f"{name}: line {reader.line_num}"
+            if not "".join(cells).strip() and len(cells) < 2:
+                continue
             if not header:
                 header = [cell.strip().lower() for cell in cells]
                 _check_header(header, where)
@@ -165,7 +135,7 @@ def _number(cell: str, where: str) -> float:
     if not cell or cell.isspace():
         return math.nan
     try:
-        number = float(cell.replace("_", "no number"))  # Python's own numbers may have underscores
+        number = float(cell.replace("_", "no number"))  # float takes 1_0 for 10
     except ValueError:
         raise InvalidFile(f"{where}: expected a number, got {checks.brief(cell)!r}") from None
     if error := _load_error(number):
@@ -174,14 +144,14 @@ def _number(cell: str, where: str) -> float:
 
 
 def _load_error(number: float) -> str | None:
-    """Returns the message about a number that is too large for a load; infinity is a missing reading, as NaN is."""
+    """Returns the message about a number that is too large; None otherwise, and for infinity or NaN: no reading."""
     if abs(number) <= checks.MAX_LOAD or not math.isfinite(number):
         return None
     return f"expected newtons and newton metres within {checks.MAX_LOAD:g}, got {number:g}"
 
 
 class _Wrench(msgspec.Struct, forbid_unknown_fields=True):
-    """A `_Wrench` is a wrench as JSON; null is a missing reading."""
+    """A `_Wrench` is a wrench as JSON; null stands for a missing reading."""
 
     force: tuple[float | None, float | None, float | None]
     torque: tuple[float | None, float | None, float | None]
@@ -201,7 +171,7 @@ class _Wrench(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def _json_rows(lines: Iterator[str], name: str) -> Iterator[tuple[Labels, list[float]]]:
-    """Yields labels and six numbers of each row."""
+    """Yields the labels and the six numbers of each row."""
     first: Labels | None = None
     for i, line in enumerate(lines, start=1):
         if not line.strip():
@@ -247,51 +217,49 @@ def convert(
     check_not_overwritten(destination, "the contacts", source, "the wrenches")
     counts: Counter[int] = Counter()
     with _output(destination) as file:
-        for i, rows in enumerate(read_wrenches(source)):
+        for i, (labels, numbers) in enumerate(read_wrenches(source)):
             batch = contacts_from_wrenches(
-                rows.forces, rows.torques, fingertip, sigma_force=sigma_force, sigma_torque=sigma_torque
+                numbers[:, :3], numbers[:, 3:], fingertip, sigma_force=sigma_force, sigma_torque=sigma_torque
             )
             if format == "csv" and i == 0:
-                file.write(",".join([*rows.labels[0], *COLUMNS]) + "\n")
-            writers[format](file, rows, batch)
+                file.write(",".join([*labels[0], *COLUMNS]) + "\n")
+            writers[format](file, labels, batch)
             counts.update(batch.reasons.tolist())
     return {name: counts[reason] for reason, name in enumerate(REASON_NAMES)}
 
 
-def _write_csv(file: TextIO, rows: WrenchRows, batch: ContactBatch) -> None:
+def _write_csv(file: TextIO, labels: list[Labels], batch: ContactBatch) -> None:
     variances = np.diagonal(batch.covariances, axis1=1, axis2=2)
-    sigmas = (np.sqrt(variances[:, :3]), np.sqrt(variances[:, 3:].sum(axis=1) / 2))
-    numbers = np.column_stack([batch.points, batch.normals, *_loads(batch), *sigmas])
+    loads = batch.forces_normal, batch.forces_tangential, batch.torques
+    sigmas = np.sqrt(variances[:, :3]), np.sqrt(variances[:, 3:].sum(axis=1) / 2)
+    numbers = np.column_stack([batch.points, batch.normals, *loads, *sigmas])
     contacts = iter((numbers + 0.0).tolist())  # no -0
-    empty = [""] * numbers.shape[1]
     writer = csv.writer(file, lineterminator="\n")
-    for labels, reason in zip(rows.labels, batch.reasons.tolist(), strict=True):
-        cells = empty if reason else [f"{number:.9g}" for number in next(contacts)]
-        writer.writerow([*labels.values(), REASON_NAMES[reason], *cells])
+    for row, reason in zip(labels, batch.reasons.tolist(), strict=True):
+        cells = [""] * numbers.shape[1] if reason else [f"{number:.9g}" for number in next(contacts)]
+        writer.writerow([*row.values(), REASON_NAMES[reason], *cells])
 
 
-def _write_json(file: TextIO, rows: WrenchRows, batch: ContactBatch) -> None:
-    columns = (batch.points, batch.normals, *_loads(batch), batch.covariances)
-    contacts = zip(*(column.tolist() for column in columns), strict=True)
-    keys = ("point", "normal", "force_normal", "force_tangential", "torque", "covariance")
+def _write_json(file: TextIO, labels: list[Labels], batch: ContactBatch) -> None:
+    columns = {
+        "point": batch.points,
+        "normal": batch.normals,
+        "force_normal": batch.forces_normal,
+        "force_tangential": batch.forces_tangential,
+        "torque": batch.torques,
+        "covariance": batch.covariances,
+    }
+    contacts = zip(*(column.tolist() for column in columns.values()), strict=True)
     encode = msgspec.json.Encoder().encode
-    for labels, reason in zip(rows.labels, batch.reasons.tolist(), strict=True):
-        row = {**labels, "reason": REASON_NAMES[reason]}
-        # A number that CSV gave as text keeps all its digits.
+    for label, reason in zip(labels, batch.reasons.tolist(), strict=True):
+        row = {**label, "reason": REASON_NAMES[reason]}
         stamp = row.get("stamp")
-        if isinstance(stamp, str) and re.fullmatch(
-            r"\s*-?(?:0|[1-9]\d*)(?:\.\d+)?(?:[eE][-+]?\d+)?\s*", stamp
-        ):
+        # A number that CSV gave as text keeps all its digits.
+        if isinstance(stamp, str) and re.fullmatch(r"-?(0|[1-9]\d*)(\.\d+)?([eE][-+]?\d+)?", stamp.strip()):
             row["stamp"] = msgspec.Raw(stamp.strip().encode())
         if not reason:
-            row.update(zip(keys, next(contacts), strict=True))
+            row.update(zip(columns, next(contacts), strict=True))
         file.write(encode(row).decode() + "\n")
-
-
-def _loads(batch: ContactBatch) -> tuple[Array, Array, Array]:
-    """Returns normal forces (k,) and tangential forces (k, 3) [N], and local torques (k,) [N m]."""
-    tangential = batch.forces - batch.forces_normal[:, None] * batch.normals
-    return batch.forces_normal, tangential, batch.torques
 
 
 @contextlib.contextmanager

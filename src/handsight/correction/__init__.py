@@ -1,18 +1,20 @@
 """Correction: contacts and vision to a pose with its uncertainty."""
 
-from handsight.correction.batch import correct_poses
-from handsight.correction.correct import METHODS, MOST_SAMPLES, correct_pose, refine_pose
+from handsight.correction.correct import METHODS, MOST_SAMPLES, correct_pose, correct_poses, refine_pose
+from handsight.correction.depth import DepthPoints
 from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior, Residuals
 from handsight.correction.mean import ANSWERS
 from handsight.correction.outside import Outside, Plane
 from handsight.correction.paper import PaperMethod
 from handsight.correction.problem import TwoPhase
+from handsight.correction.skin import SkinEvidence
 from handsight.correction.weight import WeightEvidence
 
 __all__ = [
     "ANSWERS",
     "METHODS",
     "MOST_SAMPLES",
+    "DepthPoints",
     "Hypothesis",
     "Outside",
     "PaperMethod",
@@ -20,6 +22,7 @@ __all__ = [
     "PoseEstimate",
     "PosePrior",
     "Residuals",
+    "SkinEvidence",
     "TwoPhase",
     "WeightEvidence",
     "correct_pose",

@@ -22,20 +22,20 @@ from handsight.observation import PoseMeasurement
 from handsight.representation import short_repr
 
 OPEN_VARIANCES = np.repeat([1.0, np.pi**2 / 3], 3)
-"""(6,) of what nothing is known of (δp [m²], δθ [rad²]): a metre, and a whole turn, whose every angle is as likely."""
+"""(6,) of a pose of which nothing is known (δp [m²], δθ [rad²]): a metre, and a full turn with all angles as likely."""
 OPEN_INFORMATION = np.diag(1 / OPEN_VARIANCES)
 
 
 @dataclass(frozen=True, slots=True)
 class PosePrior:
-    """A `PosePrior` says where vision, or the last estimate, says the object is, and how far that may be wrong."""
+    """A `PosePrior` is the object's pose in the palm by vision, or by the last estimate, with its covariance."""
 
     T_palm_object: Array
     """(4, 4)."""
     covariance: Array
     """(6, 6), positive semidefinite: of (δp [m], δθ [rad]) along the palm's axes."""
     record: NDArray[np.void] = field(init=False, repr=False, compare=False)
-    """(1,) CONSTRAINTS: the same as kernels take it, without the object's weight."""
+    """(1,) CONSTRAINTS: the same as kernels take it, without other evidence."""
 
     __repr__ = short_repr
 
@@ -50,8 +50,8 @@ class PosePrior:
 
     @classmethod
     def trusted(cls, T_palm_object: Array, covariance: Array) -> PosePrior:
-        """Returns a prior of arrays that are known to be a pose and a covariance: checking takes longer than
-        correcting."""
+        """Returns a prior of arrays that are known to be a pose and a covariance: to check them takes longer than to
+        correct a pose."""
         prior = object.__new__(cls)
         object.__setattr__(prior, "T_palm_object", T_palm_object)
         object.__setattr__(prior, "covariance", covariance)
@@ -100,7 +100,7 @@ def _prior_record(T: Array, covariance: Array) -> NDArray[np.void]:
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """A `Residuals` says how far each contact is from the answer's surface; rejected contacts included."""
+    """`Residuals` are how far each contact is from the surface at the answer; rejected contacts included."""
 
     distance: Array
     """(n,) signed distance of the contact point to the surface [m], positive outside."""
@@ -130,8 +130,7 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PoseEstimate:
-    """A `PoseEstimate` is the object's pose in the palm, and how much of it to believe: a view of what a kernel has
-    answered."""
+    """A `PoseEstimate` is the object's pose in the palm with its uncertainty: a view of a kernel's answer."""
 
     answer: np.void
     """ANSWER, of the best mode, or of its mean."""
@@ -144,8 +143,8 @@ class PoseEstimate:
     outliers: tuple[int, ...] = ()
     """Indices of contacts that were rejected as wrong."""
     weight_fits: bool | None = None
-    """Whether the object's weight had a say: False where all else contradicts it, and it was left out; None where it
-    was not given."""
+    """Whether the object's weight was used: False where all other evidence contradicts it, and it was left out; None
+    where it was not given."""
 
     @classmethod
     def from_gaussian(cls, T_palm_object: Array, covariance: Array, unobservable: Array) -> PoseEstimate:
@@ -159,7 +158,7 @@ class PoseEstimate:
         return cls(answer, (answer,), np.empty((0, 2)), True)
 
     def inflated(self, variance: Array) -> PoseEstimate:
-        """Returns the estimate where the pose may be off by `variance` (6,) more, along the palm's axes [m², rad²]."""
+        """Returns the estimate whose pose is more uncertain by `variance` (6,) along the palm's axes [m², rad²]."""
         if not variance.any():
             return self
         covariance = None if self.covariance is None else self.covariance + np.diag(variance)
@@ -187,7 +186,7 @@ class PoseEstimate:
 
     @property
     def T_palm_object(self) -> Array:
-        """(4, 4): the best mode; its mean where that is no Gaussian, or where a mean was asked for."""
+        """(4, 4): the best mode; its mean where that is not Gaussian, or where a mean was asked for."""
         T: Array = self.answer["T_palm_object"]
         return T
 
@@ -238,10 +237,19 @@ class PoseEstimate:
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
         """Distinct modes modulo the declared symmetries, best first; the first is the answer's."""
-        return tuple(_hypothesis(mode) for mode in self.modes)
+        return tuple(
+            Hypothesis(
+                mode["T_palm_object"],
+                mode["information"],
+                mode["covariance"] if mode["complete"] else None,
+                float(mode["weight"]),
+                float(mode["posterior_cost"]),
+            )
+            for mode in self.modes
+        )
 
     def __repr__(self) -> str:
-        """Says where, and how it ended, in a line."""
+        """Returns the position and how the search ended, in a line."""
         place = " ".join(f"{1000 * x:.1f}" for x in self.T_palm_object[:3, 3])
         ended = "converged" if self.converged else "not converged"
         fits = "consistent" if self.consistent else "inconsistent"
@@ -264,14 +272,3 @@ def bounded_covariance(information: Array) -> Array:
     For those that take covariances alone: a filter reads zeros as certainty.
     """
     return np.asarray(np.linalg.inv(information + OPEN_INFORMATION))
-
-
-def _hypothesis(mode: np.void) -> Hypothesis:
-    covariance = mode["covariance"] if mode["complete"] else None
-    return Hypothesis(
-        mode["T_palm_object"],
-        mode["information"],
-        covariance,
-        float(mode["weight"]),
-        float(mode["posterior_cost"]),
-    )

@@ -21,15 +21,15 @@ class ModeOptions(NamedTuple):
     max_modes: int = 8  # modes that are reported
     alarm: float = 1e-3  # probability that evidence which fits is called inconsistent
     recheck_p: float = 0.003
-    """Probability that contacts which fit are searched for a wrong one all the same: it costs time, nothing else."""
+    """Probability that contacts which fit are searched for a wrong one nevertheless: it costs time, nothing else."""
     doubt_p: float = 0.2
-    """The answer of one start from the widest prior that one may do for is doubted where what is right fits worse with
-    at most this probability. Two of three problems on an L-shaped mesh, with a prior of 0.22 diameters, raise no
+    """Of one start from the widest prior for which one may be enough, an answer is doubted if a right one fits worse
+    with at most this probability. Two of three problems on an L-shaped mesh, with a prior of 0.22 diameters, raise no
     doubt.
     """
     doubt_coarse: float = 5.0  # how many times worse it may fit on the coarse field
     decisive: float = 16.27
-    """A contact is wrong when the cost falls by more than this without it: a right one's does once in 1000."""
+    """A contact is wrong when the cost falls by more than this without it: with a right one it does once in 1000."""
 
 
 MODES = ModeOptions()
@@ -55,7 +55,7 @@ def distinct(
 ) -> list[int]:
     """Returns indices of `Ts`, in the given order, that are no repeat of an earlier one; at most `most`.
 
-    Modulo any symmetry; kernels do it for those that they know.
+    Modulo any symmetry; `solve.distinct` does it by a kernel for the symmetries that kernels know.
     """
     chosen: list[int] = []
     rest = order
@@ -69,11 +69,12 @@ def distinct(
 
 
 def beyond_doubt(cost: float, coarse_cost: float, freedom: int, wide: float) -> bool:
-    """Returns whether what one start led to fits so well that another mode is hardly better.
+    """Returns whether the minimum of one start fits so well that another mode is hardly better.
 
-    `wide`: how wide the prior is, of the widest that one start may do for. What could be missed grows with its square.
+    `wide`: the prior's width as a part of the widest for which one start may be enough. The probability of a missed
+    mode grows with its square.
     """
-    doubt = round(wide * wide, 2)  # few different ones, for each has its limits worked out
+    doubt = round(wide * wide, 2)  # few different values, for the limits of each are computed and kept
     if coarse_cost * doubt > MODES.doubt_coarse * chi2_limit(max(freedom, 1), 0.1):
         return False
     return fits(cost, freedom, max(MODES.doubt_p * doubt, MODES.recheck_p))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,21 +16,14 @@ from handsight.objects import ObjectModel
 from handsight.objects.symmetry import check_kept, kept_center
 from handsight.representation import short_repr
 
-if TYPE_CHECKING:
-    Records = NDArray[np.void]
-
-LEFT_IN_PLACE = 2.0
-"""In sigmas: a symmetry that moves the centre of mass farther is none of what weighs so."""
 CONTRADICTS = chi2_limit(3, 0.01)
-"""χ² of three numbers that one in a hundred exceeds: such a centre of mass is another's."""
-PAID = 0.02
-"""Of the weight's variance: where less than that is left to compare, the weight alone has told the pose."""
+"""χ² of three numbers that one right measurement in a hundred exceeds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightEvidence:
-    """A `WeightEvidence` says where an object's centre of mass is: in the object, and in the palm by what hangs on
-    the fingertips."""
+    """A `WeightEvidence` says where an object's centre of mass is: in the object, and in the palm by the loads on the
+    fingertips."""
 
     center_object: Array
     """(3,) [m]"""
@@ -51,7 +43,7 @@ class WeightEvidence:
             raise InvalidInput("weight.covariance: expected a positive definite one, got a singular one")
         object.__setattr__(self, "covariance", covariance)
 
-    def added_to(self, constraints: Records) -> Records:
+    def added_to(self, constraints: NDArray[np.void]) -> NDArray[np.void]:
         """Returns a copy of CONSTRAINTS (1,) with this evidence in it."""
         record = constraints.copy()
         weight = record[0]["weight"]
@@ -60,18 +52,20 @@ class WeightEvidence:
         return record
 
     def of(self, model: ObjectModel) -> WeightEvidence:
-        """Returns the same of an object whose symmetries leave the centre of mass in place; raises InvalidInput where
-        they do not."""
+        """Returns the evidence about an object, whose symmetries must leave the centre of mass in place, moved to where
+        they do exactly; raises InvalidInput where they move it farther than its error."""
         center = kept_center(model.symmetries, self.center_object)
-        limit = LEFT_IN_PLACE * float(np.sqrt(np.trace(self.covariance) / 3))
+        # A symmetry that moves it by more than two sigmas is not one of an object that weighs like this.
+        limit = 2.0 * float(np.sqrt(np.trace(self.covariance) / 3))
         check_kept(center, self.center_object, limit, "weight.center_object")
         return WeightEvidence(center, self.center_palm, self.covariance)
 
     def contradicts(self, estimate: PoseEstimate) -> bool:
-        """Returns whether a pose that was found with it lies where all else would not have it.
+        """Returns whether all other evidence contradicts the weight at the pose that was found with it.
 
-        With J the rows' derivative, Σ their covariance and C that of the pose, what is left over has the covariance
-        Σ - J C Jᵀ: the less, the more the weight itself has told the pose.
+        With J the derivative of the residuals, Σ their covariance and C that of the pose, the residuals at the pose
+        have the covariance Σ - J C Jᵀ: the smaller, the more the weight itself has determined the pose. Directions in
+        which that is below a fiftieth of Σ count as a fiftieth.
         """
         T, C = estimate.T_palm_object, estimate.bounded_covariance
         arm = T[:3, :3] @ self.center_object
@@ -81,4 +75,4 @@ class WeightEvidence:
         whitened = np.linalg.solve(root, J)
         values, vectors = np.linalg.eigh(np.eye(3) - whitened @ C @ whitened.T)
         along = (vectors.T @ off) ** 2
-        return bool((along / np.maximum(values, PAID)).sum() > CONTRADICTS)
+        return bool((along / np.maximum(values, 0.02)).sum() > CONTRADICTS)

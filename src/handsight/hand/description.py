@@ -51,12 +51,11 @@ def read(path: str | Path, *, visual: bool = False) -> tuple["MjModel", tuple[st
         return model, tuple(parsed.missing.values())
     missing = parsed.missing["collision"]
     if missing and not visual:
+        which = f"{missing[0]}{', ...' if len(missing) > 1 else ''}"
         message = (
-            f"{len(missing)} collision meshes left out, not there or neither OBJ nor binary STL: {missing[0]}"
+            f"{len(missing)} collision meshes left out, not there or neither OBJ nor binary STL: {which}"
         )
-        warnings.warn(
-            f"{found.name}: {message}{', ...' if len(missing) > 1 else ''}", HandWarning, stacklevel=4
-        )
+        warnings.warn(f"{found.name}: {message}", HandWarning, stacklevel=4)
     return model, tuple(dict.fromkeys(parsed.missing["visual"] + missing))
 
 

@@ -86,7 +86,7 @@ class Hand:
         self._arm: Chains | None = None
 
     def __repr__(self) -> str:
-        """Says which file it is of, and how many fingers and joints it has."""
+        """Returns its file and palm, and the numbers of fingers and joints."""
         return f"<Hand {self._name}: palm {self.palm}, {len(self.tips)} fingers, {len(self.moving)} joints>"
 
     @classmethod
@@ -190,6 +190,7 @@ class Hand:
         return {name: T for name, needed, T in links if all(joint in joint_positions for joint in needed)}
 
     def _shape_of(self, model: "MjModel", links: list[int]) -> HandShape:
+        """Returns the visual shapes, else the collision shapes, that the model has of some links."""
         parts = [(body, body_triangles(model, body, visual=True)) for body in links]
         parts = [(body, triangles) for body, triangles in parts if len(triangles)]
         bodies = [body for body, _ in parts]

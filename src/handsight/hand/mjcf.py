@@ -1,4 +1,4 @@
-"""MJCF files as MuJoCo is given them: one text with what it includes, without what kinematics does not need.
+"""MJCF files as MuJoCo gets them: one text with all that it includes, without what kinematics does not need.
 
 MuJoCo would read any file that a text names, allocate any size that a text states, and crash for a model that includes
 itself.
@@ -16,9 +16,9 @@ _UNUSED = frozenset([
     *("camera", "light", "composite", "flexcomp", "plugin", "lengthrange", "pair", "general", "motor"),
     *("position", "velocity", "intvelocity", "damper", "cylinder", "muscle", "adhesion"),
 ])  # fmt: skip
-"""Tags of elements without bodies, joints and shapes, wherever they are."""
+"""Tags of elements that are dropped wherever they are: they hold no bodies, joints or shapes."""
 _UNUSED_ATTRIBUTES = frozenset(["material", "user", "meshdir", "assetdir", "texturedir", "strippath"])
-"""Attributes that refer to such elements, or to folders."""
+"""Attributes that are dropped: they refer to such elements, or to folders."""
 
 
 class Mjcf:
@@ -38,10 +38,16 @@ class Mjcf:
         self.meshes, self.missing = Meshes(), {}
         self.robot = Element(root.tag, root.attributes, root.file, root.line)
         self._copy(root, self.robot, 1, 1)
-        for asset in self.robot.all("asset"):
-            for mesh in asset.all("mesh"):
-                if "file" in mesh.attributes:
-                    self._add_mesh(mesh)
+        folder = path.parent / self._compiler.get("meshdir", self._compiler.get("assetdir", ""))
+        for mesh in (mesh for asset in self.robot.all("asset") for mesh in asset.all("mesh")):
+            if "file" in mesh.attributes:
+                file = mesh.get("file")
+                mesh.attributes.setdefault("name", Path(file).stem)
+                found = folder / (Path(file).name if self._compiler.get("strippath") == "true" else file)
+                if os.path.isfile(found):
+                    mesh.attributes["file"] = self.meshes.add(found, read_mesh(found))
+                else:
+                    self.missing[mesh.get("name")] = file
 
     def _copy(self, old: Element, new: Element, copies: int, depth: int) -> None:
         """Copies the used children of `old` to `new`, of which MuJoCo will make that many copies."""
@@ -51,7 +57,14 @@ class Mjcf:
             self._bodies += copies * (child.tag == "body")
             check_count(self._elements, self._bodies, child.file)
             if child.tag == "include":
-                self._copy(self._read_include(child), new, copies, depth + 1)
+                name = child.get("file")
+                path = self._folder / name
+                if not os.path.isfile(path):
+                    raise child.error(f"include: expected a file, got {name!r}")
+                if path.resolve() in self._included:
+                    raise child.error(f"include: expected each file once, got {name!r} again")
+                self._included.add(path.resolve())
+                self._copy(read_xml(path), new, copies, depth + 1)
             elif child.tag in ("model", "attach"):
                 raise child.error(f"expected a robot in one model with its includes, got <{child.tag}>")
             elif child.tag not in _UNUSED:
@@ -63,30 +76,5 @@ class Mjcf:
                     if not re.fullmatch(r"\s*\d{1,6}\s*", text):
                         raise child.error(f"replicate: expected a count below a million, got {text!r:.40}")
                     repeats = int(text)
-                used = {
-                    name: text for name, text in child.attributes.items() if name not in _UNUSED_ATTRIBUTES
-                }
+                used = {k: text for k, text in child.attributes.items() if k not in _UNUSED_ATTRIBUTES}
                 self._copy(child, new.add(child.tag, used, child), copies * repeats, depth + 1)
-
-    def _read_include(self, include: Element) -> Element:
-        """Returns the root element of an included file."""
-        name = include.get("file")
-        path = self._folder / name
-        if not os.path.isfile(path):
-            raise include.error(f"include: expected a file, got {name!r}")
-        if path.resolve() in self._included:
-            raise include.error(f"include: expected each file once, got {name!r} again")
-        self._included.add(path.resolve())
-        return read_xml(path)
-
-    def _add_mesh(self, mesh: Element) -> None:
-        """Adds a mesh's file to the meshes, or to the missing ones."""
-        file = mesh.get("file")
-        mesh.attributes.setdefault("name", Path(file).stem)
-        folder = self._compiler.get("meshdir", self._compiler.get("assetdir", ""))
-        stripped = self._compiler.get("strippath") == "true"
-        path = self._folder / folder / (Path(file).name if stripped else file)
-        if os.path.isfile(path):
-            mesh.attributes["file"] = self.meshes.add(path, read_mesh(path))
-        else:
-            self.missing[mesh.get("name")] = file

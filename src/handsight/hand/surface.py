@@ -36,25 +36,31 @@ class LinkMesh(NamedTuple):
     """(m, 3) numbers of vertices, counterclockwise from outside."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HandShape:
-    """A `HandShape` has triangles each of which moves with one link of a hand."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class OnLinks:
+    """`OnLinks` are points each of which moves with one link of a hand."""
 
     bodies: tuple[str, ...]
-    """Names of the links that have a shape."""
-    vertices_body: Array
-    """(k, 3) vertices in the axes of their link [m]."""
+    """Names of the b links that have any."""
     body_of: Indices
-    """(k,) places in `bodies` of the vertices' links."""
-    faces: Indices
-    """(m, 3) numbers of vertices, counterclockwise from outside."""
+    """(k,) places in `bodies` of the points' links."""
     chains: Chains
     """How `bodies` move in the palm."""
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The joints whose positions are needed to place the links."""
+        """The joints whose positions are needed to place the links, also those of fingers without a tip."""
         return self.chains.joints
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class HandShape(OnLinks):
+    """A `HandShape` has triangles each of which moves with one link of a hand."""
+
+    vertices_body: Array
+    """(k, 3) vertices in the axes of their link [m]."""
+    faces: Indices
+    """(m, 3) numbers of vertices, counterclockwise from outside."""
 
     @property
     def meshes(self) -> dict[str, LinkMesh]:
@@ -68,49 +74,32 @@ class HandShape:
 
     def vertices_palm(self, joint_positions: Mapping[str, float]) -> Array:
         """Returns the vertices (k, 3) in the palm [m]; raises InvalidInput as `Hand.Ts_palm_tip` does."""
-        Ts, _ = self.chains.poses(joint_positions)
-        return transform_points(self.vertices_body, self.body_of, Ts)
+        return transform_points(self.vertices_body, self.body_of, self.chains.poses(joint_positions)[0])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HandSurface:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class HandSurface(OnLinks):
     """A `HandSurface` has points on links of a hand; no object can be deeper in the hand than these points."""
 
-    bodies: tuple[str, ...]
-    """Names of the links that have points."""
-    body_of: Indices
-    """(m,) places in `bodies` of the points' links."""
     points_body: Array
-    """(m, 3) points in the axes of their link [m], inside the surface by the given depth."""
+    """(k, 3) points in the axes of their link [m], inside the surface by the given depth."""
     normals: Array
-    """(m, 3) unit outward normals in the axes of their link."""
-    chains: Chains
-    """How `bodies` move in the palm."""
+    """(k, 3) unit outward normals in the axes of their link."""
     middles: Array
     """(b, 3) centroid of each link's points, in its axes [m]."""
 
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """The joints whose positions are needed to place the points."""
-        return self.chains.joints
-
     def points_palm(self, joint_positions: Mapping[str, float]) -> Array:
-        """Returns the points (m, 3) in the palm [m]; raises InvalidInput as `Hand.Ts_palm_tip` does.
-
-        The joints of all links with points are needed, also those of fingers without a tip.
-        """
-        Ts, _ = self.chains.poses(joint_positions)
-        return transform_points(self.points_body, self.body_of, Ts)
+        """Returns the points (k, 3) in the palm [m]; raises InvalidInput as `Hand.Ts_palm_tip` does."""
+        return transform_points(self.points_body, self.body_of, self.chains.poses(joint_positions)[0])
 
     def points_and_sensitivities(self, joint_positions: Mapping[str, float]) -> tuple[Array, Array]:
-        """Returns the points (m, 3) as `points_palm`, and the sensitivity (b,) of each link's middle to joint errors.
+        """Returns the points (k, 3) as `points_palm`, and the sensitivity (b,) of each link's middle to joint errors.
 
         The sensitivity is the root mean square motion per axis [m] for independent errors of one radian in each joint.
         """
         Ts, axes = self.chains.poses(joint_positions)
         bodies = np.arange(len(self.bodies))
-        middles = transform_points(self.middles, bodies, Ts)
-        by_joint = self.chains.jacobians(middles, bodies, axes)[:, :3]
+        by_joint = self.chains.jacobians(transform_points(self.middles, bodies, Ts), bodies, axes)[:, :3]
         points = transform_points(self.points_body, self.body_of, Ts)
         return points, np.sqrt((by_joint**2).sum(axis=(1, 2)) / 3)
 
@@ -120,16 +109,16 @@ def sample_evenly(triangles: list[Array], count: int, seed: int) -> tuple[Indice
 
     They are chosen from eight times as many; above 1000 points `sample_by_area` is even enough.
     """
-    link, points, normals = sample_by_area(triangles, count, seed)
+    few = sample_by_area(triangles, count, seed)
     if count > 1000:
-        return link, points, normals
-    link_of_many, points, normals = sample_by_area(triangles, 8 * count, seed)
+        return few
+    link, points, normals = sample_by_area(triangles, 8 * count, seed)
     chosen = [np.zeros(0, dtype=np.int64)]
-    for k in np.unique(link):
-        rows = np.flatnonzero(link_of_many == k)
-        chosen.append(rows[choose_evenly(points[rows], int((link == k).sum()))])
+    for k, number in zip(*np.unique(few[0], return_counts=True), strict=True):
+        rows = np.flatnonzero(link == k)
+        chosen.append(rows[choose_evenly(points[rows], int(number))])
     rows = np.concatenate(chosen)
-    return link_of_many[rows], points[rows], normals[rows]
+    return link[rows], points[rows], normals[rows]
 
 
 def choose_evenly(points: Array, count: int) -> Indices:
@@ -180,12 +169,8 @@ def body_triangles(model: "MjModel", body: int, *, visual: bool = False) -> Arra
 
     With `visual` its visual shapes, which collide with nothing in most files, or else all.
     """
-    first = int(model.body_geomadr[body])
-    shapes = [
-        g
-        for g in range(first, first + int(model.body_geomnum[body]))
-        if model.geom_type[g] in list(ShapeKind)
-    ]
+    first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
+    shapes = [g for g in range(first, first + count) if model.geom_type[g] in list(ShapeKind)]
     preferred = [g for g in shapes if bool(model.geom_contype[g] or model.geom_conaffinity[g]) != visual]
     triangles = [np.zeros((0, 3, 3))]
     for g in preferred or shapes:

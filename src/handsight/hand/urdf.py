@@ -1,10 +1,11 @@
-"""URDF files as MuJoCo is given them: the tree of links and joints, and one set of shapes for each link.
+"""URDF files as MuJoCo gets them: the tree of links and joints, and one set of shapes for each link.
 
 Inertias, materials, transmissions, couplings and simulators' extensions are dropped: kinematics does not need them, and
 each of them can keep a file that was written for another program from loading.
 """
 
 import itertools
+import re
 from pathlib import Path
 
 from handsight.errors import InvalidFile
@@ -27,9 +28,7 @@ class Urdf:
 
     def __init__(self, root: Element, path: Path, *, visual: bool = False) -> None:
         """Each link gets its collision shapes, else its visual ones; with `visual` the other way round."""
-        if any(
-            "xacro" in each.tag.partition("}")[0] for each in root.descendants() if each.tag.startswith("{")
-        ):
+        if any(re.match(r"\{[^}]*xacro", each.tag) for each in root.descendants()):
             hint = f"`xacro {path.name}` makes a URDF of it"
             raise InvalidFile(f"{path.name}: expected a URDF, got a xacro file; {hint}")
         self._path, self._links, self._joints = path, dict[str, Element](), dict[str, Element]()

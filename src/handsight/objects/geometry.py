@@ -78,7 +78,7 @@ class Geometry:
     @property
     def center_object(self) -> Array:
         """(3,) the middle of the bounds [m]."""
-        return np.asarray(self.bounds_object.mean(axis=0))
+        return np.asarray((self.bounds_object[0] + self.bounds_object[1]) / 2)
 
     @property
     def sample_spacing(self) -> float:

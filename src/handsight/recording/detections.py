@@ -15,7 +15,7 @@ from handsight.files import read_bytes
 from handsight.objects import ObjectModel
 from handsight.recording.frames import Frame, Unread
 from handsight.vision import ObjectDetection
-from handsight.vision.object.recognition import Recognition
+from handsight.vision.object.locate import Recognition
 
 BOP_COLUMNS = "scene_id,im_id,obj_id,score,R,t,time"
 """The columns of a file of BOP results; t is in millimetres."""

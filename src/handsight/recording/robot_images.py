@@ -86,11 +86,11 @@ class HandPixels:
         if calibrated is None or of is None:
             return None
         last = self._T_detected_calibrated
-        near, detect = calibrated, self._hand.detected
-        sigma = of.sigma_position_constant, of.sigma_rotation_constant
+        near, sigma = calibrated, (of.sigma_position_constant, of.sigma_rotation_constant)
         if last is not None:  # the hand was detected before, so it is near [m, rad]
-            near, detect, sigma = last @ calibrated, self._hand.followed, (0.01, float(np.deg2rad(2)))
-        found = detect(camera, depth, observation.joint_positions, near, sigma) if min(sigma) > 0 else None
+            near, sigma = last @ calibrated, (0.01, float(np.deg2rad(2)))
+        given = camera, depth, observation.joint_positions, near, sigma
+        found = self._hand.detected(*given, follow=last is not None) if min(sigma) > 0 else None
         if isinstance(found, PalmDetection):
             near = found.T_camera_palm
             self._T_detected_calibrated = near @ se3.inverse(calibrated)

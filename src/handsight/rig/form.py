@@ -1,7 +1,8 @@
 """The keys of a `rig.yaml`, each declared once: its type, its bounds, and the comment that is written beside it.
 
-docs/robots.md shows such a file. A key that is left out has the default of the part of the rig that it belongs to.
-Lengths are in metres, angles in degrees, forces in newtons. Every sigma is one standard deviation per axis.
+docs/robots.md shows such a file. A key that is left out has the default of the part of the rig that it belongs to; a
+field has the name of that part's attribute. Lengths are in metres, angles in degrees, forces in newtons. Every sigma is
+one standard deviation per axis.
 """
 
 from functools import cache
@@ -29,7 +30,7 @@ Values = dict[str, Any]
 
 
 def key(comment: str = "", *, metres: float = 0.0, kilograms: float = 0.0) -> Meta:
-    """Returns what is declared of a key: a comment, and bounds above which a length or mass has the wrong unit."""
+    """Returns the annotation of a key: its comment, and bounds above which a length or a mass has the wrong unit."""
     return Meta(description=comment or None, extra={"metres": metres, "kilograms": kilograms})
 
 
@@ -76,12 +77,11 @@ class Form(msgspec.Struct, forbid_unknown_fields=True):
 
     def given(self) -> Values:
         """Returns the values that the file has, by the names of the rig's attributes; angles in radians."""
-        values = {each: getattr(self, each.name) for each in keys(type(self))}
-        return {
-            each.name: float(np.deg2rad(value)) if each.text.endswith("_deg") else value
-            for each, value in values.items()
-            if value is not None
-        }
+        values = Values()
+        for each in keys(type(self)):
+            if (value := getattr(self, each.name)) is not None:
+                values[each.name] = float(np.deg2rad(value)) if each.text.endswith("_deg") else value
+        return values
 
     def sigmas(self) -> Values:
         """Returns the standard deviations among `given`."""
@@ -184,20 +184,6 @@ class SensorForm(Section, kw_only=True):
     tip_center: Annotated[Vector, key("of mass, from the sensor", metres=0.5)] = (0.0, 0.0, 0.0)
     full_scale: Annotated[tuple[Load, Load] | None, key("force, torque")] = None
 
-    def calibration(self) -> WrenchCalibration:
-        """Returns what is known of the sensor and of the mass that hangs on it."""
-        bias = self.bias or BiasForm()
-        return WrenchCalibration(
-            bias_force=np.array(bias.force),
-            bias_torque=np.array(bias.torque),
-            mass=self.tip_mass,
-            center_of_mass=np.array(self.tip_center),
-            residual_force=np.zeros(3),
-            residual_torque=np.zeros(3),
-            condition=1.0,
-            reading=self.reading,
-        )
-
 
 class FingerForm(Section, kw_only=True):
     frame: Annotated[Text, key("the body the tip moves with")]
@@ -213,12 +199,22 @@ class FingerForm(Section, kw_only=True):
     def finger(self) -> Finger:
         """Returns the part of the rig."""
         sensor, T_frame_surface = self.sensor, (self.surface or LinkPoseForm()).matrix()
-        T_surface_sensor = se3.inverse(T_frame_surface) @ (sensor.pose or LinkPoseForm()).matrix()
+        T_surface_sensor, bias = (sensor.pose or LinkPoseForm()).matrix(), sensor.bias or BiasForm()
+        calibration = WrenchCalibration(
+            bias_force=np.array(bias.force),
+            bias_torque=np.array(bias.torque),
+            mass=sensor.tip_mass,
+            center_of_mass=np.array(sensor.tip_center),
+            residual_force=np.zeros(3),
+            residual_torque=np.zeros(3),
+            condition=1.0,
+            reading=sensor.reading,
+        )
         return Finger(
             frame=self.frame,
             T_frame_surface=T_frame_surface,
-            tip=self.tip.shape(T_surface_sensor),
-            calibration=sensor.calibration(),
+            tip=self.tip.shape(se3.inverse(T_frame_surface) @ T_surface_sensor),
+            calibration=calibration,
             full_scale=sensor.full_scale,
             **(sensor.noise or SensorNoiseForm()).sigmas(),
             **self.sigmas(),
@@ -266,7 +262,7 @@ class IntrinsicsForm(Form):
 class CameraForm(Section):
     fixed_to: Annotated[Literal["world", "palm"], key("world or palm")] = "world"
     pose: Annotated[PoseForm | None, key("of its optical frame (x right, y down, z forward)")] = None
-    noise: Annotated[VisionNoiseForm | None, key("of a seen pose, each time anew")] = None
+    noise: Annotated[VisionNoiseForm | None, key("of a detected pose, independent in each image")] = None
     constant_error: Annotated[VisionNoiseForm | None, key("of its calibration")] = None
     depth_camera: Annotated[
         DepthCamera | None, key("structured_light, time_of_flight or stereo: how it measures depth")

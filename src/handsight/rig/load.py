@@ -1,4 +1,4 @@
-"""Reading of a `rig.yaml` to a rig: strict, with a version. `handsight.rig.form` declares its keys."""
+"""A rig from a `rig.yaml`, whose keys `handsight.rig.form` declares; unknown keys are errors."""
 
 from pathlib import Path
 
@@ -46,6 +46,7 @@ def load(path: Path) -> Rig:
 
 
 def _hand(form: RigForm, file: YamlFile) -> Hand:
+    """Returns the hand; an error of its file is about the key that names the file, or the body that it lacks."""
     name, tips = form.hand.file, {finger: values.frame for finger, values in form.fingers.items()}
     try:
         found = find_file(name, beside=file.path.parent)
@@ -68,6 +69,7 @@ def _hand(form: RigForm, file: YamlFile) -> Hand:
 
 
 def _topics(form: RigForm, file: YamlFile) -> Topics:
+    """Returns the topics of the file, with the usual names of wrenches and skins that it leaves out."""
     given = {} if form.topics is None else form.topics.given()
     arrays = form.skin or {}
     for kind, what in (("wrenches", "finger"), ("contacts", "finger"), ("skin", "array of the skin")):

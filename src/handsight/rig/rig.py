@@ -183,10 +183,8 @@ class Rig:
         for name, finger in self.fingers.items():
             body = self.hand.tips.get(name)
             if body != finger.frame:
-                expected = (
-                    f"expected the body of the hand's tip {body!r}" if body else "expected a tip of the hand"
-                )
-                raise InvalidInput(f"fingers[{name!r}].frame: {expected}, got {finger.frame!r}")
+                expected = f"the body of the hand's tip {body!r}" if body else "a tip of the hand"
+                raise InvalidInput(f"fingers[{name!r}].frame: expected {expected}, got {finger.frame!r}")
         for name, array in self.skin.items():
             self.hand.chains_to({f"skin[{name!r}].frame": array.frame})
         checks.load(self.gravity, "gravity", (3,))
@@ -208,17 +206,14 @@ class Rig:
 
 def _check_unique(rig: Rig) -> None:
     """Raises NotUnique where two fingers have one body or pose, or two topics one name."""
-    frames: dict[FieldPath, str] = {
-        ("fingers", name, "frame"): finger.frame for name, finger in rig.fingers.items()
-    }
-    topics: dict[FieldPath, str] = {
-        ("topics", item.name): getattr(rig.topics, item.name)
-        for item in fields(rig.topics)
-        if isinstance(getattr(rig.topics, item.name), str)
-    }
-    topics |= {("topics", "wrenches", name): topic for name, topic in rig.topics.wrenches.items()}
-    for kind in ("contacts", "skin"):
-        topics |= {("topics", kind, name): topic for name, topic in getattr(rig.topics, kind).items()}
+    frames: dict[FieldPath, str] = {("fingers", name, "frame"): f.frame for name, f in rig.fingers.items()}
+    topics, named = dict[FieldPath, str](), dict[FieldPath, str]()
+    for kind, topic in ((item.name, getattr(rig.topics, item.name)) for item in fields(rig.topics)):
+        if isinstance(topic, str):
+            topics["topics", kind] = topic
+        elif topic is not None:
+            named |= {("topics", kind, name): each for name, each in topic.items()}
+    topics |= named
     for kind, values in (("body", frames), ("topic", topics)):
         owners = dict[str, FieldPath]()
         for path, value in values.items():

@@ -106,14 +106,12 @@ def _camera(camera: MountedCamera) -> Values:
 
 def _object(entry: ObjectSpec) -> Values:
     """Returns the values of the first of box, cylinder, name and mesh that the entry has, and of its weight."""
-    values = _values(form.ObjectForm, entry)
-    if entry.cylinder is not None:
-        values["cylinder"] = dict(zip(("radius", "height"), entry.cylinder, strict=True))
-    if entry.mesh is not None:
-        values["mesh"] = _file_name(str(entry.mesh))
-    kind = next(name for name in ("box", "cylinder", "name", "mesh") if values[name] is not None)
-    others = {"box", "cylinder", "name", "mesh"} - {kind} | ({"scale"} if kind != "mesh" else set())
-    return {name: value for name, value in values.items() if name not in others}
+    cylinder = entry.cylinder and dict(zip(("radius", "height"), entry.cylinder, strict=True))
+    mesh = None if entry.mesh is None else _file_name(str(entry.mesh))
+    values = _values(form.ObjectForm, entry, cylinder=cylinder, mesh=mesh)
+    kinds = [name for name in ("box", "cylinder", "name", "mesh") if values[name] is not None]
+    left_out = kinds[1:] if kinds[0] == "mesh" else [*kinds[1:], "scale"]
+    return {name: value for name, value in values.items() if name not in left_out}
 
 
 def _file_name(name: str) -> str:
@@ -141,9 +139,8 @@ def _section(values: Mapping[str, Any], kind: object, comments: bool = True) -> 
             continue
         if get_origin(inner) is dict or (isinstance(inner, type) and issubclass(inner, Section)):
             yield f"{name}:{comment}"
-            yield from (
-                f"  {line}" for line in _section(value, inner, comments and (key is not None or i == 0))
-            )
+            lines = _section(value, inner, comments and (key is not None or i == 0))
+            yield from (f"  {line}" for line in lines)
         else:
             yield f"{name}: {value if get_origin(inner) is Literal else _inline(value)}{comment}"
 

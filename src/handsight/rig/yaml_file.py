@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class YamlLimits(NamedTuple):
-    """`YamlLimits` are what a YAML file may hold."""
+    """`YamlLimits` bound what a YAML file may hold."""
 
     max_bytes: int = 1 << 20  # of a file; a rig is a page or two
     max_values: int = 5_000
@@ -33,7 +33,7 @@ Form = TypeVar("Form", bound=msgspec.Struct)
 
 
 class YamlFile:
-    """A `YamlFile` holds the values of a file that is a mapping."""
+    """A `YamlFile` has the values of a YAML file and the line of each."""
 
     values: dict[str, object]
     """The mapping as Python's own types, aliases written out."""

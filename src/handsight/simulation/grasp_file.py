@@ -9,47 +9,38 @@ from handsight import checks, se3
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import read_bytes, write_errors
 from handsight.simulation.grasp_search import GraspSearchResult
-from handsight.simulation.motion import SERVOS, Grasp
-
-LARGEST = 1_000_000
-"""Of such a file [bytes]."""
-Three = tuple[float, float, float]
-Four = tuple[float, float, float, float]
+from handsight.simulation.motion import Grasp
 
 
-class _Form(msgspec.Struct, forbid_unknown_fields=True):
-    """A `_Form` is what the file says: lengths in metres, angles in radians."""
+class _GraspFile(msgspec.Struct, forbid_unknown_fields=True):
+    """A `_GraspFile` has the fields of the file: lengths in metres, angles in radians, quaternions x, y, z, w.
+
+    The first five are for people.
+    """
 
     object: str
-    """For people, as are the next four."""
     hold: str
     succeeded: bool = msgspec.field(name="held")
     trials: int
     failures: str
-    position_palm: Three
-    """Of the middle of the object's bounds, when the fingers begin to close."""
-    quaternion_xyzw_palm: Four
-    """Of the object's axes in the palm."""
+    position_palm: tuple[float, float, float]
+    """The middle of the object's bounds, when the fingers begin to close."""
+    quaternion_xyzw_palm: tuple[float, float, float, float]
+    """The rotation of the object in the palm."""
     height: float
     """Of that middle above the table."""
-    quaternion_xyzw_world: Four
-    """Of the palm's axes in the world."""
+    quaternion_xyzw_world: tuple[float, float, float, float]
+    """The rotation of the palm in the world."""
     opening: dict[str, float]
     """Targets of the joints' servos at first; 0 for those not named."""
     closed: dict[str, float]
-
-
-def _check_joints(form: _Form) -> None:
-    for name, joints in (("opening", form.opening), ("closed", form.closed)):
-        checks.finite(list(joints.values()), name, (len(joints),))
-        if others := [joint for joint in joints if joint not in SERVOS]:
-            raise InvalidInput(f"{name}: expected joints of the hand, got {others[0]}")
+    """Their targets at the end."""
 
 
 def write_grasp(found: GraspSearchResult, object: str, path: Path) -> None:
     """Writes a grasp that was found; raises NotWritten."""
     grasp = found.grasp
-    form = _Form(
+    form = _GraspFile(
         object=object,
         hold=found.hold,
         succeeded=found.succeeded,
@@ -67,28 +58,27 @@ def write_grasp(found: GraspSearchResult, object: str, path: Path) -> None:
 
 
 def read_grasp(path: Path) -> Grasp:
-    """Returns the grasp of a file that `write_grasp` made; raises InvalidFile, which begins with the file's name."""
+    """Returns the grasp of a file that `write_grasp` wrote; raises InvalidFile, which begins with the file's name."""
+    numbers = {"FF": "321", "MF": "321", "RF": "321", "LF": "4321", "TH": "43210"}
+    servos = {f"robot0:{finger}J{number}" for finger, of_finger in numbers.items() for number in of_finger}
     try:
-        form = msgspec.json.decode(read_bytes(path, LARGEST), type=_Form)
-        T_palm_middle, R_world_palm = (
-            se3.from_position_quaternion(
-                checks.finite(position, name, (3,)), checks.unit(quaternion, f"quaternion_xyzw_{frame}", (4,))
-            )
-            for name, position, quaternion, frame in (
-                ("position_palm", form.position_palm, form.quaternion_xyzw_palm, "palm"),
-                ("", (0.0, 0.0, 0.0), form.quaternion_xyzw_world, "world"),
-            )
-        )
-        _check_joints(form)
+        form = msgspec.json.decode(read_bytes(path, 1_000_000), type=_GraspFile)
+        position = checks.finite(form.position_palm, "position_palm", (3,))
+        if not np.abs(position).max() < 1:
+            raise InvalidInput(f"position_palm: expected less than a metre, got {form.position_palm}")
+        quaternion = checks.unit(form.quaternion_xyzw_palm, "quaternion_xyzw_palm", (4,))
+        quaternion_world = checks.unit(form.quaternion_xyzw_world, "quaternion_xyzw_world", (4,))
+        for name, joints in (("opening", form.opening), ("closed", form.closed)):
+            checks.finite(list(joints.values()), name, (len(joints),))
+            if others := [joint for joint in joints if joint not in servos]:
+                raise InvalidInput(f"{name}: expected joints of the hand, got {others[0]}")
         height = checks.positive(form.height, "height")
     except (msgspec.DecodeError, InvalidInput) as error:
         raise InvalidFile(f"{path}: {error}") from None
-    if not np.abs(T_palm_middle[:3, 3]).max() < 1:
-        raise InvalidFile(f"{path}: position_palm: expected less than a metre, got {form.position_palm}")
     return Grasp(
-        T_palm_middle=T_palm_middle,
+        T_palm_middle=se3.from_position_quaternion(position, quaternion),
         opening=form.opening,
         closed=form.closed,
-        height=float(height),
-        R_world_palm=R_world_palm[:3, :3],
+        height=height,
+        R_world_palm=se3.from_position_quaternion(np.zeros(3), quaternion_world)[:3, :3],
     )

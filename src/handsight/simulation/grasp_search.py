@@ -1,4 +1,4 @@
-"""A grasp that holds an object: holds that geometry promises, tried in the simulator until one does."""
+"""The search for a grasp that holds an object: candidates are tried in the simulator until one does."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -11,7 +11,7 @@ import numpy as np
 
 from handsight.errors import InvalidObject
 from handsight.simulation.grasp_candidates import Hold, body_of, grasp_candidates
-from handsight.simulation.motion import LEGS, MOTION, OWN, POWER, Grasp
+from handsight.simulation.motion import BOX, CAN, LEGS, MOTION, POWER_CAN, Grasp
 from handsight.simulation.posture import Posture
 from handsight.simulation.scenario import SCENARIO, Scenario
 from handsight.simulation.scene import convex_hull, scene
@@ -21,27 +21,19 @@ from handsight.simulation.world import World
 class GraspSearchOptions(NamedTuple):
     """`GraspSearchOptions` say how grasps are tried in simulation."""
 
-    max_fitted: int = 90  # holds that the hand is fitted to before the search gives up
+    max_fitted: int = 90  # candidates to which the hand is fitted before the search gives up
     max_trials: int = 24  # grasps that are simulated
-    failure_penalty: float = 0.1  # what a failure takes from the merit of similar ones
-    check_period: float = 0.05  # between looks at a trial [s]
+    failure_penalty: float = 0.1  # subtracted from a candidate's merit for each failure with the same `kin`
+    check_period: float = 0.05  # between checks of a trial [s]
     max_shift: float = 0.024  # of the object in the palm in a trial: well below what counts as dropped [m]
     max_rotation: float = 0.42  # of the object in the palm in a trial [rad]
     min_force: float = 0.1  # of a tip in contact [N]
-    min_contact_share: float = 0.9  # of the time for which thumb and a finger must touch the object
+    min_contact_share: float = 0.9  # of the time, for which thumb and a finger must touch the object
     max_depth: float = 0.002  # how far the hand may be pressed into the object [m]
-    max_other_force: float = 2.0  # how hard its unsensed links may press it [N]
+    max_other_force: float = 2.0  # of all links without a sensor on the object [N]
 
 
 GRASP_SEARCH = GraspSearchOptions()
-
-FELL = (
-    (MOTION.moves, "slipped when let go"),
-    (MOTION.at_rest + float(LEGS[:4, 0].sum()), "slipped on the table"),
-    (MOTION.at_rest + float(LEGS[:5, 0].sum()), "slipped when lifted"),
-    (np.inf, "slipped when turned"),
-)
-"""Why a trial ended, by when [s]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,54 +46,56 @@ class GraspSearchResult:
     trials: int
     """How many grasps were simulated."""
     hold: str
-    """Which fingers, from where."""
+    """Which fingers hold it, and from which side the hand comes."""
     failures: str
-    """What was tried and why it failed; empty where nothing failed."""
+    """How often each kind of failure occurred; empty where nothing failed."""
 
 
 def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = None) -> GraspSearchResult:
-    """Returns a grasp that holds the scenario's object through the scenario's own manipulation: the same for the same
-    seed.
+    """Returns a grasp that holds the scenario's object through a manipulation with the scenario's seed and nuisances.
 
-    `progress` is told the share of the search that is spent, 0 to 1. Raises MissingExtra, InvalidFile, or InvalidObject
-    for an object on which the hand finds no hold.
+    The same scenario gives the same grasp. `progress` is called with the share of the search that is done, 0 to 1.
+    Raises MissingExtra, InvalidFile, or InvalidObject for an object that the hand cannot hold.
     """
-    own = POWER if scenario.skin else OWN
-    if scenario.object in own:
-        return GraspSearchResult(own[scenario.object], True, 0, "its own grasp", "")
+    known = {"can": POWER_CAN} if scenario.skin else {"can": CAN, "box": BOX}
+    if scenario.object in known:
+        return GraspSearchResult(known[scenario.object], True, 0, "its own grasp", "")
     tried = replace(scenario, motion="manipulate", images=False)
     built, promising = scene(scenario.object), grasp_candidates(body_of(convex_hull(scenario.object)[0]))
     failures: Counter[str] = Counter()
     best: tuple[float, Grasp | None, str] = (-1.0, None, "")
     trials = 0
-    for spent, hold in enumerate(islice(_in_turn(promising), GRASP_SEARCH.max_fitted)):
+    for fitted, hold in enumerate(islice(_in_turn(promising), GRASP_SEARCH.max_fitted)):
         if progress is not None:
-            progress(max(spent / GRASP_SEARCH.max_fitted, trials / GRASP_SEARCH.max_trials))
+            progress(max(fitted / GRASP_SEARCH.max_fitted, trials / GRASP_SEARCH.max_trials))
         grasp, reason = Posture(built, hold).grasp()
         if grasp is not None:
             trials += 1
+            fingers = ", ".join(finger for finger in hold.points if finger != "th")
+            side = ("the side", "obliquely above", "above")[round(hold.roll / (np.pi / 4))]
+            name = f"thumb against {fingers}, from {side}"
             lasted, reason = _trial(tried, grasp)
             if not reason:
-                return GraspSearchResult(grasp, True, trials, _named(hold), _counted(failures))
-            best = max(best, (lasted, grasp, _named(hold)), key=lambda b: b[0])
+                return GraspSearchResult(grasp, True, trials, name, _text(failures))
+            best = max(best, (lasted, grasp, name), key=lambda b: b[0])
         failures[reason] += 1
         if trials == GRASP_SEARCH.max_trials:
             break
     if best[1] is None:
         size = " x ".join(f"{1000 * side:.0f}" for side in np.ptp(built.bounds_object, axis=0))
-        why = _counted(failures) or "no opposite sides that thumb and fingers span"
+        why = _text(failures) or "no opposite sides that thumb and fingers span"
         raise InvalidObject(f"object: expected one that fits in the open hand, got {size} mm ({why})")
-    return GraspSearchResult(best[1], False, trials, best[2], _counted(failures))
+    return GraspSearchResult(best[1], False, trials, best[2], _text(failures))
 
 
 @lru_cache(maxsize=16)
 def grasp_for(name: str, seed: int, *, skin: bool = False) -> Grasp:
-    """Returns the grasp that is found for an object and a seed, remembered; raises as `find_grasp`."""
+    """Returns the grasp that `find_grasp` finds for an object and a seed, searched once; raises as `find_grasp`."""
     return find_grasp(Scenario(object=name, seed=seed, skin=skin)).grasp
 
 
 def _in_turn(found: list[Hold]) -> Iterator[Hold]:
-    """Yields the best that is left, where each that was asked for and did not do counts against its kin."""
+    """Yields the best candidate that is left; each one yielded before, which failed, lowers the merit of its kin."""
     left, failed = list(found), Counter[tuple[int, float, float]]()
     while left:
         best = max(left, key=lambda hold: hold.merit - GRASP_SEARCH.failure_penalty * failed[hold.kin])
@@ -111,11 +105,18 @@ def _in_turn(found: list[Hold]) -> Iterator[Hold]:
 
 
 def _trial(scenario: Scenario, grasp: Grasp) -> tuple[float, str]:
-    """Returns how long a grasp held [s], and why no longer; empty where it did to the end."""
+    """Returns how long a grasp holds the object [s], and why no longer; the reason is empty if it holds to the end."""
     try:
         world = World(scenario, grasp)
     except InvalidObject:
         return 0.0, "no room to open"
+    # The reason by the time until which the object slips [s].
+    slips = (
+        (MOTION.moves, "slipped when let go"),
+        (MOTION.at_rest + float(LEGS[:4, 0].sum()), "slipped on the table"),
+        (MOTION.at_rest + float(LEGS[:5, 0].sum()), "slipped when lifted"),
+        (np.inf, "slipped when turned"),
+    )
     every, checked, in_contact = round(GRASP_SEARCH.check_period * SCENARIO.steps_per_second), 0, 0
     while world.time < world.duration:
         world.step()
@@ -125,28 +126,19 @@ def _trial(scenario: Scenario, grasp: Grasp) -> tuple[float, str]:
             return 0.0, "thrown by the simulator"
         shift, turn = world.moved()
         if shift > GRASP_SEARCH.max_shift or turn > GRASP_SEARCH.max_rotation:
-            return world.time, next(reason for end, reason in FELL if world.time <= end)
+            return world.time, next(reason for end, reason in slips if world.time <= end)
         touches = world.touches()
         if max((depth for _, _, depth in touches), default=0.0) > GRASP_SEARCH.max_depth:
             return world.time, "pressed in"
-        if (
-            sum(force for geom, force, _ in touches if not geom.endswith("_tip"))
-            > GRASP_SEARCH.max_other_force
-        ):
-            return world.time, "pressed by what does not feel"
-        feel = {
+        unsensed = sum(force for geom, force, _ in touches if not geom.endswith("_tip"))
+        if unsensed > GRASP_SEARCH.max_other_force:
+            return world.time, "pressed by links without a sensor"
+        tips = {
             geom for geom, force, _ in touches if force > GRASP_SEARCH.min_force and geom.endswith("_tip")
         }
-        checked, in_contact = checked + 1, in_contact + ("th_tip" in feel and len(feel) > 1)
-    return world.time, "" if in_contact >= GRASP_SEARCH.min_contact_share * checked else "hardly felt"
+        checked, in_contact = checked + 1, in_contact + ("th_tip" in tips and len(tips) > 1)
+    return world.time, "" if in_contact >= GRASP_SEARCH.min_contact_share * checked else "hardly in contact"
 
 
-def _named(hold: Hold) -> str:
-    """Returns which fingers, from where."""
-    fingers = ", ".join(finger for finger in hold.points if finger != "th")
-    beside = ("the side", "obliquely above", "above")[round(hold.roll / (np.pi / 4))]
-    return f"thumb against {fingers}, from {beside}"
-
-
-def _counted(failures: Counter[str]) -> str:
+def _text(failures: Counter[str]) -> str:
     return ", ".join(f"{reason}: {count}" for reason, count in failures.most_common())

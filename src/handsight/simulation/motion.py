@@ -1,7 +1,7 @@
-"""How the hand moves: it closes on an object, then the palm goes over the table, up, round.
+"""The hand's motion: fingers close on an object, then the palm moves over the table, up, and turns.
 
-The numbers of the grasps on can and box were found by random search on the Shadow hand (J3 spread, J2 knuckle, J1
-middle; the last joint of a finger is coupled to its middle one by a tendon).
+The grasps on can and box were found by random search on the Shadow hand (J3 spread, J2 knuckle, J1 middle; a tendon
+couples the last joint of a finger to its middle one).
 """
 
 from collections.abc import Mapping
@@ -16,32 +16,18 @@ from handsight.simulation.scene import BOX_SIZE, CAN_SIZE
 
 
 class MotionOptions(NamedTuple):
-    """`MotionOptions` say when the hand does what, and how a scenario is drawn."""
+    """`MotionOptions` are the times of the hand's motion, and by how much a scenario varies its grasp."""
 
-    closed: float = 0.7  # when the servos' targets are closed [s]
+    closed: float = 0.7  # when the servos' targets are those of the closed hand [s]
     free: float = 1.0  # when the object is let go [s]
-    at_rest: float = 1.4  # when it is at rest in the hand [s]
+    at_rest: float = 1.4  # when the object is at rest in the hand [s]
     moves: float = 1.9  # when the palm may move [s]
-    max_shift: float = 0.003  # half width of the draw of the object's place, per axis [m]
-    max_rotation: float = float(np.deg2rad(3.0))  # half width of the draw of its rotation [rad]
-    max_aim: float = float(np.deg2rad(1.0))  # half width of the draw of the joints' targets [rad]
+    max_shift: float = 0.003  # half width of the object's uniform position, per axis [m]
+    max_rotation: float = float(np.deg2rad(3.0))  # half width of its uniform rotation [rad]
+    max_aim: float = float(np.deg2rad(1.0))  # half width of the joints' uniform targets [rad]
 
 
 MOTION = MotionOptions()
-
-R_WORLD_PALM = np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]])
-"""Fingers along x, the palm towards y, the thumb up."""
-
-SERVOS = frozenset(
-    f"robot0:{finger}J{number}"
-    for finger, numbers in {
-        **dict.fromkeys(("FF", "MF", "RF"), (3, 2, 1)),
-        "LF": (4, 3, 2, 1),
-        "TH": (4, 3, 2, 1, 0),
-    }.items()
-    for number in numbers
-)
-"""Joints that a grasp may name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,15 +35,15 @@ class Grasp:
     """A `Grasp` is a closing motion of the hand around an object."""
 
     T_palm_middle: Array
-    """(4, 4) of the object's axes in the middle of its bounds, when the fingers begin to close."""
+    """(4, 4) when the fingers begin to close; `middle` is the middle of the object's bounds, with the object's axes."""
     opening: Mapping[str, float]
     """Targets of the joints' servos at first [rad]; 0 for those not named."""
     closed: Mapping[str, float]
-    """The same at the end."""
+    """Their targets at the end [rad]."""
     height: float
     """Of that middle above the table [m]."""
-    R_world_palm: Array = field(default_factory=lambda: R_WORLD_PALM)
-    """(3, 3) when the fingers begin to close; a draw turns it a little."""
+    R_world_palm: Array = field(default_factory=lambda: np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]]))
+    """(3, 3) when the fingers begin to close; by default fingers point along x, the palm faces y, the thumb is up."""
 
 
 def _joints(**of_finger: Mapping[int, float]) -> dict[str, float]:
@@ -95,8 +81,6 @@ BOX = Grasp(
         TH={4: 0.0, 3: 1.15, 2: 0.21, 1: -0.22, 0: -0.61},
     ),
 )
-OWN = {"can": CAN, "box": BOX}
-"""By object; how a mesh is grasped is searched."""
 POWER_CAN = Grasp(
     height=CAN_SIZE[1] / 2,
     T_palm_middle=se3.compose(_UPRIGHT, np.array([-0.041, -0.0481, 0.061])),
@@ -109,16 +93,13 @@ POWER_CAN = Grasp(
         TH={4: -0.02, 3: 0.53, 2: -0.09, 1: -0.44, 0: -1.02},
     ),
 )
-POWER = {"can": POWER_CAN}
-"""The same where fingers press the object on the palm, its upper end before the middle of that."""
+"""Fingers press the can on the palm, its upper end in front of the palm's middle."""
 
 
 def perturbed(grasp: Grasp, rng: np.random.Generator) -> Grasp:
-    """Returns the same grasp, a little elsewhere: each number uniform within its half width."""
-    shift, turn = (
-        rng.uniform(-MOTION.max_shift, MOTION.max_shift, 3),
-        rng.uniform(-MOTION.max_rotation, MOTION.max_rotation, 3),
-    )
+    """Returns the grasp with the object and the joints' targets displaced by uniform draws of `MotionOptions`."""
+    shift = rng.uniform(-MOTION.max_shift, MOTION.max_shift, 3)
+    turn = rng.uniform(-MOTION.max_rotation, MOTION.max_rotation, 3)
     aim = rng.uniform(-MOTION.max_aim, MOTION.max_aim, len(grasp.closed))
     return replace(
         grasp,
@@ -128,7 +109,7 @@ def perturbed(grasp: Grasp, rng: np.random.Generator) -> Grasp:
 
 
 LEGS = np.array(
-    [  # seconds, then where at their end: x, y, z [m], turn about the vertical, tilt about the forearm [deg]
+    [  # duration [s], then at its end: x, y, z [m], turn about the vertical, tilt about the forearm [deg]
         (0.5, 0.00, 0.00, 0.00, 0, 0),
         (1.5, 0.00, 0.10, 0.00, 0, 0),
         (2.0, 0.00, -0.06, 0.00, 0, 0),
@@ -141,7 +122,7 @@ LEGS = np.array(
         (0.5, 0.02, 0.00, 0.16, 75, 0),
     ]
 )
-"""(10, 6) of a manipulation, once the object is in the hand [s], [m], [rad]; a mere grasp ends with the first."""
+"""(10, 6) legs of a manipulation, once the object is in the hand [s, m, rad]; a mere grasp has only the first."""
 LEGS[:, 4:] = np.deg2rad(LEGS[:, 4:])
 PULLED = np.array(
     [
@@ -153,7 +134,7 @@ PULLED = np.array(
         (0.8, 0.00, 0.00, 0.08, 0, np.deg2rad(20)),
     ]
 )
-"""The same where the object is pulled: during the fourth."""
+"""(6, 6) legs of a motion in which the object is pulled: during the fourth."""
 WEIGH_LEGS = np.array(
     [  # the last column: tilt about the horizontal across the forearm [deg]
         (0.5, 0.00, 0.00, 0.00, 0, 0, 0),
@@ -168,26 +149,25 @@ WEIGH_LEGS = np.array(
         *((0.5, 0.04, 0.06, 0.12, 0, 0, 0), (0.5, 0.00, -0.06, 0.16, 0, 0, 0)),
     ]
 )
-"""(17, 7) of a weighing: after the lift five orientations, then faster and faster to and fro."""
+"""(17, 7) legs of a weighing: after the lift five orientations, then faster and faster to and fro."""
 WEIGH_LEGS[:, 4:] = np.deg2rad(WEIGH_LEGS[:, 4:])
 
 
 def least_jerk(s: Array) -> Array:
-    """Returns how far from 0 to 1 at shares `s` of the time, at rest at both ends (Flash and Hogan 1985)."""
+    """Returns positions from 0 to 1 at shares `s` of the time, at rest at both ends (Flash and Hogan 1985)."""
     return np.asarray(s**3 * (10 - 15 * s + 6 * s * s))
 
 
 def palm_poses(legs: Array, times: Array, T_world_palm: Array, pivot: Array) -> Array:
-    """Returns Ts_world_palm (n, 4, 4) at `times` (n,) after the start [s], at rest at the end of each leg.
+    """Returns Ts_world_palm (n, 4, 4) at `times` (n,) after the start [s]; the palm is at rest at the end of each leg.
 
-    `T_world_palm` (4, 4): at first; `pivot` (3,): the point in the world that turns leave in place [m].
+    It starts at `T_world_palm` (4, 4) and turns about the point `pivot` (3,) in the world [m].
     """
     ends = np.cumsum(legs[:, 0])
     i = np.minimum(np.searchsorted(ends, times), len(ends) - 1)
     s = np.clip(1 - (ends[i] - times) / legs[i, 0], 0, 1)
-    smooth = least_jerk(s)
     begins = np.vstack([np.zeros(legs.shape[1] - 1), legs[:-1, 1:]])
-    now = begins[i] + smooth[:, None] * (legs[i, 1:] - begins[i])
+    now = begins[i] + least_jerk(s)[:, None] * (legs[i, 1:] - begins[i])
     R = se3.rotation_exp(now[:, 3:4] * [0.0, 0, 1]) @ se3.rotation_exp(now[:, 4:5] * [1.0, 0, 0])
     if legs.shape[1] > 6:
         R = R @ se3.rotation_exp(now[:, 5:6] * [0.0, 1, 0])

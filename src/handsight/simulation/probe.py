@@ -1,7 +1,7 @@
-"""A simulated hand that touches what stands on the table: one finger stretched, its tip swept along lines."""
+"""A simulated hand that touches objects on a table: one finger is stretched, its tip is swept along lines."""
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -23,194 +23,170 @@ from handsight.simulation.world import World, rows
 from handsight.tracking import FingertipSensors
 
 FINGER = "ff"
-POSTURE = {
-    **{f"robot0:{finger}J{joint}": 1.5 for finger in ("MF", "RF", "LF") for joint in (2, 1)},
-    "robot0:THJ3": 1.2, "robot0:THJ2": 0.2, "robot0:THJ1": -0.5, "robot0:THJ0": -1.5,
-}  # fmt: skip
-"""A fist but for one finger [rad]."""
+"""The stretched finger."""
 
 
 class ProbeOptions(NamedTuple):
     """`ProbeOptions` say how a finger searches the table and the object."""
 
     reach: float = 0.03
-    """How far the tip's middle is below the finger's first link, which is wider than the tip [m]: an object may be
-    that much higher, else that link pushes it where the tip passes.
+    """How far the tip's middle is below the finger's first link, which is wider than the tip [m]. An object may be that
+    much higher; else that link pushes it where the tip passes.
     """
     radius: float = 0.009  # of the tip's sides [m]
-    sigma: float = 0.0025  # of where the tip is, per axis [m]: a degree at each joint of the finger
+    sigma: float = 0.0025  # of the tip's position, per axis [m]: a degree at each joint of the finger
     lean: float = float(np.deg2rad(12.0))
-    """Of the finger from the vertical, its tip ahead, so that nothing else of it meets a wall first [rad]."""
+    """Angle of the finger from the vertical, its tip ahead, so that the tip is first to meet a wall [rad]."""
     sweep_speed: float = 0.06  # of the tip in a sweep [m/s]
     travel_speed: float = 0.4  # of the tip elsewhere [m/s]
     turn_speed: float = 3.0  # of the hand as it turns [rad/s]
     acceleration_time: float = 0.1
-    """How long the tip takes to its speed [s]: a sudden start shakes it, as a touch would."""
+    """How long the tip takes to reach its speed [s]: a sudden start shakes it, which feels like a touch."""
     stop_force: float = 0.15  # at which a sweep ends [N]
     dwell: float = 0.15  # how long the hand rests at a contact [s]
-    readings: int = 10  # of which the contact's wrench is the mean
-    retreat: float = 0.015  # how far the tip goes back from a contact [m]
-    travel_height: float = 0.05  # how high above the object it passes over the table [m]
-    free_spacing: float = 0.005  # between places where the tip met nothing [m]
+    readings: int = 10  # whose mean is the contact's wrench
+    retreat: float = 0.015  # how far the tip moves back from a contact [m]
+    travel_height: float = 0.05  # of the tip above the object on its way over the table [m]
+    free_spacing: float = 0.005  # between positions where the tip met nothing [m]
     min_height: float = 0.022
     """Of the tip's middle above the table, which is known to some millimetres and a degree [m]."""
     top_margin: float = 0.012  # of the tip's middle below the object's top [m]
-    table_start: float = 0.05
-    """Height above where the table is expected at which the tip starts to search for it [m]."""
+    table_start: float = 0.05  # height above the expected table at which the tip starts to search for it [m]
     table_unevenness: float = 0.015
-    """A table off plumb by a degree is not more uneven [m]: what is lower was felt by the finger's side, at its edge.
-    """
-    start_height: float = 0.5  # of the palm at first over the object's middle [m]
+    """Largest unevenness of a table tilted by a degree [m]: a lower contact is of the finger's side at its edge."""
+    start_height: float = 0.5  # of the palm at first above the object's middle [m]
 
 
 PROBE = ProbeOptions()
 
 
-def ignore(_: Sample) -> None:
-    """Looks at no sample."""
-
-
 class Probe(World):
     """A `Probe` is the hand above the table, one finger stretched; the object stands free at the scene's origin."""
 
-    def __init__(self, scenario: Scenario, R_scene_object: Array, T_world_table: Array) -> None:
-        """`R_scene_object` (3, 3): how the object stands. `T_world_table` (4, 4): where the robot has that origin.
+    def __init__(
+        self, scenario: Scenario, R_scene_object: Array, T_world_table: Array, *, recording: bool = False
+    ) -> None:
+        """Starts with the object at rotation `R_scene_object` (3, 3) in the scene.
 
-        Raises as `World` does.
+        `T_world_table` (4, 4) is where the robot believes the scene's origin to be. With `recording` all samples are
+        kept in `recorded`, those on the way to a sweep too. Raises as `World` does.
         """
         rig = rig_of(scenario)
         self._tips, self._finger = FingertipSensors(rig), rig.fingers[FINGER]
-        self._place = list(rig.hand.tips).index(FINGER)
+        self._tip_index = list(rig.hand.tips).index(FINGER)
         self._T_palm_finger = self._finger_in_palm(dict.fromkeys(rig.hand.moving, 0.0))
         R_world_palm = self._turned(np.array([1.0, 0.0, 0.0]))
         low, high = np.array(scene(scenario.object).bounds_object)
         corners = np.array(list(itertools.product(*zip(low, high, strict=True)))) @ R_scene_object.T
-        super().__init__(
-            replace(scenario, motion="grasp", images=False),
-            Grasp(
-                T_palm_middle=se3.compose(
-                    R_world_palm.T @ R_scene_object, R_world_palm.T @ [0.0, 0.0, -PROBE.start_height]
-                ),
-                opening=POSTURE,
-                closed={},
-                height=float(np.ptp(corners[:, 2])) / 2,
-                R_world_palm=R_world_palm,
-            ),
+        # The other fingers make a fist [rad].
+        fist = {f"robot0:{finger}J{joint}": 1.5 for finger in ("MF", "RF", "LF") for joint in (2, 1)}
+        fist |= {"robot0:THJ3": 1.2, "robot0:THJ2": 0.2, "robot0:THJ1": -0.5, "robot0:THJ0": -1.5}
+        T_palm_middle = se3.compose(
+            R_world_palm.T @ R_scene_object, R_world_palm.T @ [0.0, 0.0, -PROBE.start_height]
         )
-        self._hold_object(self._begin)
+        height = float(np.ptp(corners[:, 2])) / 2
+        grasp = Grasp(T_palm_middle, opening=fist, closed={}, height=height, R_world_palm=R_world_palm)
+        super().__init__(replace(scenario, motion="grasp", images=False), grasp)
+        self._hold_object(self._start)
         self.refresh()
         self._sensors = Sensors(scenario, self)
         self._sensors.T_world_scene = T_world_table @ self._sensors.T_world_scene
         self.top = float(np.ptp(corners[:, 2]))
         """Height of the object above the table [m]."""
+        self._recording, self.recorded = recording, list[Sample]()
         self._every = round(SCENARIO.steps_per_second / scenario.rate)
         self._T_world_palm = self._sensors.T_world_scene @ self.pose(PALM)
 
     @property
     def phase(self) -> Phase:
-        """Always the search."""
+        """Always `touch`."""
         return "touch"
 
     @property
     def T_world_object(self) -> Array:
-        """(4, 4) true, where the robot has the world."""
+        """True pose (4, 4) in the robot's world."""
         return np.asarray(self._sensors.T_world_scene @ self.pose("object"))
 
     @property
     def heights(self) -> tuple[float, float]:
-        """Of the tip's middle above the table [m], at which the rest of the hand passes over the object."""
+        """Lowest and highest middle of the tip above the table at which it alone meets the object [m]."""
         lowest = max(PROBE.min_height, self.top - PROBE.reach)
         return lowest, max(lowest, self.top - PROBE.top_margin)
 
-    def feel_table(self, places: ArrayLike, on_sample: Callable[[Sample], None] = ignore) -> float:
-        """Returns how high the table is on average where the tip is pressed down on it, at places (n, 2) in the world
-        [m].
+    def feel_table(self, places: ArrayLike) -> float:
+        """Returns the mean height of the table where the tip is pressed down on it, at places (n, 2) in the world [m].
 
-        Places beside it count for nothing. Raises InvalidInput where all are.
+        Places beside the table do not count. Raises InvalidInput where there are no others.
         """
         found, places = [], np.atleast_2d(places)
         for x, y in places:
             R = self._turned(np.array([1.0, 0.0, 0.0]))
             begin = self._palm(R, np.array([x, y, PROBE.table_start]))
-            self._travel(begin, on_sample)
-            ways = _ways(2 * PROBE.table_start)[:, None] * [0.0, 0.0, -1.0]
-            for sample in self._along(_shifted(begin, ways)):
-                on_sample(sample)
+            self._travel(begin)
+            down = _distances(2 * PROBE.table_start)[:, None] * [0.0, 0.0, -1.0]
+            for sample in self._along(_shifted(begin, down)):
                 sensed = self._tips.contacts(sample.observation)
                 if FINGER in sensed.fingers or sensed.reasons[FINGER] == "on the table":
-                    found.append(self._lowest_point(sample.observation))
+                    T = self._tip(sample.observation)
+                    # The lowest point of the tip's ellipsoid.
+                    found.append(float(T[2, 3] - np.linalg.norm(T[2, :3] * self._finger.tip.semi_axes)))
                     break
         if not found:
             raise InvalidInput(f"places: expected some over the table, felt nothing at any of {len(places)}")
         heights = np.array(found)
         return float(heights[np.abs(heights - np.median(heights)) < PROBE.table_unevenness].mean())
 
-    def _lowest_point(self, observation: Observation) -> float:
-        """Returns the height in the world of what is lowest of the stretched finger's tip [m]."""
-        T = self._tip(observation)
-        return float(T[2, 3] - np.linalg.norm(T[2, :3] * self._finger.tip.semi_axes))
-
-    def touch(self, sweep: Sweep, on_sample: Callable[[Sample], None] = ignore) -> Touch:
-        """Returns what comes of a sweep: the hand goes to its start over the table, along it until it feels
-        something, and up.
-
-        `on_sample` is given every sample of it.
-        """
-        R = self._turned(sweep.direction_world)
-        self._travel(self._palm(R, sweep.start_world), on_sample)
+    def touch(self, sweep: Sweep) -> Touch:
+        """Returns the result of a sweep: the hand travels to its start, and along it until it touches something."""
+        start = self._palm(self._turned(sweep.direction_world), sweep.start_world)
+        self._travel(start)
         free: list[Array] = []
         contact = None
-        ways = _ways(sweep.length)
-        for sample in self._along(self._palms(R, sweep, ways)):
-            on_sample(sample)
-            sensed = self._sensed_contact(sample.observation)
-            if sensed is not None:
-                contact = self._at_rest(on_sample) or sensed
+        for sample in self._along(_shifted(start, _distances(sweep.length)[:, None] * sweep.direction_world)):
+            contact = self._sensed_contact(sample.observation)
+            if contact is not None:
                 break
             tip = self._tip(sample.observation)[:3, 3]
             if not free or np.linalg.norm(tip - free[-1]) >= PROBE.free_spacing:
                 free.append(tip)
+        if contact is not None:
+            # The mean wrench of a hand at rest is more accurate, unless the contact is lost.
+            resting = np.tile(self._T_world_palm, (round(PROBE.dwell * SCENARIO.steps_per_second), 1, 1))
+            last = [sample.observation for sample in self._along(resting)][-PROBE.readings :]
+            mean = np.mean([observation.wrenches[FINGER] for observation in last], axis=0)
+            contact = self._sensed_contact(replace(last[-1], wrenches={FINGER: mean})) or contact
         back = PROBE.retreat if contact is not None else 0.0
-        self._straight(
-            self._T_world_palm, _shifted(self._T_world_palm, -back * sweep.direction_world), on_sample
-        )
+        self._straight(_shifted(self._T_world_palm, -back * sweep.direction_world))
         return Touch(np.array(free).reshape(-1, 3), PROBE.radius, PROBE.sigma, contact)
 
     def _sensed_contact(self, observation: Observation) -> Contacts | None:
-        """Returns the contact of the stretched finger in the world, where it is pressed hard enough."""
+        """Returns the contact of the stretched finger in the world; None where its force is below `stop_force`."""
         sensed = self._tips.contacts(observation)
         if FINGER not in sensed.fingers or sensed.contacts is None or sensed.loads is None:
             return None
         k = sensed.fingers.index(FINGER)
         if np.linalg.norm(sensed.loads[k, :4]) < PROBE.stop_force:
             return None
-        return sensed.contacts.select([k]).moved(_placed(observation)[0])
+        return sensed.contacts.select([k]).moved(_palm_and_joints(observation)[0])
 
-    def _at_rest(self, on_sample: Callable[[Sample], None]) -> Contacts | None:
-        """Returns the contact by the mean wrench of a hand that stays; None where it is lost."""
-        stays = np.tile(self._T_world_palm, (round(PROBE.dwell * SCENARIO.steps_per_second), 1, 1))
-        samples = list(self._along(stays))
-        for sample in samples:
-            on_sample(sample)
-        last = [sample.observation for sample in samples[-PROBE.readings :]]
-        mean = np.mean([observation.wrenches[FINGER] for observation in last], axis=0)
-        return self._sensed_contact(replace(last[-1], wrenches={FINGER: mean}))
+    def _along(self, Ts_world_palm: Array, *, needed: bool = True) -> Iterator[Sample]:
+        """Yields samples while the palm moves through poses (n, 4, 4), two milliseconds from one to the next.
 
-    def _along(self, Ts_world_palm: Array, *, sampled: bool = True) -> Iterator[Sample]:
-        """Yields samples of the hand that goes through poses (n, 4, 4), two milliseconds from one to the next.
-
-        None where they are not `sampled`: they take longer than all the rest.
+        It yields none that is neither `needed` nor recorded: samples take longer than the simulation.
         """
         arm = rows(se3.inverse(self._sensors.T_world_scene) @ Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
         for i, T in enumerate(Ts_world_palm):
             self._arm, self._T_world_palm = arm[i : i + 1], T
             self.step()
-            if sampled and self.steps % self._every == 0:
+            if (needed or self._recording) and self.steps % self._every == 0:
                 self.refresh()
                 sample = self._sensors.sample()
-                yield replace(sample, observation=replace(sample.observation, vision=None))
+                sample = replace(sample, observation=replace(sample.observation, vision=None))
+                if self._recording:
+                    self.recorded.append(sample)
+                yield sample
 
-    def _travel(self, T_goal: Array, on_sample: Callable[[Sample], None]) -> None:
+    def _travel(self, T_goal: Array) -> None:
         """Moves up, over the table and down to a palm pose (4, 4)."""
         safe = self.top + PROBE.travel_height - (T_goal @ self._T_palm_finger)[2, 3]
         up = self._T_world_palm.copy()
@@ -218,66 +194,58 @@ class Probe(World):
         over = T_goal.copy()
         over[2, 3] = up[2, 3]
         for goal in (up, over, T_goal):
-            self._straight(self._T_world_palm, goal, on_sample)
+            self._straight(goal)
 
-    def _straight(self, T_begin: Array, T_end: Array, on_sample: Callable[[Sample], None]) -> None:
-        """Moves from one palm pose to another, at rest at both ends."""
-        way = se3.difference(T_end, T_begin)
+    def _straight(self, T_goal: Array) -> None:
+        """Moves the palm straight to a pose (4, 4), at rest at both ends."""
+        T_begin = self._T_world_palm
+        way = se3.difference(T_goal, T_begin)
         seconds = np.linalg.norm(way[:3]) / PROBE.travel_speed + np.linalg.norm(way[3:]) / PROBE.turn_speed
         s = np.linspace(0, 1, max(round(seconds * SCENARIO.steps_per_second), 1) + 1)[1:, None]
-        for sample in self._along(se3.moved(T_begin, least_jerk(s) * way), sampled=on_sample is not ignore):
-            on_sample(sample)
+        for _ in self._along(se3.moved(T_begin, least_jerk(s) * way), needed=False):
+            pass
 
     def _turned(self, direction_world: Array) -> Array:
-        """Returns R_world_palm (3, 3) that has the finger down, its tip and the palm's front ahead."""
+        """Returns R_world_palm (3, 3) with the finger down, its tip and the palm's front in a direction."""
         finger, front = self._T_palm_finger[:3, 2], np.array([0.0, -1.0, 0.0])
         down = np.sin(PROBE.lean) * direction_world - np.cos(PROBE.lean) * np.array([0.0, 0.0, 1.0])
         return _frame(down, direction_world) @ _frame(finger, front).T
 
     def _palm(self, R_world_palm: Array, middle_world: Array) -> Array:
-        """Returns T_world_palm (4, 4) that has the finger's tip there."""
+        """Returns T_world_palm (4, 4) with the middle of the finger's tip at a point (3,) [m]."""
         return se3.compose(R_world_palm, middle_world - R_world_palm @ self._T_palm_finger[:3, 3])
 
-    def _palms(self, R_world_palm: Array, sweep: Sweep, ways: Array) -> Array:
-        """Returns (n, 4, 4) along a sweep, at distances (n,) from its start [m]."""
-        return _shifted(self._palm(R_world_palm, sweep.start_world), ways[:, None] * sweep.direction_world)
-
     def _tip(self, observation: Observation) -> Array:
-        """Returns T_world_tip (4, 4) of the stretched finger's tip, as the robot has it."""
-        T_world_palm, joints = _placed(observation)
+        """Returns T_world_tip (4, 4) of the stretched finger's tip as the robot measures it."""
+        T_world_palm, joints = _palm_and_joints(observation)
         return np.asarray(T_world_palm @ self._finger_in_palm(joints))
 
     def _finger_in_palm(self, joints: Mapping[str, float]) -> Array:
-        """Returns T_palm_tip (4, 4) of the stretched finger's tip, the origin in its middle, by what the joints say."""
-        return np.asarray(self._tips.rig.hand.Ts_palm_tip(joints)[self._place] @ self._finger.T_frame_surface)
+        """Returns T_palm_tip (4, 4) of the stretched finger at joints [rad]; its origin is the tip's middle."""
+        T_palm_frame = self._tips.rig.hand.Ts_palm_tip(joints)[self._tip_index]
+        return np.asarray(T_palm_frame @ self._finger.T_frame_surface)
 
 
-def _placed(observation: Observation) -> tuple[Array, Mapping[str, float]]:
-    """Returns T_world_palm (4, 4) and joints [rad], which every observation of the simulation has."""
+def _palm_and_joints(observation: Observation) -> tuple[Array, Mapping[str, float]]:
+    """Returns T_world_palm (4, 4) and joints [rad], which all observations of the simulation have."""
     if observation.T_world_palm is None or observation.joint_positions is None:
         raise InvalidInput("observation: expected joint positions and a T_world_palm, got none")
     return observation.T_world_palm, observation.joint_positions
 
 
 def _frame(first: Array, second: Array) -> Array:
-    """Returns (3, 3) axes: along the first direction, as far along the second as that leaves, and across both."""
+    """Returns axes (3, 3): the first direction, the part of the second across it, and their cross product."""
     x = first / np.linalg.norm(first)
     y = second - (second @ x) * x
     y /= np.linalg.norm(y)
     return np.column_stack([x, y, np.cross(x, y)])
 
 
-def _ways(length: float) -> Array:
-    """Returns (n,) how far a sweep of some length has gone after each step of the simulation [m]."""
-    t = np.arange(
-        0.0, length / PROBE.sweep_speed + PROBE.acceleration_time / 2, 1 / SCENARIO.steps_per_second
-    )
-    return np.asarray(
-        PROBE.sweep_speed
-        * np.where(
-            t < PROBE.acceleration_time, t**2 / (2 * PROBE.acceleration_time), t - PROBE.acceleration_time / 2
-        )
-    )
+def _distances(length: float) -> Array:
+    """Returns the tip's distance (n,) from the start of a sweep after each step of the simulation [m]."""
+    speed, rise = PROBE.sweep_speed, PROBE.acceleration_time
+    t = np.arange(0.0, length / speed + rise / 2, 1 / SCENARIO.steps_per_second)
+    return np.asarray(speed * np.where(t < rise, t**2 / (2 * rise), t - rise / 2))
 
 
 def _shifted(T: Array, shift: Array) -> Array:

@@ -13,32 +13,37 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.simulation.camera import BELIEVED_CAMERA
 from handsight.simulation.scenario import Sample, Scenario
-from handsight.simulation.scene import IMAGE_SIZE, PALM, SCENE, Scene, mujoco_module, scene
+from handsight.simulation.scene import IMAGE_SIZE, PALM, SCENE, SimulatedScene, mujoco_module, scene
 
 if TYPE_CHECKING:
     from mujoco.gl_context import GLContext
 
 
-NO_LIBRARY = (ImportError, RuntimeError, AttributeError, OSError)
-"""What PyOpenGL raises for a missing library."""
 Color = NDArray[np.uint8]
 Depth = NDArray[np.float32]
 Rgba = tuple[float, float, float, float]
-"""Opacity last, each 0 to 1."""
+"""Red, green, blue and opacity, each 0 to 1."""
 
 
 class Renderer:
-    """Draws one scene from any camera pose; to be closed before the next is opened."""
+    """A `Renderer` draws one scene from any camera pose; it must be closed before the next is opened."""
 
-    def __init__(self, built: Scene) -> None:
+    def __init__(self, built: SimulatedScene) -> None:
         """Raises MissingExtra where neither EGL nor OSMesa can draw."""
         mujoco = self._mujoco = mujoco_module()
         self._scene, self._data = built, mujoco.MjData(built.model)
-        # A context of our own, not mujoco.Renderer's: that one's kind is fixed when mujoco is first imported.
+        # An own context, for the kind of mujoco.Renderer's is fixed when mujoco is first imported.
         self._context = _context()
         self._context.make_current()
         self._drawn, self._option = mujoco.MjvScene(built.model, maxgeom=400), mujoco.MjvOption()
-        self._option.geomgroup[:] = [1, 1, 0, 0, 0, 0]  # hand's collision shapes: 4; what is hidden: 5
+        self._option.geomgroup[:] = [
+            1,
+            1,
+            0,
+            0,
+            0,
+            0,
+        ]  # not the hand's collision shapes, group 4, and hidden geoms, 5
         self._camera = mujoco.MjvCamera()
         self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0  # the only one
         self._device = mujoco.MjrContext(built.model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
@@ -46,44 +51,55 @@ class Renderer:
         self._device.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
 
     def close(self) -> None:
-        """Frees the device; nothing can be drawn after."""
+        """Frees the device; nothing can be drawn afterwards."""
         self._context.make_current()
         self._device.free()
         self._context.free()
 
     def take(self, configuration: Array, T_world_camera: Array) -> tuple[Color, Depth]:
-        """Returns color (h, w, 3) and depth (h, w) along the optical axis [m] of the scene in that configuration."""
+        """Returns colour (h, w, 3), and depth (h, w) along the optical axis [m], of the scene in a configuration."""
         self._pose(configuration, T_world_camera)
-        self._drawn.flags[self._mujoco.mjtRndFlag.mjRND_SHADOW] = 0  # half of the time
+        self._drawn.flags[self._mujoco.mjtRndFlag.mjRND_SHADOW] = 0  # takes half of the time
         color, buffer = self._pixels()
-        planes = self._scene.model.vis.map  # in multiples of the scene's extent, which is 1
-        # The buffer holds 1 at the near plane and 0 at the far one, even in 1 / z.
+        planes = self._scene.model.vis.map  # in units of the scene's extent, which is 1
+        # The buffer is linear in 1 / z, from 1 at the near plane to 0 at the far one.
         near, far = np.float32(planes.znear), np.float32(planes.zfar)
         return color, near * far / (near + buffer * (far - near))
 
     def draw(
-        self,
-        configuration: Array,
-        T_world_camera: Array,
-        *,
-        ghost: tuple[Array, Rgba] | None,
-        show_object: bool,
+        self, configuration: Array, T_world_camera: Array, ghost: tuple[Array, Rgba] | None, show_object: bool
     ) -> Color:
-        """Returns color (h, w, 3); `ghost`: T_palm_object (4, 4) and color of a second object, drawn through the
-        hand."""
+        """Returns colour (h, w, 3); `ghost` is T_palm_object (4, 4) and colour of a second, translucent object."""
         self._pose(configuration, T_world_camera)
         geom = self._scene.model.geom("object").id
         for drawn in self._drawn.geoms[: self._drawn.ngeom]:
             if not show_object and drawn.objtype == self._mujoco.mjtObj.mjOBJ_GEOM and drawn.objid == geom:
                 drawn.rgba[3] = 0.0
         if ghost is not None:
-            self._add(geom, *ghost)
+            (T_palm_object, rgba), model, palm = ghost, self._scene.model, self._data.body(PALM)
+            T_world_palm = se3.compose(palm.xmat.reshape(3, 3), palm.xpos)
+            # MuJoCo moves a mesh's frame to its principal axes of inertia.
+            quaternion_xyzw = np.roll(model.geom_quat[geom], -1)
+            T_object_geom = se3.from_position_quaternion(model.geom_pos[geom], quaternion_xyzw)
+            T = T_world_palm @ T_palm_object @ T_object_geom
+            added, kind, size = (
+                self._drawn.geoms[self._drawn.ngeom],
+                int(model.geom_type[geom]),
+                model.geom_size[geom],
+            )
+            self._mujoco.mjv_initGeom(
+                added, kind, size, T[:3, 3], T[:3, :3].ravel(), np.array(rgba, np.float32)
+            )
+            if model.geom_dataid[geom] >= 0:
+                added.dataid = 2 * model.geom_dataid[geom]  # the mesh; the odd number after it is its hull
+            self._drawn.ngeom += 1
         color, _ = self._pixels(finer=SCENE.supersampling)
         blocks = color.reshape(IMAGE_SIZE[1], SCENE.supersampling, IMAGE_SIZE[0], SCENE.supersampling, 3)
         smooth: Color = blocks.mean(axis=(1, 3)).astype(np.uint8)
         return smooth
 
     def _pose(self, configuration: Array, T_world_camera: Array) -> None:
+        """Moves scene and camera to where they are drawn next."""
         model, data = self._scene.model, self._data
         data.qpos[:] = configuration
         self._mujoco.mj_kinematics(model, data)
@@ -95,29 +111,11 @@ class Renderer:
             model, data, self._option, None, self._camera, self._mujoco.mjtCatBit.mjCAT_ALL.value, self._drawn
         )
 
-    def _add(self, geom: int, T_palm_object: Array, rgba: Rgba) -> None:
-        model, palm = self._scene.model, self._data.body(PALM)
-        T_world_palm = se3.compose(palm.xmat.reshape(3, 3), palm.xpos)
-        # MuJoCo moves a mesh's frame into its own axes of inertia.
-        T_object_geom = se3.from_position_quaternion(model.geom_pos[geom], np.roll(model.geom_quat[geom], -1))
-        T = T_world_palm @ T_palm_object @ T_object_geom
-        drawn = self._drawn.geoms[self._drawn.ngeom]
-        self._mujoco.mjv_initGeom(
-            drawn, int(model.geom_type[geom]), model.geom_size[geom], T[:3, 3], T[:3, :3].ravel(),
-            np.array(rgba, dtype=np.float32),
-        )  # fmt: skip
-        if model.geom_dataid[geom] >= 0:
-            drawn.dataid = 2 * model.geom_dataid[geom]  # the mesh itself; its hull is the next
-        self._drawn.ngeom += 1
-
     def _pixels(self, *, finer: int = 1) -> tuple[Color, Depth]:
-        """Returns color and depth buffer at so many times the image's size."""
+        """Returns colour (h, w, 3) and the depth buffer (h, w), of `finer` times the image's size."""
         self._context.make_current()
         width, height = finer * IMAGE_SIZE[0], finer * IMAGE_SIZE[1]
-        color, depth = (
-            np.empty((height, width, 3), dtype=np.uint8),
-            np.empty((height, width), dtype=np.float32),
-        )
+        color, depth = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
         rectangle = self._mujoco.MjrRect(0, 0, width, height)
         self._mujoco.mjr_render(rectangle, self._drawn, self._device)
         self._mujoco.mjr_readPixels(color, depth, rectangle, self._device)
@@ -133,12 +131,12 @@ def render(
     show_object: bool = True,
     T_world_camera: ArrayLike | None = None,
 ) -> Color:
-    """Returns a picture (480, 640, 3) of hand, object and table as they are in a sample.
+    """Returns a picture (480, 640, 3) of hand, object and table in a sample.
 
-    `ghost`: T_palm_object (4, 4) of a second object, drawn in `color` (red, green, blue, opacity, 0 to 1);
-    `show_object`: whether the true one is drawn; `T_world_camera` (4, 4): from where, optical frame, in a world
-    whose table is where the robot has it, else from the robot's own camera. Raises InvalidInput, MissingExtra where
-    nothing can draw.
+    `ghost` is T_palm_object (4, 4) of a second object, drawn in `color` (red, green, blue, opacity, 0 to 1); the true
+    one is drawn if `show_object`. `T_world_camera` (4, 4) is the pose of the camera, optical frame, in the world with
+    the believed table; None: the pose of the robot's own camera. Raises InvalidInput; MissingExtra where nothing can
+    draw.
     """
     built = scene(scenario.object)
     if sample.configuration.shape != (built.model.nq,):
@@ -146,23 +144,29 @@ def render(
     T = BELIEVED_CAMERA if T_world_camera is None else se3.check(T_world_camera, "T_world_camera")
     wanted = None if ghost is None else (se3.check(ghost, "ghost"), color)
     with closing(Renderer(built)) as renderer:
-        return renderer.draw(sample.configuration, T, ghost=wanted, show_object=show_object)
+        return renderer.draw(sample.configuration, T, wanted, show_object)
 
 
 def _context() -> "GLContext":
-    """Returns an OpenGL context without a screen: the one $MUJOCO_GL names, else EGL, else OSMesa."""
+    """Returns an OpenGL context without a screen, of the kind that $MUJOCO_GL names, else EGL, else OSMesa.
+
+    Raises MissingExtra with the reasons why there is none.
+    """
     named = os.environ.get("MUJOCO_GL", "").strip().lower()
     kinds = (named,) if named in ("egl", "osmesa") else ("egl", "osmesa")
     platform, reasons = os.environ.get("PYOPENGL_PLATFORM"), []
     for kind in kinds:
         try:
             return import_module(f"mujoco.{kind}").GLContext(*IMAGE_SIZE)
-        except NO_LIBRARY as error:
+        except (
+            ImportError,
+            RuntimeError,
+            AttributeError,
+            OSError,
+        ) as error:  # PyOpenGL's, for a missing library
             reasons.append(f"{kind}: {str(error).splitlines()[0] if str(error) else type(error).__name__}")
-            os.environ.pop("PYOPENGL_PLATFORM", None)  # which importing it has set
+            os.environ.pop("PYOPENGL_PLATFORM", None)  # which that import has set
             if platform is not None:
                 os.environ["PYOPENGL_PLATFORM"] = platform
-    raise MissingExtra(
-        f"images need software rendering, "
-        f"expected EGL or OSMesa (Debian: libegl1 or libosmesa6), got {'; '.join(reasons)}"
-    )
+    expected = "expected EGL or OSMesa (Debian: libegl1 or libosmesa6)"
+    raise MissingExtra(f"images need software rendering, {expected}, got {'; '.join(reasons)}")

@@ -1,7 +1,7 @@
-"""What the robot believes of itself and of the object: the rig and the model that a user would write down."""
+"""What the robot believes about itself and the object: the rig and the model that a user would write down."""
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -30,23 +30,11 @@ from handsight.simulation.scene import (
 from handsight.simulation.skin import PALM_SKIN
 
 
-class ModelErrorOptions(NamedTuple):
-    """`ModelErrorOptions` say how a simulated robot's model of the object is wrong."""
-
-    scan_points: int = 4000  # points of a scanned object's cloud
-    scan_seed: int = 7  # of its noise
-    dent_width: float = 0.02  # of a dent, where it is exp(-½) as deep [m]
-    max_edge: float = 0.008  # longest edge of a mesh that can be dented smoothly [m]
-
-
-MODEL_ERROR = ModelErrorOptions()
-
-
 def rig_of(scenario: Scenario) -> Rig:
-    """Returns the rig as the robot knows it: calibrated sensors, the believed camera, sigmas of usual size.
+    """Returns the rig that the robot believes in: calibrated sensors, the calibrated camera, sigmas of the usual size.
 
-    The same for all seeds and nuisances: what is wrong with a robot is not in its rig file. Raises MissingExtra without
-    mujoco or gymnasium-robotics.
+    It is the same for all seeds and nuisances, for a robot's errors are not in its rig file. Raises MissingExtra
+    without mujoco or gymnasium-robotics.
     """
     usual = Nuisances()
     return Rig(
@@ -85,10 +73,10 @@ def rig_of(scenario: Scenario) -> Rig:
 
 
 def model_of(scenario: Scenario) -> ObjectModel:
-    """Returns the object as the robot knows it: scaled, dented or scanned as the scenario's nuisances say.
+    """Returns the robot's model of the object: scaled, dented or scanned as the scenario's nuisances say.
 
-    A mesh's is its convex hull, which is what is simulated. Raises InvalidFile or InvalidObject for a mesh that cannot
-    be used.
+    The model of a mesh is its convex hull, which is simulated. Raises InvalidFile or InvalidObject for a mesh that
+    cannot be used.
     """
     n, seed = scenario.nuisances, int(scenario.seed)
     if scenario.object == "can":
@@ -98,10 +86,21 @@ def model_of(scenario: Scenario) -> ObjectModel:
     else:
         vertices, faces = convex_hull(scenario.object)
         model = ObjectModel.from_mesh(n.object_scale * vertices, faces)
+    scan_points = 4000
     if n.object_dent > 0:
-        model = _dented(model, n.object_dent, seed)
+        # A round dent at a random point of the sides; the mesh is made fine enough to be smooth there.
+        import trimesh
+
+        remesh: Any = trimesh.remesh
+        vertices, faces = remesh.subdivide_to_size(model.vertices, model.faces, 0.008, max_iter=20)
+        points, normals = model.sample(scan_points, seed)
+        sides = np.flatnonzero(np.abs(normals[:, 2]) < 0.5)
+        k = int(np.random.default_rng((seed, 7)).choice(sides if len(sides) else len(points)))
+        away = np.linalg.norm(vertices - points[k], axis=1)
+        inwards = n.object_dent * np.exp(-0.5 * (away / 0.02) ** 2)
+        model = ObjectModel.from_mesh(vertices - inwards[:, None] * normals[k], faces)
     if n.object_scan > 0:
-        points, normals = model.sample(MODEL_ERROR.scan_points, MODEL_ERROR.scan_seed)
+        points, normals = model.sample(scan_points, 7)
         rng = np.random.default_rng((seed, 8))
         noisy = points + n.object_scan * rng.normal(size=points.shape)
         return ObjectModel.from_points(noisy, normals, symmetries=model.symmetries)
@@ -110,15 +109,13 @@ def model_of(scenario: Scenario) -> ObjectModel:
 
 @cache
 def _hand() -> Hand:
-    hand_file()  # its absence is told as what it is
-    return Hand.from_file(
-        f"package://gymnasium_robotics/{HAND_FILE}",
-        palm=PALM,
-        tips={finger: f"robot0:{finger}distal" for finger in FINGERS},
-    )
+    hand_file()  # raises MissingExtra where it is absent
+    tips = {finger: f"robot0:{finger}distal" for finger in FINGERS}
+    return Hand.from_file(f"package://gymnasium_robotics/{HAND_FILE}", palm=PALM, tips=tips)
 
 
 def _finger(name: str, unloaded: Array) -> Finger:
+    """Returns a finger whose sensor reads `unloaded` (6,) without load."""
     semi_axes, center_z = tip_shape(name)
     center, zero = np.array([0.0, 0.0, center_z]), np.zeros(3)
     calibration = WrenchCalibration(
@@ -139,24 +136,10 @@ def _finger(name: str, unloaded: Array) -> Finger:
         T_frame_surface=se3.compose(np.eye(3), np.array([0, 0, SCENE.sensor_z + center_z])),
         tip=tip,
         calibration=calibration,
-        # Of a tip that is where its file has it, and bends by what `tip_compliance` says.
+        # Of a tip that is exactly where its file has it, and is deflected by `tip_compliance`.
         sigma_point=2e-4,
         sigma_normal=float(np.deg2rad(0.3)),
         sigma_force=Nuisances().force_noise,
         sigma_torque=Nuisances().torque_noise,
         full_scale=(50.0, 0.5),
     )
-
-
-def _dented(model: ObjectModel, depth: float, seed: int) -> ObjectModel:
-    """Returns the same with a round dent in its side, where the seed says."""
-    import trimesh
-
-    remesh: Any = trimesh.remesh
-    vertices, faces = remesh.subdivide_to_size(model.vertices, model.faces, MODEL_ERROR.max_edge, max_iter=20)
-    points, normals = model.sample(MODEL_ERROR.scan_points, seed)
-    sides = np.flatnonzero(np.abs(normals[:, 2]) < 0.5)
-    k = int(np.random.default_rng((seed, 7)).choice(sides if len(sides) else len(points)))
-    away = np.linalg.norm(vertices - points[k], axis=1)
-    inwards = depth * np.exp(-0.5 * (away / MODEL_ERROR.dent_width) ** 2)
-    return ObjectModel.from_mesh(vertices - inwards[:, None] * normals[k], faces)

@@ -1,4 +1,4 @@
-"""What is simulated, what spoils it, and what comes out: the values of this room."""
+"""The values of this room: a scenario, the errors of its sensors, and the samples that come out."""
 
 import dataclasses
 import math
@@ -21,98 +21,94 @@ Phase = Literal["touch", "close", "hold", "move", "pull"]
 
 
 class ScenarioLimits(NamedTuple):
-    """`ScenarioLimits` are what a scenario may be."""
+    """`ScenarioLimits` are the constants of all scenarios, and the limits of their settings."""
 
-    torsion: float = 0.005
-    """Torque about the normal that a tip holds, in parts of the force that it holds sideways [m]."""
+    torsion: float = 0.005  # largest torque about a tip's normal by the largest force along the surface [m]
     steps_per_second: int = 500  # of the simulator: two milliseconds are as accurate as one
-    object_mass: float = 0.15  # as usual [kg]
-    max_extent: float = 0.5  # of a mesh [m]; a larger one is not in metres, and in no hand
-    max_nuisance: float = 100.0  # of any nuisance, in its unit; no robot is off by as much
+    object_mass: float = 0.15  # if a scenario does not give another [kg]
+    max_extent: float = 0.5  # of a mesh [m]; a larger one is not in metres, or fits in no hand
+    max_nuisance: float = 100.0  # of any nuisance, in its unit; no robot's errors are as large
     min_rate: float = 1e-3  # observations per second; a run lasts seconds
 
 
 SCENARIO = ScenarioLimits()
 
-MESHES = (".stl", ".obj", ".ply", ".off")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nuisances:
-    """`Nuisances` are all that a real robot's readings are wrong by; zero switches one off, `none` all of them.
+    """`Nuisances` are the errors of a real robot's readings; zero switches one off, `none` all of them.
 
-    Each sigma is one standard deviation per axis. What is called constant is drawn once from the scenario's seed, and
-    a setting changes the size of its own error only, never the draws of another.
+    Each sigma is one standard deviation per axis. A constant error is drawn once from the scenario's seed, and a
+    setting changes the size of its own error only, never the draws of another.
     """
 
     joint_offset: float = float(np.deg2rad(1.0))
-    """Constant, of each joint: sigma [rad]."""
+    """Sigma of a constant error of each joint [rad]."""
     joint_noise: float = float(np.deg2rad(0.1))
-    """From reading to reading: sigma [rad]."""
+    """Sigma of the noise of a joint's readings [rad]."""
     force_noise: float = 0.01
-    """Sigma [N]."""
+    """Sigma of the noise of forces [N]."""
     torque_noise: float = 5e-5
-    """Sigma [N m]."""
+    """Sigma of the noise of torques [N m]."""
     force_bias: float = 0.0
-    """Constant: what calibration has left, sigma [N]."""
+    """Sigma of the constant error of forces that calibration has left [N]."""
     torque_bias: float = 0.0
-    """[N m]"""
+    """Sigma of that of torques [N m]."""
     force_drift: float = 1e-4
-    """A constant rate at which the bias grows from the first sample on: sigma [N/s]."""
+    """Sigma of the constant rate at which the forces' bias grows from the first sample on [N/s]."""
     torque_drift: float = 5e-7
-    """[N m/s]"""
+    """Sigma of that of torques [N m/s]."""
     object_mass: float = SCENARIO.object_mass
-    """Of the object, evenly in it [kg]; 0: as usual."""
+    """Mass of the object, of uniform density [kg]; 0 is the usual mass."""
     object_off_center: float = 0.0
-    """Constant: how far its centre of mass is off the middle of its bounds, in a direction that is drawn, at most a
-    third of the object's size each way [m]."""
+    """Constant distance of its centre of mass from the middle of its bounds, in a random direction, at most a third of
+    the object's size each way [m]."""
     unsensed_force: float = 0.0
-    """Constant, while the palm moves: what presses on the object, as a link without a sensor would, fixed in the palm,
-    at a point and in a direction that are drawn [N]."""
+    """Constant force on the object while the palm moves, such as that of a link without a sensor: fixed in the palm, at
+    a random point and in a random direction [N]."""
     support_force: float = 0.0
-    """Constant, while the palm moves: what a table, or another hand, bears of the object, upwards at a point of its
-    underside that is drawn [N]."""
+    """Constant upward force on the object while the palm moves, such as that of a table or another hand, at a random
+    point of its underside [N]."""
     tip_bias: float = 0.0
-    """Constant: what one tip reads too much, of those that grip can and box, in a direction that is drawn [N]."""
+    """Constant error of the force of one of the tips that grip can and box, in a random direction [N]."""
     tip_compliance: float = 2e-5
-    """How far a tip gives way to the force on it, which the joints do not tell [m/N]."""
+    """Compliance of a tip, whose deflection the joints do not measure [m/N]."""
     camera_position: float = 0.08
-    """Constant: by how much the extrinsic calibration displaces the scene in the table's plane, on average [m]."""
+    """Mean length of the constant shift of the scene in the table's plane by a wrong extrinsic calibration [m]."""
     camera_height: float = 0.064
-    """Constant: the same along the vertical, sigma [m]; 0 leaves the error in the plane."""
+    """Sigma of that shift along the vertical [m]; 0 leaves the error in the plane."""
     camera_rotation: float = float(np.deg2rad(6.0))
-    """Constant: by how much it turns the scene, about the scene's middle, sigma [rad]."""
+    """Sigma of the constant rotation of the scene about its middle by a wrong calibration [rad]."""
     vision_position: float = 0.005
-    """From one pose measurement to the next: sigma [m]."""
+    """Sigma of the noise of vision's poses [m]."""
     vision_rotation: float = float(np.deg2rad(3.0))
-    """[rad]"""
+    """Sigma of the noise of their rotations [rad]."""
     vision_delay: float = 0.02
     """How much older a pose measurement, or an image, is than its stamp says [s]."""
     table_height: float = 0.003
-    """Constant: how much higher the table is than the robot has it, sigma [m]."""
+    """Sigma of the constant height of the true table above the one that the robot believes [m]."""
     table_tilt: float = float(np.deg2rad(1.0))
-    """Constant: by how much it is tilted, about each of its sides, sigma [rad]."""
+    """Sigma of the constant tilt of the table about each of its sides [rad]."""
     depth_noise: float = 1.0
-    """Noise, quantisation, dropout and lost edges of a Kinect's depth, in multiples of what is usual."""
+    """Factor of the usual noise, quantisation, dropout and lost edges of a depth camera."""
     object_scale: float = 1.0
-    """Size of the object the robot believes in, in parts of the true one."""
+    """Size of the robot's model of the object, relative to the true one."""
     skin_noise: float = 0.1
-    """Of a taxel's reading, in parts of what it feels: sigma."""
+    """Sigma of the noise of a taxel's reading, relative to its true force."""
     skin_offset: float = 0.02
-    """Constant, of each taxel: what it reads untouched, sigma [N]."""
+    """Sigma of each taxel's constant reading without contact [N]."""
     skin_uneven: float = 5e-5
-    """Constant, of each taxel: how far it is off the flat array, sigma [m]."""
+    """Sigma of each taxel's constant distance from the array's plane [m]."""
     object_dent: float = 0.0
     """Depth of a dent that only the robot's model has [m]."""
     object_scan: float = 0.0
-    """Above zero, the robot's model is a scanned cloud of 4 000 points with that noise: sigma [m]."""
+    """Sigma of the points of a scan [m]: above zero the robot's model is a cloud of 4 000 such points."""
     friction: float = 1.0
-    """Of fingertips: how much they hold sideways in parts of what presses on them, and of torque in parts of what a
-    patch of 5 mm holds."""
+    """Coefficient of friction of the fingertips; it also scales the torque that their patches of 5 mm transmit."""
     pull_force: float = 9.0
-    """How hard the object is pulled at the most [N], where the motion is a pull."""
+    """Greatest force of a pull at the object [N], in the motions that have one."""
     pull_torque: float = 0.0
-    """And twisted [N m]."""
+    """Greatest torque of such a pull [N m]."""
 
     def __post_init__(self) -> None:
         for item in dataclasses.fields(self):
@@ -128,42 +124,42 @@ class Nuisances:
 
     @classmethod
     def none(cls) -> "Nuisances":
-        """Returns everything as it is."""
+        """Returns nuisances of size zero: the robot's readings are exact."""
         off = {item.name: 0.0 for item in dataclasses.fields(cls)}
         return cls(**{**off, "object_scale": 1.0, "object_mass": SCENARIO.object_mass, "friction": 1.0})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """A `Scenario` is one grasp or manipulation: what, which draw of it, how it is recorded."""
+    """A `Scenario` is one grasp or manipulation of an object, one draw of its errors, and how it is recorded."""
 
     object: str = "can"
-    """`can` (large-diameter grasp), `box` (tripod grasp), or a mesh file in metres: its convex hull is what is
-    simulated, as it rests in the file, or on a side where only that can be held, in a grasp that is searched."""
+    """`can` (large-diameter grasp), `box` (tripod grasp), or a mesh file in metres, whose convex hull is simulated. The
+    grasp of a mesh is searched: it rests as in the file, or on a side if it can be held only then."""
     seed: int = 0
-    """Of everything that is drawn."""
+    """Seed of all random numbers."""
     motion: Motion = "grasp"
-    """`grasp`: close, let go of the object, hold for half a second; `manipulate`: then move it over the table, lift it,
-    turn it; `weigh`: then lift it, tilt it by 20° about two axes, holding still between, and shake it; `ramp`, `steps`,
-    `sine`: then lift it, hold still while something pulls it out of its place, as the nuisances say how hard, with a
-    force that grows so, and tilt it."""
+    """`grasp`: the fingers close, the object is let go and held for half a second. Then, with `manipulate`: it is moved
+    over the table, lifted and turned; with `weigh`: lifted, tilted by 20° about two axes, with pauses, and shaken; with
+    `ramp`, `steps` and `sine`: lifted, pulled by a force of that profile while the hand is still, and tilted."""
     rate: float = 100.0
     """Observations per second; 500 must be a multiple of it."""
     images: bool = False
-    """Whether the camera's images come too, 30 a second."""
+    """Whether the camera's images are simulated too, 30 a second."""
     skin: bool = False
-    """Whether the palm has a tactile array; the can is then held against it, in a power grasp, its upper end on it."""
+    """Whether the palm has a tactile array; the can is then held in a power grasp with its upper end on the array."""
     depth_camera: DepthCamera = "structured_light"
-    """How the camera measures depth, and so what is wrong with it."""
+    """How the camera measures depth, which determines its errors."""
     nuisances: Nuisances = dataclasses.field(default_factory=Nuisances)
 
     def __post_init__(self) -> None:
-        known = isinstance(self.object, str) and (
-            self.object in ("can", "box") or Path(self.object).suffix.lower() in MESHES
-        )
-        if not known:
+        named = isinstance(self.object, str)
+        meshes = (".stl", ".obj", ".ply", ".off")
+        if not named or (
+            self.object not in ("can", "box") and Path(self.object).suffix.lower() not in meshes
+        ):
             raise InvalidInput(
-                f"object: expected can, box or a mesh file ({', '.join(MESHES)}), got {self.object!r:.80}"
+                f"object: expected can, box or a mesh file ({', '.join(meshes)}), got {self.object!r:.80}"
             )
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
             raise InvalidInput(f"seed: expected a whole number of at least 0, got {self.seed!r:.60}")
@@ -191,7 +187,7 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TipContact:
-    """A `TipContact` is a contact of a fingertip as the simulator has it: truth to test with, nothing a robot knows."""
+    """A `TipContact` is a contact of a fingertip in the simulator: a truth to test with, which no robot knows."""
 
     finger: str
     point_palm: Array
@@ -199,23 +195,23 @@ class TipContact:
     force_palm: Array
     """(3,) of the other body on the tip [N]."""
     other: str
-    """The geom that touches it: `object`, `table`, or one of the hand's."""
+    """The geom that touches the tip: `object`, `table`, or one of the hand's."""
     normal_palm: Array
-    """(3,) unit; the way the other body pushes the tip."""
+    """(3,) unit; the direction in which the other body pushes the tip."""
     velocity_palm: Array
-    """(6,) of the other body relative to the tip: of its point there [m/s], and of its turn [rad/s]."""
+    """(6,) twist of the other body relative to the tip: velocity of its point there [m/s], angular velocity [rad/s]."""
 
     @property
     def speed(self) -> float:
-        """How fast the other body slips along the tip [m/s]; a turn about the normal is that of a point
-        `SCENARIO.torsion` off."""
+        """Speed at which the other body slips along the tip [m/s]; rotation about the normal counts with an arm of
+        `SCENARIO.torsion`."""
         along = self.velocity_palm[:3] - (self.velocity_palm[:3] @ self.normal_palm) * self.normal_palm
         return math.hypot(*along, SCENARIO.torsion * (self.velocity_palm[3:] @ self.normal_palm))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """A `Sample` is one instant: what the robot measured, and what is true."""
+    """A `Sample` is one instant: the robot's observation, and the truth."""
 
     observation: Observation
     T_palm_object: Array
@@ -223,10 +219,11 @@ class Sample:
     T_world_object: Array
     """(4, 4) true."""
     contacts_truth: tuple[TipContact, ...]
-    """Of all fingertips, with whatever they touch."""
+    """All contacts of fingertips."""
     phase: Phase
     """`touch`: a finger searches the object, which stands free; `close`: the fingers close and the object is held in
-    place; `hold`: it is free and the palm is still; `move`; `pull`: the palm is still and the object is pulled."""
+    place; `hold`: it is free and the palm is still; `move`: the palm moves; `pull`: the palm is still and the object is
+    pulled."""
     dropped: bool
     """Whether the object has left the grasp: by more than 3 cm or half a radian in the palm since it became free."""
     configuration: Array
@@ -234,7 +231,7 @@ class Sample:
 
     @property
     def forces_object(self) -> Mapping[str, float]:
-        """By finger: how hard the object pushes it [N]."""
+        """Force of the object on each finger that it touches, by name [N]."""
         total: dict[str, Array] = {}
         for contact in self.contacts_truth:
             if contact.other == "object":
@@ -243,7 +240,7 @@ class Sample:
 
     @property
     def touches(self) -> Mapping[str, TipContact]:
-        """By finger that touches the object: its contact with it, the hardest."""
+        """Contact with the largest force between the object and each finger that it touches, by name."""
         hardest: dict[str, TipContact] = {}
         for contact in self.contacts_truth:
             if contact.other == "object":

@@ -20,14 +20,14 @@ from handsight.errors import InvalidObject, MissingExtra
 from handsight.simulation.scenario import SCENARIO
 
 if TYPE_CHECKING:
-    from mujoco import MjModel, MjSpec
+    from mujoco import MjSpec
 
 
 HAND_FILE = "envs/assets/hand/reach.xml"
-"""Within gymnasium-robotics; the only scene of it without an object."""
+"""Within gymnasium-robotics; its only scene without an object."""
 PALM = "robot0:palm"
 T_MOUNT_PALM = se3.compose(np.eye(3), np.array([0.0, 0.01, 0.29]))
-"""With the wrist straight."""
+"""(4, 4) of the palm in the hand's mount, with the wrist straight."""
 FINGERS = ("ff", "mf", "rf", "lf", "th")
 
 
@@ -38,10 +38,10 @@ class SceneOptions(NamedTuple):
     tip_mass: float = 0.004  # of a tip [kg]
     focal_length: float = 525.0  # of the camera's images, as a Kinect's [pixels]
     supersampling: int = 2
-    """How many times larger, each way, a picture for people is drawn before it is averaged."""
+    """Factor by which a picture for people is drawn larger, each way, before it is averaged."""
     table_collision_bit: int = 2
-    """Of what the table stops: object and fingertips. A draw may lower the palm's edge by some mm into the table; it
-    passes through, for it would bend the wrist.
+    """Collision bit of object and fingertips, which alone collide with the table. A draw may lower the palm's edge by
+    some mm into the table: a collision would bend the wrist.
     """
     hidden_group: int = 5  # the group of geoms that are not drawn
 
@@ -58,28 +58,31 @@ UNLOADED = np.array(
         [0.09, -0.19, -0.37, 0.0007, 0.0012, -0.0016],
     ]
 )
-"""What each finger's sensor reads without load [N, N m]: calibration knows it."""
+"""(5, 6) readings of the fingers' sensors without load [N, N m], which calibration knows."""
 CAN_SIZE, BOX_SIZE = (0.033, 0.122), (0.060, 0.090, 0.140)
-"""Radius and height; sides [m]."""
+"""Radius and height of the can; sides of the box [m]."""
 TABLE = ((-0.075, 0.6), (-0.45, 0.45), (-0.03, 0.0))
-"""From and to along x, y, z [m]."""
+"""First and last coordinate along x, y, z [m]."""
 IMAGE_SIZE = (640, 480)
-"""Of the camera's images, as a Kinect's [pixels]."""
+"""Width and height of the camera's images, a Kinect's [pixels]."""
 STIFF = {"solref": [0.01, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0]}
-"""MuJoCo's own softness sinks tips by 0.5 mm and moves what is sensed by 0.2 mm; much stiffer ones drop objects."""
+"""Contact stiffness. With MuJoCo's defaults tips sink in by 0.5 mm, which moves sensed points by 0.2 mm; with much
+stiffer contacts the hand drops objects."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """A `Scene` is a compiled scene, the same for all draws of one object: bodies PALM, `object`, and a `_tip` for
-    each finger."""
+class SimulatedScene:
+    """A `SimulatedScene` is a compiled scene, the same for all draws of one object.
+
+    Its bodies are PALM, `object`, and one that ends in `_tip` for each finger.
+    """
 
     model: Any
     """mujoco.MjModel, never changed after this."""
     joints: dict[str, int]
-    """The hand's, by name: where in qpos."""
+    """Places of the hand's joints in qpos, by name."""
     tips: dict[int, str]
-    """Finger by geom."""
+    """Names of fingers by their tip's geom."""
     bounds_object: Array
     """(2, 3) in the object's frame [m]."""
 
@@ -106,27 +109,34 @@ def scene(
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
     *,
     friction: float = 1.0,
-) -> Scene:
-    """Returns the scene with that object (`can`, `box` or a mesh file), its mass [kg], what its centre is shifted by
-    [m], and the tips' `friction`.
+) -> SimulatedScene:
+    """Returns the scene with an object: `name` is `can`, `box` or a mesh file.
 
-    Raises MissingExtra without mujoco or gymnasium-robotics, InvalidFile or InvalidObject for a mesh that cannot be
-    used.
+    The object has that mass [kg], its centre of mass is displaced by `shift` [m], and `friction` is the tips'. Raises
+    MissingExtra without mujoco or gymnasium-robotics, InvalidFile or InvalidObject for a mesh that cannot be used.
     """
     mujoco = mujoco_module()
     spec = mujoco.MjSpec.from_file(str(hand_file()))
     spec.delete(spec.geom("floor0"))
     spec.delete(spec.body("floor0"))  # it carries marks of the task that the file is for
-    _set_options(mujoco, spec)
-    _make_tips(mujoco, spec, friction)
-    _let_mount_move(mujoco, spec)
+    spec.option.gravity = GRAVITY
+    spec.option.timestep = 1 / SCENARIO.steps_per_second
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    spec.option.iterations, spec.option.tolerance = 100, 1e-10
+    spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
+    _change_hand(mujoco, spec, friction)
     _add_table_and_camera(mujoco, spec)
     bounds = _add_object(mujoco, spec, name)
     if mass != SCENARIO.object_mass or any(shift):
-        _weigh_object(spec, scene(name).model.body("object"), mass, shift)
+        # The inertia about the centre of mass is proportional to the mass.
+        body, usual = spec.body("object"), scene(name).model.body("object")
+        body.explicitinertial, body.mass = True, mass
+        body.ipos, body.iquat = usual.ipos + shift, usual.iquat
+        body.inertia = usual.inertia * (mass / usual.mass[0])
     model = spec.compile()
     joints = [model.joint(i) for i in range(model.njnt)]
-    return Scene(
+    return SimulatedScene(
         model=model,
         joints={joint.name: int(joint.qposadr[0]) for joint in joints if joint.name.startswith("robot0:")},
         tips={model.geom(f"{finger}_tip").id: finger for finger in FINGERS},
@@ -135,34 +145,21 @@ def scene(
 
 
 def hand_file() -> Path:
-    """Returns where gymnasium-robotics keeps the hand; raises MissingExtra."""
-    found = find_spec("gymnasium_robotics")  # importing it would print
+    """Returns the path of the hand's file in gymnasium-robotics; raises MissingExtra."""
+    found = find_spec("gymnasium_robotics")  # importing it prints
     if found is None or found.origin is None:
         raise MissingExtra("simulation needs gymnasium-robotics: pip install 'handsight[sim]'")
     return Path(found.origin).parent / HAND_FILE
 
 
-def _set_options(mujoco: ModuleType, spec: "MjSpec") -> None:
-    spec.option.gravity = GRAVITY
-    spec.option.timestep = 1 / SCENARIO.steps_per_second
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
-    spec.option.iterations, spec.option.tolerance = 100, 1e-10
-    spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
-    spec.visual.quality.shadowsize = 1024
-    spec.visual.quality.offsamples = 0  # smoothing by the driver costs five times as much
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = (
-        SCENE.supersampling * side for side in IMAGE_SIZE
-    )
-    spec.stat.extent = 1.0  # what near and far plane are multiples of
-    spec.visual.map.znear, spec.visual.map.zfar = 0.02, 10.0
+def _change_hand(mujoco: ModuleType, spec: "MjSpec", friction: float) -> None:
+    """Replaces each distal link's collision shape by an ellipsoid on a sensor, which all force on the link passes.
 
-
-def _make_tips(mujoco: ModuleType, spec: "MjSpec", friction: float) -> None:
-    """Makes an ellipsoid on a sensor for each distal link's collision shape: all force on the link goes through it."""
-    worn = {f"robot0:C_{finger}distal" for finger in FINGERS}
+    The hand floats, welded to a mocap body that represents the arm.
+    """
+    replaced = {f"robot0:C_{finger}distal" for finger in FINGERS}
     for pair in list(spec.pairs):
-        if pair.geomname1 in worn or pair.geomname2 in worn:
+        if pair.geomname1 in replaced or pair.geomname2 in replaced:
             spec.delete(pair)
     for finger in FINGERS:
         semi_axes, center_z = tip_shape(finger)
@@ -180,31 +177,34 @@ def _make_tips(mujoco: ModuleType, spec: "MjSpec", friction: float) -> None:
         site = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": f"{finger}_ft"}
         spec.add_sensor(name=f"{finger}_force", type=mujoco.mjtSensor.mjSENS_FORCE, **site)
         spec.add_sensor(name=f"{finger}_torque", type=mujoco.mjtSensor.mjSENS_TORQUE, **site)
-    # Tips that are no neighbours never meet; the hand's geoms do not collide with one another by themselves.
+    # The hand's geoms collide only in declared pairs; tips that are no neighbours never meet.
     for a, b in (("ff", "mf"), ("mf", "rf"), ("rf", "lf"), *((finger, "th") for finger in FINGERS[:4])):
         spec.add_pair(geomname1=f"{a}_tip", geomname2=f"{b}_tip", condim=1)
-
-
-def _let_mount_move(mujoco: ModuleType, spec: "MjSpec") -> None:
-    """Lets the hand float, welded to a mocap body that stands for the arm."""
     mount = spec.body("robot0:hand mount")
-    mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # else its euler angles win over what is set
+    mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # else its Euler angles override the quaternion
     mount.pos, mount.quat = [0, 0, 0], [1, 0, 0, 0]
     mount.add_freejoint(name="mount")
     spec.worldbody.add_body(name="arm", mocap=True)
     data = np.zeros(mujoco.mjNEQDATA)
-    data[6] = data[10] = 1.0  # identity pose, full weight of the torque
+    data[6] = data[10] = 1.0  # the identity, and the torque counts fully
     spec.add_equality(
         type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name1="arm", name2="robot0:hand mount",
         data=data, solref=[0.004, 1.0], solimp=[0.99, 0.999, 0.001, 0.5, 2.0],
     )  # fmt: skip
-    # Arm and hand carry their own weight, as a robot's controller sees to; the tips keep theirs, which sensors feel.
+    # As under a robot's controller, arm and hand are weightless; the tips' weight stays, for sensors measure it.
     for body in spec.bodies:
         if body.name.startswith("robot0:"):
             body.gravcomp = 1.0
 
 
 def _add_table_and_camera(mujoco: ModuleType, spec: "MjSpec") -> None:
+    """Adds table, camera and lights, and sets how they are drawn."""
+    spec.visual.quality.shadowsize = 1024
+    spec.visual.quality.offsamples = 0  # smoothing by the driver costs five times as much
+    spec.visual.global_.offwidth = SCENE.supersampling * IMAGE_SIZE[0]
+    spec.visual.global_.offheight = SCENE.supersampling * IMAGE_SIZE[1]
+    spec.stat.extent = 1.0  # the unit of the near and the far plane
+    spec.visual.map.znear, spec.visual.map.zfar = 0.02, 10.0
     for texture in list(spec.textures):
         if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
             spec.delete(texture)
@@ -221,7 +221,7 @@ def _add_table_and_camera(mujoco: ModuleType, spec: "MjSpec") -> None:
     spec.worldbody.add_camera(
         name="camera", fovy=float(np.rad2deg(2 * np.arctan(IMAGE_SIZE[1] / 2 / SCENE.focal_length)))
     )
-    # Together less than full, or white parts lose their shape.
+    # All lights together are less than full, or white parts would lose their shape.
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.25] * 3, [0.15] * 3
     spec.light("light0").ambient, spec.light("light0").diffuse = [0.0] * 3, [0.25] * 3
     spec.worldbody.add_light(
@@ -230,16 +230,16 @@ def _add_table_and_camera(mujoco: ModuleType, spec: "MjSpec") -> None:
 
 
 def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str) -> Array:
-    """Adds it; its bounds (2, 3) [m]."""
+    """Adds the object and returns its bounds (2, 3) in its own frame [m]."""
     body = spec.worldbody.add_body(name="object")
     body.add_freejoint(name="object")
     geometry: dict[str, Any] = {"rgba": [0.75, 0.12, 0.12, 1]}
     if name == "can":
         radius, height = CAN_SIZE
-        bounds = np.array([radius, radius, height / 2]) * np.array([[-1.0], [1.0]])
+        bounds = np.outer([-1.0, 1.0], [radius, radius, height / 2])
         geometry |= {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "size": [radius, height / 2, 0]}
     elif name == "box":
-        bounds = np.array(BOX_SIZE) / 2 * np.array([[-1.0], [1.0]])
+        bounds = np.outer([-1.0, 1.0], np.array(BOX_SIZE) / 2)
         geometry |= {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": np.array(BOX_SIZE) / 2}
         geometry |= {"rgba": [0.15, 0.45, 0.2, 1]}
     else:
@@ -252,14 +252,6 @@ def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str) -> Array:
         contype=1 | SCENE.table_collision_bit, conaffinity=1, **geometry, **STIFF,
     )  # fmt: skip
     return np.asarray(bounds)
-
-
-def _weigh_object(spec: "MjSpec", usual: "MjModel", mass: float, shift: tuple[float, float, float]) -> None:
-    """Gives the object a mass and its centre a shift; its inertia about that grows with the mass."""
-    body = spec.body("object")
-    body.explicitinertial, body.mass = True, mass
-    body.ipos, body.iquat = usual.ipos + shift, usual.iquat
-    body.inertia = usual.inertia * (mass / usual.mass[0])
 
 
 @lru_cache(maxsize=8)

@@ -1,4 +1,4 @@
-"""A scenario to what is true and what the robot measures of it, with all errors of its sensors, instant by instant."""
+"""From a scenario to samples: at each instant the truth, and what the robot's sensors measure with all their errors."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -20,14 +20,12 @@ from handsight.simulation.skin import PALM_GEOM, PalmSkin
 from handsight.simulation.world import World
 from handsight.vision.depth_noise import PRESETS
 
-VISION_PER_SECOND, IMAGES_PER_SECOND = 10.0, 30.0
-GRIPPING = ("ff", "mf", "th")
-"""Fingers that grip can and box alike."""
-
 
 class Sensors:
-    """`Sensors` are joints, wrenches and camera: errors that are constant are drawn at the start, noise at every
-    sample."""
+    """`Sensors` measure joints, wrenches and images of a world, with the errors that a scenario gives them.
+
+    Constant errors are drawn at the start, noise at every sample.
+    """
 
     def __init__(self, scenario: Scenario, world: World) -> None:
         """Draws by the scenario's seed, a stream for each sensor, so that none depends on another's settings."""
@@ -35,12 +33,11 @@ class Sensors:
         seed, n = int(scenario.seed), scenario.nuisances
         constant = np.random.default_rng((seed, 2))
         self._offsets = n.joint_offset * constant.normal(size=len(world.scene.joints))
-        self._bias = (
-            UNLOADED + _drawn(n.force_bias, n.torque_bias, constant, len(FINGERS)) + _one_tip(n, seed)
-        )
-        self._drift = _drawn(n.force_drift, n.torque_drift, constant, len(FINGERS))
-        self._noise, self._vision, self._grain = (np.random.default_rng((seed, k)) for k in (3, 5, 6))
-        # The scene stands on its table; the world is the robot's, which has the table elsewhere.
+        self._bias = UNLOADED + _errors(n.force_bias, n.torque_bias, constant, len(FINGERS))
+        self._bias += tip_biases(n, seed)
+        self._drift = _errors(n.force_drift, n.torque_drift, constant, len(FINGERS))
+        self._noise, self._vision, self._image_noise = (np.random.default_rng((seed, k)) for k in (3, 5, 6))
+        # The scene stands on its own table; the world is the robot's, whose table is elsewhere.
         height, *tilt = np.random.default_rng((seed, 9)).normal(size=3)
         turn = se3.rotation_exp(n.table_tilt * np.array([*tilt, 0.0]))
         self.T_world_scene = se3.compose(turn, np.array([0.0, 0.0, n.table_height * height]))
@@ -54,44 +51,44 @@ class Sensors:
         self._dofs = np.array([world.scene.model.joint(name).dofadr[0] for name in world.scene.joints])
 
     def close(self) -> None:
-        """Frees what drew the images."""
+        """Frees the renderer of the images."""
         if self._renderer is not None:
             self._renderer.close()
 
     def observe(self) -> Observation:
-        """Returns what is measured now; the world must have been refreshed."""
+        """Returns what the sensors measure now; the world must have been refreshed."""
         self._past.append((self.T_world_scene @ self.world.pose("object"), self.world.data.qpos.copy()))
         T_world_object, configuration = self._past[0]  # as old as the delay, or the oldest there is
         n, color, depth, vision = self.nuisances, None, None, None
-        if self._due(VISION_PER_SECOND):
-            off = _drawn(n.vision_position, n.vision_rotation, self._vision)
+        if self._due(10.0):
+            off = _errors(n.vision_position, n.vision_rotation, self._vision)
             vision = PoseMeasurement(se3.moved(self._T_camera_world @ T_world_object, off), "camera")
-        if self._renderer is not None and self._due(IMAGES_PER_SECOND):
+        if self._renderer is not None and self._due(30.0):
             T_scene_camera = se3.inverse(self._T_camera_world @ self.T_world_scene)
             color, exact = self._renderer.take(configuration, T_scene_camera)
-            depth = spoil(exact, self._depth_noise, self._grain, int(self.scenario.seed))
+            depth = spoil(exact, self._depth_noise, self._image_noise, int(self.scenario.seed))
         self._samples += 1
-        # A load bends the tip, which the joints do not tell: it is as if they were turned the other way.
-        joints = self.world.data.qpos[self._angles] + self._offsets - self._bent()
+        # A deflected tip, which the joints do not measure, looks like joints turned the other way.
+        joints = self.world.data.qpos[self._angles] + self._offsets - self._deflections()
         joints = joints + n.joint_noise * self._noise.normal(size=len(joints))
-        wrong = self._bias + self._drift * self.world.time
-        wrong = wrong + _drawn(n.force_noise, n.torque_noise, self._noise, len(FINGERS))
-        T_palm_object = self.world.T_palm_object()
+        errors = self._bias + self._drift * self.world.time
+        errors = errors + _errors(n.force_noise, n.torque_noise, self._noise, len(FINGERS))
+        skin: dict[str, Array] = {}
+        if self._skin is not None:
+            skin = self._skin.readings(self.world.T_palm_object(), self.world.pressed(PALM_GEOM))
         return Observation(
             stamp=self.world.time,
             joint_positions=dict(zip(self.world.scene.joints, joints.tolist(), strict=True)),
-            wrenches={f: self.world.reading(f) + off for f, off in zip(FINGERS, wrong, strict=True)},
+            wrenches={f: self.world.reading(f) + error for f, error in zip(FINGERS, errors, strict=True)},
             vision=vision,
             T_world_palm=self.T_world_scene @ self.world.pose(PALM),
             color=color,
             depth=depth,
-            skin={}
-            if self._skin is None
-            else self._skin.readings(T_palm_object, self.world.pressed(PALM_GEOM)),
+            skin=skin,
         )
 
     def sample(self) -> Sample:
-        """Returns what is measured now, and what is true; the world must have been refreshed."""
+        """Returns what the sensors measure now, and the truth; the world must have been refreshed."""
         world = self.world
         return Sample(
             observation=self.observe(),
@@ -104,16 +101,15 @@ class Sensors:
         )
 
     def _due(self, per_second: float) -> bool:
-        """Returns whether something that comes so often comes with this sample."""
+        """Returns whether a measurement of that rate [1/s] comes with this sample."""
         so_far = per_second / self.scenario.rate * np.array([self._samples - 1, self._samples]) + 1e-9
         return bool(np.floor(so_far[1]) > np.floor(so_far[0]))
 
-    def _bent(self) -> Array:
-        """Returns by how much the joints (24,) would have to turn to bring the tips where loads have bent them
-        [rad]."""
-        bent = np.zeros(len(self.world.scene.joints))
+    def _deflections(self) -> Array:
+        """Returns the rotations of all joints (24,) that would move the tips as the loads deflect them [rad]."""
+        found = np.zeros(len(self.world.scene.joints))
         if self.nuisances.tip_compliance == 0:
-            return bent
+            return found
         model, data = self.world.scene.model, self.world.data
         for finger in FINGERS:
             T = self.world.pose(f"{finger}_tip")
@@ -124,36 +120,37 @@ class Sensors:
             of_finger = f"robot0:{finger.upper()}J"
             own = [i for i, name in enumerate(self.world.scene.joints) if name.startswith(of_finger)]
             J = jacobian[:, self._dofs[own]]
-            # Damped by 1 mm, else a stretched finger would turn far to give way along itself.
+            # Damped by 1 mm, else a stretched finger would turn far to move its tip along itself.
             gram = J @ J.T + 1e-6 * np.eye(3)
-            bent[own] = J.T @ np.linalg.solve(gram, self.nuisances.tip_compliance * force)
-        return bent
+            found[own] = J.T @ np.linalg.solve(gram, self.nuisances.tip_compliance * force)
+        return found
 
 
-def _one_tip(nuisances: Nuisances, seed: int) -> Array:
-    """Returns (fingers, 6) what one tip reads too much."""
+def tip_biases(nuisances: Nuisances, seed: int) -> Array:
+    """Returns constant errors (5, 6) of the fingers' wrenches [N, N m], of which one finger's is not zero."""
     rng = np.random.default_rng((seed, 12))
-    finger, direction = rng.choice([FINGERS.index(name) for name in GRIPPING]), rng.normal(size=3)
+    gripping = ("ff", "mf", "th")  # the fingers that grip can and box alike
+    finger, direction = rng.choice([FINGERS.index(name) for name in gripping]), rng.normal(size=3)
     bias = np.zeros((len(FINGERS), 6))
     bias[finger, :3] = nuisances.tip_bias * direction / np.linalg.norm(direction)
     return bias
 
 
-def _drawn(sigma_first: float, sigma_second: float, rng: np.random.Generator, *rows: int) -> Array:
-    """Returns (*rows, 6) errors: three with one sigma, three with another."""
+def _errors(sigma_first: float, sigma_second: float, rng: np.random.Generator, *rows: int) -> Array:
+    """Returns errors (*rows, 6): the first three numbers have one sigma, the last three another."""
     return np.repeat([sigma_first, sigma_second], 3) * rng.normal(size=(*rows, 6))
 
 
 def simulate(
     scenario: Scenario, progress: Callable[[float], None] | None = None, grasp: Grasp | None = None
 ) -> Iterator[Sample]:
-    """Yields samples at the scenario's rate, from the open hand on; the same scenario gives the same ones.
+    """Yields samples at the scenario's rate, from the open hand on; the same scenario gives the same samples.
 
-    The fingers close (1 s, the object held in place), the object is let go, and the palm holds still or moves: 1.9 s
-    for a grasp, 18.4 s for a manipulation. `progress` is told the share that is done, 0 to 1. Raises MissingExtra
-    without mujoco or gymnasium-robotics (`handsight[sim]`), or where images are asked for and nothing can draw them;
-    InvalidFile or InvalidObject for a mesh that cannot be used, or where the simulator, not the hand, throws it away.
-    `grasp`: else the object's own, or for a mesh the one that `find_grasp` finds for this seed.
+    The fingers close (1 s, the object held in place), the object is let go, and the palm is still or moves: 1.9 s for
+    a grasp, 18.4 s for a manipulation. `grasp` replaces the object's own, or for a mesh the one that `find_grasp` finds
+    for this seed. `progress` is called with the share that is done, 0 to 1. Raises MissingExtra without mujoco or
+    gymnasium-robotics (`handsight[sim]`), or where images are asked for and nothing can draw them; InvalidFile or
+    InvalidObject for a mesh that cannot be used, or where the simulator, not the hand, throws the object away.
     """
     world = World(scenario, grasp or grasp_for(scenario.object, int(scenario.seed), skin=scenario.skin))
     yield from samples(scenario, world, Sensors(scenario, world), progress)
@@ -162,22 +159,20 @@ def simulate(
 def samples(
     scenario: Scenario, world: World, sensors: Sensors, progress: Callable[[float], None] | None = None
 ) -> Iterator[Sample]:
-    """Yields what sensors, which are closed at the end, have of a world's motion, at the scenario's rate; see
-    `simulate`."""
-    every, steps = (
-        round(SCENARIO.steps_per_second / scenario.rate),
-        round(world.duration * SCENARIO.steps_per_second),
-    )
+    """Yields samples of a world at the scenario's rate, as `simulate`; closes the sensors at the end."""
+    every = round(SCENARIO.steps_per_second / scenario.rate)
+    steps = round(world.duration * SCENARIO.steps_per_second)
     with closing(sensors):
         for step in range(steps + 1):
             if step:
                 world.step()
-            if step % every == 0:
-                world.refresh()
-                if world.thrown():
-                    raise InvalidObject(
-                        f"object: the simulator threw it away after {world.time:.1f} s, not the hand"
-                    )
-                yield sensors.sample()
-                if progress is not None:
-                    progress(step / steps)
+            if step % every:
+                continue
+            world.refresh()
+            if world.thrown():
+                raise InvalidObject(
+                    f"object: the simulator threw it away after {world.time:.1f} s, not the hand"
+                )
+            yield sensors.sample()
+            if progress is not None:
+                progress(step / steps)

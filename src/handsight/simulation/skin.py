@@ -1,8 +1,8 @@
-"""A simulated tactile array: an elastic skin on the palm, and what its taxels read of a body that presses on it.
+"""A simulated tactile array: an elastic skin on the palm, and the readings of its taxels.
 
-The skin is a bed of springs (an elastic foundation; Johnson 1985, chapter 4.3): what presses with a force sinks in
-until the springs under it hold that. A physics engine's contact points would not do, for it has them at the corners of
-a face alone.
+The skin is a bed of springs (an elastic foundation; Johnson 1985, chapter 4.3): a body that presses on it sinks in
+until the springs below it hold its force. A physics engine's contact points would not do, for they are at the corners
+of a face alone.
 """
 
 from dataclasses import dataclass
@@ -14,29 +14,29 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact.taxels import TaxelArray
 from handsight.simulation.scenario import Scenario
-from handsight.simulation.scene import BOX_SIZE, CAN_SIZE, PALM, convex_hull
+from handsight.simulation.scene import CAN_SIZE, PALM, convex_hull
 
 
 class SkinOptions(NamedTuple):
-    """`SkinOptions` say how a simulated tactile array feels."""
+    """`SkinOptions` are the constants of a simulated tactile array."""
 
-    foam: float = 1e7  # springs of a skin of 5 mm of foam [N/m per m²]
+    foam: float = 1e7  # stiffness of a skin of 5 mm of foam [N/m per m²]
     rubber: float = 6e7
-    """Springs of 1.5 mm of soft rubber, as on the simulated palm [N/m per m²]: that is hard to the physics engine, and
-    a skin into which things sank would contradict where they are.
+    """Stiffness of 1.5 mm of soft rubber, as on the simulated palm [N/m per m²]. The palm is hard in the physics
+    engine, so a softer skin would contradict the object's pose.
     """
     springs: int = 3  # of a taxel, each way
-    sigma: float = 0.002  # noise of a taxel that nothing touches [N]
-    circle_sides: int = 128  # of the polygon that stands for a circle: within 0.01 mm of a can's
+    sigma: float = 0.002  # noise of a taxel without contact [N]
+    circle_sides: int = 128  # of the polygon that approximates a circle: a can's within 0.01 mm
 
 
 SKIN = SkinOptions()
 
 PALM_GEOM = "robot0:C_palm0"
-"""What the array lies on."""
+"""The geom that the array covers."""
 PALM_SKIN = TaxelArray(
     frame=PALM,
-    # The collision box of the palm has its face there, towards -y.
+    # On the face of the palm's collision box that is towards -y.
     T_frame_grid=se3.compose(
         np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([0.011, -0.0111, 0.045])
     ),
@@ -46,12 +46,12 @@ PALM_SKIN = TaxelArray(
     threshold=0.015,
     full_scale=5.0,
 )
-"""60 x 80 mm on the simulated hand's palm: x to the thumb's side, y towards the fingers."""
+"""The array of 60 x 80 mm on the simulated palm: its x is towards the thumb, its y towards the fingers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """A `Solid` is a convex body as the planes around it."""
+    """A `Solid` is a convex body, given by the planes of its faces."""
 
     normals: Array
     """(k, 3) outward."""
@@ -66,10 +66,10 @@ class Solid:
     @classmethod
     def cylinder(cls, radius: float, height: float) -> "Solid":
         """Returns a cylinder about the origin and z."""
-        turn = 2 * np.pi * np.arange(SKIN.circle_sides) / SKIN.circle_sides
-        round_ = np.stack([np.cos(turn), np.sin(turn), np.zeros(SKIN.circle_sides)], axis=1)
+        angle = 2 * np.pi * np.arange(SKIN.circle_sides) / SKIN.circle_sides
+        sides = np.stack([np.cos(angle), np.sin(angle), np.zeros(SKIN.circle_sides)], axis=1)
         ends = np.array([[0.0, 0, 1], [0, 0, -1]])
-        return cls(np.vstack([round_, ends]), np.repeat([radius, height / 2], [SKIN.circle_sides, 2]))
+        return cls(np.vstack([sides, ends]), np.repeat([radius, height / 2], [SKIN.circle_sides, 2]))
 
     @classmethod
     def hull(cls, vertices: Array, faces: Array) -> "Solid":
@@ -83,10 +83,9 @@ class Solid:
         return cls(normals, np.einsum("ki,ki->k", normals, corners[:, 0]))
 
     def ahead(self, points: Array, direction: Array) -> Array:
-        """Returns (n,) how far ahead of points (n, 3) the body begins along a unit direction [m]; infinite where it
-        is not.
+        """Returns the distances (n,) from points (n, 3) along a unit direction to the body's nearer surface [m].
 
-        Negative where it begins behind.
+        They are infinite where the line misses the body, and negative where that surface is behind the point.
         """
         rate, left = self.normals @ direction, self.offsets - points @ self.normals.T
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -98,14 +97,15 @@ class Solid:
 
 
 def sunk(gaps: Array, force: float, stiffness: float) -> Array:
-    """Returns (n,) forces [N] of springs that a body is pressed into until together they hold `force`.
+    """Returns the forces (n,) of springs that a body compresses until together they hold `force` [N].
 
-    `gaps` (n,): how far ahead of each the body is [m], infinite: nowhere; `stiffness` of a spring [N/m].
+    `gaps` (n,) are the distances of the unloaded springs from the body [m], infinite beside it; `stiffness` is a
+    spring's [N/m].
     """
     near = np.sort(gaps[np.isfinite(gaps)])
     if force <= 0 or not len(near):
         return np.zeros(len(gaps))
-    # With the nearest k springs at work the depth is what holds the force; the right k reaches no further spring.
+    # The depth at which the nearest k springs hold the force; the right k is the one that reaches no further spring.
     depth = (force / stiffness + np.cumsum(near)) / np.arange(1, len(near) + 1)
     k = int(np.argmax(np.append(depth[:-1] <= near[1:], True)))
     return np.asarray(stiffness * np.maximum(depth[k] - gaps, 0.0))
@@ -119,15 +119,15 @@ def taxel_forces(
     uneven: Array | float = 0.0,
     springs: float = SKIN.rubber,
 ) -> Array:
-    """Returns (rows, columns) what each taxel feels of a solid at a pose that presses on the skin with a force [N].
+    """Returns the forces (rows, columns) on the taxels of a solid that presses on the skin with `force` [N].
 
-    `uneven` (rows, columns): how far each taxel is below the flat grid [m]. `springs` [N/m per m²].
+    `T_grid_object` (4, 4) is its pose, `uneven` (rows, columns) how far each taxel is below the grid's plane [m],
+    `springs` the skin's stiffness [N/m per m²].
     """
     fine = array.pitch / SKIN.springs
     steps = fine * (np.arange(SKIN.springs) - (SKIN.springs - 1) / 2)
-    places = array.places_grid[:, :, None, None] + np.stack(
-        [*np.meshgrid(steps, steps), np.zeros((SKIN.springs, SKIN.springs))], 2
-    )
+    within = np.stack([*np.meshgrid(steps, steps), np.zeros((SKIN.springs, SKIN.springs))], 2)
+    places = array.places_grid[:, :, None, None] + within
     R = T_grid_object[:3, :3]
     gaps = solid.ahead((places.reshape(-1, 3) - T_grid_object[:3, 3]) @ R, R[2])
     gaps = (gaps.reshape(*array.shape, -1) + np.broadcast_to(uneven, array.shape)[:, :, None]).ravel()
@@ -136,8 +136,7 @@ def taxel_forces(
 
 
 class PalmSkin:
-    """A `PalmSkin` is the array on the simulated palm; errors that are constant are drawn at the start, noise at
-    every reading."""
+    """A `PalmSkin` is the array on the palm: constant errors are drawn at the start, noise at every reading."""
 
     def __init__(self, scenario: Scenario) -> None:
         """Draws by the scenario's seed."""
@@ -146,20 +145,13 @@ class PalmSkin:
         self._uneven = n.skin_uneven * constant.normal(size=shape)
         self._offset = n.skin_offset * constant.normal(size=shape)
         self._share, self._noise = n.skin_noise, np.random.default_rng((seed, 12))
-        self._solid = solid_of(scenario.object)
+        is_can = scenario.object == "can"  # else it is a mesh: a scenario with a skin has no box
+        self._solid = Solid.cylinder(*CAN_SIZE) if is_can else Solid.hull(*convex_hull(scenario.object))
 
     def readings(self, T_palm_object: Array, force: float) -> dict[str, Array]:
-        """Returns (rows, columns) of the array, by its name [N]; `force`: how hard the object presses on the palm
-        [N]."""
+        """Returns the array's readings (rows, columns) by its name [N]; `force` is the object's on the palm [N]."""
         T_grid_object = se3.inverse(PALM_SKIN.T_frame_grid) @ T_palm_object
         true = taxel_forces(PALM_SKIN, self._solid, T_grid_object, force, self._uneven)
         share, floor = self._noise.normal(size=(2, *PALM_SKIN.shape))
         read = true * (1 + self._share * share) + (SKIN.sigma * floor if self._share else 0.0) + self._offset
         return {"palm": np.minimum(read, PALM_SKIN.full_scale or np.inf)}
-
-
-def solid_of(name: str) -> Solid:
-    """Returns the solid of a scenario's object, in its frame."""
-    if name == "can":
-        return Solid.cylinder(*CAN_SIZE)
-    return Solid.box(np.array(BOX_SIZE)) if name == "box" else Solid.hull(*convex_hull(name))

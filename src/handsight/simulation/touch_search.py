@@ -1,6 +1,6 @@
-"""The whole task without a camera: a search by touch, then a grasp where the object is believed to be."""
+"""The complete task without a camera: a search by touch, then a grasp where the object is believed to be."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from handsight.rig import MountedCamera, Rig, Table
 from handsight.search import Area, Belief, best_sweep
 from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.motion import Grasp
-from handsight.simulation.probe import PROBE, Probe, ignore
+from handsight.simulation.probe import PROBE, Probe
 from handsight.simulation.robot import model_of, rig_of
 from handsight.simulation.scenario import Sample, Scenario
 from handsight.simulation.simulate import Sensors, samples
@@ -25,9 +25,8 @@ from handsight.simulation.world import World
 class TouchSearchOptions(NamedTuple):
     """`TouchSearchOptions` say how an object on a table is searched by touch."""
 
-    area_side: float = 0.3  # of the square that the object stands within [m]
-    sigma_table_height: float = 0.0025
-    """Of the table's height under the object, between the places where it was touched [m]."""
+    area_side: float = 0.3  # of the square that contains the object [m]
+    sigma_table_height: float = 0.0025  # of the table under the object, between the touched places [m]
     max_touches: int = 12  # before the search gives up
     pause: float = 0.5  # from the search to the open hand beside the object, which is not simulated [s]
 
@@ -35,79 +34,68 @@ class TouchSearchOptions(NamedTuple):
 TOUCH_SEARCH = TouchSearchOptions()
 
 TABLE_PROBES = 0.2 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-"""Where the table is felt, outside of it (x, y) [m]."""
+"""(4, 2) places outside of that square where the table is touched [m]."""
 
 
 def touch_search_rig(scenario: Scenario) -> Rig:
-    """Returns the rig as the robot knows it; raises as `rig_of`.
+    """Returns the rig that the robot believes in; raises as `rig_of`.
 
-    Its camera stands for the search, whose pose comes in the world and has no constant error of its own.
+    Its camera represents the search, whose pose is in the world and has no constant error.
     """
     search = MountedCamera(sigma_position_constant=0.0, sigma_rotation_constant=0.0)
     return replace(rig_of(scenario), camera=search)
 
 
 def start_search(
-    scenario: Scenario,
-    model: ObjectModel,
-    R_scene_object: Array | None = None,
-    on_sample: Callable[[Sample], None] = ignore,
+    scenario: Scenario, model: ObjectModel, R_scene_object: Array | None = None, *, recording: bool = False
 ) -> tuple[Probe, Belief]:
-    """Returns the hand above the table, which it has felt, and what is believed before the first touch.
+    """Returns the hand above the table, whose height it has measured, and the belief before the first touch.
 
-    The object stands as `R_scene_object` (3, 3) has it (None: as in its file), where the scenario's seed says.
-    `on_sample` is called with every sample. Raises as `simulate`.
+    The object is where the scenario's seed puts it, at rotation `R_scene_object` (3, 3), by default that of its file.
+    With `recording` the hand keeps all its samples. Raises as `simulate`.
     """
     R = np.eye(3) if R_scene_object is None else R_scene_object
     seed, sides = int(scenario.seed), np.ptp(model.vertices @ R.T, axis=0)
     half = TOUCH_SEARCH.area_side / 2 - min(sides[:2]) / 2
     if not half > 0:
-        size = " x ".join(f"{1000 * side:.0f}" for side in sides)
-        raise InvalidInput(
-            f"object: expected one within {1000 * TOUCH_SEARCH.area_side:.0f} mm, got {size} mm"
-        )
+        size, most = " x ".join(f"{1000 * side:.0f}" for side in sides), 1000 * TOUCH_SEARCH.area_side
+        raise InvalidInput(f"object: expected one within {most:.0f} mm, got {size} mm")
     x, y, turn = np.random.default_rng((seed, 11)).uniform([-half, -half, -np.pi], [half, half, np.pi])
-    at = se3.compose(se3.rotation_exp(np.array([0.0, 0.0, turn])), np.array([x, y, 0.0]))
-    probe = Probe(scenario, R, at)
-    table = Table(
-        height=probe.feel_table(TABLE_PROBES, on_sample), sigma_height=TOUCH_SEARCH.sigma_table_height
-    )
+    T_world_table = se3.compose(se3.rotation_exp(np.array([0.0, 0.0, turn])), np.array([x, y, 0.0]))
+    probe = Probe(scenario, R, T_world_table, recording=recording)
+    height = probe.feel_table(TABLE_PROBES)
+    table = Table(height=height, sigma_height=TOUCH_SEARCH.sigma_table_height)
     return probe, Belief(model, Area(np.full(2, -half), np.full(2, half), table, R[None]), seed)
 
 
 def simulate_touch_search(scenario: Scenario, grasp: Grasp | None = None) -> Iterator[Sample]:
     """Yields samples of a search by touch, until the object is found, and then of the scenario's own motion.
 
-    No sample has anything of a camera. The first one after the search has what that has found, as a pose in the world
-    with its covariance, in the place of vision's; the hand's way from there to the object is not simulated. `grasp`:
-    else the object's own, or the one that is found. Raises as `simulate`, and InvalidInput where
-    `TOUCH_SEARCH.max_touches` find nothing.
+    No sample has data of a camera: the first one after the search has the pose that was found, in the world and with
+    its covariance, as vision's. The hand's way from there to the object is not simulated. `grasp` replaces the object's
+    own, or the one that is searched. Raises as `simulate`, and InvalidInput where `TOUCH_SEARCH.max_touches` are too
+    few to find the object.
     """
     grasp = grasp or grasp_for(scenario.object, int(scenario.seed))
     R_scene_object = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3]
-    pending: list[Sample] = []
-    probe, belief = start_search(scenario, model_of(scenario), R_scene_object, pending.append)
+    probe, belief = start_search(scenario, model_of(scenario), R_scene_object, recording=True)
     for _ in range(TOUCH_SEARCH.max_touches):
-        belief = belief.after(probe.touch(best_sweep(belief, probe.heights, PROBE.radius), pending.append))
-        yield from pending
-        pending.clear()
+        belief = belief.after(probe.touch(best_sweep(belief, probe.heights, PROBE.radius)))
+        yield from probe.recorded
+        probe.recorded.clear()
         if belief.modes[0].is_certain:
             break
     else:
         raise InvalidInput(
             f"object: expected to be sure of it after {TOUCH_SEARCH.max_touches} touches; another seed may be"
         )
-    yield from _grasped(scenario, grasp, belief, probe)
-
-
-def _grasped(scenario: Scenario, grasp: Grasp, belief: Belief, probe: Probe) -> Iterator[Sample]:
-    """Yields samples of the hand that closes where the object is believed to be, the object where it is."""
+    # The hand closes where the object is believed to be, the object is where it is.
     found, begins = belief.pose, probe.time + TOUCH_SEARCH.pause
     T_object_middle = se3.compose(np.eye(3), belief.model.center_object)
     off = se3.inverse(found.T_a_b @ T_object_middle) @ probe.T_world_object @ T_object_middle
     T_palm_middle = grasp.T_palm_middle @ off
-    # The scene has the object upright at its origin, and the hand from the side on which its table ends.
-    R_scene_palm = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3] @ T_palm_middle[:3, :3].T
+    # The scene has the object upright at its origin, and the hand on the side on which its table ends.
+    R_scene_palm = R_scene_object @ T_palm_middle[:3, :3].T
     away = grasp.R_world_palm @ R_scene_palm.T
     turn = np.arctan2(away[1, 0] - away[0, 1], away[0, 0] + away[1, 1])
     R_scene_palm = se3.rotation_exp(np.array([0.0, 0.0, turn])) @ R_scene_palm

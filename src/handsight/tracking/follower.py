@@ -6,7 +6,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -266,15 +266,12 @@ class Follower:
         touch, now, last, skin = state.fingertips, state.stamp, state.correction, state.skin
         contacts, remembered = state.memory.added(touch.fingers, touched, now)
         links = self.hand.at(joints and state.offsets.corrected(joints), state.margins)
-        pressed, evidence = skin.contacts(), state.weight.evidence()
-        contacts = contacts if pressed is None else contacts.joined(pressed)
+        pressed, evidence = skin.evidence(), state.weight.evidence()
         samples, answer, prior = self.settings.samples, self.settings.answer, smoother.without_touch
-        outside = skin.beside(links)
+        given: dict[str, Any] = {"weight": evidence, "skin": pressed, "answer": answer}
 
-        def correct(prior: PosePrior, outside: Outside | None = outside) -> PoseEstimate:
-            return correct_pose(
-                self.model, contacts, vision=prior, outside=outside, weight=evidence, answer=answer, samples=samples
-            )  # fmt: skip
+        def correct(prior: PosePrior, outside: Outside | None = links) -> PoseEstimate:
+            return correct_pose(self.model, contacts, vision=prior, outside=outside, samples=samples, **given)
 
         # The last answer is a good start while the same fingers touch, unless vision may lead to another minimum; but
         # beside a pressed array, whose search takes long, vision says little.
@@ -283,9 +280,7 @@ class Follower:
             near = last.estimate
             if near.consistent and not near.outliers and not samples:
                 start = near.T_palm_object_maximum
-                estimate = refine_pose(
-                    self.model, contacts, prior, start, outside=outside, weight=evidence, answer=answer
-                )
+                estimate = refine_pose(self.model, contacts, prior, start, outside=links, **given)
         if estimate is None:
             estimate = correct(prior)
 
@@ -293,9 +288,7 @@ class Follower:
         fits = estimate.consistent and not estimate.outliers
         if links is not None and not (fits and now - state.links_checked_at < HAND_OUTSIDE.check_period):
             state.links_checked_at = now
-            estimate, inside = self.hand.reconciled(
-                estimate, links, lambda weaker: correct(prior, skin.beside(weaker))
-            )
+            estimate, inside = self.hand.reconciled(estimate, links, lambda weaker: correct(prior, weaker))
             state.margins = state.margins.noted(inside, now)
         if not estimate.consistent and now - state.recovered_at >= FOLLOWER.recovery_period:
             state.recovered_at = now

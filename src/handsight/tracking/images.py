@@ -209,8 +209,7 @@ class ObjectInImages:
         if not known or abs(stamp - self._palm_searched_at) >= IMAGES.palm_period:
             self._palm_searched_at = stamp
             self._count("hand_sought")
-            observe = self._hand.followed if known else self._hand.detected
-            found = observe(self._camera, depth, joints, believed, sigmas)
+            found = self._hand.detected(self._camera, depth, joints, believed, sigmas, follow=known)
         view = None
         if isinstance(found, PalmDetection):
             self._count("palm_detected")

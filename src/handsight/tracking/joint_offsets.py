@@ -21,7 +21,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PoseEstimate, PosePrior, WeightEvidence
-from handsight.correction.surface_at_contacts import information_by_contact
+from handsight.correction.solve import information_by_contact
 from handsight.forces import Weighing
 from handsight.objects import ObjectModel
 from handsight.rig import Rig

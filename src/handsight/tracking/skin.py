@@ -10,7 +10,7 @@ from handsight import checks
 from handsight.checks import Array, Mask
 from handsight.contact import Contacts
 from handsight.contact.taxels import SkinTouch
-from handsight.correction import Outside
+from handsight.correction import SkinEvidence
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig import Rig
@@ -89,16 +89,14 @@ class SkinContacts:
             found = more if found is None else found if more is None else found.joined(more)
         return found
 
-    def beside(self, outside: Outside | None) -> Outside | None:
-        """Returns `outside` with the points above untouched taxels, at which the object cannot be either.
-
-        Arrays that are not pressed anywhere do not count.
-        """
+    def evidence(self) -> SkinEvidence | None:
+        """Returns the evidence of the arrays on which a taxel is pressed; None where there is none."""
+        found: SkinEvidence | None = None
         for touch, place in self.touches.values():
             if touch.pressed.any():
-                more = Outside.of_skin(touch, *place)
-                outside = more if outside is None else outside.joined(more)
-        return outside
+                more = SkinEvidence.of(touch, *place)
+                found = more if found is None else found.joined(more)
+        return found
 
     def news(self, last: "SkinContacts") -> bool:
         """Returns whether other taxels are pressed than in `last`, that of the last correction."""

@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 
 from handsight import checks
-from handsight._kernels.runtime.warm import warm_tracker
 from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior
 from handsight.errors import InvalidInput
@@ -23,6 +22,7 @@ from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinContacts
 from handsight.tracking.smoother import PoseBiasSmoother
 from handsight.tracking.track_state import State, TrackState
+from handsight.tracking.warm import warm_tracker
 
 __all__ = ["State", "Tracker", "TrackerSettings"]
 

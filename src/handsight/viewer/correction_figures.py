@@ -1,4 +1,7 @@
-"""Figures of corrections: the object before and after, the contacts, what touch leaves open. Needs matplotlib."""
+"""Figures of corrections: the object before and after, contacts, the directions that touch leaves open.
+
+They need matplotlib.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,25 +17,21 @@ from handsight.correction import PosePrior
 from handsight.errors import HandsightError, MissingExtra
 from handsight.files import write_errors
 from handsight.objects import ObjectModel
-from handsight.viewer.shapes import creases, middle, opened
+from handsight.viewer.shapes import creases, direction_line, middle
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d import Axes3D
 
 
-BEFORE, AFTER, TOUCH, OPEN = "0.55", "#e0a100", "#c2185b", "#1565c0"
-CLOUD = 900
-
-
-class Panel(NamedTuple):
-    """A `Panel` is a problem and its answer."""
+class CorrectionPanel(NamedTuple):
+    """A `CorrectionPanel` is a correction problem and its answer."""
 
     model: ObjectModel
     contacts: Contacts
     vision: PosePrior | None
     answer: dict[str, Any]
-    """In the form of the command's answers."""
+    """In the form of the answers of `handsight correct`."""
 
 
 def require_matplotlib() -> ModuleType:
@@ -47,7 +46,7 @@ def require_matplotlib() -> ModuleType:
     return plt
 
 
-def draw_corrections(panels: Sequence[Panel], path: Path) -> None:
+def draw_corrections(panels: Sequence[CorrectionPanel], path: Path) -> None:
     """Writes the panels to an image file; raises MissingExtra, HandsightError."""
     plt = require_matplotlib()
     columns = min(len(panels), 3)
@@ -59,7 +58,7 @@ def draw_corrections(panels: Sequence[Panel], path: Path) -> None:
 
 
 def save(figure: "Figure", path: Path) -> None:
-    """Writes a figure with one legend to an image file of the kind that its name says, and closes it.
+    """Writes a figure with one legend to an image file, whose name says its format, and closes it.
 
     Raises HandsightError.
     """
@@ -75,22 +74,28 @@ def save(figure: "Figure", path: Path) -> None:
             require_matplotlib().close(figure)
 
 
-def _draw(axes: "Axes3D", panel: Panel) -> None:
-    model, answer = panel.model, panel.answer
+def _draw(axes: "Axes3D", panel: CorrectionPanel) -> None:
+    """Draws a problem and its answer in the palm's frame."""
+    model, answer, red, blue = panel.model, panel.answer, "#c2185b", "#1565c0"
     T = se3.from_position_quaternion(answer["position"], answer["quaternion_xyzw"])
-    shown = [draw_object(axes, model, T, AFTER, "corrected")]
+    shown = [draw_object(axes, model, T, "#e0a100", "corrected")]
     if panel.vision is not None:
-        shown.append(draw_object(axes, model, panel.vision.T_palm_object, BEFORE, "vision"))
+        shown.append(draw_object(axes, model, panel.vision.T_palm_object, "0.55", "vision"))
     points, normals = panel.contacts.points_palm, panel.contacts.normals_palm
     arrow = 0.22 * model.diameter
     outliers = np.isin(np.arange(len(points)), answer["outliers"])
-    axes.scatter(*points[~outliers].T, color=TOUCH, s=28, depthshade=False, label="contact, its normal")
+    axes.scatter(*points[~outliers].T, color=red, s=28, depthshade=False, label="contact, its normal")
     if outliers.any():
         axes.scatter(*points[outliers].T, color="k", marker="x", s=50, depthshade=False, label="rejected")
-    axes.quiver(*points.T, *(arrow * normals).T, color=TOUCH, linewidth=1.4)
+    axes.quiver(*points.T, *(arrow * normals).T, color=red, linewidth=1.4)
+    # Directions that touch leaves open: a double arrow for a slide, an arc with one arrowhead for a turn.
     center = middle(model, T)
     for k, direction in enumerate(answer["unobservable"]):
-        _open_direction(axes, np.asarray(direction), center, model, label=None if k else "open to touch")
+        line, turn = direction_line(np.asarray(direction), center, model)
+        axes.plot(*line.T, color=blue, linewidth=2.2, label=None if k else "open to touch")
+        ends = [(line[-2], 4 * (line[-1] - line[-2]))] if turn else [(center, end - center) for end in line]
+        for start, shift in ends:
+            axes.quiver(*start, *shift, color=blue, linewidth=2.2, arrow_length_ratio=1.0 if turn else 0.12)
     shown.append(points)
     _frame(axes, np.vstack(shown))
     fit = "fits" if answer["consistent"] else "does NOT fit"
@@ -98,41 +103,26 @@ def _draw(axes: "Axes3D", panel: Panel) -> None:
 
 
 def draw_object(axes: "Axes3D", model: ObjectModel, T_palm_object: Array, color: str, label: str) -> Array:
-    """Returns the points drawn (n, 3) [m], palm frame, after drawing the object's creases and a thin cloud of it."""
-    cloud, _ = model.sample(CLOUD)
+    """Draws the object's sharp edges and points of its surface; returns the points (n, 3) in the palm [m]."""
+    cloud, _ = model.sample(900)
     cloud = se3.apply(T_palm_object, cloud)
     axes.scatter(*cloud.T, s=1.6, color=color, alpha=0.45, depthshade=False)
     segments = se3.apply(T_palm_object, creases(model).reshape(-1, 3)).reshape(-1, 2, 3)
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+    if len(segments):  # matplotlib refuses an empty collection
+        from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-    axes.add_collection3d(Line3DCollection(segments, colors=color, linewidths=1.3))
+        axes.add_collection3d(Line3DCollection(segments, colors=color, linewidths=1.3))
     axes.plot([], [], [], color=color, linewidth=3, label=label)
     return cloud
 
 
-def _open_direction(
-    axes: "Axes3D", direction: Array, center: Array, model: ObjectModel, *, label: str | None
-) -> None:
-    """Draws a double arrow for a slide, an arc about its axis for a turn, whichever the direction mostly is."""
-    style = {"color": OPEN, "linewidth": 2.2, "label": label}
-    line, turn = opened(direction, center, model)
-    axes.plot(*line.T, **style)
-    if turn:
-        axes.quiver(
-            *line[-2], *(4 * (line[-1] - line[-2])), color=OPEN, linewidth=2.2, arrow_length_ratio=1.0
-        )
-        return
-    for end in line:
-        axes.quiver(*center, *(end - center), color=OPEN, linewidth=2.2, arrow_length_ratio=0.12)
-
-
 def _frame(axes: "Axes3D", points: Array) -> None:
+    """Sets equal limits around points (n, 3), and labels in millimetres."""
     low, high = points.min(axis=0), points.max(axis=0)
     half = (high - low).max() / 2
-    middle = (low + high) / 2
     axes.set_box_aspect((1, 1, 1))
     axes.view_init(elev=22, azim=-58)
-    for name, value in zip("xyz", middle, strict=True):
+    for name, value in zip("xyz", (low + high) / 2, strict=True):
         axes.set(**{f"{name}lim": (value - half, value + half)})
         axis = getattr(axes, f"{name}axis")
         axis.set_major_formatter(lambda value, _: f"{1000 * value:.0f}")

@@ -1,6 +1,6 @@
-"""Figures of objects found in pictures: outlines over colour or depth, the hand tinted, how depth differs beside.
+"""Figures of objects found in pictures: outlines over colour or depth, the hand tinted, and residuals of the depth.
 
-Needs matplotlib.
+They need matplotlib.
 """
 
 import textwrap
@@ -16,97 +16,83 @@ from handsight.checks import Array
 from handsight.recording.detections import Located
 from handsight.recording.frames import Frame
 from handsight.viewer.correction_figures import require_matplotlib, save
-from handsight.viewer.shapes import creases
-from handsight.viewer.silhouette import silhouette
+from handsight.viewer.shapes import creases, silhouette
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
 BEST, HAND = "#ffb300", np.array([0.15, 0.55, 1.0])
-MODES = ((BEST, "-", "best pose"), ("#00b8d4", "--", "second"))
 
 
 class DetectionFigureOptions(NamedTuple):
     """`DetectionFigureOptions` say how a detection is drawn."""
 
     min_weight: float = 0.01  # of a second pose that is drawn
-    margin: float = 0.35
-    """Around the object, in parts of its size, of what is shown of a picture beside the object and the hand."""
+    margin: float = 0.35  # of a picture around the object, relative to the object's size
     max_residual: float = 15.0  # of depth, at the ends of its colours [mm]
     edge_depth: float = 0.004  # how far behind the drawn surface an edge is still visible [m]
     min_edge: float = 0.04  # of the edges that are drawn [diameters]: shorter ones are a scan's
     max_edges: int = 2000  # that are drawn
     max_scores: int = 3  # objects whose probability is written
     line_width: int = 45  # characters of a line beside a picture
-    aspect: float = 1.35  # width of what is shown of a picture, in parts of its height
+    aspect: float = 1.35  # width of the part of a picture that is shown, relative to its height
 
 
 FIGURE = DetectionFigureOptions()
 
 
 def draw_located(rows: Sequence[Located], path: Path) -> None:
-    """Writes a row for each picture to an image file: the picture with the poses, and depth less the drawn object's.
+    """Writes a row for each picture to an image file: the picture with the poses, and the residuals of its depth.
 
     Raises MissingExtra, HandsightError.
     """
     plt = require_matplotlib()
-    figure, axes = plt.subplots(
-        len(rows),
-        2,
-        figsize=(11.5, 4.6 * len(rows) + 0.5),
-        width_ratios=[1.5, 1],
-        squeeze=False,
-        layout="constrained",
-    )
+    size = {"figsize": (11.5, 4.6 * len(rows) + 0.5), "width_ratios": [1.5, 1]}
+    figure, axes = plt.subplots(len(rows), 2, squeeze=False, layout="constrained", **size)
     for (left, right), row in zip(axes, rows, strict=True):
         _draw(left, right, row)
     save(figure, path)
 
 
 def _draw(left: "Axes", right: "Axes", row: Located) -> None:
-    frame, found = row.frame, row.found
+    """Draws a picture with its poses on the left, and residuals, or why there is no pose, on the right."""
+    frame, found, name, scores = row.frame, row.found, row.model.name or "object", ""
+    if row.recognition is not None:
+        likeliest = list(row.recognition.scores.items())[: FIGURE.max_scores]
+        each = [*likeliest, ("none", row.recognition.none)]
+        scores = "\n" + ", ".join(f"{label} {share:.2f}" for label, share in each)
     left.imshow(_background(frame), interpolation="nearest")
     for axes in (left, right):
         axes.set_xticks([])
         axes.set_yticks([])
     if row.reason is not None:
-        text = f"{row.model.name} is not here" if row.recognition is None else "none of them is here"
-        left.set_title(f"{frame.name}: {text}{_scores(row)}", fontsize=11)
+        text = f"{name} is not here" if row.recognition is None else "none of them is here"
+        left.set_title(f"{frame.name}: {text}{scores}", fontsize=11)
         reason = textwrap.fill(row.reason, FIGURE.line_width)
         right.text(0.5, 0.5, reason, ha="center", va="center", transform=right.transAxes)
         right.set_frame_on(False)
         return
     likely = found.weights[1:2].sum() >= FIGURE.min_weight
     shown = found.Ts_camera_object[: 2 if likely else 1]
-    for color, style, called in MODES[: len(shown)]:
-        left.plot([], [], color=color, linestyle=style, lw=2.5, label=called)
+    styles = ((BEST, "-", "best pose"), ("#00b8d4", "--", "second"))
+    for color, style, label in styles[: len(shown)]:
+        left.plot([], [], color=color, linestyle=style, lw=2.5, label=label)
     if frame.hand is not None and frame.hand.any():
         left.plot([], [], color=HAND, lw=6, alpha=0.6, label="hand, masked")
-    for T, (color, style, _) in reversed(list(zip(shown, MODES, strict=False))):
+    for T, (color, style, _) in reversed(list(zip(shown, styles, strict=False))):
         _outline(left, row, T, color, style)
     drawn = silhouette(frame.camera, row.model, shown[0])
-    _crop(left, drawn)
+    if np.isfinite(drawn).any():
+        _crop(left, drawn)
     _residual(right, frame, drawn)
     x, y, z = (1e3 * shown[0][:3, 3]).round() + 0.0  # no -0
-    left.set_title(
-        f"{frame.name}: {row.model.name} at {x:.0f}, {y:.0f}, {z:.0f} mm, weight {found.weights[0]:.2f}"
-        f"{_scores(row)}",
-        fontsize=11,
-    )
-
-
-def _scores(row: Located) -> str:
-    """Returns, of several objects a line of the likeliest ones' probabilities; empty of one."""
-    if row.recognition is None:
-        return ""
-    likeliest = list(row.recognition.scores.items())[: FIGURE.max_scores]
-    each = [*likeliest, ("none", row.recognition.none)]
-    return "\n" + ", ".join(f"{name} {share:.2f}" for name, share in each)
+    place = f"{name} at {x:.0f}, {y:.0f}, {z:.0f} mm, weight {found.weights[0]:.2f}"
+    left.set_title(f"{frame.name}: {place}{scores}", fontsize=11)
 
 
 def _background(frame: Frame) -> Array:
-    """Returns colour, else depth in grey, near ones light; the hand tinted. Red, green, blue (h, w, 3) from 0 to 1."""
+    """Returns red, green, blue (h, w, 3) from 0 to 1: colour, else depth in grey, near light; the hand is tinted."""
     if frame.color is not None:
         image = frame.color / 255.0
     else:
@@ -121,40 +107,36 @@ def _background(frame: Frame) -> Array:
 
 
 def _outline(axes: "Axes", row: Located, T: Array, color: str, style: str) -> None:
-    """Draws the silhouette's edge, and those edges within it that are seen."""
+    """Draws the silhouette's outline and the visible edges of the object at T_camera_object (4, 4)."""
     drawn = silhouette(row.frame.camera, row.model, T)
-    there = np.isfinite(drawn)
-    if not there.any():
+    inside = np.isfinite(drawn)
+    if not inside.any():
         return
-    axes.contour(there, [0.5], colors=[color], linewidths=1.8, linestyles=style)
+    axes.contour(inside, [0.5], colors=[color], linewidths=1.8, linestyles=style)
     if color == BEST:
-        tint = np.zeros((*there.shape, 4))
-        tint[there] = (1.0, 0.70, 0.0, 0.22)
+        tint = np.zeros((*inside.shape, 4))
+        tint[inside] = (1.0, 0.70, 0.0, 0.22)
         axes.imshow(tint, interpolation="nearest")
     edges = creases(row.model)
     long = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) > FIGURE.min_edge * row.model.diameter
     lines = se3.apply(T, edges[long].reshape(-1, 3)).reshape(-1, 2, 3)
     for line in lines[(lines[..., 2] > 0).all(axis=1)][: FIGURE.max_edges]:
         pixels = row.frame.camera.project(line)
-        if np.isfinite(pixels).all() and _is_visible(drawn, pixels.mean(axis=0), line[:, 2].mean()):
-            axes.plot(*pixels.T, color=color, lw=0.9)
-
-
-def _is_visible(drawn: Depth, pixel: Array, z: float) -> bool:
-    u, v = np.round(pixel).astype(int)
-    height, width = drawn.shape
-    if not (0 <= u < width and 0 <= v < height):
-        return False
-    around = drawn[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2]
-    return bool(z < np.nanmax(np.where(np.isfinite(around), around, -np.inf)) + FIGURE.edge_depth)
+        if not np.isfinite(pixels).all():
+            continue
+        u, v = np.round(pixels.mean(axis=0)).astype(int)
+        if 0 <= u < drawn.shape[1] and 0 <= v < drawn.shape[0]:
+            # An edge is visible if its middle is not behind the surface that is drawn around it.
+            around = drawn[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2]
+            surface = np.nanmax(np.where(np.isfinite(around), around, -np.inf))
+            if line[:, 2].mean() < surface + FIGURE.edge_depth:
+                axes.plot(*pixels.T, color=color, lw=0.9)
 
 
 def _crop(axes: "Axes", drawn: Depth) -> None:
-    """Shows the object with what is around it, as wide as the panel."""
+    """Shows the object in `drawn` (h, w) and its surroundings, as wide as the panel."""
     rows, columns = np.nonzero(np.isfinite(drawn))
     height, width = drawn.shape
-    if not len(rows):
-        return
     across = max(float(np.ptp(rows)), float(np.ptp(columns)) / FIGURE.aspect, 60.0)
     tall = max((1 + 2 * FIGURE.margin) * across, 0.45 * height)
     tall = min(tall, height, width / FIGURE.aspect)
@@ -166,24 +148,23 @@ def _crop(axes: "Axes", drawn: Depth) -> None:
 
 
 def _residual(axes: "Axes", frame: Frame, drawn: Depth) -> None:
-    """Draws how far measured depth is behind the drawn object's, around the object."""
-    there = np.isfinite(drawn)
+    """Draws how far the measured depth is behind the drawn object's, around the object."""
+    inside = np.isfinite(drawn)
     axes.set_title("measured depth less the best pose's", fontsize=10)
-    known = there & np.isfinite(frame.depth) & (frame.depth > 0)
-    if not there.any():
+    known = inside & np.isfinite(frame.depth) & (frame.depth > 0)
+    if not inside.any():
         return
     off = np.full(drawn.shape, np.nan)
     off[known] = 1e3 * (frame.depth[known] - drawn[known])
     axes.set_facecolor("0.85")
-    shown = axes.imshow(
-        off, cmap="RdBu", vmin=-FIGURE.max_residual, vmax=FIGURE.max_residual, interpolation="nearest"
-    )
+    most = FIGURE.max_residual
+    shown = axes.imshow(off, cmap="RdBu", vmin=-most, vmax=most, interpolation="nearest")
     if frame.hand is not None:
         before = np.zeros((*drawn.shape, 4))
-        before[frame.hand & (off < -FIGURE.max_residual)] = *HAND, 1.0
+        before[frame.hand & (off < -most)] = *HAND, 1.0
         axes.imshow(before, interpolation="nearest")
-    axes.contour(there, [0.5], colors=[BEST], linewidths=1.5)
-    rows, columns = np.nonzero(there)
+    axes.contour(inside, [0.5], colors=[BEST], linewidths=1.5)
+    rows, columns = np.nonzero(inside)
     around = 0.12 * max(float(np.ptp(rows)), float(np.ptp(columns)), 20.0)
     axes.set_xlim(columns.min() - around, columns.max() + around)
     axes.set_ylim(rows.max() + around, rows.min() - around)

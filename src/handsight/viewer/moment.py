@@ -1,6 +1,7 @@
-"""What a tracker knows at one instant, as it is shown."""
+"""The knowledge of a tracker at one instant, as it is shown, and one sentence about it."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -19,21 +20,23 @@ from handsight.tracking.skin import NOTHING, SkinContacts
 from handsight.viewer.picture import Picture
 
 VISION_FOR = 1.0
-"""How long what vision has measured is shown [s]."""
+"""How long the last measurement of vision is shown [s]."""
+LIKELY = 0.02
+"""Smallest probability of another mode that is shown."""
 
 
 class Measured(NamedTuple):
-    """A `Measured` is what vision said last."""
+    """A `Measured` is the last pose that vision measured."""
 
     stamp: float
-    """When [s]."""
+    """[s]"""
     T_palm_object: Array
-    """(4, 4), its bias still in it."""
+    """(4, 4), with vision's bias in it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Moment:
-    """A `Moment` is an answer with the observation it answers."""
+    """A `Moment` is an estimate with the observation that it is the answer to."""
 
     stamp: float
     """[s]"""
@@ -43,39 +46,38 @@ class Moment:
     estimate: PoseEstimate | None
     """None: nothing is known of the object yet."""
     sigma: float
-    """Standard deviation of the position of the object's middle, its largest [m]; infinite before there is one."""
+    """Largest standard deviation of the position of the object's middle [m]; infinite before there is an estimate."""
     fingertips: FingertipContacts
     T_world_palm: Array | None
     """(4, 4)."""
     joint_positions: Mapping[str, float] | None
     """By name [rad]."""
     wrenches: Mapping[str, Array] = field(default_factory=dict)
-    """By finger, as its sensor reads."""
+    """The sensors' readings by finger [N, N m]."""
     vision: Measured | None = None
-    """The last that vision said; None where it has said nothing for a while."""
+    """None where vision has measured nothing for a while."""
     picture: Picture | None = None
     """The last image; None where there was none."""
     slip: Slip = field(default_factory=Slip)
-    """Whether the object slips, and how near to that it is."""
+    """Whether the object slips, and how near to slipping it is."""
     skin: SkinContacts = NOTHING
-    """What tactile arrays feel."""
+    """Contacts of tactile arrays."""
 
     @classmethod
     def now(cls, tracker: Tracker) -> "Moment":
-        """Returns the moment of a tracker, after the last observation that it has taken."""
+        """Returns the moment of a tracker after the last observation that it has taken."""
         vision = tracker.vision.in_palm(tracker.processed, tracker.T_world_palm)
         return cls._from_tracker(tracker, tracker.processed, vision)
 
     @classmethod
     def of(cls, step: Step, observation: Observation) -> "Moment":
-        """Returns the moment of a step of a replay, and the observation of that stamp."""
+        """Returns the moment of a step of a replay and the observation of its stamp."""
         return cls._from_tracker(step, observation, step.T_palm_object_vision)
 
     @classmethod
     def _from_tracker(
-        cls, known: Tracker | Step, taken: Observation | None, T_palm_object_vision: Array | None
+        cls, known: Tracker | Step, taken: Observation | None, T_vision: Array | None
     ) -> "Moment":
-        T_vision = T_palm_object_vision
         return cls(
             stamp=known.stamp,
             state=known.state,
@@ -92,35 +94,30 @@ class Moment:
         )
 
     def after(self, last: "Moment | None", picture: Picture | None) -> "Moment":
-        """Returns this moment with a picture, where there is a new one, and with what is still shown of the last
-        moment."""
+        """Returns this moment with a new picture, or with the picture and the vision of the last one if still fresh."""
         if last is None:
             return replace(self, picture=picture)
         old = last.vision
         fresh = old is not None and 0 <= self.stamp - old.stamp < VISION_FOR
-        return replace(
-            self,
-            vision=self.vision or (old if fresh else None),
-            picture=last.picture if picture is None else picture,
-        )
+        vision = self.vision or (old if fresh else None)
+        return replace(self, vision=vision, picture=last.picture if picture is None else picture)
 
     @property
     def outliers(self) -> tuple[str, ...]:
-        """Fingers whose contacts the answer rejects as wrong."""
+        """Fingers whose contacts the estimate rejects."""
         return () if self.estimate is None else self.fingertips.rejected_by(self.estimate)
 
     def links(self, rig: Rig) -> dict[str, Array]:
-        """Returns T_palm_link (4, 4) of the links that are known of."""
+        """Returns T_palm_link (4, 4) of the links whose pose is known, by name."""
         try:
             return rig.hand.link_poses(self.joint_positions or {})
-        except InvalidInput:  # the tracker has refused it, and says so
+        except InvalidInput:  # the tracker has refused these joints, and its reason says so
             return {}
 
     def forces(self, rig: Rig) -> dict[str, Array]:
-        """Returns (3,) what the object exerts on each finger that touches, in the palm [N]; fingers without a reading
-        left out.
+        """Returns the force (3,) of the object on each finger that touches and has a reading, in the palm [N].
 
-        Without the palm's pose in the world the tips' weight is still in it.
+        Without the palm's pose in the world the weight of the tips is included.
         """
         if self.joint_positions is None:
             return {}
@@ -131,12 +128,48 @@ class Moment:
         for name in self.fingertips.fingers:
             if name in self.wrenches:
                 finger, reading = rig.fingers[name], np.asarray(self.wrenches[name])
-                T_surface_sensor = finger.tip.T_surface_sensor
-                T_palm_surface = Ts[name] @ finger.T_frame_surface
-                R = (T_palm_surface if T_surface_sensor is None else T_palm_surface @ T_surface_sensor)[
-                    :3, :3
-                ]
+                T_palm_sensor = Ts[name] @ finger.T_frame_surface
+                if finger.tip.T_surface_sensor is not None:
+                    T_palm_sensor = T_palm_sensor @ finger.tip.T_surface_sensor
+                R = T_palm_sensor[:3, :3]
                 gravity_sensor = R.T @ T_world_palm[:3, :3].T @ gravity
                 force, _ = compensate(reading[:3], reading[3:], gravity_sensor, finger.calibration)
                 found[name] = R @ force
         return found
+
+    @property
+    def sentence(self) -> str:
+        """The state, why it is no better, and the evidence for the estimate."""
+        estimate, fingers = self.estimate, self.fingertips.fingers
+        parts = [self.reason] if self.reason else []
+        if len(fingers) > 1:
+            fit = " and fit the object" if estimate is not None and estimate.consistent else ""
+            parts.append(f"{_listed(fingers)} touch{fit}")
+        elif fingers:
+            parts.append(f"only {fingers[0]} touches")
+        elif "touched" not in self.reason:
+            parts.append("no finger touches")
+        if estimate is not None:
+            least = self.slip.least or 0.0
+            if least >= 0.8 and not self.slip.slipping:
+                parts.append(f"the grip uses {least:.0%} of what friction holds")
+            if self.outliers:
+                parts.append(f"{_listed(self.outliers)} left out as wrong")
+            if math.isfinite(self.sigma) and "known to" not in self.reason:
+                digits = 0 if self.sigma >= 0.01 else 1
+                parts.append(f"the position is known to {1e3 * self.sigma:.{digits}f} mm")
+            rows = estimate.unobservable
+            if fingers and len(rows):
+                counts = ("no", "a", "two", "three", "four", "five", "six")
+                slides = int(sum(np.linalg.norm(row[:3]) >= np.linalg.norm(row[3:]) for row in rows))
+                kinds = ((slides, "slide"), (len(rows) - slides, "turn"))
+                flat = " and ".join(f"{counts[n]} {name}{'s' * (n > 1)}" for n, name in kinds if n)
+                parts.append(f"touch leaves {flat if len(rows) < 6 else 'every direction'} open")
+            others = [mode.weight for mode in estimate.hypotheses[1:] if mode.weight >= LIKELY]
+            if others:
+                parts.append(f"another pose is likely by {others[0]:.0%}")
+        return f"{self.state.capitalize()}: {'; '.join(parts)}."
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))

@@ -1,4 +1,4 @@
-"""A page that shows moments, to as many browsers as look at it."""
+"""A page that shows moments to all browsers that are open on it."""
 
 import contextlib
 import io
@@ -13,24 +13,23 @@ from handsight.checks import Array
 from handsight.errors import HandsightError, InvalidInput, MissingExtra
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
-from handsight.viewer.curves import Curves
 from handsight.viewer.moment import Moment
 from handsight.viewer.panel import Panel
 from handsight.viewer.picture import Picture
-from handsight.viewer.scene import LAYERS, Color, Scene
-
-HOST = "127.0.0.1"
+from handsight.viewer.scene import LAYERS, Color, MomentScene
+from handsight.viewer.timeline import Curves
 
 
 class PageOptions(NamedTuple):
     """`PageOptions` say where the page is served, and how often it is drawn."""
 
-    port: int = 8080  # the usual one
-    max_port: int = 65535  # the largest there is
+    host: str = "127.0.0.1"  # this machine alone
+    port: int = 8080  # the default
+    max_port: int = 65535  # the largest port
     min_change: float = 1e-3
-    """On the same image an outline whose pose has changed by less in any of its numbers is not drawn again."""
-    image_period: float = 0.1  # nor is any so soon [s]
-    distance: float = 2.4  # the camera's distance from the object and the palm, in half their span
+    """Change of a pose, in any of its numbers, below which its outline on the same image is not drawn again."""
+    image_period: float = 0.1  # between two outlines on the same image [s]
+    distance: float = 2.4  # of the camera from object and palm, relative to half their span
 
 
 PAGE = PageOptions()
@@ -45,51 +44,51 @@ def require_viser() -> ModuleType:
 
 
 class Page:
-    """A `Page` is a server on this machine alone, the scene and the panel on its page."""
+    """A `Page` is a server for this machine alone, with the scene and the panel on its page."""
 
     def __init__(
         self, rig: Rig, model: ObjectModel, *, port: int = PAGE.port, title: str = "handsight"
     ) -> None:
-        """Where `port` is taken, the next one that is free. Raises MissingExtra, HandsightError where none is."""
+        """Serves the page at `port`, or at the next free one; raises MissingExtra, or HandsightError where none is."""
         viser = require_viser()
         if not 1 <= port <= PAGE.max_port:  # viser would wait for ever
             raise InvalidInput(f"port: expected a number from 1 to {PAGE.max_port}, got {port}")
         try:
-            with _unsaid():
-                self.server = viser.ViserServer(host=HOST, port=port, label="handsight", verbose=False)
+            with _silent():
+                self.server = viser.ViserServer(host=PAGE.host, port=port, label="handsight", verbose=False)
         except OSError as error:
             raise HandsightError(f"port: expected one that is free from {port} on, got {error}") from None
         self.port: int = self.server.get_port()
-        """That it has."""
+        """The port at which the page is served."""
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
             self.begin(rig, model, title)
             undo.pop_all()
 
     def begin(self, rig: Rig, model: ObjectModel, title: str) -> None:
-        """Shows another object, or in another hand, and nothing of before."""
+        """Clears the page, to show another hand or another object."""
         self._rig, self._model = rig, model
-        self._lock = threading.Lock()  # who plays draws, and who chooses what is shown
+        self._lock = threading.Lock()  # both the player and the panel's checkboxes draw
         self._aimed = False
         self._drawn: tuple[Picture | None, float, dict[Color, Array]] = None, 0.0, {}
-        """The image that is shown, for which moment [s], and its outlines."""
+        """The image that is shown, the stamp of its moment [s], and its outlines."""
         self.last: Moment | None = None
-        """What is shown."""
+        """The moment that is shown."""
         with self.server.atomic():
             self.server.scene.reset()
             self.server.gui.reset()
             self.server.scene.configure_default_lights(cast_shadow=False)
-            self.scene = Scene(self.server.scene, rig, model)
+            self.scene = MomentScene(self.server.scene, rig, model)
             self.panel = Panel(self.server.gui, title or "object", self.scene.layers, self.redraw)
 
     @property
     def address(self) -> str:
-        """Where a browser finds it."""
-        return f"http://{HOST}:{self.port}"
+        """Address of the page for a browser."""
+        return f"http://{PAGE.host}:{self.port}"
 
     @property
     def watched(self) -> bool:
-        """Whether anybody looks."""
+        """Whether a browser is open on it."""
         return bool(self.server.get_clients())
 
     def draw(self, moment: Moment) -> None:
@@ -103,19 +102,19 @@ class Page:
             self.last = moment
 
     def draw_curves(self, curves: Curves, now: float) -> None:
-        """Plots curves, with a mark at a time [s] of theirs."""
+        """Plots curves, with a mark at one of their times [s]."""
         with self.server.atomic():
             self.panel.draw_curves(curves, now)
 
     def redraw(self) -> None:
-        """Shows the same moment, for what is wanted now."""
+        """Shows the same moment again, after a person has chosen other layers."""
         last = self.last
         if last is not None:
             self.draw(last)
 
     def close(self) -> None:
-        """Ends it; browsers that look keep what they have."""
-        with _unsaid():
+        """Ends the server; browsers keep what they show."""
+        with _silent():
             self.server.stop()
 
     def _draw_picture(self, moment: Moment) -> None:
@@ -125,7 +124,7 @@ class Page:
             return
         vision = None if moment.vision is None else moment.vision.T_palm_object
         poses = {
-            # Where the camera saw it: what took it into the palm takes it back.
+            # Vision's pose came into the palm by the calibrated camera, and goes back by it.
             "vision": (shown.T_camera_palm_calibrated, vision),
             "object": (shown.T_camera_palm, None if estimate is None else estimate.T_palm_object),
         }
@@ -143,7 +142,7 @@ class Page:
         self.panel.draw_image(shown.with_outlines(self._model, outlines))
 
     def _aim(self, moment: Moment) -> None:
-        """Has cameras look at the hand from the side, as the world stands, the first time."""
+        """Aims all cameras at the hand from the side, the world's vertical upright, when the first moment is drawn."""
         if self._aimed:
             return
         self._aimed = True
@@ -153,25 +152,21 @@ class Page:
         low, high = np.min(places, axis=0), np.max(places, axis=0)
         center, span = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
         up = np.array([0.0, 0.0, 1.0]) if moment.T_world_palm is None else moment.T_world_palm[2, :3]
-        position = center + PAGE.distance * span * side_view(places[-1] - places[0], up)
-        cameras = [self.server.initial_camera, *(c.camera for c in self.server.get_clients().values())]
+        # The view is across the line from palm to object, from somewhat above.
+        along = places[-1] - places[0]
+        across = np.cross(up, along)
+        if np.linalg.norm(across) < 0.2 * np.linalg.norm(along):
+            across = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+        across = across / np.linalg.norm(across)
+        view = across + 0.45 * np.cross(across, up) + 0.4 * up
+        position = center + PAGE.distance * span * np.asarray(view / np.linalg.norm(view))
         self.server.scene.set_up_direction(up)
-        for camera in cameras:
-            with contextlib.suppress(AttributeError):  # a client's is `up_direction`
-                camera.up = up
-            camera.position, camera.normals_at = position, center
+        self.server.initial_camera.up = up
+        for camera in (self.server.initial_camera, *(c.camera for c in self.server.get_clients().values())):
+            for name, value in (("position", position), ("look_at", center)):  # viser asks for this order
+                setattr(camera, name, value)
 
 
-def _unsaid() -> contextlib.redirect_stdout[io.StringIO]:
-    """Returns what viser prints within, its banner and its end, goes nowhere."""
+def _silent() -> contextlib.redirect_stdout[io.StringIO]:
+    """Returns a context within which viser prints neither its banner nor its end."""
     return contextlib.redirect_stdout(io.StringIO())
-
-
-def side_view(along: Array, up: Array) -> Array:
-    """Returns (3,) unit: from where both `along` and up are seen from the side, from somewhat above."""
-    across = np.cross(up, along)
-    if np.linalg.norm(across) < 0.2 * np.linalg.norm(along):
-        across = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    across = across / np.linalg.norm(across)
-    view = across + 0.45 * np.cross(across, up) + 0.4 * up
-    return np.asarray(view / np.linalg.norm(view))

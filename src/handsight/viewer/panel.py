@@ -1,31 +1,28 @@
-"""What stands beside the scene: the state and its reason, the camera's image, how errors went, what is shown."""
+"""The panel beside the scene: the state and its reason, the camera's image, curves of the errors, choice of layers."""
 
 import base64
 import html
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from handsight.checks import Array
 from handsight.tracking import State
-from handsight.viewer.curves import Curves
 from handsight.viewer.moment import Moment
 from handsight.viewer.picture import jpeg
 from handsight.viewer.scene import LAYERS
-from handsight.viewer.sentence import sentence
+from handsight.viewer.timeline import Curves
 from handsight.vision.pixels import Color
 
 if TYPE_CHECKING:
-    from viser import GuiApi
+    from viser import GuiApi, GuiCheckboxHandle
 
 
 STATES: dict[State, str] = {"tracking": "#2e7d32", "uncertain": "#c77800", "lost": "#b71c1c"}
-SIGMA, ERROR, NOW, SLIP = "#1565c0", "#d81b60", "#111111", "#6a1b9a"
-MOST_CHANGES = 200
-"""Of the state, that are drawn."""
-STATUS, CONTROLS, STRIP, CURVES, IMAGE, SHOWN = range(0, 60, 10)
-"""Places in the panel, from its top."""
+NOW, SLIP = "#111111", "#6a1b9a"
+CONTROLS = 10
+"""Position of a player's controls in the panel: after the status at 0, before the strip of states at 20."""
 
 
 class Panel:
@@ -34,45 +31,58 @@ class Panel:
     def __init__(
         self, gui: "GuiApi", title: str, layers: dict[str, bool], redraw: Callable[[], None]
     ) -> None:
-        """`gui`: viser's, of the server; `layers`: which are wanted, changed in place before `redraw` is called."""
+        """Adds the panel to viser's `gui`; a person's choice changes `layers` in place and calls `redraw`."""
         from viser import uplot
 
         self._gui, self._title, self._uplot = gui, title, uplot
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         gui.main_panel.dock_right()
-        self.status = gui.add_html("", order=STATUS)
-        gui.add_html(_legend(), order=STATUS + 1)
-        self.strip = gui.add_html("", order=STRIP)
+        self.status = gui.add_html("", order=0)
+        legend = "".join(
+            f'<span style="white-space:nowrap;margin-right:.9em"><span style="color:rgb{color}">&#9679;</span> '
+            f"{html.escape(label)}</span> "
+            for label, color in LAYERS.values()
+        )
+        legend = f'<div style="padding:0 .8em;color:#555;font-size:.74em">{legend}</div>'
+        gui.add_html(legend, order=1)
+        self.strip = gui.add_html("", order=20)
         self.curves: Any = None
-        self.image = gui.add_html("", order=IMAGE)
-        with gui.add_folder("What is shown", order=SHOWN, expand_by_default=False):
-            for name, (label, _) in LAYERS.items():
-                self._box(name, label, layers, redraw)
+        self.image = gui.add_html("", order=40)
 
-    def _box(self, name: str, label: str, layers: dict[str, bool], redraw: Callable[[], None]) -> None:
-        box = self._gui.add_checkbox(label, layers[name])
-
-        def chosen(_: object) -> None:
+        def choose(name: str, box: "GuiCheckboxHandle") -> None:
             layers[name] = box.value
             redraw()
 
-        box.on_update(chosen)
+        with gui.add_folder("What is shown", order=50, expand_by_default=False):
+            for name, (label, _) in LAYERS.items():
+                box = gui.add_checkbox(label, layers[name])
+                box.on_update(lambda _, name=name, box=box: choose(name, box))
 
     def draw(self, moment: Moment, forces: dict[str, Array]) -> None:
-        """Says how it is at a moment."""
-        color = STATES[moment.state]
-        _, _, why = sentence(moment).partition(": ")
-        fingers = "".join(_chips(moment, forces))
+        """Writes the state, its reason, and a label for each finger: its force, or why it has no contact."""
+        labels = ""
+        for name in (*moment.fingertips.fingers, *moment.fingertips.reasons):
+            color, label = "#9e9e9e", moment.fingertips.reasons.get(name, "")
+            if name in moment.fingertips.fingers:
+                rejected = name in moment.outliers
+                color = "#222" if rejected else "#c2185b"
+                label = f"{np.linalg.norm(forces[name]):.1f} N" if name in forces else "touches"
+                label = f"{label}, rejected" if rejected else label
+            labels += (
+                f'<span style="display:inline-block;background:{color};color:#fff;border-radius:.7em;'
+                f'padding:0 .6em;margin:0 .3em .2em 0"><b>{html.escape(name)}</b> {html.escape(label)}</span>'
+            )
+        _, _, why = moment.sentence.partition(": ")
         self.status.content = (
             f'<div style="padding:0 .8em;font-size:.86em;line-height:1.4">'
             f'<div style="color:#666">{html.escape(self._title)} · {moment.stamp:.2f} s</div>'
-            f'<div><b style="color:{color}">{moment.state.upper()}</b> {html.escape(why)}</div>'
-            f'<div style="margin:.3em 0">{fingers}</div></div>'
+            f'<div><b style="color:{STATES[moment.state]}">{moment.state.upper()}</b> {html.escape(why)}</div>'
+            f'<div style="margin:.3em 0">{labels}</div></div>'
         )
 
     def draw_image(self, image: Color) -> None:
-        """Shows an image."""
-        # viser's own element encodes it in five times the time.
+        """Shows an image (h, w, 3)."""
+        # viser's own element takes five times as long to encode it.
         data = base64.b64encode(jpeg(image)).decode()
         self.image.content = (
             '<div style="padding:0 .8em"><img alt="camera" style="width:100%;border-radius:.3em" '
@@ -80,16 +90,16 @@ class Panel:
         )
 
     def draw_curves(self, curves: Curves, now: float) -> None:
-        """Plots curves, with a mark at a time [s] of theirs."""
+        """Plots curves, with a mark at one of their times [s]."""
         if len(curves.times) < 2:
             return
         self.strip.content = _strip(curves, now)
         marked = np.full(len(curves.times), np.nan)
         k = int(np.searchsorted(curves.times, now, side="right")) - 1
         marked[max(k, 0)] = curves.sigmas[max(k, 0)]
-        lines = [(curves.sigmas, "σ [mm]", SIGMA)]
+        lines = [(curves.sigmas, "σ [mm]", "#1565c0")]
         if curves.errors is not None:
-            lines.append((curves.errors, "error [mm]", ERROR))
+            lines.append((curves.errors, "error [mm]", "#d81b60"))
         data = (curves.times, *(values for values, _, _ in lines), marked)
         if self.curves is not None and len(self.curves.series) == len(data):
             self.curves.data = data
@@ -104,46 +114,23 @@ class Panel:
             scales={"x": self._uplot.Scale(time=False), "y": self._uplot.Scale(distr=3)},
             height=200,
             padding=(12, 16, 0, 0),
-            order=CURVES,
+            order=30,
         )
-
-
-def _chips(moment: Moment, forces: dict[str, Array]) -> Iterator[str]:
-    """Yields a label for each finger: how hard it is pushed, or why it has no contact."""
-    touching, wrong = moment.fingertips.fingers, moment.outliers
-    for name in (*touching, *moment.fingertips.reasons):
-        color, label = "#9e9e9e", moment.fingertips.reasons.get(name, "")
-        if name in touching:
-            color = "#222" if name in wrong else "#c2185b"
-            label = f"{np.linalg.norm(forces[name]):.1f} N" if name in forces else "touches"
-            label = f"{label}, rejected" if name in wrong else label
-        yield (
-            f'<span style="display:inline-block;background:{color};color:#fff;border-radius:.7em;'
-            f'padding:0 .6em;margin:0 .3em .2em 0"><b>{html.escape(name)}</b> {html.escape(label)}</span>'
-        )
-
-
-def _legend() -> str:
-    dots = "".join(
-        f'<span style="white-space:nowrap;margin-right:.9em"><span style="color:rgb{color}">&#9679;</span> '
-        f"{html.escape(label)}</span> "
-        for label, color in LAYERS.values()
-    )
-    return f'<div style="padding:0 .8em;color:#555;font-size:.74em">{dots}</div>'
 
 
 def _strip(curves: Curves, now: float) -> str:
-    """Returns the states over time in their colours, with a mark."""
+    """Returns HTML of a strip of the states over time, in their colours, with slips and a mark at `now` [s]."""
+    most = 200  # changes of the state, and slips, that are drawn
     begin, end = curves.times[0], curves.times[-1]
     changes = [k for k, state in enumerate(curves.states) if k == 0 or state != curves.states[k - 1]]
-    changes = changes[:: max(1, -(-len(changes) // MOST_CHANGES))]
+    changes = changes[:: max(1, -(-len(changes) // most))]
     ends = [*(curves.times[k] for k in changes[1:]), end]
     spans = [
         f"{STATES[curves.states[k]]} {share(curves.times[k], begin, end)} {share(until, begin, end)}"
         for k, until in zip(changes, ends, strict=True)
     ]
     names = " ".join(f'<span style="color:{color}">&#9632; {name}</span>' for name, color in STATES.items())
-    slips = [slip for slip in curves.slips if slip[1] >= begin][-MOST_CHANGES:]
+    slips = [slip for slip in curves.slips if slip[1] >= begin][-most:]
     marks = "".join(
         f'<div title="slips" style="position:absolute;bottom:-.2em;height:.4em;min-width:3px;background:{SLIP};'
         f'left:{share(first, begin, end)};width:{share(begin + last - max(first, begin), begin, end)}"></div>'
@@ -160,5 +147,5 @@ def _strip(curves: Curves, now: float) -> str:
 
 
 def share(time: float, begin: float, end: float) -> str:
-    """Returns the place of a time between two others, as CSS has it."""
+    """Returns the position of a time between two others as a percentage of CSS."""
     return f"{100 * min(max((time - begin) / max(end - begin, 1e-9), 0.0), 1.0):.2f}%"

@@ -1,4 +1,4 @@
-"""A moment in three dimensions, in the palm's frame, as nodes of a viser scene."""
+"""A moment in three dimensions, in the palm's frame: nodes of a viser scene."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
@@ -9,10 +9,9 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
-from handsight.viewer.moment import Moment
+from handsight.viewer.moment import LIKELY, Moment
 from handsight.viewer.picture import Picture
-from handsight.viewer.sentence import LIKELY
-from handsight.viewer.shapes import ellipsoid, middle, opened
+from handsight.viewer.shapes import direction_line, ellipsoid, middle
 
 if TYPE_CHECKING:
     from viser import SceneApi, SceneNodeHandle
@@ -25,18 +24,18 @@ HAND: Color = (176, 182, 194)
 class SceneStyle(NamedTuple):
     """A `SceneStyle` says how hand, object and contacts are drawn."""
 
-    hand_opacity: float = 0.55  # contacts, and arrows that begin there, are visible through it
-    object_opacity: float = 0.75  # the same of the object
+    hand_opacity: float = 0.55  # contacts, and the arrows at them, are visible through the hand
+    object_opacity: float = 0.75  # and through the object
     ghost_opacity: float = 0.22  # of other modes
     ghost_scale: float = 1.01  # of other modes, so that equal surfaces do not flicker
-    max_modes: int = 3  # that are drawn
-    inside: float = 0.7  # an ellipsoid smaller than so many of the object's radii is taken to be in it
-    min_shift: float = 3e-4  # a link or a line that has moved by less is not sent again: joints tremble [m]
-    min_rotation: float = 2e-3  # or turned by less, in its quaternion
+    max_modes: int = 3  # other modes that are drawn
+    inside: float = 0.7  # semi-axis, in the object's radii, below which an ellipsoid is inside the object
+    min_shift: float = 3e-4  # smallest motion of a link or a line that is sent: joints tremble [m]
+    min_rotation: float = 2e-3  # smallest change of a link's quaternion that is sent
     normal_length: float = 0.02  # of a normal's arrow [m]
     force_length: float = 0.012  # of a force's arrow [m/N]
     max_force_length: float = 0.12  # of a force's arrow [m]
-    max_points: int = 4000  # of a cloud
+    max_points: int = 4000  # by which an object without triangles is drawn
 
 
 STYLE = SceneStyle()
@@ -52,41 +51,35 @@ LAYERS: dict[str, tuple[str, Color]] = {
     "open": ("left open by touch", (13, 71, 161)),
     "depth": ("depth image", (110, 110, 110)),
 }
-"""What can be shown, by name: in words, and in which colour."""
-REJECTED: Color = (30, 30, 30)
+"""What can be shown, by name: its label and colour."""
 
 
-class Scene:
-    """A `Scene` shows hand, object and contacts. Each `draw` sends what has changed."""
+class MomentScene:
+    """A `MomentScene` shows hand, object and contacts; each `draw` sends the changes to the browsers."""
 
     def __init__(self, scene: "SceneApi", rig: Rig, model: ObjectModel) -> None:
-        """`scene`: viser's, of the server."""
+        """Adds all nodes to viser's `scene`, invisible."""
         self._scene, self._rig, self._model = scene, rig, model
         self.layers = dict.fromkeys(LAYERS, True)
-        """Which are wanted."""
+        """Which layers are to be shown."""
+        style = {"color": HAND, "opacity": STYLE.hand_opacity, "visible": False}
         self.links = {
-            name: scene.add_mesh_simple(
-                f"/hand/{name.replace('/', '_')}",
-                *mesh,
-                color=HAND,
-                opacity=STYLE.hand_opacity,
-                visible=False,
-            )
+            name: scene.add_mesh_simple(f"/hand/{name.replace('/', '_')}", *mesh, **style)
             for name, mesh in rig.hand.link_meshes().items()
         }
-        self._handles = list(self.links.values())
         self._sent = {
-            part: np.full((len(self.links), n), np.inf) for part, n in (("position", 3), ("wxyz", 4))
+            "position": np.full((len(self.links), 3), np.inf),
+            "wxyz": np.full((len(self.links), 4), np.inf),
         }
-        """Of each link, as it was last sent."""
+        """Positions and quaternions of the links as they were last sent."""
         self._picture: Picture | None = None
         self.object = self._copy("/object", "object", STYLE.object_opacity)
         self.vision = self._copy("/vision", "vision", STYLE.ghost_opacity)
         self.modes = [self._copy(f"/modes/{k}", "modes", STYLE.ghost_opacity) for k in range(STYLE.max_modes)]
         none, gone = np.zeros((0, 3), np.float32), {"visible": False}
-        size = {"point_size": 0.006, "point_shape": "circle"}
+        size, black = {"point_size": 0.006, "point_shape": "circle"}, (30, 30, 30)
         self.contacts = scene.add_point_cloud("/contacts", none, LAYERS["contacts"][1], **size, **gone)
-        self.rejected = scene.add_point_cloud("/rejected", none, REJECTED, **size, **gone)
+        self.rejected = scene.add_point_cloud("/rejected", none, black, **size, **gone)
         self.normals = self._arrows("/normals", "contacts", 0.0008)
         self.forces = self._arrows("/forces", "forces", 0.0016)
         self.open_shifts = self._arrows("/open/slides", "open", 0.0015)
@@ -98,23 +91,28 @@ class Scene:
         self.depth = scene.add_point_cloud("/depth", np.zeros((1, 3)), (grey,), point_size=0.0012, **gone)
 
     def draw(self, moment: Moment, forces: Mapping[str, Array]) -> None:
-        """Shows a moment in place of the last one; `forces` by finger, as the moment has them."""
+        """Shows a moment in place of the last one; `forces` are those of `Moment.forces`."""
         self._draw_hand(moment.links(self._rig) if self.layers["hand"] else {})
+        self._draw_contacts(moment, forces)
         estimate, vision = moment.estimate, moment.vision
         self._put(self.object, "object", None if estimate is None else estimate.T_palm_object)
         self._put(self.vision, "vision", None if vision is None else vision.T_palm_object)
         others = [] if estimate is None else [mode for mode in estimate.modes[1:] if mode["weight"] >= LIKELY]
         for k, handle in enumerate(self.modes):
             self._put(handle, "modes", others[k]["T_palm_object"] if k < len(others) else None)
-        self._draw_contacts(moment, forces)
         self._draw_uncertainty(moment)
-        self._draw_depth(moment.picture)
+        picture = moment.picture if self.layers["depth"] else None
+        if picture is not None and len(picture.points_palm) and picture is not self._picture:
+            self._picture = picture
+            self.depth.points, self.depth.colors = picture.points_palm, picture.colors
+        _show(self.depth, picture is not None and len(picture.points_palm) > 0)
 
     def _draw_hand(self, links: Mapping[str, Array]) -> None:
-        there = [name in links for name in self.links]
-        for handle, visible in zip(self.links.values(), there, strict=True):
-            _see(handle, visible)
-        if not any(there):
+        """Shows the links at their poses (4, 4) in the palm, and hides those without one."""
+        known, handles = [name in links for name in self.links], list(self.links.values())
+        for handle, visible in zip(handles, known, strict=True):
+            _show(handle, visible)
+        if not any(known):
             return
         Ts = np.stack([links.get(name, np.eye(4)) for name in self.links])
         new = {
@@ -123,47 +121,44 @@ class Scene:
         }
         for part, (values, least) in new.items():
             sent = self._sent[part]
-            for k in np.flatnonzero((np.abs(values - sent) > least).any(axis=1) & there):
-                setattr(self._handles[k], part, values[k])
+            for k in np.flatnonzero((np.abs(values - sent) > least).any(axis=1) & known):
+                setattr(handles[k], part, values[k])
                 sent[k] = values[k]
 
     def _draw_contacts(self, moment: Moment, forces: Mapping[str, Array]) -> None:
+        """Shows contacts, rejected ones in black, their normals, and the forces on the fingers."""
         fingertips, wanted = moment.fingertips, self.layers["contacts"]
         points, normals = np.zeros((2, 0, 3))
         if fingertips.contacts is not None:
             points, normals = fingertips.contacts.points_palm, fingertips.contacts.normals_palm
-        wrong = np.array([name in moment.outliers for name in fingertips.fingers], dtype=bool)
+        rejected = np.array([name in moment.outliers for name in fingertips.fingers], dtype=bool)
         pressed = moment.skin.contacts()
         on_skin = np.zeros((0, 3)) if pressed is None else pressed.points_palm
-        self._set(self.contacts, np.concatenate([points[~wrong], on_skin]), wanted)
-        self._set(self.rejected, points[wrong], wanted)
+        self._set(self.contacts, np.concatenate([points[~rejected], on_skin]), wanted)
+        self._set(self.rejected, points[rejected], wanted)
         self._set(self.normals, np.stack([points, points + STYLE.normal_length * normals], axis=1), wanted)
-        arrows = [
-            (
-                point,
-                point
-                + force
-                * min(STYLE.force_length, STYLE.max_force_length / max(float(np.linalg.norm(force)), 1e-9)),
-            )
-            for name, point in zip(fingertips.fingers, points, strict=True)
-            if (force := forces.get(name)) is not None
-        ]
+        arrows = []
+        for name, point in zip(fingertips.fingers, points, strict=True):
+            if (force := forces.get(name)) is not None:
+                longest = STYLE.max_force_length / max(float(np.linalg.norm(force)), 1e-9)
+                arrows.append((point, point + force * min(STYLE.force_length, longest)))
         self._set(self.forces, np.array(arrows).reshape(-1, 2, 3), self.layers["forces"])
 
     def _draw_uncertainty(self, moment: Moment) -> None:
+        """Shows where the object's middle is with 95 %, and the directions that contacts leave open."""
         estimate, model = moment.estimate, self._model
         found = None if estimate is None else ellipsoid(estimate, model)
         self._put(self.covariance, "covariance", None if found is None else found.T_palm_axes)
         if found is not None and self.layers["covariance"]:
             self.covariance.scale = tuple(float(a) for a in found.semi_axes.clip(min=2e-4))
-            # Within the object it must be opaque to be drawn before it; around it, it must be seen through.
+            # Inside the object it must be opaque, to be drawn before it; around the object it must be translucent.
             inside = found.semi_axes.max() < STYLE.inside * model.radius
             self.covariance.opacity = None if inside else STYLE.ghost_opacity / 2
         open_shifts, turns = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 3))]
         if estimate is not None and moment.fingertips.fingers:
             center = middle(model, estimate.T_palm_object)
             for direction in estimate.unobservable:
-                line, turn = opened(direction, center, model)
+                line, turn = direction_line(direction, center, model)
                 if turn:
                     turns.append(np.stack([line[:-1], line[1:]], axis=1))
                     open_shifts.append(line[None, [-6, -1]])
@@ -172,59 +167,44 @@ class Scene:
         self._set(self.open_shifts, np.concatenate(open_shifts), self.layers["open"])
         self._set(self.turns, np.concatenate(turns), self.layers["open"])
 
-    def _draw_depth(self, picture: Picture | None) -> None:
-        there = picture is not None and len(picture.points_palm) > 0 and self.layers["depth"]
-        if there and picture is not None and picture is not self._picture:
-            self._picture = picture
-            self.depth.points, self.depth.colors = picture.points_palm, picture.colors
-        _see(self.depth, there)
-
     def _put(self, handle: "SceneNodeHandle", layer: str, T_palm_node: Array | None) -> None:
-        """Puts a node at a pose in the palm; gone where that is None or its layer is not wanted."""
-        there = T_palm_node is not None and self.layers[layer]
-        if there and T_palm_node is not None:
+        """Shows a node at its pose in the palm (4, 4), and hides it if that is None or its layer is not chosen."""
+        visible = T_palm_node is not None and self.layers[layer]
+        if visible and T_palm_node is not None:
             handle.position, handle.wxyz = T_palm_node[:3, 3], quaternions_wxyz(T_palm_node)
-        _see(handle, there)
+        _show(handle, visible)
 
     def _set(self, handle: "SceneNodeHandle", points: Array, wanted: bool) -> None:
-        before = handle.points
+        """Shows a node of points or lines, and hides it if there are none or they are not wanted."""
+        before, visible = handle.points, wanted and len(points) > 0
         # viser takes ten times as long to find that nothing has changed.
-        if (
-            wanted
-            and len(points)
-            and (points.shape != before.shape or np.abs(points - before).max() > STYLE.min_shift)
-        ):
+        if visible and (points.shape != before.shape or np.abs(points - before).max() > STYLE.min_shift):
             handle.points = points
-        _see(handle, wanted and len(points) > 0)
+        _show(handle, visible)
 
     def _copy(self, name: str, layer: str, opacity: float) -> "SceneNodeHandle":
-        """Returns the object, as triangles or as points."""
+        """Returns a node of the object, as triangles or as points."""
         model, color = self._model, LAYERS[layer][1]
         if len(model.faces):
-            # Two of them at one place would flicker.
             scale = 1.0 if layer == "object" else STYLE.ghost_scale
-            style = {
-                "color": color,
-                "opacity": opacity,
-                "scale": scale,
-                "visible": False,
-                "cast_shadow": False,
-            }
-            return self._scene.add_mesh_simple(name, model.vertices, model.faces, side="double", **style)
+            style = {"color": color, "opacity": opacity, "scale": scale, "visible": False}
+            mesh = model.vertices, model.faces
+            return self._scene.add_mesh_simple(name, *mesh, side="double", cast_shadow=False, **style)
         points, _ = model.sample(STYLE.max_points)
         return self._scene.add_point_cloud(name, points, color, point_size=0.0015, visible=False)
 
     def _arrows(self, name: str, layer: str, radius: float) -> "SceneNodeHandle":
+        """Returns a node of arrows with shafts of that radius [m]."""
         points, color = np.zeros((0, 2, 3), np.float32), LAYERS[layer][1]
         sizes = {"shaft_radius": radius, "head_radius": 2.6 * radius, "head_length": 6 * radius}
         return self._scene.add_arrows(name, points, color, **sizes, visible=False)
 
 
-def _see(handle: "SceneNodeHandle", visible: bool) -> None:
+def _show(handle: "SceneNodeHandle", visible: bool) -> None:
     if handle.visible is not visible:
         handle.visible = visible
 
 
 def quaternions_wxyz(Ts: Array) -> Array:
-    """Returns (..., 4) of poses (..., 4, 4), as viser takes them."""
+    """Returns the quaternions (..., 4), w first as in viser, of poses (..., 4, 4)."""
     return se3.quaternion_from_rotation(Ts[..., :3, :3])[..., [3, 0, 1, 2]]

@@ -1,11 +1,13 @@
-"""What is drawn of an answer beside the object: the edges of its surface, what is left open, how uncertain it is."""
+"""Shapes that are drawn of an object and an estimate: sharp edges, silhouette, flat directions, uncertainty."""
 
 from typing import NamedTuple
 
 import numpy as np
 import trimesh
+from scipy.ndimage import generate_binary_structure, iterate_structure, minimum_filter
 
 from handsight import se3
+from handsight.camera import Camera, Depth
 from handsight.checks import Array
 from handsight.correction import PoseEstimate
 from handsight.objects import ObjectModel
@@ -16,27 +18,28 @@ class ShapeStyle(NamedTuple):
     """A `ShapeStyle` says how edges and uncertain directions are drawn."""
 
     crease: float = np.deg2rad(25)  # angle between triangles at which an edge is drawn [rad]
-    open_shift: float = 0.65  # half a flat direction's double arrow in parts of the object's diameter
-    open_rotation: float = 0.62  # the radius of a turn's arc in parts of the object's radius
+    open_shift: float = 0.65  # half a slide's double arrow, relative to the object's diameter
+    open_rotation: float = 0.62  # the radius of a turn's arc, relative to the object's radius
     arc_points: int = 60  # of such an arc
     arc_angle: float = 1.6 * np.pi  # of such an arc [rad]
-    sigmas_95: float = 2.795  # standard deviations within which three numbers of a Gaussian are with 95 %
+    sigmas_95: float = 2.795  # standard deviations within which 95 % of a Gaussian in three dimensions are
+    cloud_points: int = 6000  # points by which the silhouette of an object without triangles is drawn
+    dot: int = 2  # how far each of these points is grown [pixels]
 
 
 SHAPES = ShapeStyle()
 
 
-class Open(NamedTuple):
-    """An `Open` is a direction that contacts leave open, as a line with an arrow's head at one of its ends, or at
-    both."""
+class DirectionLine(NamedTuple):
+    """A `DirectionLine` is an unobservable direction as a line: a slide's has arrowheads at both ends, a turn's one."""
 
     line: Array
-    """(n, 3) in the palm [m]: two ends of a slide, or an arc about the axis of a turn."""
+    """(n, 3) in the palm [m]: the ends of a slide, or an arc about the axis of a turn."""
     turn: bool
 
 
 class Ellipsoid(NamedTuple):
-    """An `Ellipsoid` says where the object's middle is with 95 %."""
+    """An `Ellipsoid` contains the object's middle with a probability of 95 %."""
 
     T_palm_axes: Array
     """(4, 4) its middle and principal axes."""
@@ -45,7 +48,7 @@ class Ellipsoid(NamedTuple):
 
 
 def creases(model: ObjectModel) -> Array:
-    """Returns (k, 2, 3) edges [m] at which the surface bends sharply or ends."""
+    """Returns edges (k, 2, 3) [m] at which the surface bends sharply or ends; none for an object without triangles."""
     if not len(model.faces):
         return np.empty((0, 2, 3))
     mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
@@ -54,28 +57,45 @@ def creases(model: ObjectModel) -> Array:
     return np.asarray(model.vertices[np.concatenate([sharp, edges[count == 1]])])
 
 
+def silhouette(camera: Camera, model: ObjectModel, T_camera_object: Array) -> Depth:
+    """Returns the depth (h, w) [m] that the camera would measure of the object alone, infinite beside it."""
+    if len(model.faces):
+        return camera.draw(se3.apply(T_camera_object, model.vertices), model.faces).depth
+    points = se3.apply(T_camera_object, model.sample(SHAPES.cloud_points)[0])
+    depth = np.full(camera.size[::-1], np.inf, dtype=np.float32)
+    pixels = camera.project(points)
+    inside = np.isfinite(pixels).all(axis=1) & (pixels > -0.5).all(axis=1)
+    inside &= (pixels < np.array(camera.size) - 0.5).all(axis=1)
+    u, v = np.round(pixels[inside]).astype(int).T
+    np.minimum.at(depth, (v, u), points[inside, 2].astype(np.float32))
+    # Each point is a dot in front of what is behind it.
+    dot = iterate_structure(generate_binary_structure(2, 1), SHAPES.dot)
+    return np.asarray(minimum_filter(depth, footprint=dot, mode="constant", cval=np.inf))
+
+
 def middle(model: ObjectModel, T_palm_object: Array) -> Array:
-    """Returns (3,) the object's middle in the palm [m]."""
+    """Returns the object's middle (3,) in the palm [m]."""
     return np.asarray(se3.apply(T_palm_object, model.center_object[None])[0])
 
 
-def opened(direction: Array, center: Array, model: ObjectModel) -> Open:
-    """Returns a direction (6,) of `PoseEstimate.unobservable` about the object's middle `center` (3,): a slide or a
-    turn, whichever it mostly is."""
-    # About the object's middle, where a turn leaves the drawn object in place.
+def direction_line(direction: Array, center: Array, model: ObjectModel) -> DirectionLine:
+    """Returns the line of a direction (6,) of `PoseEstimate.unobservable`: a slide or a turn, whichever it mostly is.
+
+    A turn is about the object's middle `center` (3,), where it leaves the drawn object in place.
+    """
     if np.linalg.norm(direction[:3]) >= np.linalg.norm(direction[3:]):
         reach = SHAPES.open_shift * model.diameter * direction[:3] / np.linalg.norm(direction[:3])
-        return Open(np.stack([center - reach, center + reach]), turn=False)
+        return DirectionLine(np.stack([center - reach, center + reach]), turn=False)
     axis = direction[3:] / np.linalg.norm(direction[3:])
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     side /= np.linalg.norm(side)
     angle = np.linspace(0, SHAPES.arc_angle, SHAPES.arc_points)[:, None]
     ring = np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)
-    return Open(center + SHAPES.open_rotation * model.radius * ring, turn=True)
+    return DirectionLine(center + SHAPES.open_rotation * model.radius * ring, turn=True)
 
 
 def ellipsoid(estimate: PoseEstimate, model: ObjectModel) -> Ellipsoid:
-    """Returns where the object's middle is; along what is open no longer than the object."""
+    """Returns the ellipsoid of the object's middle; along flat directions it is no longer than the object."""
     values, axes = np.linalg.eigh(point_uncertainty(estimate, model, model.center_object)[0])
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     semi_axes = SHAPES.sigmas_95 * np.sqrt(values.clip(min=0.0))

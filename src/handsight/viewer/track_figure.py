@@ -1,8 +1,7 @@
-"""A tracked recording as figure 8 of the paper: where vision saw the object, where it was tracked, where it was."""
+"""A tracked recording as figure 8 of the paper: the object's position as seen by vision, tracked, and true."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,33 +12,52 @@ from handsight.objects import ObjectModel
 from handsight.tracking.replay import Step
 from handsight.tracking.track_state import point_uncertainty
 from handsight.viewer.correction_figures import require_matplotlib, save
-from handsight.viewer.curves import slips_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-
-VISION, TRACKED, TRUTH = "0.6", "#c2185b", "black"
-MOST_POINTS = 2000
-SLIP = "#6a1b9a"
-STATES = {"tracking": "#2e7d32", "uncertain": "#e0a100", "lost": "#b71c1c"}
+from handsight.viewer.timeline import slips_of
 
 
 def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Truths, path: Path) -> None:
     """Writes x, y and z of the base's centre over time to an image file; raises MissingExtra, HandsightError."""
     plt = require_matplotlib()
-    every = max(1, len(steps) // MOST_POINTS)
+    from matplotlib.colors import ListedColormap
+
+    every = max(1, len(steps) // 2000)
     shown = [step for k, step in enumerate(steps) if k % every == 0 or step.T_palm_object_vision is not None]
     times = np.array([step.stamp - steps[0].stamp for step in shown])
     curves = _curves(model, shown, truths)
     figure, axes = plt.subplots(
         4, 1, figsize=(9, 9), sharex=True, height_ratios=[3, 3, 3, 0.5], layout="constrained"
     )
+    pink, grey = "#c2185b", "0.6"
     for k, axis in enumerate("xyz"):
-        _coordinate(axes[k], times, *curves[:, :, k])
+        tracked, vision, true, sigma = curves[:, :, k]
+        low, high = tracked - sigma, tracked + sigma
+        axes[k].fill_between(times, low, high, color=pink, alpha=0.15, lw=0, label="tracked, ± 1 σ")
+        axes[k].plot(times, vision, "o", mfc="none", mec=grey, ms=4, label="vision")
+        axes[k].plot(times, tracked, color=pink, lw=1.5, label="tracked")
+        known = np.flatnonzero(np.isfinite(true))
+        axes[k].plot(times[known][::10], true[known][::10], ".", color="black", ms=4, label="truth")
+        # The limits ignore sigma: vision's alone would flatten everything else.
+        drawn = np.concatenate([tracked, vision, true])
+        low, high = np.nanmin(drawn), np.nanmax(drawn)
+        axes[k].set_ylim(low - 0.1 * (high - low) - 0.5, high + 0.1 * (high - low) + 0.5)
+        axes[k].grid(alpha=0.3)
         axes[k].set_ylabel(f"{axis} [cm]")
-    _states(axes[3], steps)
-    _slips(axes, steps)
+    # A strip in the colours of the states; each state lasts to the next stamp.
+    colors = {"tracking": "#2e7d32", "uncertain": "#e0a100", "lost": "#b71c1c"}
+    edges = np.array([step.stamp for step in (*steps, steps[-1])]) - steps[0].stamp
+    strip = [[list(colors).index(step.state) for step in steps]]
+    axes[3].pcolormesh(edges, [0, 1], strip, cmap=ListedColormap(list(colors.values())), vmin=0, vmax=2)
+    axes[3].set_yticks([])
+    axes[3].set_ylabel("state", rotation=0, ha="right", va="center")
+    for k, (state, color) in enumerate(colors.items()):
+        axes[3].text(0.01 + 0.12 * k, -1.6, state, color=color, transform=axes[3].transAxes, fontsize=9)
+    # A mark over every plot while the object slips.
+    purple, slips = "#6a1b9a", slips_of((step.stamp, step.slip) for step in steps)
+    for first, last in slips:
+        for each in axes:
+            each.axvspan(first - steps[0].stamp, last - steps[0].stamp, color=purple, alpha=0.25, lw=0)
+    if slips:
+        axes[3].text(0.5, -1.6, "slips", color=purple, transform=axes[3].transAxes, fontsize=9)
     axes[3].set_xlabel("time [s]")
     world = any(step.T_world_palm is not None for step in steps)
     axes[0].set_title(f"{name}: centre of the base in the {'world' if world else 'palm'}'s frame")
@@ -47,7 +65,10 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
 
 
 def _curves(model: ObjectModel, steps: Sequence[Step], truths: Truths) -> Array:
-    """Returns (4, n, 3) [cm]: the base tracked, seen and true (NaN where not known), and sigma of the tracked."""
+    """Returns (4, n, 3) [cm]: positions of the base tracked, by vision and true, and sigma of the tracked one.
+
+    They are NaN where they are not known.
+    """
     curves = np.full((4, len(steps), 3), np.nan)
     for i, step in enumerate(steps):
         T_world_palm = np.eye(4) if step.T_world_palm is None else step.T_world_palm
@@ -60,41 +81,3 @@ def _curves(model: ObjectModel, steps: Sequence[Step], truths: Truths) -> Array:
         variance = (R @ point_uncertainty(step.estimate, model, base)[0] @ R.T).diagonal()
         curves[3, i] = 100 * np.sqrt(variance.clip(min=0.0))
     return curves
-
-
-def _coordinate(axes: "Axes", times: Array, tracked: Array, vision: Array, true: Array, sigma: Array) -> None:
-    axes.fill_between(
-        times, tracked - sigma, tracked + sigma, color=TRACKED, alpha=0.15, lw=0, label="tracked, ± 1 σ"
-    )
-    axes.plot(times, vision, "o", mfc="none", mec=VISION, ms=4, label="vision")
-    axes.plot(times, tracked, color=TRACKED, lw=1.5, label="tracked")
-    known = np.flatnonzero(np.isfinite(true))
-    axes.plot(times[known][::10], true[known][::10], ".", color=TRUTH, ms=4, label="truth")
-    # A σ of vision alone would flatten everything else.
-    all_there = np.concatenate([tracked, vision, true])
-    low, high = np.nanmin(all_there), np.nanmax(all_there)
-    axes.set_ylim(low - 0.1 * (high - low) - 0.5, high + 0.1 * (high - low) + 0.5)
-    axes.grid(alpha=0.3)
-
-
-def _slips(axes: "Sequence[Axes]", steps: Sequence[Step]) -> None:
-    """Draws a mark over every plot while the object slips."""
-    for k, (first, last) in enumerate(slips_of((step.stamp, step.slip) for step in steps)):
-        for axis in axes:
-            axis.axvspan(first - steps[0].stamp, last - steps[0].stamp, color=SLIP, alpha=0.25, lw=0)
-        if k == 0:
-            axes[3].text(0.5, -1.6, "slips", color=SLIP, transform=axes[3].transAxes, fontsize=9)
-
-
-def _states(axes: "Axes", steps: Sequence[Step]) -> None:
-    """Draws a strip in the state's colour."""
-    from matplotlib.colors import ListedColormap
-
-    # Each state lasts to the next stamp.
-    edges = np.array([step.stamp for step in (*steps, steps[-1])]) - steps[0].stamp
-    strip = [[list(STATES).index(step.state) for step in steps]]
-    axes.pcolormesh(edges, [0, 1], strip, cmap=ListedColormap(list(STATES.values())), vmin=0, vmax=2)
-    axes.set_yticks([])
-    axes.set_ylabel("state", rotation=0, ha="right", va="center")
-    for k, (name, color) in enumerate(STATES.items()):
-        axes.text(0.01 + 0.12 * k, -1.6, name, color=color, transform=axes.transAxes, fontsize=9)

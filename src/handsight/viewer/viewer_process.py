@@ -1,8 +1,8 @@
-"""The page of a tracker that runs, in a process of its own: what is drawn takes nothing of the tracker's time.
+"""The page of a tracker that runs, in a process of its own: drawing takes nothing of the tracker's time.
 
-In the tracker's own process Python's lock would be the page's for a fifth of the time, for milliseconds each. So what a
-tracker knows goes through a pipe, a frame each time that the page asks for one: 30 times a second at most, less where
-the machine has other things to do, and never while nobody looks.
+In the tracker's own process the page would hold Python's lock for a fifth of the time, for milliseconds each. So a
+tracker's knowledge goes through a pipe, a frame each time that the page asks for one: 30 times a second at most, less
+on a busy machine, and never while nobody watches.
 """
 
 import contextlib
@@ -21,74 +21,60 @@ from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking.camera_from_palm import CameraFromPalm
-from handsight.viewer.curves import Curves
 from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page
 from handsight.viewer.picture import picture
-
-
-class ViewerProcessOptions(NamedTuple):
-    """`ViewerProcessOptions` say how often the viewer's process works."""
-
-    frame: float = 1 / 30  # between two frames [s]
-    poll_period: float = 0.2  # between two looks whether a page is open [s]
-    niceness: int = 5  # a robot's own work goes first
-
-
-VIEWER_PROCESS = ViewerProcessOptions()
-
-BEGIN = """
-import sys
-from multiprocessing.connection import Connection
-pipe = Connection({})
-sys.path[:] = pipe.recv()
-from handsight.viewer.viewer_process import main
-main(pipe)
-"""
-"""What the process does; one of multiprocessing's would run the user's program again."""
+from handsight.viewer.timeline import TIMELINE, Curves
 
 
 class Shot(NamedTuple):
-    """A `Shot` is an image, and where the camera was by what was known then."""
+    """A `Shot` is an observation with images, and where the camera was believed to be then."""
 
     observation: Observation
     from_palm: CameraFromPalm
     T_world_palm: Array | None
 
 
-class Frame(NamedTuple):
-    """A `Frame` is what there is to draw."""
+class PageUpdate(NamedTuple):
+    """A `PageUpdate` is what the page is to draw."""
 
     begins: tuple[Rig, ObjectModel] | None
-    """The hand and the object; None: those of before."""
+    """Another hand and object; None: they are unchanged."""
     moment: Moment
     shot: Shot | None
-    """The newest; None: that of before, if any."""
+    """The newest; None: it is unchanged."""
     curves: Curves | None
-    """None: not now."""
+    """None: they are unchanged."""
 
 
 def begin() -> tuple[Connection, "subprocess.Popen[bytes] | None"]:
-    """Returns the process in which `main` runs, and the way to it."""
+    """Starts the process in which `main` runs; returns the pipe to it, and the process."""
     ours, theirs = Pipe()
     with theirs:
         handle = theirs.fileno()
-        process = subprocess.Popen(
-            [sys.executable, "-c", BEGIN.format(handle)], pass_fds=[handle], stdin=subprocess.DEVNULL
-        )
+        # A process of multiprocessing would run the user's program again.
+        code = f"""
+import sys
+from multiprocessing.connection import Connection
+pipe = Connection({handle})
+sys.path[:] = pipe.recv()
+from handsight.viewer.viewer_process import main
+main(pipe)
+"""
+        process = subprocess.Popen([sys.executable, "-c", code], pass_fds=[handle], stdin=subprocess.DEVNULL)
     ours.send(sys.path)
     return ours, process
 
 
 def main(pipe: "Connection[Any, Any]") -> None:
-    """Serves until whoever began it is gone, however that was: Ctrl-C is for them."""
+    """Serves the page until the process at the other end of the pipe is gone; Ctrl-C is for that one."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(VIEWER_PROCESS.niceness)
+    os.nice(5)  # a robot's own work goes first
     serve(pipe)
 
 
 def serve(pipe: "Connection[Any, Any]") -> None:
-    """Takes a rig, an object and a port, says where the page is, and draws what it asks for."""
+    """Receives a rig, an object and a port, sends the page's address or a HandsightError, and draws frames."""
     with contextlib.suppress(EOFError, OSError):
         rig, model, port = pipe.recv()
         try:
@@ -103,16 +89,19 @@ def serve(pipe: "Connection[Any, Any]") -> None:
 
 
 def _draw(page: Page, rig: Rig, pipe: "Connection[Any, Any]") -> None:
-    """Asks with True; False says that nobody looks. What comes unasked, or is None, is the end."""
+    """Draws frames: it asks for each with True, and sends False when nobody watches.
+
+    It ends with a frame that is None, or with a message that comes unasked.
+    """
     last: Moment | None = None
     while True:
         if not page.watched:
             pipe.send(False)
             while not page.watched:
-                if pipe.poll(VIEWER_PROCESS.poll_period):
+                if pipe.poll(0.2):
                     return
         pipe.send(True)
-        frame: Frame | None = pipe.recv()
+        frame: PageUpdate | None = pipe.recv()
         if frame is None:
             return
         began = time.monotonic()
@@ -123,4 +112,4 @@ def _draw(page: Page, rig: Rig, pipe: "Connection[Any, Any]") -> None:
         page.draw(last)
         if frame.curves is not None:
             page.draw_curves(frame.curves, 0.0)
-        time.sleep(max(0.0, VIEWER_PROCESS.frame - (time.monotonic() - began)))
+        time.sleep(max(0.0, TIMELINE.frame - (time.monotonic() - began)))

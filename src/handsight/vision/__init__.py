@@ -2,15 +2,14 @@
 
 from handsight._deprecated import renamed
 from handsight.vision.depth_noise import DepthNoise
-from handsight.vision.files import read_camera, read_color, read_depth
 from handsight.vision.object.depth_points import depth_points
 from handsight.vision.object.depth_tracker import DepthTracker, Sighting
 from handsight.vision.object.first_pose import ObjectDetection
-from handsight.vision.object.locate import locate
-from handsight.vision.object.recognition import Recognition, recognise
+from handsight.vision.object.locate import Recognition, locate, recognise
 from handsight.vision.palm.hand_appearance import HandAppearance, PlacedHand
 from handsight.vision.palm.hand_mask import hand_mask
 from handsight.vision.palm.palm_detector import PalmDetection, PalmNotFound, detect_palm, follow_palm
+from handsight.vision.pixels import read_camera, read_color, read_depth
 from handsight.vision.registration import register_color
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""What a depth camera does to a depth: noise, a bias that stays, and pixels without any."""
+"""The errors of depth cameras: noise, constant biases, and pixels without depth."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -13,31 +13,31 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.rig.rig import DepthCamera
 
-AXIAL = "axial"
 SIZES = ("step", "lateral", "smooth", "offset")
 SHARES = ("correlated", "edges", "dropouts")
 LARGEST = 100.0
-"""Of any number of it, in its unit; no camera is off by as much."""
+"""No number of a camera's errors is larger, in its unit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthNoise:
-    """A `DepthNoise` is a kind of depth camera's errors along its optical axis, at depth z [m]; each sigma is one
+    """A `DepthNoise` has the errors of a kind of depth camera along its optical axis, at depth z [m]; each sigma is one
     standard deviation.
 
-    Noise comes anew with each image. Smooth bias and offset are constant for one camera, as its calibration left them.
+    Noise is different in each image. Smooth bias and offset are constant for one camera, as its calibration left them.
     """
 
     axial: tuple[float, float, float]
-    """Noise of a pixel: sigma a + b z + c z² [m], rounding to steps in it."""
+    """Noise of a pixel: sigma a + b z + c z² [m], which includes that of rounding to steps."""
     step: float = 0.0
-    """Between neighbouring depths at 1 m [m]; it grows with z², for what is rounded is disparity. 0: none."""
+    """Between neighbouring depths at 1 m [m]; it grows with z², because the disparity is rounded. 0: none."""
     correlated: float = 0.0
-    """Share of the noise's variance, rounding aside, that neighbouring pixels have in common."""
+    """Share of the noise's variance, without that of rounding, that neighbouring pixels have in common."""
     correlation: float = 5.0
     """Distance at which their correlation has fallen to 1/e [pixels]."""
     lateral: float = 0.0
-    """By how much a pixel looks beside itself, along each axis: sigma, before it is a whole number [pixels]."""
+    """How far beside itself a pixel measures, along each axis: sigma, before it is rounded to a whole number
+    [pixels]."""
     smooth: float = 0.0
     """Constant bias that changes over the image: sigma at 1 m [m]; it grows with z²."""
     smooth_length: float = 40.0
@@ -53,40 +53,34 @@ class DepthNoise:
     nearest: float = 0.0
     """What is nearer has no depth [m]."""
     farthest: float = LARGEST
-    """[m]"""
+    """What is farther has no depth [m]."""
 
     def __post_init__(self) -> None:
         """Raises InvalidInput for what is no size, share or range."""
-        checks.finite(self.axial, AXIAL, (3,))
+        checks.finite(self.axial, "axial", (3,))
         for name in (*SIZES, *SHARES, "correlation", "smooth_length", "nearest", "farthest", "edge_width"):
-            value, most = (
-                float(checks.finite(getattr(self, name), name, ())),
-                1.0 if name in SHARES else LARGEST,
-            )
+            value = float(checks.finite(getattr(self, name), name, ()))
+            most = 1.0 if name in SHARES else LARGEST
             if not 0 <= value <= most:
                 raise InvalidInput(f"{name}: expected a number from 0 to {most:g}, got {value:g}")
         checks.integer(self.edge_width, "edge_width", int(LARGEST))
         if not self.nearest < self.farthest:
-            raise InvalidInput(
-                f"farthest: expected more than nearest, {self.nearest:g}, got {self.farthest:g}"
-            )
+            expected = f"expected more than nearest, {self.nearest:g}"
+            raise InvalidInput(f"farthest: {expected}, got {self.farthest:g}")
 
     def sigma(self, z: ArrayLike) -> Array:
-        """Returns standard deviation of a pixel's depth z [m] from image to image, of z's shape."""
+        """Returns the standard deviation [m] of a pixel's depth z [m] from image to image, of z's shape."""
         depth, (a, b, c) = np.asarray(z, dtype=np.float64), self.axial
         return np.asarray(np.maximum(a + depth * (b + depth * c), 0.0))
 
     def bias(self, z: ArrayLike) -> Array:
-        """Returns standard deviation of what is wrong with it in each image alike [m]: no number of images or pixels
-        of one place takes it away."""
+        """Returns the standard deviation [m] of the error of a depth z [m] that is the same in each image: no number of
+        images, or of pixels near one place, lowers it."""
         return np.hypot(self.offset, self.smooth * np.square(np.asarray(z, dtype=np.float64)))
 
     def times(self, amount: float) -> "DepthNoise":
-        """Returns the same with errors of `amount` times the size, and as many times the pixels lost; 0: exact in its
-        range.
-
-        Raises InvalidInput.
-        """
+        """Returns the same with errors, and shares of pixels without depth, `amount` times as large; raises
+        InvalidInput."""
         amount = float(checks.finite(amount, "amount", ()))
         if amount < 0:
             raise InvalidInput(f"amount: expected a number of at least 0, got {amount:g}")
@@ -112,43 +106,41 @@ STRUCTURED_LIGHT = DepthNoise(
 """A Kinect: disparity in eighths of a pixel, 2.85 mm at 1 m (Barron and Malik, CVPR 2013; Handa and others, ICRA 2014),
 with noise of .35 of a step over 5 pixels and .25 white. That is 1.5 mm z², as Khoshelham and Oude Elberink (Sensors
 2012) measured. Nguyen, Izadi and Lovell (3DIMPVT 2012) measured 1.2 + 1.9 (z - .4)² mm about planes fitted to the
-image, the smooth bias in it: so do both here, within a third from .65 to 1.4 m; nearer than that theirs is larger."""
+image, which include the smooth bias: both together are within a third of that from .65 to 1.4 m, and less than it
+nearer."""
 
-TIME_OF_FLIGHT = DepthNoise(
+TIME_OF_FLIGHT = dataclasses.replace(
+    STRUCTURED_LIGHT,
     axial=(1.5e-3, -0.5e-3, 0.3e-3),
+    step=0.0,
     correlated=0.5,
     correlation=3.0,
-    lateral=0.5,
     smooth=2e-3,
     offset=4e-3,
-    edges=0.6,
-    dropouts=0.005,
     nearest=0.5,
     farthest=4.5,
 )
 """A Kinect v2: 1.5 - 0.5 z + 0.3 z² mm (Fankhauser and others, ICAR 2015, facing the camera). Its successor's distances
-are off by up to 11 mm (Tölgyessy and others, Sensors 2021); their smooth part and the edges are assumed, and light that
-comes by way of other surfaces is not in it."""
+are off by up to 11 mm (Tölgyessy and others, Sensors 2021). The smooth part is assumed, the edges are those of
+STRUCTURED_LIGHT, and light that comes by way of other surfaces is not modelled."""
 
-STEREO = DepthNoise(
+STEREO = dataclasses.replace(
+    STRUCTURED_LIGHT,
     axial=(0.0, 0.0, 0.08 / (425 * 0.05)),
     step=1 / 32 / (425 * 0.05),
     correlated=0.8,
     correlation=8.0,
-    lateral=0.5,
     smooth=3e-3,
-    offset=1e-3,
-    edges=0.6,
     edge_width=3,
     dropouts=0.01,
     nearest=0.28,
     farthest=6.0,
 )
 """An active stereo camera as the RealSense D435: .08 pixels of disparity, z² · .08 px / (f B), at f = 425 px and
-B = 5 cm, in steps of 1/32 pixel. How far neighbours share their noise (the window that is matched), bias and edges are
+B = 5 cm, in steps of 1/32 pixel. The correlation (by the window that is matched), the bias and the edges are
 assumed."""
 
 PRESETS: Mapping[DepthCamera, DepthNoise] = MappingProxyType(
     {"structured_light": STRUCTURED_LIGHT, "time_of_flight": TIME_OF_FLIGHT, "stereo": STEREO}
 )
-"""By the names that a rig has for them."""
+"""Each kind of depth camera by its name in a rig."""

@@ -1,41 +1,111 @@
-"""Depth and colour images as bytes and whole numbers hold them, to metres and red, green, blue."""
+"""Depth and colour images, and cameras, from files and from bytes: in metres, and in red, green, blue."""
 
 import io
 import warnings
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
-from handsight.camera import Depth
+from handsight import checks
+from handsight.camera import MAX_PIXELS, Camera, Depth, check_lens
 from handsight.checks import MAX_DISTANCE
-from handsight.errors import InvalidInput, MissingExtra
+from handsight.errors import InvalidFile, InvalidInput, MissingExtra
+from handsight.files import read_bytes
+from handsight.msgspec_errors import decode
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-
 Color = NDArray[np.uint8]
-
-
-class DepthLimits(NamedTuple):
-    """`DepthLimits` are what a depth image may hold."""
-
-    max_pixels: int = 20_000_000  # of a compressed image, before it is unpacked; a kilobyte may hold as many
-    min_median: float = 0.02
-    """Median of what a depth camera measures, at least: below it the unit is another [m]."""
-    max_median: float = 20.0  # and at most [m]
-
-
-DEPTH_LIMITS = DepthLimits()
-
+Pixel = TypeVar("Pixel", bound=np.generic)
 MILLIMETRE = 1e-3
 
 
+class ImageLimits(NamedTuple):
+    """`ImageLimits` bound what images and the files of images and cameras may hold."""
+
+    max_image: int = 200_000_000  # bytes of an image's file
+    max_camera: int = 100_000  # bytes of a camera's file
+    max_pixels: int = 20_000_000  # of a compressed image, which a kilobyte may hold
+    min_scale: float = 1e-7  # least size of one step of a depth image [m]
+    max_scale: float = 1.0  # and largest [m]
+    min_median: float = 0.02  # of a depth image: below it the unit is another [m]
+    max_median: float = 20.0  # and above it [m]
+
+
+LIMITS = ImageLimits()
+
+Pixels = Annotated[float, Meta(gt=0, le=1e6)]
+Side = Annotated[int, Meta(gt=0, le=MAX_PIXELS)]
+
+
+class CameraForm(msgspec.Struct, forbid_unknown_fields=True):
+    """A `CameraForm` has the keys of a camera's file [pixels]."""
+
+    fx: Pixels
+    fy: Pixels
+    cx: float
+    cy: float
+    width: Side
+    height: Side
+    lens: list[float] = []
+
+    def __post_init__(self) -> None:
+        check_lens(self.lens, "lens")
+
+
+def read_camera(path: str | Path) -> Camera:
+    """Returns the camera of a JSON file; raises InvalidFile with the file's name and the key.
+
+    Its keys: fx, fy, cx, cy, width, height [pixels], and where images are not rectified `lens`: k1, k2, p1, p2[, k3[,
+    k4, k5, k6]] of OpenCV.
+    """
+    form = decode(read_bytes(path, LIMITS.max_camera), CameraForm, str(path))
+    K = np.array([[form.fx, 0, form.cx], [0, form.fy, form.cy], [0, 0, 1.0]])
+    try:
+        return Camera(K, (form.width, form.height), np.array(form.lens))
+    except InvalidInput as error:
+        raise InvalidFile(f"{path}: {error}") from None
+
+
+def read_depth(path: str | Path, scale: float = MILLIMETRE, *, camera: Camera | None = None) -> Depth:
+    """Returns the depth (h, w) [m] of a PNG of 16 bits, NaN where it holds 0.
+
+    `scale`: metres of a step; of a BOP scene a thousandth of its `depth_scale`. `camera`: whose size the image must
+    have. Raises InvalidFile for what is no such image, for one of another size or without any depth, and where the
+    median depth (below 2 cm or beyond 20 m) says that the unit is another; InvalidInput for the scale; MissingExtra.
+    """
+    unit = checks.positive(scale, "scale")
+    if not LIMITS.min_scale <= unit <= LIMITS.max_scale:
+        expected = f"expected metres from {LIMITS.min_scale:g} to {LIMITS.max_scale:g}"
+        raise InvalidInput(f"scale: {expected}, got {unit:g} (millimetres?)")
+    data = read_bytes(path, LIMITS.max_image)
+    try:
+        depth = metres(_of_size(sixteen_bits(data), camera), unit)
+    except InvalidInput as error:
+        raise InvalidFile(f"{path}: {error}") from None
+    if np.isnan(depth).all():
+        raise InvalidFile(f"{path}: expected depth, got none at any pixel")
+    return depth
+
+
+def read_color(path: str | Path, *, camera: Camera | None = None) -> Color:
+    """Returns red, green, blue (h, w, 3) of a PNG or JPEG, which must have the size of `camera`; raises InvalidFile,
+    MissingExtra."""
+    data = read_bytes(path, LIMITS.max_image)
+    try:
+        return _of_size(color(data), camera)
+    except InvalidInput as error:
+        raise InvalidFile(f"{path}: {error}") from None
+
+
 def metres(pixels: NDArray[np.generic], scale: float = MILLIMETRE) -> Depth:
-    """Returns depth (h, w) [m], NaN where there is none; of whole numbers, `scale` metres each and 0 for none, or of
-    metres.
+    """Returns the depth (h, w) [m], NaN where there is none, of whole numbers of `scale` metres, or of metres.
 
     Raises InvalidInput where the median says that the unit is another.
     """
@@ -47,37 +117,32 @@ def metres(pixels: NDArray[np.generic], scale: float = MILLIMETRE) -> Depth:
     sample = depth[::4, ::4]
     known = sample[~np.isnan(sample)]
     median = float(np.median(known)) if known.size else np.nan
-    if unit * median < DEPTH_LIMITS.min_median or unit * median > DEPTH_LIMITS.max_median:
-        guess = "another unit?" if is_integer or median < DEPTH_LIMITS.min_median else "millimetres?"
-        raise InvalidInput(f"expected depth in {_called(unit)}, got a median of {median:.4g} ({guess})")
+    if unit * median < LIMITS.min_median or unit * median > LIMITS.max_median:
+        guess = "another unit?" if is_integer or median < LIMITS.min_median else "millimetres?"
+        names = {1.0: "metres (32FC1)", MILLIMETRE: "millimetres (16UC1)"}
+        expected = names.get(unit, f"units of {1e3 * unit:g} mm")
+        raise InvalidInput(f"expected depth in {expected}, got a median of {median:.4g} ({guess})")
     return depth * np.float32(unit) if is_integer else depth
 
 
-def _called(unit: float) -> str:
-    names = {1.0: "metres (32FC1)", MILLIMETRE: "millimetres (16UC1)"}
-    return names.get(unit, f"units of {1e3 * unit:g} mm")
-
-
-Pixel = TypeVar("Pixel", bound=np.generic)
-
-
 def color(data: bytes) -> Color:
-    """Returns red, green, blue (h, w, 3) of the bytes of a PNG or JPEG; raises InvalidInput, MissingExtra."""
+    """Returns red, green, blue (h, w, 3) from the bytes of a PNG or JPEG; raises InvalidInput, MissingExtra."""
     return _opened(data, lambda image: np.asarray(image.convert("RGB"), dtype=np.uint8))
 
 
 def sixteen_bits(data: bytes) -> NDArray[np.uint16]:
-    """Returns the numbers (h, w) of the bytes of a PNG of 16 bits; raises InvalidInput, MissingExtra."""
-    return _opened(data, _sixteen_bits)
+    """Returns the numbers (h, w) from the bytes of a PNG of 16 bits; raises InvalidInput, MissingExtra."""
 
+    def read(image: "Image") -> NDArray[np.uint16]:
+        if not image.mode.startswith("I"):
+            raise InvalidInput(f"expected a PNG of 16 bits for depth, got mode {image.mode}")
+        return np.asarray(image).astype(np.uint16)
 
-def _sixteen_bits(image: "Image") -> NDArray[np.uint16]:
-    if not image.mode.startswith("I"):
-        raise InvalidInput(f"expected a PNG of 16 bits for depth, got mode {image.mode}")
-    return np.asarray(image).astype(np.uint16)
+    return _opened(data, read)
 
 
 def _opened(data: bytes, read: Callable[["Image"], NDArray[Pixel]]) -> NDArray[Pixel]:
+    """Returns what `read` makes of an image from its bytes; raises InvalidInput, MissingExtra."""
     try:
         from PIL import Image
     except ImportError:
@@ -86,10 +151,19 @@ def _opened(data: bytes, read: Callable[["Image"], NDArray[Pixel]]) -> NDArray[P
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
-                if image.width * image.height > DEPTH_LIMITS.max_pixels:
-                    raise InvalidInput(f"expected at most {DEPTH_LIMITS.max_pixels} pixels, got {image.size}")
+                if image.width * image.height > LIMITS.max_pixels:
+                    raise InvalidInput(f"expected at most {LIMITS.max_pixels} pixels, got {image.size}")
                 return read(image)
     except InvalidInput:
         raise
     except Exception as error:  # pillow's plugins raise many kinds; each says that the bytes are no image
         raise InvalidInput(f"expected a PNG or JPEG, got: {str(error)[:80]}") from None
+
+
+def _of_size(image: NDArray[Pixel], camera: Camera | None) -> NDArray[Pixel]:
+    """Returns the image; raises InvalidInput where it has another size than the camera."""
+    height, width = image.shape[:2]
+    if camera is not None and (width, height) != camera.size:
+        expected, across = camera.size
+        raise InvalidInput(f"expected {expected} x {across} pixels as the camera's, got {width} x {height}")
+    return image

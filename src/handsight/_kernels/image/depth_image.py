@@ -1,39 +1,44 @@
-"""What a depth image holds: connected parts, and surface normals at chosen pixels.
+"""Depth images as segments, as surface normals at chosen pixels, and as points near an object's surface.
 
-A plane's one over depth is linear in the rays, `n·(x, y, 1) = 1/z` for the plane `n·P = 1`, and so is its noise nearly
-the same at each pixel: planes are fitted there.
+On a plane `n·P = 1` one over the depth is linear in the rays, `n·(x, y, 1) = 1/z`, with noise that is about the same at
+each pixel; so normals are of planes that are fitted to it.
 """
 
 from typing import Any
 
 import numpy as np
 
-from handsight._kernels.image.pose_score import HAND, OUT, TABLE
-from handsight._kernels.math.vec3 import Vec3, norm, scale
+from handsight._kernels.image.vision_records import HAND, OUT, TABLE
+from handsight._kernels.math.symmetry import pose_of
+from handsight._kernels.math.vec3 import Vec3, add, dot, mul, norm, scale, store, sub, tmul, vector
+from handsight._kernels.mesh.field import field_at
 from handsight._kernels.runtime.compilation import entry, inner
 
-HALF_WINDOW, LEAST_NEIGHBOURS = 4, 15
-"""Of the window for a normal [pixels], and how many of its pixels must be on the surface."""
-STEP, STEP_BY_SQUARE = 4e-3, 6e-3
-"""Neighbouring pixels nearer than this [m], and this times the square of the depth, are of one part."""
+HALF_WINDOW, MIN_NEIGHBOURS = 4, 15
+"""Half the side of the window for a normal [pixels], and how many of its pixels must be on the surface."""
 OPEN = -4
-"""Label of a pixel of a part that has no number yet."""
-SLOTS = 4
-"""Of a table of cells, for each that may be taken."""
+"""Label of a pixel whose segment has no number yet."""
 
 
 @inner
 def step_at(z: float) -> float:
-    """Returns the largest step in depth between neighbours of one part [m]."""
-    return STEP + STEP_BY_SQUARE * z * z
+    """Returns the largest step in depth [m] between neighbouring pixels of one segment."""
+    return 4e-3 + 6e-3 * z * z
+
+
+@inner
+def _point(rays: Any, depth: Any, v: int, u: int) -> Vec3:
+    """Returns the point of the pixel in row v and column u [m]."""
+    z = depth[v, u]
+    return rays[v, u, 0] * z, rays[v, u, 1] * z, z
 
 
 @entry
 def sort_pixels(rays: Any, image: Any, table: Any, known: Any, labels: Any) -> None:
-    """Fills in what is known of the depth (h, w), 0 elsewhere, and labels (h, w): `OPEN`, `TABLE`, `HAND` or `OUT`.
+    """Fills in the known depth (h, w), 0 where there is none, and labels (h, w): `OPEN`, `TABLE`, `HAND` or `OUT`.
 
-    image: depth, and whether a pixel is wanted and of the hand (h, w) each. table: (5,) normal and offset, and how near
-    it is the table's [m], which grows with the square of a depth above 1 m.
+    image: depth, whether a pixel is wanted, and whether it is of the hand, (h, w) each. table (5,): normal, offset, and
+    the distance within which a point is the table's [m], which grows with the square of a depth above 1 m.
     """
     depth, wanted, hand = image
     for v in range(depth.shape[0]):
@@ -53,10 +58,10 @@ def sort_pixels(rays: Any, image: Any, table: Any, known: Any, labels: Any) -> N
 
 @entry
 def label_parts(depth: Any, labels: Any, least: int, sizes: Any) -> int:
-    """Numbers the connected parts of `OPEN` pixels in `labels` (h, w) from 0 on, and fills in their sizes;
-    how many.
+    """Numbers the segments of `OPEN` pixels in `labels` (h, w) from 0 on, fills in their sizes, and returns their
+    number.
 
-    Parts of less than `least` pixels are `OUT`.
+    Segments of less than `least` pixels become `OUT`.
     """
     height, width = depth.shape
     part, count = np.empty((height * width, 2), np.int64), 0
@@ -85,10 +90,14 @@ def label_parts(depth: Any, labels: Any, least: int, sizes: Any) -> int:
 
 @entry
 def spread(rays: Any, depth: Any, order: Any, spacing: float, chosen: Any) -> int:
-    """Fills in the first of pixels (n,), by row and column in one, in each cube of space so wide [m]; how many."""
+    """Fills in the first of the pixels `order` (n,), by row and column in one, in each cube of space so wide [m], and
+    returns how many there are.
+
+    The cubes are found in a hash table with four slots for each that may be filled.
+    """
     width, free = depth.shape[1], np.iinfo(np.int64).min
     size = 1
-    while size < SLOTS * len(chosen):
+    while size < 4 * len(chosen):
         size *= 2
     taken, count = np.full(size, free), 0
     for pixel in order:
@@ -110,7 +119,7 @@ def spread(rays: Any, depth: Any, order: Any, spacing: float, chosen: Any) -> in
 
 @inner
 def normal_at(rays: Any, depth: Any, v: int, u: int) -> Vec3:
-    """Returns the unit normal, towards the camera, of what is seen at a pixel; zero where its surroundings are no
+    """Returns the unit normal, towards the camera, of the surface at a pixel; zero where its window shows no
     surface."""
     z, x0, y0 = depth[v, u], rays[v, u, 0], rays[v, u, 1]
     step, count = 2 * step_at(z), 0
@@ -125,7 +134,7 @@ def normal_at(rays: Any, depth: Any, v: int, u: int) -> Vec3:
             sx, sy, sd = sx + x, sy + y, sd + d
             xd, yd = xd + x * d, yd + y * d
             count += 1
-    if count < LEAST_NEIGHBOURS:
+    if count < MIN_NEIGHBOURS:
         return 0.0, 0.0, 0.0
     xx, xy, yy = xx - sx * sx / count, xy - sx * sy / count, yy - sy * sy / count
     xd, yd = xd - sx * sd / count, yd - sy * sd / count
@@ -139,10 +148,73 @@ def normal_at(rays: Any, depth: Any, v: int, u: int) -> Vec3:
 
 @entry
 def normals_at(rays: Any, depth: Any, labels: Any, pixels: Any, out: Any) -> None:
-    """Fills in the DEPTH_POINT (n,) of pixels (n,), by row and column in one."""
+    """Fills in the DEPTH_POINT `out` (n,) of pixels (n,), given by row and column in one."""
     for n in range(len(pixels)):
         v, u = pixels[n] // depth.shape[1], pixels[n] % depth.shape[1]
-        z, point = depth[v, u], out[n]
-        point.point[0], point.point[1], point.point[2] = rays[v, u, 0] * z, rays[v, u, 1] * z, z
-        point.normal[0], point.normal[1], point.normal[2] = normal_at(rays, depth, v, u)
-        point.part = labels[v, u]
+        store(_point(rays, depth, v, u), out[n].point)
+        store(normal_at(rays, depth, v, u), out[n].normal)
+        out[n].part = labels[v, u]
+
+
+@entry
+def leave_out_plane(image: Any, window: Any) -> None:
+    """Labels the window's pixels on or behind its plane as `OUT`; image: rays (h, w, 2), depth [m] and labels (h,
+    w)."""
+    rays, depth, labels = image
+    here = window[0]
+    normal, offset, within = vector(here.plane), here.plane[3], here.plane_within
+    for v in range(here.rows[0], here.rows[1]):
+        for u in range(here.columns[0], here.columns[1]):
+            z = depth[v, u]
+            height = dot(normal, _point(rays, depth, v, u)) + offset
+            if height <= within * max(z * z, 1.0):
+                labels[v, u] = OUT
+
+
+@inner
+def _gathered(surface: Any, image: Any, window: Any, at: Any, found: Any) -> int:
+    """Fills in the pixels, by row and column in one, whose points are near the surface at a POSE; returns their number.
+
+    window: WINDOW, and the step from pixel to pixel.
+    """
+    model, nodes = surface
+    rays, depth, labels = image
+    here, step = window
+    coarse, R, p = model[0].coarse, pose_of(at)[0], pose_of(at)[1]
+    # No point of an object is farther from its centre than 1.2 radii.
+    center, reach2 = add(mul(R, vector(model[0].center)), p), (1.2 * model[0].radius + here.within) ** 2
+    count = 0
+    for v in range(here.rows[0], here.rows[1], step):
+        for u in range(here.columns[0], here.columns[1], step):
+            if labels[v, u] < 0 or not depth[v, u] > 0:
+                continue
+            P = _point(rays, depth, v, u)
+            way = sub(P, center)
+            if dot(way, way) < reach2 and abs(field_at(nodes, coarse, tmul(R, sub(P, p)))[0]) < here.within:
+                found[count] = v * depth.shape[1] + u
+                count += 1
+    return count
+
+
+@entry
+def near_points(surface: Any, image: Any, window: Any, candidate: Any, out: Any) -> int:
+    """Fills in DEPTH_POINT (n,) with points near the surface at CANDIDATE (1,), evenly over all such; returns how many.
+
+    surface: MODEL (1,), its nodes. image: rays (h, w, 2), depth (h, w) [m], labels (h, w), of which the negative are
+    left out. window: WINDOW (1,), whose step is made smaller until there are n.
+    """
+    here, step = window[0], window[0].step
+    rays, depth, _ = image
+    while True:
+        rows, columns = here.rows[1] - here.rows[0], here.columns[1] - here.columns[0]
+        found = np.empty((rows // step + 1) * (columns // step + 1), np.int64)
+        count = _gathered(surface, image, (here, step), candidate[0].pose, found)
+        if step == 1 or count >= len(out):
+            break
+        # Where most of the object is hidden, the visible part still gives that many points.
+        step = max(1, min(step - 1, int(step * np.sqrt(count / len(out)))))
+    kept = min(count, len(out))
+    for n in range(kept):
+        place = found[n * count // kept]
+        store(_point(rays, depth, place // depth.shape[1], place % depth.shape[1]), out[n].point)
+    return kept

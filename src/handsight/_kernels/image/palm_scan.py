@@ -1,6 +1,6 @@
 """Where in a depth image a hand may be: turned and shifted in steps, each time as far away as most of it agrees.
 
-It is looked at in cells of even size along the rays, so that neither the image's resolution nor its lens has a say.
+The image is sampled in cells of even size along the rays, so that neither its resolution nor its lens matters.
 """
 
 from typing import Any, NamedTuple
@@ -9,7 +9,7 @@ import numpy as np
 
 from handsight._kernels.image.depth_image import normal_at
 from handsight._kernels.image.pinhole import project
-from handsight._kernels.math.vec3 import matrix, mul, norm, vector
+from handsight._kernels.math.vec3 import matrix, mul, norm, store, vector
 from handsight._kernels.runtime.compilation import entry, inner
 
 
@@ -34,9 +34,9 @@ PALM_SCAN = PalmScanOptions()
 
 @entry
 def cells_of(camera: Any, rays: Any, depth: Any, corner: Any, cells: Any) -> None:
-    """Fills in `cells` (h, w, 4): depth and normal along the rays `corner[:2] + corner[2] · (column, row)`.
+    """Fills in `cells` (h, w, 4): depth [m] and normal along the rays `corner[:2] + corner[2] · (column, row)`.
 
-    Depth 0: none there; below 0: out of the image. Normal 0: none.
+    The depth is 0 where there is none, -1 out of the image; the normal is 0 where there is none.
     """
     height, width = depth.shape
     for i in range(cells.shape[0]):
@@ -56,7 +56,10 @@ def cells_of(camera: Any, rays: Any, depth: Any, corner: Any, cells: Any) -> Non
 
 @inner
 def _best(there: Any, agree: Any, visible: float) -> tuple[float, int]:
-    """Returns by how much most agree, and the bin in which they do, from the middle one."""
+    """Returns the best score of any distance bin, and that bin, counted from the middle one.
+
+    there, agree: visible points and those that agree, by bin; visible: how many points are visible in all.
+    """
     half, best, where = PALM_SCAN.range_bins // 2, -np.inf, 0
     for b in range(half - PALM_SCAN.tried_bins, half + PALM_SCAN.tried_bins + 1):
         good, near, before = 0.0, 0.0, 0.0
@@ -72,10 +75,12 @@ def _best(there: Any, agree: Any, visible: float) -> tuple[float, int]:
 
 
 @entry
-def scan(cells: Any, corner: Any, hand: Any, middles: Any, rotations: Any, found: Any) -> None:
-    """Fills in `found` (r, s, 2): by how much the image agrees, and how much farther it is [m], for the best distance.
+def scan(
+    cells: Any, corner: Any, bin_width: float, hand: Any, middles: Any, rotations: Any, found: Any
+) -> None:
+    """Fills in `found` (r, s, 2): the score of the best distance, and how much farther away than the middle it is [m].
 
-    corner: as of `cells_of`, and how wide a bin of distances is [m]. hand: points about its middle and normals
+    corner: as of `cells_of`. bin_width: of the bins of distances [m]. hand: points about its middle and normals
     (2, m, 3), normals of 0 for points in the air beside it. rotations (r, 3, 3), middles (s, 3) of it in the camera.
     """
     height, width, count = cells.shape[0], cells.shape[1], hand.shape[1]
@@ -84,12 +89,12 @@ def scan(cells: Any, corner: Any, hand: Any, middles: Any, rotations: Any, found
         np.empty(PALM_SCAN.range_bins),
         np.empty((count, 2, 3)),
     )
-    half, finer, bins = PALM_SCAN.range_bins // 2, 1 / corner[2], 1 / corner[3]
+    half, finer, bins = PALM_SCAN.range_bins // 2, 1 / corner[2], 1 / bin_width
     for r in range(len(rotations)):
         R = matrix(rotations[r])
         for m in range(count):
             for side in range(2):
-                turned[m, side, 0], turned[m, side, 1], turned[m, side, 2] = mul(R, vector(hand[side, m]))
+                store(mul(R, vector(hand[side, m])), turned[m, side])
         for s in range(len(middles)):
             c = vector(middles[s])
             least, visible, out = PALM_SCAN.facing_cosine * norm(c), 0.0, 0.0
@@ -119,7 +124,5 @@ def scan(cells: Any, corner: Any, hand: Any, middles: Any, rotations: Any, found
             found[r, s, 0], found[r, s, 1] = -np.inf, 0.0
             if visible >= PALM_SCAN.min_visible:
                 score, away = _best(there, agree, visible)
-                found[r, s, 0], found[r, s, 1] = (
-                    score / (visible + out + PALM_SCAN.visible_slack),
-                    away * corner[3],
-                )
+                found[r, s, 0] = score / (visible + out + PALM_SCAN.visible_slack)
+                found[r, s, 1] = away * bin_width

@@ -11,12 +11,12 @@ from handsight._kernels.math.vec3 import Vec3
 from handsight._kernels.runtime.compilation import entry, inner
 
 PASSES, TOLERANCE = 60, 1e-9
-"""Most steps to a ray's slope, and what of it is left when that has ended."""
+"""Most steps of the fixed-point iteration to a ray, and the error of its slopes at which it has converged."""
 
 
 @inner
 def lens(camera: Any, x: float, y: float) -> tuple[float, float]:
-    """Returns where the lens bends a ray to; plumb_bob (k4 to k6: 0) or rational polynomial."""
+    """Returns the slopes of a ray behind the lens: plumb_bob (k4 to k6 are 0) or rational polynomial."""
     k, r2 = camera.lens, x * x + y * y
     p1, p2 = k[2], k[3]
     radial = (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
@@ -40,7 +40,8 @@ def project(camera: Any, point: Vec3) -> tuple[float, float]:
 
 @entry
 def rays(camera: Any, out: Any) -> float:
-    """Fills in the ray of each pixel, `out` (h, w, 2), NaN where the lens leads none there; largest squared slope."""
+    """Fills in the ray of each pixel, `out` (h, w, 2), NaN where the lens leads none; returns the largest squared
+    slope."""
     steepest = 0.0
     for v in range(out.shape[0]):
         for u in range(out.shape[1]):
@@ -62,6 +63,6 @@ def rays(camera: Any, out: Any) -> float:
 
 @entry
 def pixels_of(camera: Any, points: Any, out: Any) -> None:
-    """Fills in column and row `out` (n, 2) of points (n, 3) in the camera, NaN where they are not seen."""
+    """Fills in column and row `out` (n, 2) of points (n, 3) in the camera, NaN where they are out of view."""
     for n in range(len(points)):
         out[n, 0], out[n, 1] = project(camera[0], (points[n, 0], points[n, 1], points[n, 2]))

@@ -1,7 +1,7 @@
-"""What a depth image says of an object at a pose: pixels that it explains, that see past it, that hide it.
+"""How well a depth image supports an object at a pose: pixels that it explains, that see past it, that hide it.
 
-Surface samples stand for the object, those of them that can be seen from about the camera's side, each worth the pixels
-that its area covers.
+Samples of its surface stand for the object: those that are visible from about the camera's direction, each with as many
+pixels as its area covers in the image.
 """
 
 from typing import Any, NamedTuple
@@ -9,65 +9,62 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handsight._kernels.image.pinhole import project
+from handsight._kernels.image.vision_records import HAND, TABLE
 from handsight._kernels.math.symmetry import pose_of
-from handsight._kernels.math.vec3 import add, dot, mul, norm, scale, tmul, vector
+from handsight._kernels.math.vec3 import Vec3, add, dot, mul, norm, scale, tmul, vector
 from handsight._kernels.mesh.field import field_at
 from handsight._kernels.runtime.compilation import entry, inner
 
 
-class PoseScoreOptions(NamedTuple):
-    """`PoseScoreOptions` say how well a pose of the object explains a depth image, pixel by pixel."""
+class ScoreWeights(NamedTuple):
+    """`ScoreWeights` say what pixels add to the score of a pose, against an explained one."""
 
-    facing_cosine: float = 0.12
-    """Least cosine between a sample's normal and the way to the camera for the sample to be visible."""
-    max_range: float = 2.2  # how far the way to the camera is followed [radii]
-    max_steps: int = 60  # steps along it
-    passed_weight: float = 2.0  # of a pixel that the camera sees past, against an explained one
-    hidden_weight: float = 0.3  # of a pixel that something hides
-    unexplained_weight: float = 0.5  # of a pixel of the same part that the object does not explain
-    max_unexplained: float = 2.0  # unexplained pixels that count at most, per explained one
+    passed: float  # of a pixel where the camera sees past
+    hidden: float  # of a pixel that something hides
+    unexplained: float  # of a pixel near by that is not explained
+    max_unexplained: float  # unexplained pixels that count at most, per expected one
+    min_expected: float  # least number of expected pixels that a share is taken of [pixels]
+    unknown: float = 0.5  # what a pixel without depth adds to those that are expected
     size_exponent: float = 0.7
     """Of the number of pixels: a sum prefers what is large and near, a share what is tiny."""
-    unknown_weight: float = 0.5  # of a pixel without depth that the object would fill
-    min_expected: float = 30.0  # least number of expected pixels that a share is taken of [pixels]
 
 
-POSE_SCORE = PoseScoreOptions()
-
-TABLE, HAND, OUT = -3, -2, -1
-"""Labels of pixels that are the table's, the hand's, and of no part that is looked at."""
+POSE_SCORE = ScoreWeights(passed=2.0, hidden=0.3, unexplained=0.5, max_unexplained=2.0, min_expected=30.0)
+MIN_FACING = 0.12
+"""Least cosine between a sample's normal and the direction to the camera for the sample to be visible."""
 
 
 @entry
 def visible_sets(model: Any, nodes: Any, points: Any, normals: Any, directions: Any, visible: Any) -> None:
-    """Fills in which samples (m,) are seen from far along each direction (k, 3): `visible` (k, m).
+    """Fills in which samples (m,) are visible from far away along each direction (k, 3): `visible` (k, m).
 
-    The way is followed through the fine field, in steps of its distance, so that nothing is drawn.
+    The ray to there is followed through the fine field in steps of the distance that it gives, up to 2.2 radii.
     """
     radius, field = model[0].radius, model[0].fine
     for k in range(len(directions)):
         way = vector(directions[k])
         for m in range(len(points)):
             place, normal = vector(points[m]), vector(normals[m])
-            visible[k, m] = dot(normal, way) > POSE_SCORE.facing_cosine
+            visible[k, m] = dot(normal, way) > MIN_FACING
             if not visible[k, m]:
                 continue
             along, start = 0.0, add(place, scale(normal, 0.02 * radius))
-            for _ in range(POSE_SCORE.max_steps):
+            for _ in range(60):
                 distance, _, _ = field_at(nodes, field, add(start, scale(way, along)))
                 if distance < -0.01 * radius:
                     visible[k, m] = False
                     break
                 along += max(distance, 0.03 * radius)
-                if along > POSE_SCORE.max_range * radius:
+                if along > 2.2 * radius:
                     break
 
 
 @inner
-def _nearest(directions: Any, way: tuple[float, float, float]) -> int:
+def _nearest(directions: Any, way: Vec3) -> int:
+    """Returns which of the directions (k, 3) is nearest to a direction."""
     best, most = 0, -np.inf
     for k in range(len(directions)):
-        cosine = directions[k, 0] * way[0] + directions[k, 1] * way[1] + directions[k, 2] * way[2]
+        cosine = dot(vector(directions[k]), way)
         if cosine > most:
             best, most = k, cosine
     return best
@@ -77,12 +74,12 @@ def _nearest(directions: Any, way: tuple[float, float, float]) -> int:
 def _add(
     image: Any, sample: tuple[float, float, float, float], bound: float, candidate: Any, explained: Any
 ) -> None:
-    """Adds what the image says of a sample at (column, row, depth) that is worth so many pixels."""
+    """Adds to a candidate what the image says of a sample: its column, row, depth [m] and number of pixels."""
     depth, labels = image
     column, row, z, pixels = int(sample[0] + 0.5), int(sample[1] + 0.5), sample[2], sample[3]
     observed, label = depth[row, column], labels[row, column]
     if not observed > 0:
-        candidate.expected += POSE_SCORE.unknown_weight * pixels
+        candidate.expected += POSE_SCORE.unknown * pixels
         return
     off = observed - z
     if off < -bound and label == HAND:
@@ -100,38 +97,33 @@ def _add(
 
 
 @inner
-def _score(sizes: Any, explained: Any, candidate: Any) -> None:
-    """Finishes what `_add` has added up; unexplained are pixels of the parts that it lies on, by share."""
-    unexplained = total = 0.0
-    for part in range(len(sizes)):
-        unexplained += explained[part] * max(sizes[part] - explained[part], 0.0)
-        total += explained[part]
-    candidate.unexplained = unexplained / total if total > 0 else 0.0
+def finish_score(weights: ScoreWeights, candidate: Any) -> None:
+    """Fills in the score of a candidate whose pixels are counted, and makes `rms` of its sum of squared distances."""
     candidate.rms = np.sqrt(candidate.rms / candidate.explained) if candidate.explained > 0 else np.inf
-    size = max(candidate.expected, POSE_SCORE.min_expected)
-    cost = POSE_SCORE.passed_weight * candidate.passed + POSE_SCORE.hidden_weight * candidate.hidden
-    cost += POSE_SCORE.unexplained_weight * min(candidate.unexplained, POSE_SCORE.max_unexplained * size)
-    candidate.score = (candidate.explained - cost) / size**POSE_SCORE.size_exponent
+    size = max(candidate.expected, weights.min_expected)
+    cost = weights.passed * candidate.passed + weights.hidden * candidate.hidden
+    cost += weights.unexplained * min(candidate.unexplained, weights.max_unexplained * size)
+    candidate.score = (candidate.explained - cost) / size**weights.size_exponent
 
 
 @entry
-def score_all(camera: Any, image: Any, sides: Any, sizes: Any, limits: Any, candidates: Any) -> None:
-    """Fills in the score of CANDIDATE (k,), and what it is made of.
+def score_all(camera: Any, image: Any, sides: Any, sizes: Any, center: Any, candidates: Any) -> None:
+    """Fills in the score of CANDIDATE (k,) and the pixels that it is made of.
 
-    image: depth (h, w) [m] and labels (h, w) of parts, `TABLE`, `HAND` or `OUT`. sides: samples and normals (2, m, 3),
-    directions (d, 3), visible (d, m). sizes: pixels of each part (p,). limits: area of a sample [m²], least bound of
-    what is explained [m], the object's centre (3).
+    image: depth (h, w) [m] and labels (h, w) of segments, `TABLE`, `HAND` or `OUT`. sides: samples and normals
+    (2, m, 3), directions (d, 3), visible (d, m), area of a sample [m²]. sizes: pixels of each segment (p,). center: the
+    object's (3,).
     """
-    samples, directions, visible = sides
+    samples, directions, visible, area = sides
     height, width = image[0].shape
-    explained, center = np.empty(len(sizes)), (limits[2], limits[3], limits[4])
-    density = limits[0] * camera[0].fx * camera[0].fy
+    explained = np.empty(len(sizes))
+    density = area * camera[0].fx * camera[0].fy
     for k in range(len(candidates)):
         candidate = candidates[k]
         R, p = pose_of(candidate.pose)
-        middle = add(mul(R, center), p)
+        middle = add(mul(R, vector(center)), p)
         side = _nearest(directions, scale(tmul(R, middle), -1 / max(norm(middle), 1e-9)))
-        explained[:], bound = 0.0, max(limits[1], candidate.bound)
+        explained[:] = 0.0
         candidate.expected = candidate.explained = candidate.passed = candidate.hidden = candidate.rms = 0.0
         for m in range(samples.shape[1]):
             if visible[side, m]:
@@ -140,5 +132,11 @@ def score_all(camera: Any, image: Any, sides: Any, sizes: Any, limits: Any, cand
                 cosine = -dot(mul(R, vector(samples[1, m])), P) / norm(P)
                 if cosine > 0 and -0.5 < u < width - 0.5 and -0.5 < v < height - 0.5:
                     sample = u, v, P[2], density * cosine / (P[2] * P[2])
-                    _add(image, sample, bound, candidate, explained)
-        _score(sizes, explained, candidate)
+                    _add(image, sample, candidate.bound, candidate, explained)
+        # Of the segments that it lies on, the unexplained pixels, weighted by how much of it lies on which.
+        unexplained = total = 0.0
+        for part in range(len(sizes)):
+            unexplained += explained[part] * max(sizes[part] - explained[part], 0.0)
+            total += explained[part]
+        candidate.unexplained = unexplained / total if total > 0 else 0.0
+        finish_score(POSE_SCORE, candidate)

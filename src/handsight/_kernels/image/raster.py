@@ -1,7 +1,7 @@
 """Depth images of triangles, by a depth buffer.
 
-Along a triangle one over the depth is linear in the image, and what is nearest is drawn. Edges are drawn straight:
-through a lens that bends rays, of triangles that are small in the image.
+Along a triangle one over the depth is linear in the image. Edges are drawn straight, so that through a lens triangles
+must be small in the image.
 """
 
 from typing import Any
@@ -13,7 +13,7 @@ from handsight._kernels.math.vec3 import Vec3, add, scale, sub, vector
 from handsight._kernels.runtime.compilation import entry, inner
 
 NEAR = 0.01
-"""What of a triangle is nearer to the camera is not drawn [m]."""
+"""Parts of triangles nearer to the camera than this are not drawn [m]."""
 
 
 @inner
@@ -25,7 +25,7 @@ def _corner(camera: Any, point: Vec3) -> Vec3:
 
 @inner
 def _span(v: float, a: Vec3, b: Vec3, left: float, right: float) -> tuple[float, float]:
-    """Returns a row's stretch, grown by where an edge crosses it."""
+    """Returns the first and the last column of a row, widened to where the edge from a to b crosses the row."""
     if not min(a[1], b[1]) <= v <= max(a[1], b[1]):
         return left, right
     if a[1] == b[1]:
@@ -36,7 +36,7 @@ def _span(v: float, a: Vec3, b: Vec3, left: float, right: float) -> tuple[float,
 
 @inner
 def _fill(depth: Any, drawn: Any, label: int, a: Vec3, b: Vec3, c: Vec3) -> None:
-    """Draws one triangle of corners (column, row, one over depth)."""
+    """Draws one triangle with corners (column, row, one over depth)."""
     height, width = depth.shape
     ab, ac = sub(b, a), sub(c, a)
     twice = ab[0] * ac[1] - ab[1] * ac[0]
@@ -62,7 +62,7 @@ def _fill(depth: Any, drawn: Any, label: int, a: Vec3, b: Vec3, c: Vec3) -> None
 
 @inner
 def _cut(inside: Vec3, outside: Vec3) -> Vec3:
-    """Returns where an edge crosses the plane at `NEAR`."""
+    """Returns where an edge crosses the plane at depth `NEAR`."""
     t = (inside[2] - NEAR) / (inside[2] - outside[2])
     x, y, _ = add(inside, scale(sub(outside, inside), t))
     return x, y, NEAR
@@ -70,9 +70,9 @@ def _cut(inside: Vec3, outside: Vec3) -> Vec3:
 
 @inner
 def _clipped(camera: Any, depth: Any, drawn: Any, label: int, corners: tuple[Vec3, Vec3, Vec3]) -> None:
-    """Draws what of a triangle in the camera lies beyond `NEAR`."""
+    """Draws the part of a triangle in the camera that lies beyond `NEAR`."""
     a, b, c = corners
-    for _ in range(2):  # a and b beyond, if any are
+    for _ in range(2):  # rotate until the first corner is beyond, if any is
         if not a[2] > NEAR:
             a, b, c = b, c, a
     if not a[2] > NEAR:
@@ -93,10 +93,8 @@ def _clipped(camera: Any, depth: Any, drawn: Any, label: int, corners: tuple[Vec
 
 @entry
 def draw(camera: Any, vertices: Any, faces: Any, labels: Any, depth: Any, drawn: Any) -> None:
-    """Draws faces (m, 3) of vertices (k, 3) in the camera over `depth` (h, w) [m], infinite where nothing is yet.
-
-    `drawn` (h, w): the label (m,) of the face that is nearest.
-    """
+    """Draws faces (m, 3) of vertices (k, 3) in the camera into `depth` (h, w) [m], which is infinite where nothing is,
+    and the label (m,) of the nearest face into `drawn` (h, w)."""
     for m in range(len(faces)):
         a, b, c = vector(vertices[faces[m, 0]]), vector(vertices[faces[m, 1]]), vector(vertices[faces[m, 2]])
         _clipped(camera[0], depth, drawn, labels[m], (a, b, c))

@@ -1,8 +1,12 @@
-"""The fixed-size values of sight, as NumPy structured types. All SI, pixels where said."""
+"""The fixed-size values that the kernels of vision take, as NumPy structured types. SI, pixels where stated."""
 
 from handsight._kernels.records import POSE, record
 
-# A camera: pixels from rays, pixel centres at whole numbers.
+TABLE, HAND, OUT = -3, -2, -1
+"""Labels of pixels of the table, of the hand, and of no segment that may be the object; segments have numbers from
+0."""
+
+# The intrinsics of a camera: pixels of rays, pixel centres at whole numbers.
 CAMERA = record(
     ("fx", "f8"),
     ("fy", "f8"),
@@ -15,39 +19,59 @@ CAMERA = record(
 # A point of a depth image.
 DEPTH_POINT = record(
     ("point", "f8", (3,)),  # in the camera
-    ("normal", "f8", (3,)),  # towards it; zero: none
-    ("part", "i8"),  # of the image's connected parts
+    ("normal", "f8", (3,)),  # towards the camera; zero: none
+    ("part", "i8"),  # number of its segment
 )
 
-# Where an object is thought to be in the camera, and what the image says of it; pixels are areas.
+# A pose of an object or a hand in the camera, and how well the image supports it; areas are in pixels.
 CANDIDATE = record(
     ("pose", POSE),
     ("votes", "f8"),
     ("score", "f8"),
-    ("bound", "f8"),  # what it explains lies within this [m]
-    ("close", "f8"),  # pixels of points that lie on its surface, each by how near
-    ("weight", "f8"),  # of the points that say how certain it is
-    ("expected", "f8"),  # pixels that the object would fill, not behind the hand
+    ("bound", "f8"),  # depth within this of the surface is explained [m]
+    ("close", "f8"),  # of points that lie on its surface, each by how near
+    ("weight", "f8"),  # sum of the robust weights of the points that its covariance is of
+    ("expected", "f8"),  # that the object would fill, without those hidden by the hand
     ("explained", "f8"),
-    ("passed", "f8"),  # where the camera sees past it, or the table before it
-    ("hidden", "f8"),  # by what is not the hand
-    ("unexplained", "f8"),  # of the parts that it lies on
-    ("rms", "f8"),  # of the explained ones' distances [m]
+    ("passed", "f8"),  # where the camera sees past it, or the table in front of it
+    ("hidden", "f8"),  # by something that is not the hand
+    ("unexplained", "f8"),  # of the segments that it lies on; of a hand: with another normal
+    ("rms", "f8"),  # of the distances of the explained pixels [m]
+)
+
+# One of several passes, from coarse to fine, that move a pose to where points lie on a surface; the unit of its bounds
+# is given beside it.
+STAGE = record(
+    ("fine", "i8"),  # whether on the fine field
+    ("first_bound", "f8"),  # Tukey's bound of the first step
+    ("last_bound", "f8"),  # and of the last, with those of other steps evenly between
+    ("steps", "i8"),
+    ("stride", "i8"),  # every stride-th point takes part
+)
+
+# The errors of depth points, as variances [m²], and the correlation of those that neighbours share.
+DEPTH_ERROR = record(
+    ("own", "f8"),  # of each pixel by itself
+    ("shared", "f8"),  # in common with its neighbours
+    ("smooth", "f8"),  # of a bias that changes over the image
+    ("offset", "f8"),  # of a bias of the whole image
+    ("shared_decay", "f8"),  # one over the squared correlation length of `shared` [slopes]
+    ("smooth_decay", "f8"),  # and of `smooth`
 )
 
 # A node of a volume that depth images are fused into.
 VOXEL = record(
     ("sum", "f4"),  # of weighted distances to the surface, along the rays, positive before it
     ("weight", "f4"),
-    ("views", "f4"),  # how many had the surface near by
-    ("passed", "f4"),  # how many looked through
+    ("views", "f4"),  # number of images that had the surface near by
+    ("passed", "f4"),  # number of images whose rays went on behind it
 )
 
-# Where in a depth image an object that is followed is looked for.
+# The part of a depth image in which an object that is followed is searched.
 WINDOW = record(
     ("rows", "i8", (2,)),  # the first, and past the last
     ("columns", "i8", (2,)),
-    ("step", "i8"),  # between pixels that are looked at, at first
+    ("step", "i8"),  # from pixel to pixel, at first
     ("within", "f8"),  # of the surface [m]
     ("plane", "f8", (4,)),  # n·P + offset = 0, n towards the camera
     ("plane_within", "f8"),  # [m]

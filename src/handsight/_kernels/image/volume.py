@@ -1,7 +1,8 @@
-"""Depth images fused into a volume: at each node the mean distance to the surface, along the rays of those that see it.
+"""Depth images fused into a volume: at each node the mean distance to the surface along the rays (Curless and Levoy
+1996).
 
-Curless and Levoy (1996). A pixel counts by its depth's inverse variance, which grows with the fourth power of the
-depth. Between pixels at a jump nothing is told: half of what they see is before it, half behind.
+A pixel counts by the inverse variance of its depth, which grows with the fourth power of the depth. Nothing is known
+between pixels of which one is on a nearer surface than the other.
 """
 
 from typing import Any
@@ -14,12 +15,12 @@ from handsight._kernels.math.vec3 import Vec3, norm
 from handsight._kernels.runtime.compilation import entry, inner
 
 CLEAR = 3.0
-"""What a ray has left behind by so many bounds it has passed; less may be a surface seen aslant."""
+"""A ray has passed a node that lies so many bounds before its surface; nearer, the surface may be seen aslant."""
 
 
 @inner
 def _depth_between(depth: Any, u: float, v: float) -> float:
-    """Returns the depth at a place between four pixels of one surface; 0 where they are not, or one has none.
+    """Returns the depth [m] at a place between four pixels; 0 where they are not of one surface, or one has no depth.
 
     One over the depth is interpolated: on a plane it is linear in the image.
     """
@@ -37,7 +38,7 @@ def _depth_between(depth: Any, u: float, v: float) -> float:
 
 @inner
 def _see(voxel: Any, depth: Any, pixel: tuple[float, float], node: Vec3, bound: float) -> None:
-    """Adds what a depth image says of a node in the camera that falls on a place (column, row) of it."""
+    """Adds to a voxel what a depth image says of it: `node` in the camera, its `pixel` (column, row), `bound` [m]."""
     u, v = pixel
     nearest = depth[int(v + 0.5), int(u + 0.5)]
     gap = nearest - node[2]
@@ -59,8 +60,8 @@ def _see(voxel: Any, depth: Any, pixel: tuple[float, float], node: Vec3, bound: 
 def fuse(camera: Any, depth: Any, to_camera: Any, bound: float, voxels: Any) -> None:
     """Adds a depth image (h, w) [m], 0 where there is none, to VOXEL (nx, ny, nz).
 
-    `to_camera` (3, 4): from a node's place in the grid to the camera [m]; `bound` [m]: what is farther from the surface
-    is not told how far.
+    `to_camera` (3, 4): from a node's index in the grid to the camera [m]; `bound`: the largest distance to the surface
+    that is kept [m].
     """
     height, width = depth.shape
     M = to_camera

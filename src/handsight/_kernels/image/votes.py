@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.prior_term import rotation_exp
+from handsight._kernels.math.so3 import rotation_exp
 from handsight._kernels.math.symmetry import store_pose
 from handsight._kernels.math.vec3 import (
     Mat33,
@@ -26,12 +26,12 @@ from handsight._kernels.math.vec3 import (
 from handsight._kernels.runtime.compilation import entry, inner
 
 DISTANCES, ANGLES, SPINS = 20, 13, 30
-"""Steps in which a pair's distance, its angles and a spin are counted; a box's right angles are in a step's middle."""
+"""Steps in which a pair's distance, its angles and a spin are counted; right angles are in the middle of a step."""
 CELLS = DISTANCES * ANGLES**3
 PEAKS = 4
-"""Poses that each reference point gives."""
+"""Poses that each reference point votes for."""
 POINT_BITS = 16
-"""A pair of the model is one whole number: its first point, and in so many bits below it the spin, of a turn."""
+"""A pair of the model is one whole number: its first point, and in this many bits below it the spin."""
 TURN = 1 << POINT_BITS
 
 
@@ -51,7 +51,7 @@ def _angle(cosine: float) -> int:
 
 @inner
 def cell_of(first: Vec3, n1: Vec3, second: Vec3, n2: Vec3, diameter: float) -> int:
-    """Returns which of the cells a pair of points and unit normals falls into; below 0: none."""
+    """Returns the number of the cell that a pair of points with unit normals falls into; -1 where it is in none."""
     d = sub(second, first)
     length = norm(d)
     step = int(length * (DISTANCES / diameter))
@@ -82,7 +82,7 @@ def pairs_of(points: Any, normals: Any, diameter: float, cells: Any, spins: Any)
 
 @inner
 def _count(table: Any, points: Any, r: int, diameter: float, most: int, votes: Any) -> None:
-    """Counts in `votes` (m, 2 SPINS) the model's pairs alike to those of a reference point and up to so many others."""
+    """Counts in `votes` (m, 2 SPINS) the model's pairs that are like those of point r with up to `most` others."""
     starts, pairs = table
     first, n1 = vector(points[r].point), vector(points[r].normal)
     frame, partners = about_normal(n1), 0
@@ -96,7 +96,7 @@ def _count(table: Any, points: Any, r: int, diameter: float, most: int, votes: A
             continue
         spin = int(TURN * (spin_of(frame, first, second) / (2 * np.pi) + 1))
         for k in range(starts[cell], starts[cell + 1]):
-            # Turns as whole numbers begin anew by themselves: the point's bits are cut off with the full turns.
+            # The difference of two spins modulo a turn: the mask cuts off the bits of the point as well.
             away = (spin - pairs[k]) & (TURN - 1)
             votes[pairs[k] >> POINT_BITS, away * 2 * SPINS >> POINT_BITS] += 1
         partners += 1
@@ -106,8 +106,8 @@ def _count(table: Any, points: Any, r: int, diameter: float, most: int, votes: A
 
 @inner
 def _best_spins(votes: Any, most: Any, spins: Any) -> None:
-    """Writes of each model point (m,) the most votes of a spin, and that spin; half steps vote by half for the step
-    beside."""
+    """Fills in the most votes of any spin of each model point (m,), and that spin; the half steps beside it count by
+    half."""
     for i in range(len(votes)):
         most[i] = -1.0
         for s in range(SPINS):
@@ -118,18 +118,20 @@ def _best_spins(votes: Any, most: Any, spins: Any) -> None:
 
 
 @entry
-def vote(table: Any, model: Any, observed: Any, references: Any, limits: Any, candidates: Any) -> None:
-    """Fills in the CANDIDATE (r, PEAKS) that pairs of reference points (r,) with other seen points vote for.
+def vote(
+    table: Any, model: Any, diameter: float, observed: Any, references: Any, partners: int, candidates: Any
+) -> None:
+    """Fills in the CANDIDATE (r, PEAKS) that the pairs of reference points (r,) with other observed points vote for.
 
-    table: starts of cells (CELLS + 1,), the model's pairs in them. model: points and normals (2, m, 3). limits:
-    diameter [m], most partners of a reference point.
+    table: where the pairs of each cell begin (CELLS + 1,), and the pairs. model: points and normals (2, m, 3).
+    observed: DEPTH_POINT (n,), of which each reference point is paired with at most so many partners.
     """
-    points, normals, most = model[0], model[1], int(limits[1])
+    points, normals = model[0], model[1]
     votes = np.empty((len(points), 2 * SPINS), np.int32)
     best, spins = np.empty(len(points)), np.empty(len(points), np.int64)
     for n in range(len(references)):
         votes[:] = 0
-        _count(table, observed, references[n], limits[0], most, votes)
+        _count(table, observed, references[n], diameter, partners, votes)
         _best_spins(votes, best, spins)
         reference = observed[references[n]]
         back = transpose(about_normal(vector(reference.normal)))

@@ -1,1 +1,1 @@
-"""Small linear algebra, kinematic chains and symmetry groups for kernels."""
+"""Linear algebra of small matrices, kinematic chains and symmetry groups."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.prior_term import IDENTITY
+from handsight._kernels.math.so3 import IDENTITY
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
@@ -27,7 +27,6 @@ from handsight._kernels.math.vec3 import (
     sub,
     vector,
 )
-from handsight._kernels.records import CHAIN_JOINT
 from handsight._kernels.runtime.compilation import entry, inner
 
 
@@ -41,9 +40,9 @@ def rotation(axis: Vec3, angle: float) -> Mat33:
 
 @entry
 def poses(values: Any, starts: Any, joints: Any, homes: Any, Ts: Any, axes: Any) -> bool:
-    """Writes the poses `Ts` (t, 4, 4) of the bodies, and `axes` (s, 2, 3): each joint's axis and a point on it.
+    """Writes the poses `Ts` (t, 4, 4) of the bodies, and `axes` (s, 2, 3), the axis of each joint and a point on it.
 
-    `values` (j,): positions of the joints. Body i has the chain `joints[starts[i] : starts[i + 1]]`, records
+    `values` (j,) are the positions of the joints. Body i has the chain `joints[starts[i] : starts[i + 1]]`, records
     CHAIN_JOINT, and the pose `homes[i]` (4, 4) with all joints at zero. Returns False where a value is not finite.
     """
     for v in values:
@@ -72,9 +71,9 @@ def poses(values: Any, starts: Any, joints: Any, homes: Any, Ts: Any, axes: Any)
 
 @entry
 def jacobians(points: Any, bodies: Any, starts: Any, joints: Any, axes: Any, out: Any) -> None:
-    """Writes the Jacobians `out` (k, 6, j), zeros before, by each joint.
+    """Writes the Jacobians (translation, rotation) of points by each joint to `out` (k, 6, j), which holds zeros.
 
-    `points` (k, 3) are each fixed on one of the `bodies` (k,), and in the base; `axes` as `poses` writes them.
+    `points` (k, 3), along the base's axes, are each fixed to one of the `bodies` (k,); `axes` as `poses` writes them.
     """
     for i in range(len(points)):
         for k in range(starts[bodies[i]], starts[bodies[i] + 1]):
@@ -88,16 +87,7 @@ def jacobians(points: Any, bodies: Any, starts: Any, joints: Any, axes: Any, out
 
 @entry
 def transform_points(points: Any, bodies: Any, Ts: Any, out: Any) -> None:
-    """Writes `out` (m, 3): points (m, 3) transformed by the poses `Ts[bodies[i]]`."""
+    """Writes to `out` (m, 3) the points (m, 3), each transformed by the pose `Ts[bodies[i]]` of its body."""
     for i in range(len(points)):
         T = Ts[bodies[i]]
         store(add(mul(matrix(T), vector(points[i])), (T[0, 3], T[1, 3], T[2, 3])), out[i])
-
-
-def warm() -> None:
-    """Compiles every kernel, or loads its machine code."""
-    starts, bodies, joints = np.array([0, 1]), np.zeros(1, np.int64), np.zeros(1, dtype=CHAIN_JOINT)
-    Ts, axes = np.empty((1, 4, 4)), np.empty((1, 2, 3))
-    poses(np.zeros(1), starts, joints, np.eye(4)[None], Ts, axes)
-    jacobians(np.zeros((1, 3)), bodies, starts, joints, axes, np.zeros((1, 6, 1)))
-    transform_points(np.zeros((1, 3)), bodies, Ts, np.empty((1, 3)))

@@ -1,4 +1,4 @@
-"""Linear algebra of six unknowns: symmetric matrices, factored and solved."""
+"""Symmetric matrices of up to six unknowns: Cholesky factors, solutions and eigenvectors."""
 
 from typing import Any
 
@@ -6,15 +6,12 @@ import numpy as np
 
 from handsight._kernels.runtime.compilation import inner
 
-TINY = 1e-300
-
 
 @inner
 def factor(matrix: Any, n: int, ridge: float, out: Any) -> bool:
-    """Returns whether there is a Cholesky factor of the (n, n) matrix, its lower triangle read, plus a `ridge`;
-    writes it.
+    """Writes the Cholesky factor of a matrix (n, n) plus `ridge` times the identity; returns False where it has none.
 
-    The diagonal of `out` holds the factor's reciprocals.
+    The lower triangle of the matrix is read. The diagonal of `out` holds the reciprocals of the factor's.
     """
     for i in range(n):
         for j in range(i):
@@ -25,7 +22,7 @@ def factor(matrix: Any, n: int, ridge: float, out: Any) -> bool:
         value = matrix[i, i] + ridge
         for k in range(i):
             value -= out[i, k] * out[i, k]
-        if not value > TINY:
+        if not value > 1e-300:
             return False
         out[i, i] = 1.0 / np.sqrt(value)
     return True
@@ -33,7 +30,7 @@ def factor(matrix: Any, n: int, ridge: float, out: Any) -> bool:
 
 @inner
 def solve(factored: Any, n: int, right: Any, out: Any) -> None:
-    """Fills `out` (n) with the solution for the right side (n)."""
+    """Writes to `out` (n) the solution x of M x = `right`, where M (n, n) was factored by `factor`."""
     for i in range(n):
         value = right[i]
         for k in range(i):
@@ -48,8 +45,10 @@ def solve(factored: Any, n: int, right: Any, out: Any) -> None:
 
 @inner
 def eigen(matrix: Any, values: Any, vectors: Any) -> None:
-    """Writes eigenvalues (6), not in order, and eigenvectors as columns of a symmetric (6, 6), which is used up
-    (Jacobi)."""
+    """Writes the eigenvalues (6), in no order, and the eigenvectors, as columns, of a symmetric matrix (6, 6).
+
+    The matrix is overwritten (Jacobi's method).
+    """
     for i in range(6):
         for j in range(6):
             vectors[i, j] = 1.0 if i == j else 0.0
@@ -58,7 +57,7 @@ def eigen(matrix: Any, values: Any, vectors: Any) -> None:
         for p in range(5):
             for q in range(p + 1, 6):
                 entry = matrix[p, q]
-                # Relative to the two it joins: eigenvalues of very different size keep their digits.
+                # Relative to the two diagonal entries, so that eigenvalues of very different size keep their digits.
                 if entry * entry > 1e-31 * abs(matrix[p, p] * matrix[q, q]):
                     clean = False
                     _rotate(matrix, p, q, vectors)
@@ -70,7 +69,7 @@ def eigen(matrix: Any, values: Any, vectors: Any) -> None:
 
 @inner
 def _rotate(matrix: Any, p: int, q: int, vectors: Any) -> None:
-    """Applies one rotation that clears entry (p, q)."""
+    """Applies the rotation that makes entry (p, q) of the matrix zero."""
     entry = matrix[p, q]
     theta = (matrix[q, q] - matrix[p, p]) / (2 * entry)
     t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
@@ -91,8 +90,25 @@ def _rotate(matrix: Any, p: int, q: int, vectors: Any) -> None:
 
 
 @inner
-def in_metres(information: Any, radius: float, out: Any) -> None:
-    """Fills `out` (6, 6) with an information by (δp, δθ) as one by (δp, radius δθ) [1/m²]."""
+def scale_turns(matrix: Any, by: float, out: Any) -> None:
+    """Fills `out` (6, 6) with a matrix by (δp, δθ), the rows and columns of δθ multiplied by a number."""
     for i in range(6):
         for j in range(6):
-            out[i, j] = information[i, j] * ((1.0 if i < 3 else 1 / radius) * (1.0 if j < 3 else 1 / radius))
+            out[i, j] = matrix[i, j] * ((1.0 if i < 3 else by) * (1.0 if j < 3 else by))
+
+
+@inner
+def in_metres(information: Any, radius: float, out: Any) -> None:
+    """Fills `out` (6, 6) with an information by (δp, δθ) as one by (δp, radius δθ) [1/m²]."""
+    scale_turns(information, 1 / radius, out)
+
+
+@inner
+def from_eigen(values: Any, vectors: Any, turn: float, out: Any) -> None:
+    """Fills `out` (6, 6) with V diag(values) Vᵀ, the rows and columns of δθ multiplied by `turn`."""
+    for i in range(6):
+        for j in range(6):
+            total = 0.0
+            for k in range(6):
+                total += vectors[i, k] * values[k] * vectors[j, k]
+            out[i, j] = total * ((1.0 if i < 3 else turn) * (1.0 if j < 3 else turn))

@@ -1,9 +1,9 @@
-"""What numba cannot say by itself, as intrinsics. Elements beyond a machine's vector width are the compiler's business.
+"""Vector code and stack memory, which numba does not offer, as intrinsics that write LLVM's code.
 
-`spline`: a grid's value and derivatives; `accumulate`: rows of evidence to normal equations; `scan`: the nearest of
-many samples: in the compiler's own vectors, for numba's loops over so few elements stay scalar (twice the time of a
-correction). `local`: a record on the stack, for numba makes arrays on the heap only, and frees one while a record of it
-is still in use.
+`spline` (value and derivatives of a grid), `accumulate` (rows of evidence to normal equations) and `scan` (the nearest
+of many samples) use LLVM's vectors, as numba's loops over so few elements stay scalar, and a correction takes twice as
+long. Where a processor's vectors are shorter, the compiler splits these. `local` is a record on the stack: numba makes
+arrays on the heap only, and frees one while a record of it is still in use.
 """
 
 from typing import Any
@@ -19,12 +19,12 @@ _DOUBLE, _SINGLE, _INT32, _INT64 = ir.DoubleType(), ir.FloatType(), ir.IntType(3
 _DOUBLES, _FOUR = ir.VectorType(_DOUBLE, 4), ir.VectorType(_SINGLE, 4)
 _EIGHT, _EIGHT_INTS = ir.VectorType(_SINGLE, 8), ir.VectorType(_INT32, 8)
 
-# Rows: powers 1, f, f², f³; columns: the four nodes. Then the derivatives by f.
+# Cubic B-spline weights of the four nodes (columns) as polynomials of f (rows: 1, f, f², f³), and their derivatives.
 _VALUE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
 _SLOPE = _VALUE[1:] * [[1], [2], [3]]
 _BEND = _SLOPE[1:] * [[1], [2]]
 
-# Orders of derivative along x, y and z of what comes out: value, gradient, Hessian's upper triangle.
+# Orders of derivative along x, y and z of the ten results: value, gradient, the Hessian's upper triangle.
 _ORDERS = (
     (0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1),
     (2, 0, 0), (1, 1, 0), (1, 0, 1), (0, 2, 0), (0, 1, 1), (0, 0, 2),
@@ -33,11 +33,11 @@ _ORDERS = (
 
 @intrinsic
 def spline(_: Any, values: Any, first: Any, step_x: Any, step_y: Any, past: Any) -> Any:
-    """Returns ten numbers: value, gradient (x, y, z) and Hessian (xx, xy, xz, yy, yz, zz) by grid coordinates.
+    """Returns value, gradient (x, y, z) and Hessian (xx, xy, xz, yy, yz, zz) of a cubic B-spline by grid coordinates.
 
-    `values`: nodes, float32, z fastest. `first`: place of the first of the 4 x 4 x 4 nodes. `step_x`, `step_y`:
-    between neighbours along x and y. `past`: how far past the second node along x, y and z, 0 to 1. 16 rows of 4 nodes
-    are contracted along x and y, then along z.
+    `values`: nodes, float32, z fastest. `first`: index of the first of the 4 x 4 x 4 nodes in use. `step_x`, `step_y`:
+    from an index to its neighbour along x and y. `past`: distance past the second node along x, y and z, 0 to 1. The 16
+    rows of 4 nodes are contracted along x and y, then along z.
     """
     f8, i8 = types.float64, types.int64
     return types.UniTuple(f8, 10)(values, i8, i8, i8, types.UniTuple(f8, 3)), _spline
@@ -62,7 +62,7 @@ def _spline(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 
 def _basis(builder: Any, f: Any) -> list[Any]:
-    """Returns weights of four nodes, their slopes and their bends, as vectors."""
+    """Returns the weights of four nodes, and their first and second derivatives by f, as vectors."""
     four = _filled(builder, f, _DOUBLES)
     return [_polynomial(builder, rows, four) for rows in (_VALUE, _SLOPE, _BEND)]
 
@@ -76,10 +76,10 @@ def _polynomial(builder: Any, rows: Any, f: Any) -> Any:
 
 @intrinsic
 def accumulate(_: Any, weight: Any, rows: Any, equations: Any) -> Any:
-    """Adds `JᵀWJ` to `equations` (7, 8): Hessian, gradient in row and column 6, cost where these meet.
+    """Adds `JᵀWJ` to `equations` (7, 8): the Hessian, the gradient in row and column 6, and the cost where these meet.
 
-    `rows`: J as a tuple of rows of 7, six derivatives and the residual. `weight`: W, a symmetric array, or a tuple, its
-    diagonal.
+    `rows`: J, a tuple of rows of 7: six derivatives and the residual. `weight`: W, a symmetric array, or the tuple of
+    its diagonal.
     """
     return types.void(weight, rows, equations), _accumulate
 
@@ -124,13 +124,12 @@ def _weighted(context: Any, builder: Any, kind: Any, weight: Any, rows: Any) -> 
 
 @intrinsic
 def local(_: Any, dtype: Any) -> Any:
-    """Returns a record of the type, on the stack and not filled in: it lives until the kernel that asks for it
-    returns."""
+    """Returns a record of a type on the stack, not initialised; it is valid until the calling kernel returns."""
     return dtype.dtype(dtype), _local
 
 
 def _local(context: Any, builder: Any, signature: Any, _: Any) -> Any:
-    # One place for each call in the source, however often it runs.
+    # One piece of memory for each call in the source, however often it runs.
     size = ir.Constant(_INT32, signature.return_type.size)
     with builder.goto_entry_block():
         place = builder.alloca(ir.IntType(8), size=size)
@@ -140,7 +139,7 @@ def _local(context: Any, builder: Any, signature: Any, _: Any) -> Any:
 
 @intrinsic
 def scan(_: Any, table: Any, query: Any) -> Any:
-    """Returns the column of a table with the least product with the query; of equals the first.
+    """Returns the column of a table that has the least product with the query; of equal ones the first.
 
     `table`: (7, n) float32, n a multiple of 8, of fixed size. `query`: 7 float32.
     """
@@ -189,7 +188,7 @@ def _load(builder: Any, pointer: Any, place: Any, kind: Any) -> Any:
 
 
 def _add(builder: Any, a: Any, b: Any, c: Any) -> Any:
-    """Returns a b + c; c may be nothing yet."""
+    """Returns a b + c, or a b where c is None."""
     product = builder.fmul(a, b, flags=_FAST)
     return product if c is None else builder.fadd(product, c, flags=_FAST)
 
@@ -202,13 +201,13 @@ def _packed(builder: Any, numbers: Any) -> Any:
 
 
 def _filled(builder: Any, number: Any, kind: Any) -> Any:
-    """Returns a vector of the same number."""
+    """Returns a vector with the same number in every place."""
     first = builder.insert_element(ir.Constant(kind, ir.Undefined), number, ir.Constant(_INT32, 0))
     return _splat(builder, first, 0)
 
 
 def _splat(builder: Any, vector: Any, k: int) -> Any:
-    """Returns its k-th element in every place."""
+    """Returns a vector with the k-th element of another one in every place."""
     same = ir.Constant(ir.VectorType(_INT32, vector.type.count), [k] * vector.type.count)
     return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), same)
 

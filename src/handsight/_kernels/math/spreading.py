@@ -1,4 +1,4 @@
-"""Points spread evenly over many."""
+"""A choice of points that is spread evenly over many points."""
 
 from typing import Any
 
@@ -7,12 +7,12 @@ import numpy as np
 from handsight._kernels.runtime.compilation import entry, inner
 
 WIDE = 6
-"""Numbers for each point: its place and its normal's share."""
+"""Numbers of each point: its position, and its normal times a length."""
 
 
 @inner
 def _gaps2(columns: Any, p: Any, k: int, out: Any) -> None:
-    """Writes the squared distance of each of the columns (6, n) to the k-th row of p."""
+    """Writes to `out` (n) the squared distances of the columns (6, n) from the k-th row of p."""
     x, y, z, u, v, w = p[k, 0], p[k, 1], p[k, 2], p[k, 3], p[k, 4], p[k, 5]
     for j in range(columns.shape[1]):
         a, b, c = columns[0, j] - x, columns[1, j] - y, columns[2, j] - z
@@ -22,7 +22,7 @@ def _gaps2(columns: Any, p: Any, k: int, out: Any) -> None:
 
 @inner
 def _least(numbers: Any) -> int:
-    """Returns where the least of the numbers is, of equals the first."""
+    """Returns the index of the least of the numbers, of equal ones the first."""
     best, least = -1, np.inf
     for j in range(len(numbers)):
         if numbers[j] < least:
@@ -32,7 +32,7 @@ def _least(numbers: Any) -> int:
 
 @inner
 def _farthest(features: Any, columns: Any, chosen: Any) -> None:
-    """Fills `chosen` with rows, each the farthest from those before it; the first from the middle."""
+    """Writes to `chosen` rows of the features, each the farthest from those before it; the first, from the mean."""
     middle, gap, now = np.zeros((1, WIDE)), np.empty(len(features)), np.empty(len(features))
     for i in range(len(features)):
         for k in range(WIDE):
@@ -40,19 +40,17 @@ def _farthest(features: Any, columns: Any, chosen: Any) -> None:
     _gaps2(columns, middle, 0, gap)
     for j in range(len(chosen)):
         farthest = np.argmax(gap)
-        for k in range(
-            WIDE
-        ):  # a row at once would take two seconds to compile, for what it says of another shape
+        for k in range(WIDE):  # assigning a row takes two seconds to compile, for its error message
             chosen[j, k] = features[farthest, k]
         _gaps2(columns, chosen, j, now)
         for i in range(len(features)):
-            # The middle itself was not chosen.
+            # The mean itself is not among the chosen.
             gap[i] = now[i] if j == 0 else min(gap[i], now[i])
 
 
 @entry
 def spread_out(features: Any, n: int, steps: int) -> Any:
-    """Returns (n, 6) places spread evenly over the features (m, 6): the farthest ones, then Lloyd's steps."""
+    """Returns (n, 6) points spread evenly over the features (m, 6): farthest points, moved by Lloyd's `steps`."""
     chosen, gap = np.empty((n, WIDE)), np.empty(n)
     _farthest(features, features.T.copy(), chosen)
     for _ in range(steps):
@@ -65,7 +63,7 @@ def spread_out(features: Any, n: int, steps: int) -> Any:
             for k in range(WIDE):
                 sums[owner, k] += features[i, k]
         for j in range(n):
-            # One that stands for nothing stays where it is.
+            # One without features of its own stays where it is.
             if count[j] > 0:
                 for k in range(WIDE):
                     chosen[j, k] = sums[j, k] / count[j]
@@ -74,7 +72,7 @@ def spread_out(features: Any, n: int, steps: int) -> Any:
 
 @entry
 def snapped(features: Any, middles: Any) -> Any:
-    """Returns (n,) for each middle (n, 6) the nearest of the features (m, 6) that no earlier one took."""
+    """Returns (n,) for each of `middles` (n, 6) the nearest feature (m, 6) that no earlier one took."""
     columns, gap = features.T.copy(), np.empty(len(features))
     index = np.empty(len(middles), np.int64)
     for j in range(len(middles)):
@@ -82,9 +80,3 @@ def snapped(features: Any, middles: Any) -> Any:
         index[j] = _least(gap)
         columns[0, index[j]] = np.inf
     return index
-
-
-def warm() -> None:
-    """Compiles every kernel, or loads it."""
-    one = np.zeros((1, WIDE))
-    snapped(one, spread_out(one, 1, 1))

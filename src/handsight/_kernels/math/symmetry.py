@@ -1,11 +1,11 @@
-"""Equivalent poses of a symmetric object."""
+"""Poses as kernels have them, and equivalent poses of a symmetric object."""
 
 from typing import Any
 
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.prior_term import IDENTITY, rotation_log
+from handsight._kernels.math.so3 import IDENTITY, rotation_log
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
@@ -59,8 +59,8 @@ def store_transform(pose: Pose, T: Any) -> None:
 
 @inner
 def _equivalent(symmetry: Any, k: int, pose: Pose, reference: Pose) -> Pose:
-    """Returns the pose after the k-th element of the group, spun about the axis, if there is one, to be near the
-    reference."""
+    """Returns the pose after the k-th element of the group and, with an axis, after the turn that brings it nearest to
+    the reference."""
     element, (R, p) = symmetry.rotation[k], pose
     shift = element[0, 3], element[1, 3], element[2, 3]
     turned = matmul(R, matrix(element))
@@ -86,7 +86,7 @@ def _spun(axis: Vec3, R: Mat33, reference: Mat33) -> Mat33:
 
 @inner
 def nearest(model: Any, pose: Pose, reference: Pose) -> Pose:
-    """Returns the equivalent of a pose nearest to the reference in |δp|² + radius² |δθ|²; of equals the first."""
+    """Returns the equivalent of a pose nearest to the reference in |δp|² + radius² |δθ|²; of equal ones the first."""
     symmetry, radius = model.symmetry, model.radius
     if symmetry.kind == NO_SYMMETRY:
         return pose
@@ -97,7 +97,7 @@ def nearest(model: Any, pose: Pose, reference: Pose) -> Pose:
         costs[k] = dot(shift, shift) + radius * radius * dot(turn, turn)
         least = min(least, costs[k])
     chosen = 0
-    # A tie to rounding goes to the earlier element, so that the answer does not flicker.
+    # A tie to within rounding goes to the earlier element, so that the answer does not change from call to call.
     while chosen < symmetry.rotations and not costs[chosen] <= least * (1 + 1e-9) + 1e-18:
         chosen += 1
     if chosen == symmetry.rotations:

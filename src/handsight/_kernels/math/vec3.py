@@ -1,7 +1,7 @@
-"""Three-vectors as tuples, 3x3 matrices as tuples of three rows, for kernels that read like their formula.
+"""Three-vectors as tuples and 3x3 matrices as tuples of three rows, so that kernels read like their formulas.
 
-Tuples live in registers: none of this allocates. No function calls another, so that each may be compiled otherwise
-(rounded as written, in `sensing_steps`).
+Tuples are kept in registers, and nothing is allocated. The functions of vectors call no other ones, so that
+`sensing_steps` can compile them in its own way (rounded as written).
 """
 
 from typing import TypeAlias
@@ -28,7 +28,7 @@ def matrix(x: np.ndarray) -> Mat33:
 
 @inner
 def block(x: np.ndarray, i: int, j: int) -> Mat33:
-    """Returns the 3x3 of an array that begins at row i and column j."""
+    """Returns the 3x3 of an array whose first entry is at row i and column j."""
     return (
         (x[i, j], x[i, j + 1], x[i, j + 2]),
         (x[i + 1, j], x[i + 1, j + 1], x[i + 1, j + 2]),
@@ -107,11 +107,7 @@ def norm(a: Vec3) -> float:
 @inner
 def outer(a: Vec3, b: Vec3) -> Mat33:
     """a bᵀ."""
-    return (
-        (a[0] * b[0], a[0] * b[1], a[0] * b[2]),
-        (a[1] * b[0], a[1] * b[1], a[1] * b[2]),
-        (a[2] * b[0], a[2] * b[1], a[2] * b[2]),
-    )
+    return scale(b, a[0]), scale(b, a[1]), scale(b, a[2])
 
 
 @inner
@@ -142,57 +138,23 @@ def transpose(M: Mat33) -> Mat33:
 
 @inner
 def matmul(A: Mat33, B: Mat33) -> Mat33:
-    """Returns a B."""
-    a, b, c = A
-    return (
-        (
-            a[0] * B[0][0] + a[1] * B[1][0] + a[2] * B[2][0],
-            a[0] * B[0][1] + a[1] * B[1][1] + a[2] * B[2][1],
-            a[0] * B[0][2] + a[1] * B[1][2] + a[2] * B[2][2],
-        ),
-        (
-            b[0] * B[0][0] + b[1] * B[1][0] + b[2] * B[2][0],
-            b[0] * B[0][1] + b[1] * B[1][1] + b[2] * B[2][1],
-            b[0] * B[0][2] + b[1] * B[1][2] + b[2] * B[2][2],
-        ),
-        (
-            c[0] * B[0][0] + c[1] * B[1][0] + c[2] * B[2][0],
-            c[0] * B[0][1] + c[1] * B[1][1] + c[2] * B[2][1],
-            c[0] * B[0][2] + c[1] * B[1][2] + c[2] * B[2][2],
-        ),
-    )
+    """A B."""
+    return tmul(B, A[0]), tmul(B, A[1]), tmul(B, A[2])
 
 
 @inner
 def add33(A: Mat33, B: Mat33) -> Mat33:
-    """Returns a + B."""
-    a, b, c = A
-    d, e, f = B
-    return (
-        (a[0] + d[0], a[1] + d[1], a[2] + d[2]),
-        (b[0] + e[0], b[1] + e[1], b[2] + e[2]),
-        (c[0] + f[0], c[1] + f[1], c[2] + f[2]),
-    )
+    """A + B."""
+    return add(A[0], B[0]), add(A[1], B[1]), add(A[2], B[2])
 
 
 @inner
 def sub33(A: Mat33, B: Mat33) -> Mat33:
-    """Returns a - B."""
-    a, b, c = A
-    d, e, f = B
-    return (
-        (a[0] - d[0], a[1] - d[1], a[2] - d[2]),
-        (b[0] - e[0], b[1] - e[1], b[2] - e[2]),
-        (c[0] - f[0], c[1] - f[1], c[2] - f[2]),
-    )
+    """A - B."""
+    return sub(A[0], B[0]), sub(A[1], B[1]), sub(A[2], B[2])
 
 
 @inner
 def scale33(A: Mat33, s: float) -> Mat33:
-    """Returns a s."""
-    a, b, c = A
-    return (
-        (a[0] * s, a[1] * s, a[2] * s),
-        (b[0] * s, b[1] * s, b[2] * s),
-        (c[0] * s, c[1] * s, c[2] * s),
-    )
+    """A s."""
+    return scale(A[0], s), scale(A[1], s), scale(A[2], s)

@@ -1,1 +1,1 @@
-"""Surfaces: distance fields, closest triangles, winding numbers, and quadrics through points."""
+"""Surfaces: distance fields, closest points of meshes, winding numbers, and quadrics fitted to points."""

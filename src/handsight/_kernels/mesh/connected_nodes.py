@@ -1,4 +1,4 @@
-"""Which nodes of a grid hang together."""
+"""The connected sets of a grid's nodes."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 
 @inner
 def _root(parent: Any, i: int) -> int:
-    """Returns the first node of i's set; shortens the way there."""
+    """Returns the first node of i's set, and halves the path to it (union-find)."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -18,10 +18,10 @@ def _root(parent: Any, i: int) -> int:
 
 @entry
 def linked(index: Any, shape: Any, distance: Any, free: Any, limit: float) -> Any:
-    """Returns (n,) the set of each node, counted from 0 in the order of their first nodes.
+    """Returns (n,) the number of each node's set; sets are numbered from 0 in the order of their first nodes.
 
-    `index` (n) places in a grid of `shape` (3), rising; neighbours that are both `free` (n) and whose `distance` (n)
-    add up to more than the limit are in one set.
+    `index` (n): the nodes' places in a grid of `shape` (3), ascending. Neighbours are in one set where both are `free`
+    (n) and their values of `distance` (n) add up to more than `limit`.
     """
     nx, ny, nz = shape
     n = len(index)
@@ -38,7 +38,7 @@ def linked(index: Any, shape: Any, distance: Any, free: Any, limit: float) -> An
             before = place[at - step] if turn > 0 else -1
             if before >= 0 and free[before] and distance[i] + distance[before] > limit:
                 a, b = _root(parent, i), _root(parent, before)
-                # The lower one stays, so that every set is named by its first node.
+                # The lower one remains the root, so that the root of a set is its first node.
                 parent[max(a, b)] = min(a, b)
     label, count = np.empty(n, np.int64), 0
     for i in range(n):
@@ -47,8 +47,3 @@ def linked(index: Any, shape: Any, distance: Any, free: Any, limit: float) -> An
         else:
             label[i] = label[_root(parent, i)]
     return label
-
-
-def warm() -> None:
-    """Compiles every kernel, or loads it."""
-    linked(np.array([0]), (1, 1, 1), np.zeros(1), np.ones(1, np.bool_), 0.0)

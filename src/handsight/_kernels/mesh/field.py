@@ -1,8 +1,8 @@
-"""Distance [m], gradient and Hessian [1/m] of an object's field at a point of the object's frame.
+"""Distance [m], gradient and Hessian [1/m] of an object's distance field at a point of the object's frame.
 
 A grid is interpolated by cubic B-splines and continued beyond its edge; boxes, cylinders and spheres are exact. A sheet
-is a grid around a surface without an inside, its distances negative behind it: where this side gives way to the other
-with no surface between them, the sign jumps and the distance does not pass through zero.
+is a grid around a surface that has two sides and no inside. Its distances are negative behind it, so that beyond its
+rim, where both sides meet without a surface between them, the sign jumps and the distance is not zero.
 """
 
 from typing import Any
@@ -32,13 +32,13 @@ Values = tuple[float, Vec3, Mat33]
 Ten = tuple[float, float, float, float, float, float, float, float, float, float]
 FLAT: Mat33 = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 RIM_MARGIN = 1.02
-"""Two places whose distances to a surface add up to more than this much of what is between them, and what the surface
-itself is unsure of (`blur`), are on one side."""
+"""Two nodes are on one side of a sheet if their distances to it add up to more than their gap times this, plus its
+`blur`: then no surface is between them."""
 
 
 @inner
 def field_at(nodes: Any, field: Any, place: Vec3) -> Values:
-    """Returns distance, gradient and Hessian of one field; `nodes`: those of all the object's grids."""
+    """Returns distance, gradient and Hessian of one field; `nodes` are those of all grids of the object."""
     if field.kind == GRID:
         return _grid(nodes, field, place)
     if field.kind == BOX:
@@ -59,9 +59,9 @@ def _grid(nodes: Any, field: Any, place: Vec3) -> Values:
 
 @inner
 def _sheet(nodes: Any, field: Any, place: Vec3) -> Values:
-    """Returns what `_grid` does; nodes with no surface between them and the nearest one get its sign.
+    """Returns what `_grid` returns, after nodes with no surface between them and the nearest one got that one's sign.
 
-    On its own, for within `_grid` it costs every grid a fifth.
+    As a part of `_grid` this would slow down every grid by a fifth.
     """
     first, past, beyond = _cell(field, place)
     step_x, step_y, own = field.shape[1] * field.shape[2], field.shape[2], local(NODES)
@@ -81,8 +81,8 @@ def _sheet(nodes: Any, field: Any, place: Vec3) -> Values:
 
 @inner
 def _cell(field: Any, place: Vec3) -> tuple[int, Vec3, Vec3]:
-    """Returns the first of the 4 x 4 x 4 nodes around a place, how far past the second it is, and past the grid
-    [cells]."""
+    """Returns the index of the first of the 4 x 4 x 4 nodes around a place, and how far the place is past the second
+    node and beyond the grid [cells]."""
     u = scale(sub(place, vector(field.origin)), field.inverse_cell)
     nx, ny, nz = field.shape[0], field.shape[1], field.shape[2]
     inside = _clamped(u[0], nx - 2.0), _clamped(u[1], ny - 2.0), _clamped(u[2], nz - 2.0)
@@ -93,7 +93,7 @@ def _cell(field: Any, place: Vec3) -> tuple[int, Vec3, Vec3]:
 
 @inner
 def _in_metres(field: Any, ten: Ten, beyond: Vec3) -> Values:
-    """Returns values of a spline as the field's, a way beyond the grid [cells]."""
+    """Returns distance, gradient and Hessian from the ten numbers of `spline`, `beyond` the grid's edge [cells]."""
     d, gx, gy, gz, xx, xy, xz, yy, yz, zz = ten
     inverse = field.inverse_cell
     hessian = scale33(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), inverse * inverse)
@@ -105,15 +105,14 @@ def _in_metres(field: Any, ten: Ten, beyond: Vec3) -> Values:
 
 @inner
 def _clamped(u: float, most: float) -> float:
-    """Returns a number between 1 and `most`; a NaN reads no memory beyond the grid either, and `_beyond` passes it
-    on."""
+    """Returns u limited to 1 to `most`; of a NaN, 1, so that nothing beyond the grid is read."""
     low = u if u > 1.0 else 1.0
     return low if low < most else most
 
 
 @inner
 def _where_zero(way: Vec3, v: Vec3) -> Vec3:
-    """Returns `v` along the axes on which the way is zero."""
+    """Returns `v` with zeros along the axes along which `way` is not zero."""
     return (
         v[0] if way[0] == 0 else 0.0,
         v[1] if way[1] == 0 else 0.0,
@@ -123,17 +122,17 @@ def _where_zero(way: Vec3, v: Vec3) -> Vec3:
 
 @inner
 def _beyond(edge: Values, way: Vec3) -> Values:
-    """Returns the field a way outside the grid, from its values at the edge."""
-    # Behind a sheet all of it is negative.
+    """Returns the field outside the grid, `way` [m] from the edge, where its values are `edge`."""
+    # Behind a sheet all of it is negated.
     side = -1.0 if edge[0] < 0 else 1.0
     m, g, H = side * edge[0], scale(edge[1], side), scale33(edge[2], side)
     slope = dot(g, way)
-    # Along what is free of the grid's edge the gradient there counts; across it, the way itself.
+    # Along the grid's edge the gradient changes by the Hessian; across it, the way is added below.
     p = add(g, _where_zero(way, mul(H, way)))
     if way[0] == 0 and way[1] == 0 and way[2] == 0:
         return edge
     if not m > 0:
-        return m + slope, p, H  # a NaN, passed on
+        return m + slope, p, H  # NaN in, NaN out
     f = np.sqrt(max(m * m + 2 * m * slope + dot(way, way), 1e-300))
     h = scale(add(add(scale(p, m), _where_zero(way, scale(g, slope))), way), 1 / f)
     bend = _around(scale(h, 1 / np.sqrt(max(dot(h, h), 1e-12))), side / f)
@@ -142,7 +141,7 @@ def _beyond(edge: Values, way: Vec3) -> Values:
 
 @inner
 def _around(n: Vec3, curvature: float) -> Mat33:
-    """Returns the Hessian of a ball's distance: (1 - n nᵀ) times its curvature."""
+    """Returns the Hessian of the distance to a ball, (1 - n nᵀ) times its curvature."""
     return scale33(sub33(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), outer(n, n)), curvature)
 
 
@@ -163,7 +162,7 @@ def _box(field: Any, place: Vec3) -> Values:
         fx = 1.0 if qx == largest else 0.0
         fy = 1.0 if qy == largest and fx == 0 else 0.0
         return largest, (fx * sx, fy * sy, (1.0 - fx - fy) * sz), FLAT
-    # Scaled by the largest, so that the direction survives a distance of 1e-170.
+    # Divided by the largest, so that a distance of 1e-170 m still has a direction.
     e = max(qx, 0.0) / largest, max(qy, 0.0) / largest, max(qz, 0.0) / largest
     size = norm(e)
     g = e[0] / size * sx, e[1] / size * sy, e[2] / size * sz
@@ -199,7 +198,7 @@ def _cylinder(field: Any, place: Vec3) -> Values:
 
 @entry
 def evaluate(nodes: Any, field: Any, points: Any, values: Any) -> None:
-    """Fills `values` (n, 13) with distance, gradient and Hessian at points (n, 3)."""
+    """Writes to `values` (n, 13) distance, gradient and Hessian of `field` (1,) FIELD at points (n, 3)."""
     for k in range(len(points)):
         d, g, H = field_at(nodes, field[0], vector(points[k]))
         row = values[k]

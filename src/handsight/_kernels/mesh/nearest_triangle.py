@@ -1,9 +1,10 @@
 """The closest point of many triangles, by a tree of boxes around them.
 
-The tree (`handsight.objects.meshes.box_tree`) is complete and lies in an array: the children of box k are 2k + 1 and
-2k + 2, and the last row of boxes, the leaves, holds the triangles from `starts[i]` to `starts[i + 1]` each. Closest
-points are where the surface is seen head on, and a box along the axes is thick there where the surface is oblique; so
-each leaf's own boxes stand in a frame of its own, along its normal.
+The tree (`handsight.objects.meshes.box_tree`) is complete and in an array: the children of box k are 2k + 1 and 2k + 2.
+The boxes of the last row are the leaves, and leaf i has the triangles from `starts[i]` to `starts[i + 1]`. From a
+closest point the surface is seen along its normal, in which direction boxes should be thin; a box along the object's
+axes is thick there where the surface is oblique. So the boxes around a leaf's triangles are in a frame of the leaf's
+own, along its normal.
 """
 
 from typing import Any
@@ -14,18 +15,13 @@ from handsight._kernels.math.vec3 import Vec3, add, dot, matrix, mul, scale, sto
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.runtime.threads import in_parts
 
-FLAT = 1e-14
-"""A triangle whose doubled area squared is below this part of its sides' product is taken for its edges."""
-DEPTH = 64
-"""More boxes than ever wait: one for each level of the tree."""
 RESULT = 8
 """Numbers for each closest point: distance, point (3), weights of the corners (3), triangle."""
-_LEAST = 1000
 
 
 @inner
 def _gap2(boxes: Any, k: int, p: Vec3) -> float:
-    """Returns the squared distance from p to box k, which is its least and its greatest corner."""
+    """Returns the squared distance from p to box k, given by its least and its greatest corner."""
     x = max(max(boxes[k, 0] - p[0], p[0] - boxes[k, 3]), 0.0)
     y = max(max(boxes[k, 1] - p[1], p[1] - boxes[k, 4]), 0.0)
     z = max(max(boxes[k, 2] - p[2], p[2] - boxes[k, 5]), 0.0)
@@ -34,10 +30,13 @@ def _gap2(boxes: Any, k: int, p: Vec3) -> float:
 
 @inner
 def _weights(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
-    """Returns weights of the corners in the point of triangle abc closest to p; an exact 0 off an edge."""
+    """Returns the weights of the corners in the point of triangle abc that is closest to p.
+
+    On an edge the weight of the corner opposite is exactly 0.
+    """
     u, v, w = sub(b, a), sub(c, a), sub(p, a)
     uu, uv, vv, wu, wv = dot(u, u), dot(u, v), dot(v, v), dot(w, u), dot(w, v)
-    # Which corner, edge or the inside it is: Ericson, Real-Time Collision Detection, 5.1.5, one division at most.
+    # Corner, edge or inside, with one division at most: Ericson, Real-Time Collision Detection, 5.1.5.
     if wu <= 0 and wv <= 0:
         return 1.0, 0.0, 0.0
     bu, bv = wu - uu, wv - uv
@@ -46,7 +45,7 @@ def _weights(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
     cu, cv = wu - uv, wv - vv
     if cv >= 0 and cu <= cv:
         return 0.0, 0.0, 1.0
-    # The weights times the doubled area squared.
+    # The weights, times the square of twice the area.
     area2, second, third = uu * vv - uv * uv, vv * wu - uv * wv, uu * wv - uv * wu
     first = area2 - second - third
     if third <= 0 and wu > 0 and bu <= 0:
@@ -58,15 +57,17 @@ def _weights(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
     if first <= 0 and bv > bu and cu >= cv:
         s = (bv - bu) / ((bv - bu) + (cu - cv))
         return 0.0, 1 - s, s
-    if area2 <= FLAT * uu * vv or min(first, min(second, third)) < 0:
+    if area2 <= 1e-14 * uu * vv or min(first, min(second, third)) < 0:  # too flat to have an inside
         return _on_edges(uu, uv, vv, wu, wv)
     return scale((first, second, third), 1 / area2)
 
 
 @inner
 def _on_edges(uu: float, uv: float, vv: float, wu: float, wv: float) -> Vec3:
-    """Returns what `_weights` does, of the edges alone, by what each squared distance has above that to the first
-    corner."""
+    """Returns what `_weights` returns, considering the edges only.
+
+    Edges are compared by their squared distances from p, less that of the first corner.
+    """
     s = min(wu / uu, 1.0) if wu > 0 else 0.0
     t = min(wv / vv, 1.0) if wv > 0 else 0.0
     along, size = wv - wu + uu - uv, uu - 2 * uv + vv
@@ -82,9 +83,9 @@ def _on_edges(uu: float, uv: float, vv: float, wu: float, wv: float) -> Vec3:
 
 @inner
 def _try_leaf(tree: Any, leaf: int, point: Vec3, found: Any) -> None:
-    """Puts the closest point on a leaf's triangles, in its frame, into `found` where it is closer.
+    """Writes the closest point on a leaf's triangles, in the leaf's frame, to `found` if it is closer than that.
 
-    `found[0]` is the squared distance here.
+    `found` is a RESULT with the squared distance in the place of the distance.
     """
     starts, _, frames, triangles, around = tree
     p = mul(matrix(frames[leaf]), point)
@@ -102,19 +103,19 @@ def _try_leaf(tree: Any, leaf: int, point: Vec3, found: Any) -> None:
 
 @entry
 def closest(points: Any, within: float, tree: Any, out: Any) -> None:
-    """Fills `out` (n, 8), see RESULT; of points (n, 3) that are nowhere within [m], the distance is infinite.
+    """Writes the closest points of points (n, 3) to `out` (n, 8), see RESULT; a distance above `within` is infinite.
 
-    `tree`: `starts` (p + 1), `boxes` (2p - 1, 6), `frames` (p, 3, 3); in the leaves' frames `triangles` (m, 3, 3) and
-    the box `around` each (m, 6).
+    `within` [m]. `tree`: `starts` (p + 1), `boxes` (2p - 1, 6) and `frames` (p, 3, 3) of p leaves; in their frames
+    `triangles` (m, 3, 3) and the box `around` each (m, 6).
     """
     starts, boxes, frames, _, _ = tree
     leaves = len(starts) - 1
-    waiting, gaps = np.empty(DEPTH, np.int64), np.empty(DEPTH)
+    waiting, gaps = np.empty(64, np.int64), np.empty(64)  # one box for each level of the tree waits at most
     last = 0
     for i in range(len(points)):
         p, found = vector(points[i]), out[i]
         found[0], found[7] = within * within, -1.0
-        # Neighbours in space follow each other: the last one's leaf leaves little to search.
+        # Points are in an order in which neighbours follow each other, so that the last leaf bounds the search well.
         _try_leaf(tree, last, p, found)
         waiting[0], gaps[0], count = 0, _gap2(boxes, 0, p), 1
         while count:
@@ -144,13 +145,7 @@ def closest(points: Any, within: float, tree: Any, out: Any) -> None:
 
 
 def closest_points(points: Any, within: float, tree: Any) -> Any:
-    """Returns what `closest` writes (n, 8), on several threads."""
+    """Returns what `closest` writes (n, 8), computed on several threads."""
     out = np.zeros((len(points), RESULT))
-    in_parts(lambda some, there: closest(some, within, tree, there), (points, out), _LEAST)
+    in_parts(lambda some, there: closest(some, within, tree, there), (points, out), 1000)
     return out
-
-
-def warm() -> None:
-    """Compiles every kernel, or loads it."""
-    tree = np.array([0, 1]), np.zeros((1, 6)), np.zeros((1, 3, 3)), np.zeros((1, 3, 3)), np.zeros((1, 6))
-    closest(np.zeros((1, 3)), np.inf, tree, np.zeros((1, RESULT)))

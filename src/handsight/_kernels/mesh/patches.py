@@ -1,7 +1,8 @@
-"""A surface of many patches, each a quadric: how far a place is off them.
+"""The distance from a surface that is made of many patches, each of them a quadric.
 
-A patch is the surface F = 0 in a frame of its own, F = z + H z²/2 + (a u² + 2 b uv + c v²)/2. (a, b, c) are the bends
-of its distance, outward positive; H is that which makes a plane, a cylinder and a ball exact, however far away.
+A patch is the surface F = 0 in a frame of its own, F = z + H z²/2 + (a u² + 2 b uv + c v²)/2, with z along its normal.
+(a, b, c) are the second derivatives of its distance, the `bends`, positive where it is convex; H is chosen so that
+planes, cylinders and balls are exact at any distance.
 """
 
 from typing import Any
@@ -11,9 +12,6 @@ import numpy as np
 from handsight._kernels.math.vec3 import Vec3, add, dot, norm, scale, sub, vector
 from handsight._kernels.runtime.compilation import entry, inner
 
-WIDE = 2.5
-"""Of the square that patches are averaged over: half the distance to the nearest, and the spacing."""
-
 PATCH = np.dtype(
     [
         ("point", "f8", (3,)),
@@ -22,11 +20,11 @@ PATCH = np.dtype(
         ("bends", "f8", (3,)),
         ("bend", "f8"),  # H
         ("covariance", "f8", (6, 6)),  # of height, slopes and bends
-        ("spread", "f8"),  # mean squared residual, freed of what the fit took away [m²]
-        ("window", "f8"),
-        ("fits", "i8"),  # windows so far
-        ("ended", "i8"),
-        ("trust", "f8"),  # its weight among others, beside its distance
+        ("spread", "f8"),  # variance of the residuals: their squares over the degrees of freedom [m²]
+        ("window", "f8"),  # radius of the widest window that it was fitted in [m]
+        ("fits", "i8"),  # how many windows it was fitted in
+        ("ended", "i8"),  # whether a wider window is not of one surface any more
+        ("trust", "f8"),  # its weight among others, beside that by its distance
     ],
     align=True,
 )
@@ -34,7 +32,7 @@ PATCH = np.dtype(
 
 @inner
 def gradient(patch: Any, u: float, v: float, z: float) -> Vec3:
-    """Returns the gradient of F at a point of the patch's frame, along the object's axes."""
+    """Returns the gradient of F along the object's axes, at a point (u, v, z) of the patch's frame."""
     n, a, b = vector(patch.normal), vector(patch.along[0]), vector(patch.along[1])
     by_u = patch.bends[0] * u + patch.bends[1] * v
     by_v = patch.bends[1] * u + patch.bends[2] * v
@@ -43,17 +41,18 @@ def gradient(patch: Any, u: float, v: float, z: float) -> Vec3:
 
 @inner
 def level_set(patch: Any, u: float, v: float, z: float) -> float:
-    """Returns F at a point of the patch's frame."""
+    """Returns F at a point (u, v, z) of the patch's frame."""
     q = patch.bends[0] * u * u + 2 * patch.bends[1] * u * v + patch.bends[2] * v * v
     return z + 0.5 * (patch.bend * z * z + q)
 
 
 @entry
 def blended(patches: Any, spacing: float, around: Any, nearest: Any, nodes: Any, out: Any) -> None:
-    """Fills `out` (n, 4), of nodes (n, 3) the signed distance [m] to the average of patches, and the way outwards.
+    """Writes to `out` (n, 4) the signed distance [m] of nodes (n, 3) from the surface, and the direction outwards.
 
-    Averaged are those `around` (m, k) the `nearest` (n,); 2 F / (1 + √(1 + 2 H F)) is the distance to a plane, cylinder
-    and ball. Of the nearest first: the far side of a thin wall and the other face of an edge have no say.
+    The distance from a patch is 2 F / (1 + √(1 + 2 H F)), exact for planes, cylinders and balls. It is averaged over
+    the patches `around[nearest[j]]` (k,), the nearest first, weighted by how near they are and whether they face the
+    way of the nearest: the far side of a thin wall and the other face of an edge do not count.
     """
     for j in range(len(nodes)):
         place, near2, total, weights, way = vector(nodes[j]), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)
@@ -66,7 +65,7 @@ def blended(patches: Any, spacing: float, around: Any, nearest: Any, nodes: Any,
                 near2 = away2
             reach = 0.5 * np.sqrt(near2) + spacing
             facing = max(dot(vector(patch.normal), ahead), 0.0)
-            w = np.exp((near2 - away2) / (WIDE * reach * reach)) * facing**4 * patch.trust
+            w = np.exp((near2 - away2) / (2.5 * reach * reach)) * facing**4 * patch.trust
             u, v = dot(vector(patch.along[0]), offset), dot(vector(patch.along[1]), offset)
             z = dot(vector(patch.normal), offset)
             off = level_set(patch, u, v, z)
@@ -79,8 +78,10 @@ def blended(patches: Any, spacing: float, around: Any, nearest: Any, nodes: Any,
 
 @entry
 def neighbours(points: Any, pairs: Any, patches: Any, window: float, sums: Any) -> None:
-    """Adds to `sums` (4,): of pairs (k, 2) of points (n, 3) in one window of a patch, products of their residuals [m²],
-    mean squares of these [m²], distances [m], how many.
+    """Adds to `sums` (4,) what tells whether neighbouring points share their noise.
+
+    For all `pairs` (k, 2) of points (n, 3) that are both within `window` [m] of a patch: the product of their
+    residuals [m²], the mean of their squares [m²], the points' distance [m], and 1.
     """
     residuals = np.empty(len(points))
     for k in range(len(patches)):
@@ -98,12 +99,3 @@ def neighbours(points: Any, pairs: Any, patches: Any, window: float, sums: Any) 
                 sums[1] += 0.5 * (residuals[i] ** 2 + residuals[j] ** 2)
                 sums[2] += norm(sub(vector(points[i]), vector(points[j])))
                 sums[3] += 1
-
-
-def warm() -> None:
-    """Compiles every kernel, or loads it."""
-    patches, one = np.zeros(1, dtype=PATCH), np.zeros((1, 3))
-    patches["normal"], patches["trust"] = [0.0, 0.0, 1.0], 1.0
-    index = np.zeros(1, dtype=np.int64)
-    blended(patches, 1.0, index[:, None], index, one, np.empty((1, 4)))
-    neighbours(one, index[:, None].repeat(2, axis=1), patches, 1.0, np.zeros(4))

@@ -1,6 +1,6 @@
-"""Quadrics fitted to noisy points, each in a window that widens as long as what it tells stays the same."""
+"""Quadrics fitted to noisy points, each in a window that widens as long as the fits agree (Lepski 1991)."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,36 +10,40 @@ from handsight._kernels.math.vec3 import Vec3, add, cross, dot, norm, scale, sto
 from handsight._kernels.mesh.patches import PATCH, gradient, level_set
 from handsight._kernels.runtime.compilation import entry, inner
 
-MOST = 1500
-"""Points of one window; beyond them what comes in the order of cells is left out."""
-LEAST = 7.5
-"""Points, by weight, that six numbers are fitted to."""
-PASSES = 2
-"""Of a fit in each window, the frame moved to the surface after each."""
-FACING = float(np.cos(np.deg2rad(35.0)))
-"""Normals further than this from a patch's are of another face; those turned further than BEHIND, of another side."""
-BEHIND = -0.5
-OUTLYING = 3.0
-"""Residuals of more deviations than this are left out."""
-REJECTED = 0.1
-"""A window of which more than this is left out ends beyond the patch."""
-CHANCE = 3.0
-"""Deviations of its own by which residuals may exceed the noise."""
-DRIFT = 1.5
-"""Deviations of any smaller window that a wider one may be off (Lepski 1991)."""
-MIXED = 3.0
-"""The squared length of a bend's error, all four terms of the tensor, in variances of one of its own terms."""
+
+class QuadricOptions(NamedTuple):
+    """`QuadricOptions` say which points of a window are of the patch, and when a wider window is not."""
+
+    max_points: int = 1500  # of one window; later ones, in the order of cells, are left out
+    min_weight: float = 7.5  # effective number of points to which six numbers are fitted
+    passes: int = 2  # fits in each window; the frame is moved to the surface after each
+    min_facing: float = float(np.cos(np.deg2rad(35.0)))
+    """The least cosine of a point's normal and the patch's; with a smaller one it is on another face."""
+    behind: float = -0.5  # below this cosine it is on the other side of a thin wall
+    max_residual: float = 3.0  # of a point, in standard deviations, or it is left out
+    max_left_out: float = 0.1  # share of weight left out above which the window reaches beyond the patch
+    max_excess: float = 3.0  # of the residuals' variance over the noise's, in its own standard deviations
+    max_drift: float = 1.5  # of a fit from those in smaller windows, in their standard deviations
+    bend_variances: float = 3.0
+    """The squared error of the tensor of second derivatives, all four terms, in variances of one of its terms."""
+
+
+QUADRICS = QuadricOptions()
 
 LEVEL = np.dtype(
     [
-        ("place", "i8"),  # which of the windows it is
+        ("place", "i8"),  # number of this window size, from the smallest
         ("window", "f8"),  # radius [m]
-        ("origin", "f8", (3,)),  # of the cells, as wide as that
-        ("shape", "i8", (3,)),
+        (
+            "origin",
+            "f8",
+            (3,),
+        ),  # of the grid whose cells sort the points; a cell is as wide as the window's radius
+        ("shape", "i8", (3,)),  # of that grid
         ("variance", "f8"),  # of a point's noise [m²]
         ("together", "f8"),  # how many points share one noise
-        ("tolerance", "f8"),  # a shape's own residual that no window can do without, squared [m²]
-        ("bend", "f8"),  # one standard deviation of curvatures before anything is measured [1/m]
+        ("tolerance", "f8"),  # squared residual that the shape itself has in any window [m²]
+        ("bend", "f8"),  # standard deviation of curvatures before anything is measured [1/m]
         ("free", "i8"),  # whether every window counts and no point is left out
     ],
     align=True,
@@ -47,7 +51,7 @@ LEVEL = np.dtype(
 ROOM = np.dtype(
     [
         ("trial", PATCH),
-        ("many", "f8"),  # points, by weight
+        ("many", "f8"),  # effective number of points
         ("matrix", "f8", (6, 6)),
         ("factor", "f8", (6, 6)),
         ("right", "f8", (6,)),
@@ -59,12 +63,12 @@ ROOM = np.dtype(
     align=True,
 )
 WINDOW_VALUES = 16
-"""Numbers kept of each window: point, normal, the bends' tensor along the object's axes, variances, the spread."""
+"""Numbers of a fit in one window: point (3), normal (3), tensor of second derivatives (6), variances (3), spread."""
 
 
 @inner
 def _gathered(cloud: Any, keys: Any, level: Any, place: Vec3, index: Any) -> int:
-    """Returns how many points are within the window; fills `index` with them."""
+    """Writes to `index` the points in the window around a place, and returns how many they are."""
     ny, nz = level.shape[1], level.shape[2]
     cell = scale(sub(place, vector(level.origin)), 1 / level.window)
     ix, iy, iz = int(cell[0]), int(cell[1]), int(cell[2])
@@ -82,17 +86,18 @@ def _gathered(cloud: Any, keys: Any, level: Any, place: Vec3, index: Any) -> int
 
 @inner
 def _fill(x: Any, u: float, v: float) -> None:
+    """Writes the monomials of a quadric at (u, v) to x (6,)."""
     x[0], x[1], x[2], x[3], x[4], x[5] = 1.0, u, v, 0.5 * u * u, u * v, 0.5 * v * v
 
 
 @inner
 def _is_left_out(patch: Any, level: Any, normal: Vec3, place: Vec3, x: Any) -> int:
-    """Returns whether a point is none of the patch: 1 beside it, 2 behind it."""
+    """Returns 0 for a point of the patch, 1 for one on another face or off the surface, 2 for one on the other side."""
     u, v, z = place
     ahead = gradient(patch, u, v, z)
     facing = dot(ahead, normal) / max(norm(ahead), 1e-9)
-    if facing < FACING:
-        return 2 if facing < BEHIND else 1
+    if facing < QUADRICS.min_facing:
+        return 2 if facing < QUADRICS.behind else 1
     if patch.fits == 0:
         return 0
     off, predicted = level_set(patch, u, v, z), 0.0
@@ -100,13 +105,14 @@ def _is_left_out(patch: Any, level: Any, normal: Vec3, place: Vec3, x: Any) -> i
     for i in range(6):
         for j in range(6):
             predicted += x[i] * patch.covariance[i, j] * x[j]
-    return 1 if off * off > OUTLYING * OUTLYING * (level.variance + predicted) else 0
+    limit = QUADRICS.max_residual
+    return 1 if off * off > limit * limit * (level.variance + predicted) else 0
 
 
 @inner
 def _normal_equations(cloud: Any, index: Any, level: Any, room: Any) -> tuple[float, float, float, float]:
-    """Returns sums of weights, of their squares, of those left out, and of squared heights; fills matrix and right
-    side."""
+    """Writes the normal equations of a fit; returns the sums of weights, squared weights, weights that are left out,
+    and weighted squared heights."""
     patch, h = room.trial, level.window
     n, a, b, origin = (
         vector(patch.normal),
@@ -119,7 +125,7 @@ def _normal_equations(cloud: Any, index: Any, level: Any, room: Any) -> tuple[fl
     for i in index:
         offset = sub(vector(cloud[i]), origin)
         u, v, z = dot(a, offset), dot(b, offset), dot(n, offset)
-        # By the way along the surface: a weight that falls with the height would call thick noise thin.
+        # Weighted by the distance along the surface: with the height in it, thick noise would seem thin.
         w = max(1 - (u * u + v * v) / (h * h), 0.0)
         w *= w
         if not level.free:
@@ -139,10 +145,10 @@ def _normal_equations(cloud: Any, index: Any, level: Any, room: Any) -> tuple[fl
 
 @inner
 def _fitted(cloud: Any, index: Any, level: Any, room: Any) -> float:
-    """Returns the share of weight left out, above 1 where there is no fit; moves the trial patch to its fit."""
+    """Fits the trial patch; returns the share of weight that is left out, above 1 where there is no fit."""
     patch, h = room.trial, level.window
     total, squares, rejected, heights = _normal_equations(cloud, index, level, room)
-    if total * total < LEAST * squares or not total > 0:
+    if total * total < QUADRICS.min_weight * squares or not total > 0:
         return 2.0
     ridge = level.variance / (level.bend * h * h) ** 2
     for k in range(3, 6):
@@ -168,7 +174,7 @@ def _fitted(cloud: Any, index: Any, level: Any, room: Any) -> float:
 
 @inner
 def _move(patch: Any, solution: Any, powers: Any) -> None:
-    """Moves the frame to the surface that was fitted, z + H z²/2 = X solution, and the bends there."""
+    """Moves a patch's frame to the fitted surface z + H z²/2 = X solution, and its second derivatives with it."""
     n, a, b = vector(patch.normal), vector(patch.along[0]), vector(patch.along[1])
     height = solution[0]
     z = 2 * height / (1 + np.sqrt(max(1 + 2 * patch.bend * height, 0.25)))
@@ -192,7 +198,7 @@ def _move(patch: Any, solution: Any, powers: Any) -> None:
 
 @inner
 def _tensor(patch: Any, out: Any) -> None:
-    """Writes the bends as a symmetric tensor along the object's axes: its diagonal, then xy, xz, yz."""
+    """Writes the tensor of second derivatives along the object's axes to `out` (6): xx, yy, zz, xy, xz, yz."""
     a, b = vector(patch.along[0]), vector(patch.along[1])
     for k in range(6):
         i, j = (k, k) if k < 3 else ((0, k - 2) if k < 5 else (1, 2))
@@ -202,8 +208,8 @@ def _tensor(patch: Any, out: Any) -> None:
 
 @inner
 def _has_drifted(patch: Any, earlier: Any, windows: int, tensor: Any) -> bool:
-    """Returns whether a patch is further from that of a smaller window than that one's deviations allow."""
-    n, limit = vector(patch.normal), DRIFT * DRIFT
+    """Returns whether a patch differs from its fit in a smaller window by more than that one's standard deviations."""
+    n, limit = vector(patch.normal), QUADRICS.max_drift * QUADRICS.max_drift
     for j in range(windows):
         row = earlier[j]
         height = dot(n, sub(vector(patch.point), vector(row)))
@@ -212,14 +218,16 @@ def _has_drifted(patch: Any, earlier: Any, windows: int, tensor: Any) -> bool:
             turn += (n[k] - row[3 + k]) ** 2
         for k in range(6):
             bend += (1.0 if k < 3 else 2.0) * (tensor[k] - row[6 + k]) ** 2
-        if height * height > limit * row[12] or turn > 2 * limit * row[13] or bend > MIXED * limit * row[14]:
+        if height * height > limit * row[12] or turn > 2 * limit * row[13]:
+            return True
+        if bend > QUADRICS.bend_variances * limit * row[14]:
             return True
     return False
 
 
 @inner
 def _copy(patch: Any, other: Any) -> None:
-    """Copies everything but the count of windows."""
+    """Copies a patch's shape, and what was measured of it, to another one."""
     for i in range(3):
         other.point[i], other.normal[i], other.bends[i] = patch.point[i], patch.normal[i], patch.bends[i]
         other.along[0, i], other.along[1, i] = patch.along[0, i], patch.along[1, i]
@@ -231,7 +239,7 @@ def _copy(patch: Any, other: Any) -> None:
 
 @inner
 def _note(patch: Any, tensor: Any, row: Any) -> None:
-    """Notes what later windows are compared with."""
+    """Writes the WINDOW_VALUES of a fit, with which fits in wider windows are compared."""
     C = patch.covariance
     for k in range(3):
         row[k], row[3 + k] = patch.point[k], patch.normal[k]
@@ -243,12 +251,12 @@ def _note(patch: Any, tensor: Any, row: Any) -> None:
 
 @entry
 def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> None:
-    """Fits each patch (m,) again in a wider window, and keeps that unless it tells something else.
+    """Fits each of `patches` (m,) PATCH in a wider window, and keeps the new fit unless it contradicts earlier ones.
 
-    `cloud` (n, 6): points and normals, in the order of their cells, whose `keys` (n,) are. `levels` (1,): LEVEL.
-    `earlier` (m, windows, WINDOW_VALUES): what earlier windows told.
+    `cloud` (n, 6): points and normals, in the order of their grid cells, `keys` (n,). `levels` (1,): LEVEL. `earlier`
+    (m, windows, WINDOW_VALUES): the fits in smaller windows; those in this one are added.
     """
-    level, room, index = levels[0], local(ROOM), np.empty(MOST, np.int64)
+    level, room, index = levels[0], local(ROOM), np.empty(QUADRICS.max_points, np.int64)
     for k in range(len(patches)):
         patch, trial = patches[k], room.trial
         if patch.ended:
@@ -256,18 +264,17 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
         count = _gathered(cloud, keys, level, vector(patch.point), index)
         _copy(patch, trial)
         left_out = 0.0
-        for _ in range(PASSES):
+        for _ in range(QUADRICS.passes):
             if left_out <= 1:
                 left_out = _fitted(cloud, index[:count], level, room)
         if left_out > 1:
             continue
         _tensor(trial, room.tensor)
         if patch.fits > 0 and not level.free:
-            expected = (
-                level.variance * (1 + CHANCE * np.sqrt(2 * level.together / room.many)) + level.tolerance
-            )
+            excess = QUADRICS.max_excess * np.sqrt(2 * level.together / room.many)
+            expected = level.variance * (1 + excess) + level.tolerance
             if (
-                left_out > REJECTED
+                left_out > QUADRICS.max_left_out
                 or trial.spread > expected
                 or _has_drifted(trial, earlier[k], level.place, room.tensor)
             ):
@@ -277,10 +284,3 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
         patch.window = level.window
         _note(patch, room.tensor, earlier[k, level.place])
         patch.fits += 1
-
-
-def warm() -> None:
-    """Compiles every kernel, or loads it."""
-    patches, levels = np.zeros(1, dtype=PATCH), np.zeros(1, dtype=LEVEL)
-    patches["normal"], levels["window"], levels["shape"] = [0.0, 0.0, 1.0], 1.0, 3
-    widen(np.zeros((1, 6)), np.zeros(1, dtype=np.int64), levels, patches, np.zeros((1, 1, WINDOW_VALUES)))

@@ -1,4 +1,4 @@
-"""How often a surface winds around points."""
+"""Winding numbers: how many times a surface winds around a point."""
 
 from typing import Any
 
@@ -9,8 +9,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.runtime.threads import in_parts
 
 FAR_PATCH, FAR_TRIANGLE = 2.0, 4.0
-"""A patch, a triangle is one dipole beyond this many of its radii."""
-_LEAST = 200
+"""From so many of its radii on, a patch or a triangle is taken for one dipole."""
 
 
 @inner
@@ -23,7 +22,7 @@ def _solid_angle(a: Vec3, b: Vec3, c: Vec3) -> float:
 
 @inner
 def _near(elements: Any, first: int, last: int, p: Vec3) -> float:
-    """Returns the sum of solid angles of the elements from first to last."""
+    """Returns the sum of the solid angles of the elements from number `first` to `last`, exclusive, seen from p."""
     centers, vectors, reach, corners = elements
     total = 0.0
     for t in range(first, last):
@@ -39,10 +38,11 @@ def _near(elements: Any, first: int, last: int, p: Vec3) -> float:
 
 @entry
 def winding(points: Any, patches: Any, elements: Any, out: Any) -> None:
-    """Fills `out` (n) with winding numbers at the points (n, 3).
+    """Writes to `out` (n) the winding numbers of a surface at points (n, 3).
 
-    `patches`: `starts` (p + 1), `middles` (p, 3), `vectors` (p, 3), `radii` (p); `elements`: `centers` (m, 3),
-    `vectors` (m, 3), `reach` (m), `corners` (m, 3, 3) or of points (0, 3, 3).
+    `elements`, triangles or the points of a cloud: `centers` (m, 3), area `vectors` (m, 3), `reach` (m) (radii), and
+    `corners` (m, 3, 3), of points (0, 3, 3). `patches` of elements: `starts` (p + 1), `middles` (p, 3), area `vectors`
+    (p, 3) and `radii` (p).
     """
     starts, middles, vectors, radii = patches
     for i in range(len(points)):
@@ -58,14 +58,7 @@ def winding(points: Any, patches: Any, elements: Any, out: Any) -> None:
 
 
 def winding_at(points: Any, patches: Any, elements: Any) -> Any:
-    """Returns what `winding` writes (n,), on several threads."""
+    """Returns what `winding` writes (n,), computed on several threads."""
     out = np.zeros(len(points))
-    in_parts(lambda some, there: winding(some, patches, elements, there), (points, out), _LEAST)
+    in_parts(lambda some, there: winding(some, patches, elements, there), (points, out), 200)
     return out
-
-
-def warm() -> None:
-    """Compiles every kernel, or loads it."""
-    one, row = np.zeros(1), np.zeros((1, 3))
-    patches = np.array([0, 1]), row, row, one
-    winding(row, patches, (row, row, one, np.zeros((1, 3, 3))), one)

@@ -1,1 +1,1 @@
-"""How kernels are compiled, kept on disk and run on threads."""
+"""How kernels are compiled, kept on disk, and run on several threads."""

@@ -1,8 +1,8 @@
-"""Work in parts on several threads, for kernels that release the interpreter.
+"""Work on arrays, shared among several threads by parts; for kernels, which release the interpreter.
 
-The caller works too and takes what the others leave, so that threads that are slow to wake cost next to nothing.
-Threads of our own: unlike numba's pool they serve any number of callers and a forked child, and a kernel without
-`prange` compiles in a third of the time. Worth it above a millisecond of work.
+The caller works too and takes the parts that no other thread has taken, so that threads that are slow to wake cost next
+to nothing. Unlike numba's pool, these threads serve any number of callers and a forked child, and a kernel without
+`prange` compiles in a third of the time. Work of less than a millisecond is not worth sharing.
 """
 
 import contextlib
@@ -18,15 +18,12 @@ from typing import Any
 import numba
 from numpy.typing import NDArray
 
-PARTS_EACH = 4
-"""Parts for each thread: the last one to end keeps the others waiting for less."""
-
 _alone = ContextVar("alone", default=False)
 
 
 @contextlib.contextmanager
 def alone() -> Iterator[None]:
-    """What is called within keeps to the caller's thread: for workers of which there is one for each core."""
+    """Keeps `in_parts` to the caller's thread inside; for worker processes, of which there is one for each core."""
     before = _alone.set(True)
     try:
         yield
@@ -35,16 +32,17 @@ def alone() -> Iterator[None]:
 
 
 def in_parts(work: Callable[..., object], arrays: Sequence[NDArray[Any]], least: int) -> None:
-    """Calls `work` on parts of arrays of one length, at least `least` rows, until all are done; raises what it raises.
+    """Calls `work` with the same rows of all `arrays`, `least` rows or more at a time, until all rows are done.
 
-    On as many threads as numba may use (NUMBA_NUM_THREADS), or on the caller's within `alone`.
+    The arrays have one length. It runs on as many threads as numba may use (NUMBA_NUM_THREADS), or on the caller's
+    within `alone`. An error that `work` raises is raised here, once all threads have stopped.
     """
     n = len(arrays[0])
     threads = min(numba.config.NUMBA_NUM_THREADS, n // least)
     if threads < 2 or _alone.get():
         work(*arrays)
         return
-    parts = min(PARTS_EACH * threads, n // least)
+    parts = min(4 * threads, n // least)  # with small parts, no thread waits long for the last one
     edges = [n * k // parts for k in range(parts + 1)]
     left = deque(pairwise(edges))
 
@@ -76,4 +74,6 @@ def _helpers() -> ThreadPoolExecutor:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_helpers.cache_clear)  # a child has none of its parent's threads
+    os.register_at_fork(
+        after_in_child=_helpers.cache_clear
+    )  # a forked child has none of its parent's threads

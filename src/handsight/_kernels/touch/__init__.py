@@ -1,1 +1,1 @@
-"""Contact sensing: from wrenches and joint positions to contacts in the palm."""
+"""Touch: from wrenches on fingertips, and joint positions, to contacts in the palm."""

@@ -1,4 +1,4 @@
-"""From a hand's raw wrenches to contacts in the palm, with their uncertainty, and which of them are the table's."""
+"""From the raw wrenches of a hand's fingertips to contacts in the palm, with their covariances."""
 
 from typing import Any
 
@@ -25,7 +25,6 @@ from handsight._kernels.math.vec3 import (
 )
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.touch.sensing import uncertain_contact
-from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
 from handsight._kernels.touch.sensing_steps import CONTACT, Vec6, unpack_fingertip
 from handsight._kernels.touch.tip_to_tip import (
     TIP_TO_TIP,
@@ -37,7 +36,8 @@ from handsight._kernels.touch.tip_to_tip import (
 
 @inner
 def _compensate(reading: Any, finger: Any, gravity_sensor: Vec3) -> Vec6:
-    """Returns force and torque of the object on the tip in the sensor's frame: a reading without bias and weight."""
+    """Returns force [N] and torque [N m] of the object on the tip, in the sensor's frame: a reading without bias and
+    the tip's weight."""
     weight = scale(gravity_sensor, finger.mass)
     force = scale(sub(vector(reading[:3]), vector(finger.bias[:3])), finger.sign)
     torque = scale(sub(vector(reading[3:]), vector(finger.bias[3:])), finger.sign)
@@ -57,8 +57,8 @@ def _rotate(R: Mat33, C: Any) -> None:
 def _add_joint_errors(J: Any, lever: Vec3, normal: Vec3, C: Any) -> None:
     """Adds the effect of independent errors of the joints to a contact's covariance.
 
-    `J` (6, j): motion of the tip by each error; overwritten by the motion of point and normal. The point is displaced
-    by `lever` from the place whose motion is given.
+    `J` (6, j) has the motion of the tip's origin by one standard deviation of each error, and is overwritten by the
+    motion of the contact's point and normal. `lever` leads from the origin to the point.
     """
     for j in range(J.shape[1]):
         turn = J[3, j], J[4, j], J[5, j]
@@ -91,7 +91,7 @@ def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, contact:
     store(normal, contact.normal)
     _rotate(R, C)
     _add_joint_errors(J, sub(point, vector(T_palm_tip[:3, 3])), normal, C)
-    two = touch_probability(contact.gap)  # the sensor then measures the sum of two contacts
+    two = touch_probability(contact.gap)  # of the sensor measuring the sum of two contacts
     for i in range(3):
         C[i, i] += finger.variance_point + two * TIP_TO_TIP.variance_point
         C[3 + i, 3 + i] += finger.variance_normal + two * TIP_TO_TIP.variance_normal
@@ -105,8 +105,8 @@ def contacts_to_palm(
     """Writes the `contacts` (n) PALM_CONTACT of n `fingers` FINGER with raw `readings` (n, 6), NaN without a reading.
 
     `by_error` (n, 6, j): motion of the tips, at the origins of `Ts_palm_tip` (n, 4, 4), by one standard deviation of
-    each of j independent errors; of a finger with a contact it is overwritten by the motion of the contact's point and
-    normal. `gravity_palm` (3): zeros where gravity is unknown, and the tips' weight stays in the readings.
+    each of j independent errors; for a finger with a contact it is overwritten by the motion of the contact's point and
+    normal. `gravity_palm` (3) [m/s²]: zeros where it is unknown; then the tips' weight stays in the readings.
     """
     Ts_palm_surface = np.empty((len(fingers), 3, 4))
     for i in range(len(fingers)):
@@ -135,7 +135,7 @@ def contacts_to_palm(
             store(mul(matrix(Ts_palm_surface[i]), tangential), contact.load[:3])
             contact.load[3], contact.load[4] = answer[4], answer[5]
             other = norm(vector(loads[int(nearest[i, 0]), :3]))
-            # The comparison is false where the other sensor has no reading; then the tip's own load is taken.
+            # If the other sensor has no reading, the comparison is false and the tip's own load is taken.
             smaller = other if other < norm(load[0]) else norm(load[0])
             add_load_of_other_tip(load, tip, Ts_palm_surface[i], vector(nearest[i, 1:]), smaller, contact)
             _to_palm(finger, Ts_palm_surface[i], Ts_palm_tip[i], by_error[i], contact)
@@ -143,10 +143,11 @@ def contacts_to_palm(
 
 @entry
 def mark_on_table(T_world_palm: Any, table: Any, reason: int, contacts: Any) -> None:
-    """Writes `reason` to those of the contacts (n) PALM_CONTACT that touch the table and not the object.
+    """Writes `reason` to those of the contacts (n) PALM_CONTACT that are on the table and not on the object.
 
-    They are within three standard deviations of the table's height and face up; no object's surface faces up where it
-    stands. `table` (3): its height, and the standard deviations of height [m] and tilt [rad].
+    These are within three standard deviations of the table's height, with a normal that is upright as closely; where an
+    object stands, none of its surface faces up. `table` (3): height [m] and the standard deviations of height [m] and
+    tilt [rad].
     """
     up = vector(T_world_palm[2, :3])
     for i in range(len(contacts)):
@@ -160,11 +161,3 @@ def mark_on_table(T_world_palm: Any, table: Any, reason: int, contacts: Any) -> 
         variance_angle = (C[3, 3] + C[4, 4] + C[5, 5]) / 2 + table[2] ** 2
         if height**2 < 9.0 * variance_height and angle**2 < 9.0 * variance_angle:
             contact.reason = reason
-
-
-def warm() -> None:
-    """Compiles the kernels, or loads their machine code."""
-    fingers, poses = np.ones(1, FINGER), np.eye(4)[None]
-    contacts = np.zeros(1, PALM_CONTACT)
-    contacts_to_palm(fingers, np.zeros((1, 6)), poses, np.zeros((1, 6, 1)), np.zeros(3), contacts)
-    mark_on_table(np.eye(4), np.ones(3), 1, contacts)

@@ -1,8 +1,8 @@
-"""Contact sensing: from wrenches on a fingertip to contacts (eq. 7).
+"""Contact sensing: from wrenches on a fingertip to contacts (eq. 7), one at a time or many.
 
-Many wrenches are computed in blocks, column by column of a flat workspace, without a branch: the compiler does four at
-a time. Each step is a loop of its own, because the processor overlaps several rounds of a short loop; one loop of all
-steps takes 1.4 times as long.
+Many wrenches are computed in blocks of `LANES`, column by column of a flat workspace, without a branch, so that the
+compiler vectorises it. Each step is a loop of its own, because the processor overlaps several rounds of a short loop;
+one loop of all steps takes 1.4 times as long.
 """
 
 from typing import Any, NamedTuple
@@ -11,7 +11,6 @@ import numpy as np
 
 from handsight._kernels.math.vec3 import Vec3
 from handsight._kernels.runtime.compilation import entry
-from handsight._kernels.touch.sensing_records import FINGERTIP, TIP_CONTACT
 from handsight._kernels.touch.sensing_steps import (
     CONTACT,
     OFF_CAP,
@@ -21,7 +20,6 @@ from handsight._kernels.touch.sensing_steps import (
     covariance_factor,
     lane,
     point_on_sphere,
-    rescaled,
     solve_push,
     store,
     sum_of_products,
@@ -33,21 +31,21 @@ from handsight._kernels.touch.sensing_steps import (
 )
 
 LANES = 32
+"""Wrenches of a block."""
 
 
 class Columns(NamedTuple):
-    """`Columns` are the places of wrenches' numbers in the workspace, `LANES` numbers each."""
+    """`Columns` are the first columns of each quantity in the workspace; a column has `LANES` numbers."""
 
     reason: int = 0
-    size: int = 1
-    q: int = 2
-    normal: int = 5
-    force: int = 8
-    moment: int = 11
-    c: int = 14
-    kappa: int = 15
-    reading: int = 16
-    total: int = 22
+    q: int = 1
+    normal: int = 4
+    force: int = 7
+    moment: int = 10
+    c: int = 13
+    kappa: int = 14
+    reading: int = 15
+    total: int = 21
 
 
 AT = Columns()
@@ -66,7 +64,7 @@ def _set3(w: Any, column: int, j: int, value: Vec3) -> None:
 
 @lane
 def _read(w: Any, forces: Any, torques: Any, start: int, count: int) -> None:
-    """Copies `count` readings from number `start` on, of flat arrays, to the columns `reading`."""
+    """Copies `count` readings, from number `start` on, from flat arrays to the columns `reading`."""
     for j in range(count):
         i = 3 * (start + j)
         _set3(w, AT.reading, j, (forces[i], forces[i + 1], forces[i + 2]))
@@ -75,12 +73,10 @@ def _read(w: Any, forces: Any, torques: Any, start: int, count: int) -> None:
 
 @lane
 def _solve(w: Any, tip: Fingertip) -> None:
-    """Computes the other columns from `reading`: `q` becomes points, `c` normal forces, `kappa` local torques."""
+    """Fills the other columns from `reading`: at the end `q` has points, `c` normal forces, `kappa` local torques."""
     for j in range(LANES):
-        reason, size, force, moment = wrench_on_surface(
-            _get3(w, AT.reading, j), _get3(w, AT.reading + 3, j), tip
-        )
-        w[AT.reason * LANES + j], w[AT.size * LANES + j] = reason, size
+        reason, force, moment = wrench_on_surface(_get3(w, AT.reading, j), _get3(w, AT.reading + 3, j), tip)
+        w[AT.reason * LANES + j] = reason
         _set3(w, AT.force, j, force)
         _set3(w, AT.moment, j, moment)
     for j in range(LANES):
@@ -92,15 +88,13 @@ def _solve(w: Any, tip: Fingertip) -> None:
         c, kappa = w[AT.c * LANES + j], w[AT.kappa * LANES + j]
         _set3(w, AT.q, j, point_on_sphere(_get3(w, AT.force, j), _get3(w, AT.moment, j), c, kappa, tip))
     for j in range(LANES):
-        q, force, size = _get3(w, AT.q, j), _get3(w, AT.force, j), w[AT.size * LANES + j]
-        c, kappa = w[AT.c * LANES + j], w[AT.kappa * LANES + j]
-        normal, push, twist, contact_reason = contact_loads(q, force, c, kappa, tip)
+        q, c, kappa = _get3(w, AT.q, j), w[AT.c * LANES + j], w[AT.kappa * LANES + j]
+        normal, push, twist, contact_reason = contact_loads(q, _get3(w, AT.force, j), c, kappa, tip)
         reason = w[AT.reason * LANES + j]
         w[AT.reason * LANES + j] = reason if reason > CONTACT else contact_reason
-        w[AT.c * LANES + j], w[AT.kappa * LANES + j] = rescaled(push, size), rescaled(twist, size)
+        w[AT.c * LANES + j], w[AT.kappa * LANES + j] = push, twist
         _set3(w, AT.q, j, times(q, tip.semi_axes))
         _set3(w, AT.normal, j, normal)
-        _set3(w, AT.force, j, (rescaled(force[0], size), rescaled(force[1], size), rescaled(force[2], size)))
 
 
 @lane
@@ -114,10 +108,10 @@ def _write(w: Any, j: int, contact: Any) -> None:
 
 @entry
 def sense(forces: Any, torques: Any, tip: Any, reasons: Any, rows: Any, contacts: Any) -> int:
-    """Returns the number of contacts among n wrenches, and writes them in the order of the wrenches.
+    """Returns k, the number of contacts among n wrenches, and writes the contacts in the order of their wrenches.
 
-    `forces`, `torques` (n, 3); `tip` (1,) FINGERTIP. Written: `reasons` (n) int8 of all wrenches; and from the arrays'
-    start on, for each contact, its wrench in `rows` (n) int64 and itself in `contacts` (n) TIP_CONTACT.
+    `forces` [N] and `torques` [N m] (n, 3); `tip` (1,) FINGERTIP. Written are the `reasons` (n) int8 of all wrenches,
+    and in the first k entries of `rows` (n) int64 and `contacts` (n) TIP_CONTACT each contact's wrench and the contact.
     """
     fingertip, w = unpack_fingertip(tip[0]), np.zeros(AT.total * LANES)
     forces, torques = forces.reshape(-1), torques.reshape(-1)
@@ -145,10 +139,11 @@ def _pair(six: Any) -> Vec6:
 
 @entry
 def covariances(contacts: Any, tip: Any, sigmas: Any, out: Any) -> None:
-    """Writes the covariances `out` (k, 6, 6) of point and normal of contacts (k,) TIP_CONTACT.
+    """Writes the covariances `out` (k, 6, 6) of point [m] and normal of contacts (k,) TIP_CONTACT.
 
-    `tip` (1,) FINGERTIP; `sigmas` (6) of a reading.
+    `tip` (1,) FINGERTIP; `sigmas` (6): standard deviations of a reading [N, N m].
     """
+    # Columns of a block: two factors of six, then point, normal force and local torque.
     fingertip, noise, out = unpack_fingertip(tip[0]), _pair(sigmas), out.reshape(-1)
     n, w = len(contacts), np.ones(17 * LANES)
     for start in range(0, n, LANES):
@@ -172,7 +167,7 @@ def covariances(contacts: Any, tip: Any, sigmas: Any, out: Any) -> None:
 
 @lane
 def uncertain_contact(load: Vec6, tip: Fingertip, sigmas: Vec6, covariance: Any) -> Any:
-    """Returns what `wrench_to_contact` does; for a contact the `covariance` (6, 6) is written."""
+    """Returns what `wrench_to_contact` returns; for a contact the `covariance` (6, 6) is written."""
     answer = wrench_to_contact(load[0], load[1], tip)
     if answer[0] == CONTACT:
         first, second = covariance_factor(answer[1], answer[4], answer[5], tip, sigmas)
@@ -184,9 +179,9 @@ def uncertain_contact(load: Vec6, tip: Fingertip, sigmas: Vec6, covariance: Any)
 
 @entry
 def sense_one(load: Any, tip: Any, sigmas: Any, vectors: Any, covariance: Any) -> Any:
-    """Returns reason, normal force and local torque of one wrench, `load`: six numbers of force and torque.
+    """Returns reason, normal force [N] and local torque [N m] of one wrench, `load`: force and torque (6).
 
-    For a contact, `vectors` (3, 3) of point, normal and force, and the `covariance` (6, 6) are written.
+    For a contact, `vectors` (3, 3), its point, normal and force, and the `covariance` (6, 6) are written.
     """
     answer = uncertain_contact(_pair(load), unpack_fingertip(tip[0]), _pair(sigmas), covariance)
     reason, point, normal, force, force_normal, twist = answer
@@ -194,12 +189,3 @@ def sense_one(load: Any, tip: Any, sigmas: Any, vectors: Any, covariance: Any) -
     store(normal, vectors[1])
     store(force, vectors[2])
     return int(reason), force_normal, twist
-
-
-def warm() -> None:
-    """Compiles every kernel, or loads its machine code."""
-    tip, none, sigmas = np.ones(1, FINGERTIP), np.empty((0, 3)), np.ones(6)
-    contacts = np.empty(0, TIP_CONTACT)
-    sense(none, none, tip, np.empty(0, np.int8), np.empty(0, np.int64), contacts)
-    covariances(contacts, tip, sigmas, np.empty((0, 6, 6)))
-    sense_one((0.0,) * 6, tip, sigmas, np.empty((3, 3)), np.empty((6, 6)))

@@ -1,4 +1,4 @@
-"""The records that contact sensing's kernels take and return; without numba, whose import takes half a second."""
+"""The records of contact sensing's kernels, in a module of their own, as importing numba takes half a second."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The steps from one wrench to a contact and its covariance (eq. 7), each for the callers' loops; no step branches.
+"""The closed form of contact sensing (eq. 7): from one wrench on a fingertip to the contact and its covariance.
 
 The object pushes with force F at p, and twists by a local torque along the normal. About the centre of the
 ellipsoid pᵀA p = 1 the torque is M = p × F + k A p: four equations for p and k. Bicchi, Salisbury and Brock
@@ -11,8 +11,12 @@ ellipsoid pᵀA p = 1 the torque is M = p × F + k A p: four equations for p and
   special case.
 * q = (c f + κ m + f × m) / (|f|² + κ²); for κ = 0 this is where the wrench's axis pierces the sphere.
 
-`W`, |W| and other constants of a tip are in `Fingertip`. A vector of six is a pair of vectors. Wrenches are divided by
-their size, a power of two, so that nothing under- or overflows and the division is exact.
+Nothing under- or overflows: a contact's force is 1e-9 N or more, forces and torques are `MAX_LOAD` or less, semi-axes
+are 1e-5 to 0.2 m and the sensor is within 1 km, so that |f|² is 1e-17 to 1e21 and |m|² at most 1e38. A wrench that is
+none, being weaker, larger or not finite, leads to any numbers; only its reason is used.
+
+No step branches, so that the loops of `handsight._kernels.touch.sensing` are vectorised. A vector of six is a pair of
+vectors.
 """
 
 from collections.abc import Callable
@@ -20,9 +24,6 @@ from typing import Any, NamedTuple, TypeVar
 
 import numba
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 
 from handsight._kernels.math import vec3
 from handsight._kernels.math.vec3 import Mat33, Vec3
@@ -38,8 +39,8 @@ CONTACT, FREE, OFF_CAP, BEYOND_FRICTION, INVALID = 0.0, 1.0, 2.0, 3.0, 4.0
 def lane(function: F) -> F:
     """Compiles a step of one wrench to be inlined into its caller; else the caller's loop would not be vectorised.
 
-    Operations are rounded as written, so that one wrench and many have the same answer to the bit, and products of huge
-    numbers are formed in the order that does not overflow. This costs a twentieth of the speed.
+    Operations are rounded as written, so that one wrench and many have the same answer to the bit; this costs a
+    twentieth of the speed.
     """
     plain = getattr(function, "py_func", function)
     return numba.njit(error_model="numpy", fastmath=False, forceinline=True)(plain)
@@ -51,69 +52,19 @@ scale, times, mul, tmul = lane(vec3.scale), lane(vec3.times), lane(vec3.mul), la
 dot, cross, norm = lane(vec3.dot), lane(vec3.cross), lane(vec3.norm)
 
 
-@intrinsic
-def _power_of_two(context: Any, value: Any) -> Any:
-    """Returns the largest power of two not above a positive normal number: the bits of its exponent."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        bits = builder.bitcast(arguments[0], ir.IntType(64))
-        return builder.bitcast(builder.and_(bits, ir.Constant(ir.IntType(64), 0x7FF << 52)), ir.DoubleType())
-
-    return types.float64(types.float64), generate
-
-
-@intrinsic
-def _reciprocal(context: Any, power: Any) -> Any:
-    """Returns the reciprocal of a power of two up to 2^1022."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        bits = builder.bitcast(arguments[0], ir.IntType(64))
-        return builder.bitcast(builder.sub(ir.Constant(ir.IntType(64), 2046 << 52), bits), ir.DoubleType())
-
-    return types.float64(types.float64), generate
-
-
-@lane
-def _size(value: float) -> float:
-    """Returns a power of two near a positive number, by which dividing is exact and leaves nothing extreme."""
-    power, largest = _power_of_two(value), 2.0**1022  # whose reciprocal is a normal double
-    return power if power < largest else largest
-
-
-@lane
-def _larger(a: float, b: float) -> float:
-    return a if a > b else b
-
-
-@lane
-def _largest(v: Vec3) -> float:
-    return _larger(_larger(abs(v[0]), abs(v[1])), abs(v[2]))
-
-
-@lane
-def rescaled(value: float, size: float) -> float:
-    """Returns the product, or the largest double where the product overflows."""
-    product, largest = value * size, 1.7976931348623157e308
-    product = product if product < largest else largest
-    return product if product > -largest else -largest
-
-
 class Fingertip(NamedTuple):
-    """A `Fingertip` has the numbers of a tip's record, and constants computed from them."""
+    """A `Fingertip` has the numbers of a record FINGERTIP, and constants computed from them."""
 
     semi_axes: Vec3
     W: Vec3
-    """Reciprocals of the semi-axes."""
+    """Reciprocals of the semi-axes: the diagonal of W."""
     by_moment: Vec3
-    """|W| / W, by which torques are multiplied."""
+    """The diagonal of |W| W⁻¹, by which torques are multiplied."""
     volume: float
     """1 / |W|."""
     cap: float
     friction_squared: float
-    force_scale: float
-    """A power of two near 1 / min_force, so that the squares of scaled forces neither under- nor overflow."""
     min_force_squared: float
-    """Square of the scaled `min_force`."""
     R: Mat33
     """Rotation of the sensor in the surface's frame."""
     origin: Vec3
@@ -126,7 +77,6 @@ def unpack_fingertip(record: Any) -> Fingertip:
     axes = vector(record.semi_axes)
     W = 1.0 / axes[0], 1.0 / axes[1], 1.0 / axes[2]
     product = W[0] * W[1] * W[2]
-    force_scale = _reciprocal(_size(record.min_force))
     return Fingertip(
         axes,
         W,
@@ -134,8 +84,7 @@ def unpack_fingertip(record: Any) -> Fingertip:
         1.0 / product,
         record.cap,
         record.max_friction * record.max_friction,
-        force_scale,
-        (record.min_force * force_scale) * (record.min_force * force_scale),
+        record.min_force * record.min_force,
         matrix(record.R_surface_sensor),
         vector(record.origin_surface),
     )
@@ -148,16 +97,13 @@ def _is_load(v: Vec3) -> bool:
 
 
 @lane
-def wrench_on_surface(force: Vec3, torque: Vec3, tip: Fingertip) -> tuple[float, float, Vec3, Vec3]:
-    """Returns CONTACT, FREE or INVALID; the wrench's size; F and m over the size, in the surface's frame."""
-    size = _size(_larger(_largest(force), _largest(torque)))
-    scaled = scale(force, tip.force_scale)
-    reason = CONTACT if dot(scaled, scaled) >= tip.min_force_squared else FREE
+def wrench_on_surface(force: Vec3, torque: Vec3, tip: Fingertip) -> tuple[float, Vec3, Vec3]:
+    """Returns CONTACT, FREE or INVALID, and F and m in the surface's frame about its centre."""
+    reason = CONTACT if dot(force, force) >= tip.min_force_squared else FREE
     reason = reason if _is_load(force) & _is_load(torque) else INVALID
-    inverse = _reciprocal(size)
-    f = mul(tip.R, scale(force, inverse))
-    moment = add(mul(tip.R, scale(torque, inverse)), cross(tip.origin, f))
-    return reason, size, f, times(moment, tip.by_moment)
+    f = mul(tip.R, force)
+    moment = add(mul(tip.R, torque), cross(tip.origin, f))
+    return reason, f, times(moment, tip.by_moment)
 
 
 @lane
@@ -172,14 +118,13 @@ def solve_push(force: Vec3, m: Vec3, tip: Fingertip) -> tuple[float, float, bool
     other = half / larger
     c = -larger if real >= 0.0 else -abs(other)
     kappa = -other if real >= 0.0 else (-larger if half >= 0.0 else larger)
-    # With a cosine (on the sphere) below 1e-6 the wrench's axis misses the surface; a force that is smaller than its
-    # torque by 1e-150 has no direction left in doubles.
-    return c, kappa, (c < -1e-150) & (c * c > 1e-12 * ff)
+    # With a cosine (on the sphere) below 1e-6 the wrench's axis misses the surface.
+    return c, kappa, c * c > 1e-12 * ff
 
 
 @lane
 def point_on_sphere(force: Vec3, m: Vec3, c: float, kappa: float, tip: Fingertip) -> Vec3:
-    """Returns q."""
+    """Returns q, the contact's point on the unit sphere."""
     f = times(force, tip.W)
     along = add(add(scale(f, c), scale(m, kappa)), cross(f, m))
     q = scale(along, 1.0 / (dot(f, f) + kappa * kappa))
@@ -191,7 +136,7 @@ def point_on_sphere(force: Vec3, m: Vec3, c: float, kappa: float, tip: Fingertip
 def contact_loads(
     q: Vec3, force: Vec3, c: float, kappa: float, tip: Fingertip
 ) -> tuple[Vec3, float, float, float]:
-    """Returns normal, normal force and local torque over the wrench's size; and CONTACT, OFF_CAP or BEYOND_FRICTION."""
+    """Returns normal, normal force, local torque, and CONTACT, OFF_CAP or BEYOND_FRICTION."""
     outward = times(q, tip.W)
     steepness = norm(outward)
     inverse = 1.0 / steepness
@@ -208,14 +153,13 @@ def wrench_to_contact(
     force: Vec3, torque: Vec3, tip: Fingertip
 ) -> tuple[float, Vec3, Vec3, Vec3, float, float]:
     """Returns reason, point, normal, force, normal force and local torque; without a contact only the reason counts."""
-    reason, size, f, m = wrench_on_surface(force, torque, tip)
+    reason, f, m = wrench_on_surface(force, torque, tip)
     c, kappa, pushes = solve_push(f, m, tip)
     q = point_on_sphere(f, m, c, kappa, tip)
     normal, push, twist, contact_reason = contact_loads(q, f, c, kappa, tip)
     contact_reason = contact_reason if pushes else OFF_CAP
     reason = reason if reason > CONTACT else contact_reason
-    pushing = rescaled(f[0], size), rescaled(f[1], size), rescaled(f[2], size)
-    return reason, times(q, tip.semi_axes), normal, pushing, rescaled(push, size), rescaled(twist, size)
+    return reason, times(q, tip.semi_axes), normal, f, push, twist
 
 
 @lane
@@ -250,23 +194,22 @@ def _tangent_step(t: Vec3, normal: Vec3, steepness: float, tip: Fingertip) -> Ve
 
 @lane
 def covariance_factor(contact: Vec3, push: float, twist: float, tip: Fingertip, sigmas: Vec6) -> Any:
-    """Returns two columns (6) of which the outer products sum to the covariance of point and normal.
+    """Returns two columns (6) whose outer products sum to the covariance of point and normal.
 
     By the implicit function theorem: on the sphere δq is tangent and κ δq - c q × δq is the tangent part of
     r = δm - q × δf, so δq = (κ P + c [q]×) r / (κ² + c²), P = I - q qᵀ: in the tangent plane it turns and scales.
     """
-    scaling = _reciprocal(_size(_larger(push, abs(twist))))
     q = times(contact, tip.W)
     outward = times(q, tip.W)
     steepness = norm(outward)
     normal = scale(outward, -1.0 / steepness)
-    c, kappa = -push * scaling * steepness, -twist * scaling / (tip.volume * steepness)
-    inverse = scaling / (c * c + kappa * kappa)
+    c, kappa = -push * steepness, -twist / (tip.volume * steepness)
+    inverse = 1.0 / (c * c + kappa * kappa)
     c, kappa = c * inverse, kappa * inverse
     t, u = _tangents(q)
     v = sub(scale(t, kappa), scale(u, c))
     w = add(scale(u, kappa), scale(t, c))
-    # The triangular factor (a, b; 0, d) of the products of two rows by Gram and Schmidt, so nothing is squared twice.
+    # The triangular factor (a, b; 0, d) of the rows' products, by Gram and Schmidt, so that nothing is squared twice.
     row, other = _tangent_noise(v, w, tip, sigmas), _tangent_noise(w, neg(v), tip, sigmas)
     a = np.sqrt(_dot6(row, row))
     inverse = 1.0 / a if a > 0.0 else 0.0
@@ -281,5 +224,5 @@ def covariance_factor(contact: Vec3, push: float, twist: float, tip: Fingertip, 
 
 @lane
 def sum_of_products(a: float, b: float, c: float, d: float) -> float:
-    """Returns a b + c d, rounded as written in whatever kernel calls it."""
+    """Returns a b + c d, rounded as written whichever kernel calls it."""
     return a * b + c * d

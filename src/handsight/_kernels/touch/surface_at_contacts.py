@@ -1,4 +1,4 @@
-"""The information that an object's surface gives on the points and normals of the contacts themselves."""
+"""The information that an object at a known pose gives about the points and normals of its contacts."""
 
 from typing import Any
 
@@ -7,25 +7,25 @@ import numpy as np
 from handsight._kernels.evidence.contact_term import (
     factored,
     invert_covariance,
+    load_terms,
     residual_covariance,
     surface_at,
 )
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.math.vec3 import sub, vector
-from handsight._kernels.records import CONTACT, DESCENT, TERM
+from handsight._kernels.records import TERM
 from handsight._kernels.runtime.compilation import entry
-from handsight._kernels.solve.batch import load_terms
 
 
 @entry
 def information_by_contact(
     model: Any, nodes: Any, contacts: Any, descent: Any, information: Any, gradient: Any
 ) -> None:
-    """Writes the normal equations of n contacts' residuals by the contacts themselves, with the object at a pose.
+    """Writes the normal equations of n contacts' residuals by the contacts' points and normals, the pose being fixed.
 
-    A contact whose point and normal change by c (6,) has the residuals r + A c, A = [gᵀ 0; N -I], with covariance S,
-    which is that of `contacts` (n,) and of the field. Written: `information` (n, 6, 6) = Aᵀ S⁻¹ A, `gradient` (n, 6) =
-    Aᵀ S⁻¹ r.
+    A contact whose point and normal change by c (6,) has the residuals r + A c, A = [gᵀ 0; N -I], with the covariance S
+    of `contacts` (n,) and field together. Written are `information` (n, 6, 6) = Aᵀ S⁻¹ A and `gradient` (n, 6) = Aᵀ S⁻¹
+    r. `descent` (1,) DESCENT has the pose.
     """
     terms, pose, field = np.empty(len(contacts), TERM), pose_of(descent[0].pose), model[0].fine
     load_terms(contacts, terms)
@@ -44,7 +44,7 @@ def information_by_contact(
             for j in range(3):
                 A[1 + i, j] = N[i][j]
             A[1 + i, 3 + i] = -1.0
-        # Loops: NumPy's matrix products take four seconds to compile, most of it for what they say of wrong shapes.
+        # Loops, as NumPy's matrix products take four seconds to compile, mostly for their error messages.
         for i in range(6):
             for row in range(4):
                 weighted[row] = 0.0
@@ -57,10 +57,3 @@ def information_by_contact(
                 information[k, i, j] = 0.0
                 for row in range(4):
                     information[k, i, j] += weighted[row] * A[row, j]
-
-
-def warm(model: Any, nodes: Any) -> None:
-    """Compiles the kernel, or loads its machine code."""
-    contacts, descent = np.zeros(1, CONTACT), np.zeros(1, DESCENT)
-    contacts["covariance"] = np.eye(6)
-    information_by_contact(model, nodes, contacts, descent, np.empty((1, 6, 6)), np.empty((1, 6)))

@@ -1,4 +1,4 @@
-"""Fingertips that may touch each other: the distance of two, and a contact's uncertainty where another tip presses."""
+"""Fingertips that may touch each other: their distance, and what that does to a contact's mean and covariance."""
 
 import math
 from typing import Any, NamedTuple
@@ -38,10 +38,10 @@ class TipToTip(NamedTuple):
     variance_normal: float
     """The same of its normal [rad²]."""
     mean_load: float
-    """Mean load of one tip on another, as a share of the smaller of both tips' loads; it is from none to twice that.
-    Simulated tips press each other with less than they press the object."""
-    max_halvings: int
-    """Halvings of a load of the other tip that leaves no contact that would explain the rest."""
+    """Mean load of one tip on another, as a share of the smaller of both tips' loads; it is from 0 to twice that.
+    Simulated tips press each other less than the object."""
+    max_trials: int
+    """A load of the other tip that leaves no contact to explain the rest is halved, until so many were tried."""
     iterations: int
     """Steps to the direction that separates two tips best; the gap is then too small by 0.1-1 mm."""
 
@@ -52,24 +52,25 @@ TIP_TO_TIP = TipToTip(
     variance_point=0.002**2,
     variance_normal=math.radians(12.0) ** 2,
     mean_load=0.4,
-    max_halvings=4,
+    max_trials=4,
     iterations=12,
 )
 
 
 @inner
 def _support(R: Mat33, axes: Vec3, u: Vec3) -> Vec3:
-    """Returns the point of an ellipsoid, from its centre, that is farthest along u."""
+    """Returns the point of an ellipsoid that is farthest along u, from the ellipsoid's centre."""
     local = times(axes, tmul(R, u))
     return mul(R, scale(times(axes, local), 1.0 / norm(local)))
 
 
 @inner
 def _gap(T: Any, axes: Vec3, T_other: Any, axes_other: Vec3) -> tuple[float, Vec3]:
-    """Returns the distance of two ellipsoids, below zero where they overlap, and the direction to the second.
+    """Returns the distance of two ellipsoids, below zero where they overlap, and the direction from the first to the
+    second.
 
-    The distance of convex bodies is the widest slab that separates them; each step turns the slab's normal halfway
-    towards the line between the points that touch the slab.
+    The distance of convex bodies is the width of the widest slab between them. Each step turns the slab's normal
+    halfway towards the line between the two points that touch the slab.
     """
     R, R_other = matrix(T), matrix(T_other)
     between = sub(vector(T_other[:3, 3]), vector(T[:3, 3]))
@@ -89,7 +90,8 @@ def _gap(T: Any, axes: Vec3, T_other: Any, axes_other: Vec3) -> tuple[float, Vec
 
 @inner
 def find_nearest_tips(fingers: Any, Ts_palm_surface: Any, nearest: Any, contacts: Any) -> None:
-    """Writes each tip's gap to the nearest other one, and in `nearest` (n, 4) that tip and the direction to it."""
+    """Writes to each contact its tip's gap to the nearest other tip, and to `nearest` (n, 4) that tip's number and the
+    direction to it."""
     for i in range(len(contacts)):
         contacts[i].gap = np.inf
         for j in range(i):
@@ -105,7 +107,7 @@ def find_nearest_tips(fingers: Any, Ts_palm_surface: Any, nearest: Any, contacts
 
 @inner
 def touch_probability(gap: float) -> float:
-    """Returns the probability that two tips touch whose gap is that by their joints [m]."""
+    """Returns the probability that two tips touch, given their gap by the measured joint positions [m]."""
     return 0.5 * math.erfc(TIP_TO_TIP.gap_scale * gap)
 
 
@@ -113,11 +115,12 @@ def touch_probability(gap: float) -> float:
 def add_load_of_other_tip(
     load: Vec6, tip: Fingertip, T_palm_surface: Any, toward: Vec3, smaller: float, contact: Any
 ) -> None:
-    """Moves a contact in its tip's frame for the load that the nearest other tip may exert, and adds its covariance.
+    """Moves a contact, in its tip's frame, by the load that the nearest other tip may exert, and adds its covariance.
 
-    The other tip lies `toward` (palm) and presses where the tips are nearest, with a force from none to twice
-    `mean_load` times `smaller` [N]. So the object's own load has that much more along `toward`, and its contact is
-    between c and c + 2 δ. With a probability P of a touch its mean is c + P δ, its covariance (4/3 P - P²) δ δᵀ.
+    The other tip, in the direction `toward` (palm), presses where the tips are nearest with a force from 0 to twice
+    `mean_load` times `smaller` [N]. So the load of the object alone has up to that much more along `toward`, and its
+    contact is between c and c + 2 δ, evenly distributed. With a probability P that the tips touch, its mean is c + P δ
+    and its covariance (4/3 P - P²) δ δᵀ.
     """
     if not contact.gap < TIP_TO_TIP.max_gap:
         return
@@ -128,24 +131,19 @@ def add_load_of_other_tip(
     at = tmul(tip.R, sub(scale(times(tip.semi_axes, reach), 1.0 / norm(reach)), tip.origin))
     press = scale(tmul(tip.R, along), TIP_TO_TIP.mean_load * smaller)
     share = 1.0
-    for _ in range(TIP_TO_TIP.max_halvings):
+    for _ in range(TIP_TO_TIP.max_trials):
         more = scale(press, share)
         answer = wrench_to_contact(add(load[0], more), add(load[1], cross(at, more)), tip)
         if answer[0] == CONTACT:
             change = np.empty(6)
             store(scale(sub(answer[1], vector(contact.point)), 1.0 / share), change[:3])
             store(scale(sub(answer[2], vector(contact.normal)), 1.0 / share), change[3:])
-            _add_change(change, probability, contact)
+            variance = probability * (4.0 / 3.0 - probability)
+            for i in range(6):
+                for j in range(6):
+                    contact.covariance[i, j] += variance * change[i] * change[j]
+            store(add(vector(contact.point), scale(vector(change[:3]), probability)), contact.point)
+            normal = add(vector(contact.normal), scale(vector(change[3:]), probability))
+            store(scale(normal, 1.0 / norm(normal)), contact.normal)
             return
         share *= 0.5
-
-
-@inner
-def _add_change(change: Any, probability: float, contact: Any) -> None:
-    variance = probability * (4.0 / 3.0 - probability)
-    for i in range(6):
-        for j in range(6):
-            contact.covariance[i, j] += variance * change[i] * change[j]
-    store(add(vector(contact.point), scale(vector(change[:3]), probability)), contact.point)
-    normal = add(vector(contact.normal), scale(vector(change[3:]), probability))
-    store(scale(normal, 1.0 / norm(normal)), contact.normal)

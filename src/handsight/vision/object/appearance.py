@@ -1,4 +1,4 @@
-"""What an object looks like to a depth camera: pairs of its surface points, and which of them each side shows."""
+"""The points of an object that depth images are compared with: pairs that vote, and which are visible from where."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,29 +12,27 @@ from handsight.checks import Array
 from handsight.objects import ObjectModel, cache
 
 SAMPLES = 600
-"""Surface points by which a pose is judged; the model's own 256 vote."""
+"""Surface points by which a pose is scored; the model's own 256 vote."""
 DIRECTIONS = 200
-"""Sides from which it is known which of them are seen."""
+"""Directions from which it is computed which of them are visible."""
 
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """An `Appearance` is what is worked out of an object once."""
+    """An `Appearance` is computed of an object once, for all depth images."""
 
     pairs: tuple[NDArray[np.int32], NDArray[np.int32]]
-    """Where each cell's pairs begin, and the pairs: first point and spin of each in one number."""
+    """Where the pairs of each cell begin, and the pairs: first point and spin of each in one number."""
     voters: Array
     """(2, 256, 3) points and normals of the pairs."""
-    sides: tuple[Array, Array, NDArray[np.bool_]]
-    """(2, SAMPLES, 3) points and normals by which a pose is judged; (DIRECTIONS, 3) unit, from the object's centre;
-    (DIRECTIONS, SAMPLES) which points are seen from far along each."""
-    sample_area: float
-    """That each sample stands for [m²]."""
+    sides: tuple[Array, Array, NDArray[np.bool_], float]
+    """(2, SAMPLES, 3) points and normals by which a pose is scored; (DIRECTIONS, 3) unit, from the object's centre;
+    (DIRECTIONS, SAMPLES) which points are visible from far along each; the area that each point stands for [m²]."""
 
 
 @lru_cache(maxsize=128)  # of a library's objects, which recognition goes through again and again
 def appearance_of(model: ObjectModel) -> Appearance:
-    """Returns the appearance of an object; what takes long is kept on disk beside its fields."""
+    """Returns the appearance of an object; pairs and visible points are kept on disk beside its fields."""
     voters = np.stack([model.points_object, model.normals_object])
     places, facing = model.sample(SAMPLES)
     directions = se3.directions(DIRECTIONS)
@@ -50,12 +48,13 @@ def appearance_of(model: ObjectModel) -> Appearance:
         return visible
 
     visible = cache.remembered_bits(name, (DIRECTIONS, SAMPLES), visible_sets)
-    sides = np.stack([places, facing]), directions, visible
-    return Appearance(_pairs(voters, model.diameter), voters, sides, model.area / SAMPLES)
+    sides = np.stack([places, facing]), directions, visible, float(model.area / SAMPLES)
+    return Appearance(_pairs(voters, model.diameter), voters, sides)
 
 
 def _pairs(voters: Array, diameter: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Returns of points and normals (2, m, 3) the pairs by cells, as `votes.vote` takes them; kept on disk."""
+    """Returns the pairs of points with normals (2, m, 3) by cells, as `votes.vote` takes them; they are kept on
+    disk."""
     count = voters.shape[1]
 
     def table() -> NDArray[np.int32]:

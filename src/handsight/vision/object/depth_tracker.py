@@ -1,8 +1,8 @@
 """An object's pose followed from depth image to depth image, at the camera's rate.
 
-Each image is looked at near where the object is expected: it rides with the palm that grips it, else goes on about as
-it went. Depth settles the pose, and what depth does not see stays as expected, with a covariance that grows: a jug
-whose handle the hand hides fits at any turn, and only its covariance tells.
+Each image is searched near where the object is expected: an object in a grip moves with the palm, another goes on about
+as it moved before. What the image does not show of a pose stays as expected, with a covariance that grows: a jug whose
+handle is hidden fits at any turn, and only its covariance says so.
 """
 
 from dataclasses import dataclass, replace
@@ -12,15 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
-from handsight._kernels.image import depth_covariance
 from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
+from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
+from handsight.vision.candidates import candidates_at
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.locate import locate
-from handsight.vision.object.pose_covariance import UNKNOWN
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
+from handsight.vision.pose_covariance import UNKNOWN
 
 State = Literal["tracking", "uncertain", "lost"]
 
@@ -31,6 +32,8 @@ class DepthTrackerOptions(NamedTuple):
     velocity_share: float = 0.8
     """Of its velocity, that an object in nobody's grip is expected to have until the next image."""
     max_gap: float = 0.5  # between images, for a velocity to be used [s]
+    drift: tuple[float, float] = (0.15, 1.0)  # sigma of how it moves otherwise [m/s, rad/s]
+    drift_in_palm: tuple[float, float] = (0.02, 0.15)  # and in a grip [m/s, rad/s]
     min_points: int = 15  # below so many near it an image says nothing of a pose
     min_pixels: float = 20.0  # below so many explained by it an image says nothing of a pose
     min_against: float = 30.0  # pixels that contradict a pose, at least, for an image to do so
@@ -43,9 +46,6 @@ class DepthTrackerOptions(NamedTuple):
 
 
 DEPTH_TRACKER = DepthTrackerOptions()
-
-WANDERS, WANDERS_IN_PALM = (0.15, 1.0), (0.02, 0.15)
-"""How far off that is, and how an object moves in the palm [m/s, rad/s]."""
 HIDDEN = "hardly anything of it is seen"
 
 
@@ -68,7 +68,9 @@ class Sighting:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Frame:
+class _Image:
+    """An `_Image` is a depth image with what is known of it, as `DepthTracker.update` takes them."""
+
     stamp: float
     depth: Depth
     hand: Mask | None
@@ -79,11 +81,10 @@ class _Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Belief:
-    """A `_Belief` says where the object is thought to be in a frame."""
+    """A `_Belief` says where the object is thought to be at an image's stamp."""
 
     stamp: float
-    T_camera_object: Array
-    covariance: Array
+    pose_camera_object: GaussianPose
     velocity: Array
     """(6,) of the object's centre [m/s, rad/s]."""
     T_camera_palm: Array | None
@@ -91,7 +92,7 @@ class _Belief:
 
 
 class DepthTracker:
-    """Follows an object in a camera's depth images; finds it by itself, at first and when it was lost."""
+    """A `DepthTracker` follows an object in a camera's depth images, and searches it at first and when it was lost."""
 
     def __init__(
         self,
@@ -103,7 +104,8 @@ class DepthTracker:
     ) -> None:
         """`noise`: of the camera's depth; `start`: T_camera_object to begin from; raises InvalidTransform."""
         self.model, self.camera = model, camera
-        self._middle, self._refiner = model.center_object, PoseRefiner(model, camera, noise)
+        self._refiner, self._T_object_center = PoseRefiner(model, camera, noise), np.eye(4)
+        self._T_object_center[:3, 3] = model.center_object
         self._start = None if start is None else se3.check(start, "start")
         self._belief: _Belief | None = None
         self._searched = -np.inf
@@ -133,156 +135,137 @@ class DepthTracker:
         plane = None if table is None else checks.finite(table, "table", (4,))
         hint = None if expected is None else se3.check(expected, "expected")
         now = float(checks.finite(stamp, "stamp", ()))
-        frame = _Frame(now, depth, hand, plane, T_palm, gripped)
         before = self._belief, self._searched
-        sighting = self._observed(frame, self._predicted(frame, hint))
+        sighting = self._observed(_Image(now, depth, hand, plane, T_palm, gripped), hint)
         if before[0] is not None and 0 < before[0].stamp - now <= DEPTH_TRACKER.max_gap:
             self._belief, self._searched = before
         return sighting
 
-    def _observed(self, frame: _Frame, predicted: _Belief | None) -> Sighting:
-        refined, reason = None, "not found"
+    def _observed(self, image: _Image, hint: Array | None) -> Sighting:
+        """Returns where the object is near its expected pose, else anywhere in the image, and makes that the belief."""
+        predicted, refined, reason = self._predicted(image, hint), None, "not found"
         if predicted is not None:
-            refined = self._refined(frame, predicted)
+            refined = self._refined(image, predicted)
             reason = self._misfit(predicted, refined)
-            if not reason:
-                return self._followed(frame, predicted, refined)
-        found = self._found(frame)
-        if found is not None:
-            return self._followed(frame, *found)
-        self._belief = predicted and replace(predicted, lost=True)
-        candidate = np.zeros(1, dtype=CANDIDATE) if refined is None else refined.candidate
-        return Sighting(frame.stamp, None, None, "lost", reason, candidate)
+        if predicted is None or refined is None or reason:
+            found = self._found(image)
+            if found is None:
+                self._belief = predicted and replace(predicted, lost=True)
+                candidate = np.zeros(1, dtype=CANDIDATE) if refined is None else refined.candidate
+                return Sighting(image.stamp, None, None, "lost", reason, candidate)
+            predicted, refined = found
+        enough = _is_enough(refined)
+        self._belief = belief = self._fused(predicted, refined) if enough else predicted
+        pose = belief.pose_camera_object
+        unsure = surface_shift(self.model, pose)
+        refined.candidate["pose"] = candidates_at(pose.T_a_b[None])["pose"]
+        reason = "" if enough else HIDDEN
+        if enough and unsure > DEPTH_TRACKER.uncertain * self.model.diameter:
+            reason = f"its surface may be off by {1000 * unsure:.0f} mm where it is not seen"
+        state: State = "uncertain" if reason else "tracking"
+        return Sighting(image.stamp, pose.T_a_b, pose.covariance, state, reason, refined.candidate)
+
+    def _predicted(self, image: _Image, hint: Array | None) -> _Belief | None:
+        """Returns the belief at the stamp of an image, before it is used; None where nothing is known."""
+        last = self._belief
+        if last is None:
+            hint = self._start if hint is None else hint
+            return None if hint is None else self._unknown(image, hint, lost=False)
+        dt = max(image.stamp - last.stamp, 0.0)
+        pose, drift = last.pose_camera_object, DEPTH_TRACKER.drift
+        velocity = DEPTH_TRACKER.velocity_share * last.velocity * (dt <= DEPTH_TRACKER.max_gap)
+        if image.gripped and image.T_camera_palm is not None and last.T_camera_palm is not None:
+            pose = pose.transformed(image.T_camera_palm @ se3.inverse(last.T_camera_palm))
+            T, drift = pose.T_a_b, DEPTH_TRACKER.drift_in_palm
+        else:
+            T_camera_center = se3.moved(pose.T_a_b @ self._T_object_center, velocity * dt)
+            T = T_camera_center @ se3.inverse(self._T_object_center)
+        drifted = self._covariance_of_origin(T, np.repeat([(dt * sigma) ** 2 for sigma in drift], 3))
+        pose = GaussianPose(T if hint is None else hint, pose.covariance + drifted)
+        return _Belief(image.stamp, pose, velocity, image.T_camera_palm, last.lost)
+
+    def _refined(self, image: _Image, predicted: _Belief) -> RefinedPose:
+        """Returns what an image says near where the object is expected."""
+        pose = predicted.pose_camera_object
+        known = np.asarray(np.linalg.inv(pose.at_point(self.model.center_object).covariance))
+        return self._refiner.at(pose.T_a_b, known, image.depth, image.hand, image.table)
 
     def _misfit(self, predicted: _Belief, refined: RefinedPose) -> str:
         """Returns why the object is lost; empty if it is not."""
-        candidate, enough = refined.candidate[0], _is_enough(refined)
+        candidate = refined.candidate[0]
         against = candidate["passed"] + candidate["hidden"]
         if against > max(candidate["explained"], DEPTH_TRACKER.min_against):
             share = candidate["explained"] / (candidate["explained"] + against)
             return f"it explains {100 * share:.0f} % of what is seen there"
-        if enough or not (
-            predicted.lost or self._unsure(predicted) > DEPTH_TRACKER.lost * self.model.diameter
-        ):
+        if _is_enough(refined):
             return ""
-        return HIDDEN
-
-    def _predicted(self, frame: _Frame, hint: Array | None) -> _Belief | None:
-        """Returns what is believed of this frame before it is looked at; None: nothing."""
-        last = self._belief
-        if last is None:
-            hint = self._start if hint is None else hint
-            return (
-                None
-                if hint is None
-                else _Belief(frame.stamp, hint, self._unknown(hint), np.zeros(6), frame.T_camera_palm, False)
-            )
-        dt = max(frame.stamp - last.stamp, 0.0)
-        T, P, wanders = last.T_camera_object, last.covariance, WANDERS
-        velocity = (
-            DEPTH_TRACKER.velocity_share * last.velocity if dt <= DEPTH_TRACKER.max_gap else np.zeros(6)
+        far_off = (
+            surface_shift(self.model, predicted.pose_camera_object) > DEPTH_TRACKER.lost * self.model.diameter
         )
-        if frame.gripped and frame.T_camera_palm is not None and last.T_camera_palm is not None:
-            moved = frame.T_camera_palm @ se3.inverse(last.T_camera_palm)
-            T, P, wanders = moved @ T, se3.rotate_covariance(moved[:3, :3], P), WANDERS_IN_PALM
-        else:
-            T = self._of_center(se3.moved(self._center(T), velocity * dt))
-        P = P + self._about_origin(T, np.repeat([(dt * w) ** 2 for w in wanders], 3))
-        return _Belief(frame.stamp, T if hint is None else hint, P, velocity, frame.T_camera_palm, last.lost)
+        return HIDDEN if predicted.lost or far_off else ""
 
-    def _found(self, frame: _Frame) -> tuple[_Belief, RefinedPose] | None:
+    def _found(self, image: _Image) -> tuple[_Belief, RefinedPose] | None:
         """Returns the object somewhere in the image, if it is time to search and it is there."""
-        if abs(frame.stamp - self._searched) < DEPTH_TRACKER.search_period:
+        if abs(image.stamp - self._searched) < DEPTH_TRACKER.search_period:
             return None
-        self._searched = frame.stamp
-        found = locate(
-            self.model,
-            self.camera,
-            frame.depth,
-            hand=frame.hand,
-            table=frame.table,
-            noise=self._refiner.noise,
-        )
+        self._searched = image.stamp
+        noise = self._refiner.noise
+        found = locate(self.model, self.camera, image.depth, hand=image.hand, table=image.table, noise=noise)
         fits = found.candidates["explained"] >= DEPTH_TRACKER.min_found * found.candidates["expected"]
-        chosen = np.flatnonzero(
-            fits & (found.weights >= DEPTH_TRACKER.min_twin * found.weights.max(initial=0.0))
-        )
-        if not len(chosen):
+        likely = found.weights >= DEPTH_TRACKER.min_twin * found.weights.max(initial=0.0)
+        Ts = found.Ts_camera_object[fits & likely]
+        if not len(Ts):
             return None
-        T = self._likeliest(found.Ts_camera_object[chosen])
-        belief = _Belief(frame.stamp, T, self._unknown(T), np.zeros(6), frame.T_camera_palm, True)
-        refined = self._refined(frame, belief)
+        if self._belief is not None:  # of poses that fit alike, the one turned least from where it was
+            last = self._belief.pose_camera_object.T_a_b[:3, :3]
+            turns = np.linalg.norm(se3.rotation_log(Ts[:, :3, :3] @ last.T), axis=1)
+            Ts = Ts[[turns.argmin()]]
+        belief = self._unknown(image, Ts[0], lost=True)
+        refined = self._refined(image, belief)
         return None if self._misfit(belief, refined) else (belief, refined)
 
-    def _likeliest(self, Ts: Array) -> Array:
-        """Returns, of poses that an image supports about alike, the one turned least from where the object was."""
-        if self._belief is None:
-            return np.asarray(Ts[0])
-        turns = se3.rotation_log(Ts[:, :3, :3] @ self._belief.T_camera_object[:3, :3].T)
-        return np.asarray(Ts[np.linalg.norm(turns, axis=1).argmin()])
-
-    def _followed(self, frame: _Frame, predicted: _Belief, refined: RefinedPose) -> Sighting:
-        enough = _is_enough(refined)
-        now = self._belief = self._updated(frame, predicted, refined) if enough else predicted
-        T, candidate, unsure = now.T_camera_object, refined.candidate, self._unsure(now)
-        candidate["pose"]["rotation"], candidate["pose"]["position"] = T[:3, :3], T[:3, 3]
-        reason = "" if enough else HIDDEN
-        if enough and unsure > DEPTH_TRACKER.uncertain * self.model.diameter:
-            reason = f"its surface may be off by {1000 * unsure:.0f} mm where it is not seen"
-        return Sighting(
-            frame.stamp, T, now.covariance, "uncertain" if reason else "tracking", reason, candidate
-        )
-
-    def _updated(self, frame: _Frame, predicted: _Belief, refined: RefinedPose) -> _Belief:
-        """Returns what was expected and what was seen, each as much as it knows (Kalman)."""
-        P, last = predicted.covariance, self._belief
-        gain = np.linalg.solve(P + refined.covariance, P).T
-        off = se3.difference(refined.T_camera_object, predicted.T_camera_object)
-        T, P = se3.moved(predicted.T_camera_object, gain @ off), P - gain @ P
-        velocity = predicted.velocity
+    def _fused(self, predicted: _Belief, refined: RefinedPose) -> _Belief:
+        """Returns the belief after an image that shows enough of the object."""
+        last, velocity = self._belief, predicted.velocity
+        pose = predicted.pose_camera_object.fused(refined.pose_camera_object)
+        pose = replace(pose, covariance=(pose.covariance + pose.covariance.T) / 2)
         if last is None or predicted.lost:
             velocity = np.zeros(6)
-        elif 0 < frame.stamp - last.stamp <= DEPTH_TRACKER.max_gap:
-            was, now = self._center(last.T_camera_object), self._center(T)
-            velocity = se3.difference(now, was) / (frame.stamp - last.stamp)
-        return _Belief(frame.stamp, T, (P + P.T) / 2, velocity, frame.T_camera_palm, False)
+        elif 0 < predicted.stamp - last.stamp <= DEPTH_TRACKER.max_gap:
+            before, now = (T @ self._T_object_center for T in (last.pose_camera_object.T_a_b, pose.T_a_b))
+            velocity = se3.difference(now, before) / (predicted.stamp - last.stamp)
+        return replace(predicted, pose_camera_object=pose, velocity=velocity, lost=False)
 
-    def _unsure(self, belief: _Belief) -> float:
-        """Returns how far the object's surface may be off [m]: the most that a deviation along any of the three least
-        known directions leaves it. A turn that it looks the same after leaves it where it is."""
-        return depth_covariance.largest_shift(
-            *self.model.record[:2], belief.T_camera_object[:3, :3], belief.covariance
-        )
-
-    def _refined(self, frame: _Frame, predicted: _Belief) -> RefinedPose:
-        """Returns what an image says near where the object is expected."""
-        T = predicted.T_camera_object
-        J = se3.point_jacobian(T[:3, :3] @ self._middle)
-        known = np.asarray(np.linalg.inv(J @ predicted.covariance @ J.T))
-        return self._refiner.at(T, known, frame.depth, frame.hand, frame.table)
-
-    def _unknown(self, T: Array) -> Array:
-        """Returns the covariance of a pose that is as good as not known."""
+    def _unknown(self, image: _Image, T_camera_object: Array, *, lost: bool) -> _Belief:
+        """Returns the belief that the object is about there, and as good as unknown."""
         D = self.model.diameter
-        return self._about_origin(
-            T, np.repeat([(UNKNOWN[0] * D) ** 2, (UNKNOWN[1] * D / self.model.radius) ** 2], 3)
-        )
+        variance = np.repeat([(UNKNOWN[0] * D) ** 2, (UNKNOWN[1] * D / self.model.radius) ** 2], 3)
+        pose = GaussianPose(T_camera_object, self._covariance_of_origin(T_camera_object, variance))
+        return _Belief(image.stamp, pose, np.zeros(6), image.T_camera_palm, lost)
 
-    def _about_origin(self, T: Array, variances: Array) -> Array:
-        """Returns the covariance (6, 6) at the object's origin of variances (6,) at its centre."""
-        J = se3.point_jacobian(-T[:3, :3] @ self._middle)
-        return (J * variances) @ J.T
-
-    def _center(self, T: Array) -> Array:
-        return se3.compose(T[:3, :3], T[:3, :3] @ self._middle + T[:3, 3])
-
-    def _of_center(self, T: Array) -> Array:
-        return se3.compose(T[:3, :3], T[:3, 3] - T[:3, :3] @ self._middle)
+    def _covariance_of_origin(self, T_camera_object: Array, variance: Array) -> Array:
+        """Returns the covariance (6, 6) of the object's origin that a variance (6,) of its centre makes."""
+        J = se3.point_jacobian(-T_camera_object[:3, :3] @ self.model.center_object)
+        return (J * variance) @ J.T
 
 
 def _is_enough(refined: RefinedPose) -> bool:
-    """Returns whether as much is seen as a pose takes."""
-    return (
-        refined.points >= DEPTH_TRACKER.min_points
-        and refined.candidate["explained"][0] >= DEPTH_TRACKER.min_pixels
-    )
+    """Returns whether an image shows enough of the object to say something of its pose."""
+    options, explained = DEPTH_TRACKER, refined.candidate["explained"][0]
+    return bool(refined.points >= options.min_points and explained >= options.min_pixels)
+
+
+def surface_shift(model: ObjectModel, pose_camera_object: GaussianPose) -> float:
+    """Returns how far off the object's surface may be [m]: the most that one sigma along any of the three least known
+    directions moves it. A turn that it looks the same after leaves it where it is."""
+    center, scale = model.center_object, np.repeat([1.0, model.radius], 3)
+    pose = pose_camera_object.at_point(center)
+    pose = pose.transformed(se3.inverse(pose.T_a_b))  # along the object's axes
+    values, vectors = np.linalg.eigh(pose.covariance * np.outer(scale, scale))
+    vectors *= np.sign(
+        vectors[np.abs(vectors).argmax(axis=0), range(6)]
+    )  # their sign is any that LAPACK gives
+    steps = (vectors * np.sqrt(np.maximum(values, 0.0))).T[3:] / scale
+    Ts = se3.moved(np.broadcast_to(np.eye(4), (3, 4, 4)), steps)
+    moved = center + se3.apply(Ts, model.points_object - center).reshape(-1, 3)
+    return float(np.abs(model.evaluate(moved).distance).max())

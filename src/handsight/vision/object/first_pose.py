@@ -4,60 +4,59 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from handsight import se3
 from handsight._kernels.image import depth_term, pose_score, votes
-from handsight._kernels.image.vision_records import CANDIDATE
+from handsight._kernels.image.vision_records import CANDIDATE, STAGE
 from handsight._kernels.solve import distinct_poses
-from handsight.checks import Array, Indices
+from handsight.checks import Array
 from handsight.objects import ObjectModel
+from handsight.vision.candidates import NOTHING_KNOWN, Candidates, center_depths, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.appearance import appearance_of
-from handsight.vision.object.pose_covariance import pose_covariances
-from handsight.vision.object.presence import log_odds, probabilities
 from handsight.vision.object.region import Scene, observed_points
+from handsight.vision.pose_covariance import center_covariances
 
 
 class FirstPoseOptions(NamedTuple):
-    """`FirstPoseOptions` say how a first pose is found: points that vote, poses that are compared."""
+    """`FirstPoseOptions` say how a first pose is found: by points that vote, and candidates that are compared."""
 
     spacing: float = 1 / 24  # of observed points [diameters]
     max_points: int = 900  # observed points
     references: int = 28  # points that vote
-    min_references: int = 4  # of each part at least
+    min_references: int = 4  # of each segment at least
     partners: int = 140  # points that each is paired with
-    min_pixels: int = 10  # points with a normal that a part must have to vote
-    max_voted: int = 90  # poses that were voted for and are compared with the image
-    voted_spacing: float = 0.05  # how far apart these are [diameters]
-    candidate_spacing: float = 0.08  # how far apart those are that go on [diameters]
-    bound: float = 0.006  # what is explained lies within this [m]
-    bound_sigmas: float = 4.0  # or within so many deviations of the depth: no bound is less
-    close_sigmas: float = 1.25
-    """Deviations of the depth, its bias with it, within which an observed point lies on the surface."""
+    min_pixels: int = 10  # points with a normal that a segment must have to vote
+    max_voted: int = 90  # candidates of the votes that are compared with the image
+    voted_spacing: float = 0.05  # between these [diameters]
+    candidate_spacing: float = 0.08  # between those that go on [diameters]
+    bound: float = 0.006  # depth within this of the surface is explained [m]
+    bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
+    close_sigmas: float = 1.25  # of the depth with its bias, within which a point is close to the surface
+    close_exponent: float = 1 - pose_score.POSE_SCORE.size_exponent  # makes pixels a score
+    score_weights: tuple[float, float] = (1.2, 22.0)
+    """Of the score, and of the close pixels to that power, in the logarithm of a mode's weight. They were chosen by
+    hand between fits to two sets of drawn pictures, which differ (`experiments/sight_fit.py` prints the likeliest of
+    the one that it draws)."""
 
 
 FIRST_POSE = FirstPoseOptions()
 
-STAGES = (
-    (80, False, 0.12, 0.08, 4, 24),
-    (160, False, 0.08, 0.05, 4, 12),
-    (300, True, 0.05, 0.03, 4, 8),
-    (FIRST_POSE.max_points, True, 0.03, 0.0, 5, 8),
+STAGES = np.array(
+    [(0, 0.12, 0.08, 4, 1), (0, 0.08, 0.05, 4, 1), (1, 0.05, 0.03, 4, 1), (1, 0.03, 0.0, 5, 1)], dtype=STAGE
 )
-"""Seen points, whether on the fine field, Tukey's bound at first and at last [diameters], steps, and how many go on."""
+"""How candidates are moved to the image, with bounds in diameters."""
+POINTS, KEPT = (80, 160, 300, FIRST_POSE.max_points), (24, 12, 8, 8)
+"""Observed points by which each stage moves them, and candidates that go on from each."""
 
-SCORE_WEIGHTS = 1.2, 22.0
-"""What the score, and the pixels that such points stand for to the power of the score's units, are worth in the
-logarithm of a mode's weight: chosen by hand between fits to two sets of drawn pictures, which differ
-(`experiments/sight_fit.py` prints the likeliest of the one it draws)."""
-
-Candidates = NDArray[np.void]
+EVIDENCE = np.array([-9.53, 14.95, -7.72, 6.6, -18.67])
+"""The weights of the columns of `evidence_of` in the log odds that the object is there (`experiments/sight_fit.py`).
+Shares alone: sums, and how close points lie, say more of drawn pictures, and mislead with a real camera's."""
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectDetection:
-    """An `ObjectDetection` says where an object may be, the likeliest first; nowhere, if it is not there."""
+    """An `ObjectDetection` has the poses that an object may have, the likeliest first; none, if it is not there."""
 
     Ts_camera_object: Array
     """(k, 4, 4)"""
@@ -70,97 +69,95 @@ class ObjectDetection:
     probability: float = 0.0
     """That the first is right, where as often as not the object is not there at all."""
     reason: str | None = None
-    """Why it is nowhere."""
+    """Why there is none."""
+
+    @classmethod
+    def nowhere(cls, reason: str) -> "ObjectDetection":
+        """Returns a detection without poses."""
+        none, candidates = np.zeros(0), np.zeros(0, dtype=CANDIDATE)
+        return cls(none.reshape(0, 4, 4), none.reshape(0, 6, 6), none, candidates, 0.0, reason)
 
 
 def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTURED_LIGHT) -> ObjectDetection:
     """Returns the poses of the object that a depth image supports, modulo its symmetries; `noise`: of its depth.
 
-    Votes of point pairs, each of them laid on the image by more and more of its points, those that the image as a
-    whole supports best going on. At last it counts too how many points lie on the surface as close as noise lets them.
+    Pairs of points vote for candidates. These are moved to where more and more points lie on the surface, and those
+    that the image supports best go on. In the end it also counts how many points are as close to the surface as the
+    noise allows.
     """
-    observed, appearance = (
-        observed_points(scene, FIRST_POSE.spacing * model.diameter, FIRST_POSE.max_points),
-        appearance_of(model),
-    )
-    D, references = model.diameter, _references(observed, len(scene.sizes))
-    voted = np.zeros((len(references), votes.PEAKS), dtype=CANDIDATE)
-    votes.vote(
-        appearance.pairs, appearance.voters, observed, references, np.array([D, FIRST_POSE.partners]), voted
-    )
-    candidates = voted.reshape(-1)
-    candidates = candidates[
-        distinct(model, candidates, candidates["votes"], FIRST_POSE.max_voted, FIRST_POSE.voted_spacing)
-    ]
-    limits = np.array([appearance.sample_area, FIRST_POSE.bound, *model.center_object])
-    for points, fine, first, last, steps, kept in STAGES:
-        candidates["bound"] = np.maximum(
-            FIRST_POSE.bound, FIRST_POSE.bound_sigmas * noise.sigma(depths(model, candidates))
-        )
-        stage = np.array([fine, first * D, last * D, steps])
-        depth_term.refine_poses(*model.record[:2], observed[:points], stage, candidates)
-        image = scene.depth, scene.labels
-        pose_score.score_all(scene.camera.record, image, appearance.sides, scene.sizes, limits, candidates)
-        candidates = candidates[
-            distinct(model, candidates, candidates["score"], kept, FIRST_POSE.candidate_spacing)
-        ]
-    z = depths(model, candidates)
-    depth_term.closeness(
-        *model.record[:2],
-        observed,
-        FIRST_POSE.close_sigmas * np.hypot(noise.sigma(z), noise.bias(z)),
-        candidates,
-    )
-    candidates["close"] *= scene.sizes.sum() / max(len(observed), 1)
-    score = scores(candidates) @ SCORE_WEIGHTS
-    order = np.argsort(-score, kind="stable")
-    candidates, weights = candidates[order], np.exp(score[order] - score.max(initial=-np.inf))
-    covariances = pose_covariances(model, scene.camera, observed, candidates, noise)
-    here = probabilities(log_odds(candidates[:1]))[0] if len(candidates) else 0.0
-    return ObjectDetection(
-        poses_of(candidates), covariances, weights / max(weights.sum(), 1.0), candidates, float(here)
-    )
-
-
-def poses_of(candidates: Candidates) -> Array:
-    """Returns (..., 4, 4) T_camera_object of CANDIDATE (...)."""
-    return se3.compose(candidates["pose"]["rotation"], candidates["pose"]["position"])
-
-
-def scores(candidates: Candidates) -> Array:
-    """Returns (k, 2) of CANDIDATE (k,): score, and close pixels in its units."""
-    return np.stack(
-        [candidates["score"], candidates["close"] ** (1 - pose_score.POSE_SCORE.size_exponent)], axis=1
-    )
-
-
-def depths(model: ObjectModel, candidates: Candidates) -> Array:
-    """Returns (k,) how far off the object's centre is along the optical axis [m]; 1 mm where it is not before the
-    camera."""
-    z = candidates["pose"]["position"][:, 2] + candidates["pose"]["rotation"][:, 2] @ model.center_object
-    return np.asarray(np.maximum(z, 1e-3))
-
-
-def _references(observed: Candidates, parts: int) -> Indices:
-    """Returns points that vote: spread over the parts by the roots of their sizes, else big ones take them all."""
+    appearance, D, camera = appearance_of(model), model.diameter, scene.camera
+    observed = observed_points(scene, FIRST_POSE.spacing * D, FIRST_POSE.max_points)
+    # The points that vote are spread over the segments by the roots of their sizes: a big one must not take all.
     has = (observed["normal"] != 0).any(axis=1)
-    counts = np.bincount(observed["part"][has], minlength=parts)
-    share = np.sqrt(counts)
-    chosen = []
+    counts = np.bincount(observed["part"][has], minlength=len(scene.sizes))
+    share, chosen = np.sqrt(counts), [np.empty(0, dtype=np.int64)]
     for part in np.flatnonzero(counts >= FIRST_POSE.min_pixels):
         number = max(FIRST_POSE.min_references, round(FIRST_POSE.references * share[part] / share.sum()))
         chosen.append(np.flatnonzero(has & (observed["part"] == part))[:number])
-    return np.concatenate(chosen) if chosen else np.empty(0, dtype=np.int64)
+    references = np.concatenate(chosen)
+    voted = np.zeros((len(references), votes.PEAKS), dtype=CANDIDATE)
+    votes.vote(appearance.pairs, appearance.voters, D, observed, references, FIRST_POSE.partners, voted)
+    found = voted.reshape(-1)
+    found = distinct(model, found, found["votes"], FIRST_POSE.max_voted, FIRST_POSE.voted_spacing)
+    image = scene.depth, scene.labels
+    for stage, points, kept in zip(STAGES, POINTS, KEPT, strict=True):
+        found["bound"] = explained_within(noise, center_depths(model, found))
+        stages = np.atleast_1d(stage)
+        depth_term.refine_poses(*model.record[:2], observed[:points], stages, D, NOTHING_KNOWN, found)
+        pose_score.score_all(camera.record, image, appearance.sides, scene.sizes, model.center_object, found)
+        found = distinct(model, found, found["score"], kept, FIRST_POSE.candidate_spacing)
+    z = center_depths(model, found)
+    close = FIRST_POSE.close_sigmas * np.hypot(noise.sigma(z), noise.bias(z))
+    depth_term.closeness(*model.record[:2], observed, close, found)
+    found["close"] *= scene.sizes.sum() / max(len(observed), 1)
+    log_weights = np.stack([found["score"], found["close"] ** FIRST_POSE.close_exponent], axis=1)
+    log_weights = log_weights @ FIRST_POSE.score_weights
+    order = np.argsort(-log_weights, kind="stable")
+    found, weights = found[order], np.exp(log_weights[order] - log_weights.max(initial=-np.inf))
+    poses = poses_of(found)
+    to_origin = se3.point_jacobian(-poses[:, :3, :3] @ model.center_object)
+    covariances = (
+        to_origin @ center_covariances(model, camera, observed, found, noise) @ np.swapaxes(to_origin, 1, 2)
+    )
+    probability = float(probabilities(log_odds(found[:1])).sum())
+    return ObjectDetection(poses, covariances, weights / max(weights.sum(), 1.0), found, probability)
 
 
-def distinct(model: ObjectModel, candidates: Candidates, score: Array, most: int, far: float) -> Indices:
-    """Returns which looks, the best first, are apart from all better ones, modulo symmetry; far: [diameters]."""
+def explained_within(noise: DepthNoise, z: Array) -> Array:
+    """Returns how near to the surface a depth z (k,) [m] must be to be explained by it, (k,) [m]."""
+    return np.asarray(np.maximum(FIRST_POSE.bound, FIRST_POSE.bound_sigmas * noise.sigma(z)))
+
+
+def evidence_of(candidates: Candidates) -> Array:
+    """Returns (k, 5) of CANDIDATE (k,): 1, and the shares of the expected pixels that are explained, passed, hidden and
+    unexplained."""
+    size = np.maximum(candidates["expected"], pose_score.POSE_SCORE.min_expected)
+    shares = [candidates[name] / size for name in ("explained", "passed", "hidden")]
+    left = np.minimum(candidates["unexplained"] / size, pose_score.POSE_SCORE.max_unexplained)
+    return np.stack([np.ones(len(candidates)), *shares, left], axis=1)
+
+
+def log_odds(candidates: Candidates) -> Array:
+    """Returns (k,) log odds that the object is where CANDIDATE (k,) have it, against that it is not."""
+    return np.asarray(evidence_of(candidates) @ EVIDENCE)
+
+
+def probabilities(odds: Array) -> Array:
+    """Returns the probabilities (n,) of answers with log odds (n,) against none of them; the rest to 1 is none's."""
+    most = max(float(odds.max(initial=0.0)), 0.0)
+    here = np.exp(odds - most)
+    return np.asarray(here / (here.sum() + np.exp(-most)))
+
+
+def distinct(
+    model: ObjectModel, candidates: Candidates, score: Array, most: int, spacing: float
+) -> Candidates:
+    """Returns the best candidates, each farther than `spacing` [diameters] from all better ones, modulo symmetry."""
     axes, kept = model.symmetries.axes, np.empty(most, dtype=np.int64)
     about = axes[0][0] if axes else model.center_object
     group = model.symmetries.rotations, np.array([axis for _, axis in axes]).reshape(-1, 3)
-    limits = np.array([*about, model.radius, far * model.diameter])
-    return kept[
-        : distinct_poses.distinct_candidates(
-            group, limits, candidates, np.argsort(-score, kind="stable"), kept
-        )
-    ]
+    limits, order = (
+        np.array([*about, model.radius, spacing * model.diameter]),
+        np.argsort(-score, kind="stable"),
+    )
+    return candidates[kept[: distinct_poses.distinct_candidates(group, limits, candidates, order, kept)]]

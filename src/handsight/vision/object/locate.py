@@ -1,30 +1,29 @@
-"""Where an object is in one depth image: the region, the table and the hand, then the pose."""
+"""Where an object is in one depth image, and which of several objects it shows."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
-from handsight.vision.object.first_pose import ObjectDetection, first_pose
-from handsight.vision.object.region import Scene, scene_of, table_plane
+from handsight.vision.object.first_pose import ObjectDetection, first_pose, log_odds, probabilities
+from handsight.vision.object.region import scene_of
 
 
 class LocateOptions(NamedTuple):
     """`LocateOptions` say when an object is found in an image."""
 
-    max_plane: float = 1.5  # a plane that is so many of the object's diameters wide is no part of it
+    max_plane: float = 1.5  # a plane wider than this is no part of the object [diameters]
     min_probability: float = 0.02
-    """Of the best pose, for the object to be there: real cameras are less like what was fitted than drawn pictures
-    (`experiments/sight_recognition.py` prints what is kept and claimed).
-    """
-    max_range: float = 20.0  # an image half of which is beyond it is in another unit [m]
+    """Of the best pose, for the object to be there. It is low because images of real cameras differ more from those
+    that it was fitted to than drawn ones (`experiments/sight_recognition.py` prints what it accepts and claims)."""
 
 
 LOCATE = LocateOptions()
@@ -48,55 +47,65 @@ def locate(
     camera's, and for depth that is not in metres.
     """
     extent = LOCATE.max_plane * model.diameter
-    scene = scene_in(camera, depth, extent, wanted=wanted, hand=hand, table=table)
+    scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
     if not len(scene.sizes):
-        return _nowhere(nothing_in(scene))
+        return ObjectDetection.nowhere(scene.reason)
     found = first_pose(model, scene, noise=noise)
     if found.probability >= LOCATE.min_probability:
         return found
     if not len(found.candidates):
-        return _nowhere("no surface there is large enough to tell its shape")
-    name = model.name or "the object"
-    return _nowhere(
-        f"the likeliest pose of {name} is right with a probability of {found.probability:.2f} only"
-    )
+        return ObjectDetection.nowhere("no surface there is large enough to tell its shape")
+    name, probability = model.name or "the object", f"with a probability of {found.probability:.2f} only"
+    return ObjectDetection.nowhere(f"the likeliest pose of {name} is right {probability}")
 
 
-def scene_in(
+@dataclass(frozen=True, eq=False)
+class Recognition:
+    """A `Recognition` says which object a depth image shows, and where."""
+
+    scores: dict[str, float]
+    """Probability of each name, the likeliest first."""
+    none: float
+    """Probability that it is none of them; with the scores it sums to 1."""
+    found: dict[str, ObjectDetection]
+    """Where each would be, in the same order."""
+    reason: str | None = None
+    """Why it is none."""
+
+    @property
+    def name(self) -> str | None:
+        """The likeliest; None: none of them."""
+        best = next(iter(self.scores), None)
+        return best if best is not None and self.scores[best] > self.none else None
+
+
+def recognise(
+    models: Mapping[str, ObjectModel],
     camera: Camera,
     depth: Depth,
-    extent: float,
     *,
     wanted: Mask | None = None,
     hand: Mask | None = None,
     table: Array | None = None,
-) -> Scene:
-    """Returns what of an image may be an object; a plane wider than `extent` [m] is a table. Raises as `locate`
-    does."""
-    depth = camera.check_depth(depth)
-    for name, mask in (("wanted", wanted), ("hand", hand)):
-        if mask is not None:
-            camera.check_size(mask, name)
-    known = depth[np.isfinite(depth) & (depth > 0)]
-    if len(known) and np.median(known) > LOCATE.max_range:
-        guess = f"a median of {np.median(known):.4g} (millimetres?)"
-        raise InvalidInput(f"depth: expected metres, got {guess}")
-    where = np.ones(depth.shape, dtype=bool) if wanted is None else np.asarray(wanted, dtype=bool)
-    covered = None if hand is None else np.asarray(hand, dtype=bool)
-    if table is None:
-        clear = np.ones(depth.shape, dtype=bool) if covered is None else ~covered
-        table = table_plane(camera, depth, clear, extent=extent)
-    return scene_of(camera, depth, wanted=where, hand=covered, table=table)
+    noise: DepthNoise = STRUCTURED_LIGHT,
+) -> Recognition:
+    """Returns which of the models (by name) the wanted pixels of a depth image show; images are as `locate` takes them.
 
-
-def nothing_in(scene: Scene) -> str:
-    """Returns why a scene without parts has none."""
-    if not (scene.depth > 0).any():
-        return "no pixel has a depth"
-    return "nothing is seen there but the table and the hand"
-
-
-def _nowhere(reason: str) -> ObjectDetection:
-    return ObjectDetection(
-        np.zeros((0, 4, 4)), np.zeros((0, 6, 6)), np.zeros(0), np.zeros(0, dtype=CANDIDATE), 0.0, reason
-    )
+    Each is searched in the same segments of the image. Raises InvalidInput as `locate` does, and for no models.
+    """
+    if not models:
+        raise InvalidInput("models: expected at least one, got none")
+    extent = LOCATE.max_plane * max(model.diameter for model in models.values())
+    scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
+    found = {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
+    detected = [name for name, one in found.items() if len(one.candidates)]
+    odds = np.array([log_odds(found[name].candidates[:1])[0] for name in detected])
+    scores = dict.fromkeys(models, 0.0) | dict(zip(detected, probabilities(odds).tolist(), strict=True))
+    order = sorted(scores, key=lambda name: -scores[name])
+    none, reason = 1 - sum(scores.values()), None
+    if not len(scene.sizes):
+        reason = scene.reason
+    elif none >= scores[order[0]]:
+        best = f"{order[0]} is the likeliest, with a probability of {scores[order[0]]:.2f}"
+        reason = f"nothing there looks like one of them; {best}"
+    return Recognition({n: scores[n] for n in order}, max(none, 0.0), {n: found[n] for n in order}, reason)

@@ -1,28 +1,29 @@
-"""A look at a depth image near where an object is expected: what is there settles its pose, and is judged."""
+"""The pose of an object in a depth image near where it is expected, refined and scored."""
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from handsight import se3
-from handsight._kernels.image import depth_term, near_points, pinhole, pose_score
-from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_POINT, WINDOW
+from handsight._kernels.image import depth_image, depth_term, pinhole, pose_score
+from handsight._kernels.image.vision_records import DEPTH_POINT, HAND, OUT, STAGE, WINDOW
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
+from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
+from handsight.vision.candidates import Candidates, candidates_at, center_depths, poses_of
 from handsight.vision.depth_noise import DepthNoise
 from handsight.vision.object.appearance import appearance_of
-from handsight.vision.object.first_pose import FIRST_POSE, depths, poses_of
-from handsight.vision.object.pose_covariance import pose_covariances
+from handsight.vision.object.first_pose import explained_within
 from handsight.vision.object.region import REGION
+from handsight.vision.pose_covariance import center_covariances
 
 
 class RefinerOptions(NamedTuple):
     """`RefinerOptions` say how a pose is refined on an image."""
 
     within: float = 0.12  # of the expected surface, for a point to count [diameters]
-    margin: float = 0.15  # what is searched around its silhouette [diameters]
+    margin: float = 0.15  # around the object's silhouette, in which points are gathered [diameters]
     max_points: int = 400  # points that refine a pose
     max_pixels: int = 2000  # pixels of the window that they are chosen from
     covariance_points: int = 50  # of them are enough for the covariance
@@ -30,70 +31,58 @@ class RefinerOptions(NamedTuple):
 
 REFINER = RefinerOptions()
 
-STAGES = ((False, 0.12, 0.05, 4, 4), (True, 0.05, 0.0, 3, 1))
-"""Whether on the fine field, Tukey's bound at first and at last [diameters], steps, every so manieth point."""
-ONE_PART = np.zeros(1)
+STAGES = np.array([(0, 0.12, 0.05, 4, 4), (1, 0.05, 0.0, 3, 1)], dtype=STAGE)
+"""How the pose is moved to the points, with bounds in diameters."""
 
 
 class RefinedPose(NamedTuple):
-    """A `RefinedPose` is what depth alone says."""
+    """A `RefinedPose` is the pose that depth alone gives."""
 
-    T_camera_object: Array
-    """(4, 4)"""
-    covariance: Array
-    """(6, 6) of (δp, δθ) of the object's origin along the camera's axes."""
-    candidate: NDArray[np.void]
+    pose_camera_object: GaussianPose
+    candidate: Candidates
     """CANDIDATE (1,)"""
     points: int
-    """On the surface, or nearly."""
+    """Points near the surface."""
 
 
 class PoseRefiner:
-    """Looks at one object, image by image; it keeps room for the part of an image that it looks at."""
+    """A `PoseRefiner` refines poses of one object, image by image; it keeps a copy of the part that it reads."""
 
     def __init__(self, model: ObjectModel, camera: Camera, noise: DepthNoise) -> None:
         """`noise`: of the camera's depth."""
         self.model, self.camera, self.noise = model, camera, noise
-        self._appearance = appearance_of(model)
         self._depth = np.zeros(camera.size[::-1], dtype=np.float32)
-        self._labels = np.full(camera.size[::-1], pose_score.OUT, dtype=np.int32)
+        self._labels = np.full(camera.size[::-1], OUT, dtype=np.int32)
         self._window = np.zeros(1, dtype=WINDOW)
-        self._window["within"], self._window["plane_within"] = (
-            REFINER.within * model.diameter,
-            REGION.table_within,
-        )
+        self._window["within"] = REFINER.within * model.diameter
+        self._window["plane_within"] = REGION.table_within
         self._points = np.zeros(REFINER.max_points, dtype=DEPTH_POINT)
-        self._stages = np.array(STAGES) * [1, model.diameter, model.diameter, 1, 1]
-        self._limits = np.array([self._appearance.sample_area, FIRST_POSE.bound, *model.center_object])
 
     def at(
         self, T_expected: Array, known: Array, depth: Depth, hand: Mask | None, table: Array | None
     ) -> RefinedPose:
-        """Returns the pose that depth (h, w) settles, from the expected one on; the hand's pixels and the table left
-        out.
+        """Returns the pose that depth (h, w) gives from the expected one on, without the pixels of hand and table.
 
-        known (6, 6): information by (δp, δθ) of the object's centre along the camera's axes, which holds what hardly
-        any point sees where it is expected.
+        known (6, 6): the information of the expected pose by (δp, δθ) of the object's centre along the camera's axes;
+        it holds directions that hardly any point observes.
         """
-        candidate = np.zeros(1, dtype=CANDIDATE)
-        candidate["pose"]["rotation"], candidate["pose"]["position"] = T_expected[:3, :3], T_expected[:3, 3]
-        model, nodes = self.model.record[:2]
-        self._show(self._around(T_expected), depth, hand, table)
+        candidate, record = candidates_at(T_expected[None]), self.model.record[:2]
+        self._take(self._around(T_expected), depth, hand, table)
         image = self.camera.rays, self._depth, self._labels
-        count = near_points.near_points((model, nodes), image, self._window, candidate, self._points)
-        points, z = self._points[:count], depths(self.model, candidate)
-        sigma = self.noise.sigma(z)
-        candidate["bound"] = np.maximum(FIRST_POSE.bound, FIRST_POSE.bound_sigmas * sigma)
-        one_point = sigma**2 + self.noise.bias(z) ** 2
-        depth_term.refine_near(model, nodes, points, self._stages, one_point * known, candidate)
-        sides = self._appearance.sides
-        pose_score.score_all(self.camera.record, image[1:], sides, ONE_PART, self._limits, candidate)
+        count = depth_image.near_points(record, image, self._window, candidate, self._points)
+        points, z = self._points[:count], center_depths(self.model, candidate)
+        candidate["bound"] = explained_within(self.noise, z)
+        one_point = self.noise.sigma(z) ** 2 + self.noise.bias(z) ** 2
+        depth_term.refine_poses(*record, points, STAGES, self.model.diameter, one_point * known, candidate)
+        sides, center = appearance_of(self.model).sides, self.model.center_object
+        pose_score.score_all(self.camera.record, image[1:], sides, np.zeros(1), center, candidate)
         some = np.ascontiguousarray(points[:: max(count // REFINER.covariance_points, 1)])
-        covariance = pose_covariances(self.model, self.camera, some, candidate, self.noise)[0]
-        return RefinedPose(poses_of(candidate)[0], covariance, candidate, count)
+        covariance = center_covariances(self.model, self.camera, some, candidate, self.noise)[0]
+        T_camera_center = poses_of(candidate)[0] @ se3.compose(np.eye(3), center)
+        return RefinedPose(GaussianPose(T_camera_center, covariance).at_point(-center), candidate, count)
 
     def _around(self, T: Array) -> tuple[slice, slice]:
-        """Returns rows and columns around the object's silhouette; empty where it is out of the picture."""
+        """Returns rows and columns around the object's silhouette; both are empty where it is out of the image."""
         points = se3.apply(T, self.model.points_object)
         pixels = np.empty((len(points), 2))
         pinhole.pixels_of(self.camera.record, points, pixels)
@@ -107,20 +96,17 @@ class PoseRefiner:
         rows = slice(int(min(max(top, 0), height)), int(min(max(bottom, 0), height)))
         return rows, slice(int(min(max(left, 0), width)), int(min(max(right, 0), width)))
 
-    def _show(self, box: tuple[slice, slice], depth: Depth, hand: Mask | None, table: Array | None) -> None:
-        """Takes the image's box over, and forgets the last one's."""
-        here = self._window[0]
-        last = slice(*here["rows"]), slice(*here["columns"])
-        self._depth[last], self._labels[last] = 0, pose_score.OUT
-        here_depth, labels = self._depth[box], self._labels[box]
-        here_depth[:] = depth[box]
-        if not np.isfinite(here_depth.sum()):
-            here_depth[~np.isfinite(here_depth)] = 0
-        labels[:] = 0 if hand is None else np.where(hand[box], np.int32(pose_score.HAND), np.int32(0))
+    def _take(self, box: tuple[slice, slice], depth: Depth, hand: Mask | None, table: Array | None) -> None:
+        """Copies a box of the image, and clears the last one."""
+        window = self._window[0]
+        last = slice(*window["rows"]), slice(*window["columns"])
+        self._depth[last], self._labels[last] = 0, OUT
+        self._depth[box] = np.where(np.isfinite(depth[box]), depth[box], 0)
+        self._labels[box] = 0 if hand is None else np.where(hand[box], np.int32(HAND), np.int32(0))
         rows, columns = box
-        here["rows"], here["columns"] = (rows.start, rows.stop), (columns.start, columns.stop)
+        window["rows"], window["columns"] = (rows.start, rows.stop), (columns.start, columns.stop)
         area = (rows.stop - rows.start) * (columns.stop - columns.start)
-        here["step"] = max(1, round(float(np.sqrt(area / REFINER.max_pixels))))
+        window["step"] = max(1, round(float(np.sqrt(area / REFINER.max_pixels))))
         if table is not None:
-            here["plane"] = table
-            near_points.leave_out_plane((self.camera.rays, self._depth, self._labels), self._window)
+            window["plane"] = table
+            depth_image.leave_out_plane((self.camera.rays, self._depth, self._labels), self._window)

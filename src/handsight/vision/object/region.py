@@ -1,4 +1,4 @@
-"""Where in a depth image an object may be: a box or all of it, without the table, in connected parts."""
+"""Where in a depth image an object may be: its wanted pixels without hand and table, in connected segments."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,65 +10,90 @@ from handsight._kernels.image import depth_image
 from handsight._kernels.image.vision_records import DEPTH_POINT
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
+from handsight.errors import InvalidInput
 
 
 class RegionOptions(NamedTuple):
-    """`RegionOptions` say how an image is divided into table and parts."""
+    """`RegionOptions` say how an image is divided into table and segments."""
 
-    table_within: float = 0.010  # what is nearer to a table's plane is the table's [m]
+    table_within: float = 0.010  # points nearer to the table's plane are the table's [m]
     trials: int = 200  # planes through three points each
     trial_pixels: int = 750  # pixels that choose among them
-    refine_pixels: int = 3000  # pixels that place the chosen one
-    min_part: int = 40  # pixels of a part that is used
+    refine_pixels: int = 3000  # pixels that the chosen one is fitted to
+    min_segment: int = 40  # pixels of a segment that is used
+    max_range: float = 20.0  # an image half of which is beyond it is in another unit [m]
 
 
 REGION = RegionOptions()
 
-NO_TABLE = np.array([0, 0, 0, np.inf])
-"""All is above it."""
-
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A `Scene` is a depth image, and what of it may be the object."""
+    """A `Scene` is a depth image, with the segments of it that may be the object."""
 
     camera: Camera
     depth: Depth
     """(h, w) [m]; 0 where there is none."""
     labels: NDArray[np.int32]
-    """(h, w) number of the connected part, `TABLE`, `HAND`, or `OUT`."""
+    """(h, w) number of the segment, `TABLE`, `HAND`, or `OUT`."""
     sizes: Array
-    """(p,) pixels of each part."""
+    """(p,) pixels of each segment."""
+
+    @property
+    def reason(self) -> str:
+        """Why it has no segments, if it has none."""
+        known = (self.depth > 0).any()
+        return "nothing is seen there but the table and the hand" if known else "no pixel has a depth"
 
 
 def scene_of(
-    camera: Camera, depth: Depth, *, wanted: Mask, hand: Mask | None = None, table: Array | None = None
+    camera: Camera,
+    depth: Depth,
+    *,
+    wanted: Mask | None = None,
+    hand: Mask | None = None,
+    table: Array | None = None,
+    extent: float = np.inf,
 ) -> Scene:
-    """Returns the parts of an image's wanted pixels (h, w) that are neither hand nor table (4: normal, offset)."""
-    known, labels = np.empty(depth.shape, dtype=np.float32), np.empty(depth.shape, dtype=np.int32)
-    masks = wanted, np.zeros(depth.shape, dtype=bool) if hand is None else hand
-    image = depth.astype(np.float32, copy=False), *masks
-    plane = np.append(NO_TABLE if table is None else table, REGION.table_within)
-    depth_image.sort_pixels(camera.rays, tuple(map(np.ascontiguousarray, image)), plane, known, labels)
-    sizes = np.empty(labels.size // REGION.min_part + 1)
-    count = depth_image.label_parts(known, labels, REGION.min_part, sizes)
-    return Scene(camera, known, labels, sizes[:count].copy())
+    """Returns the segments of an image's wanted pixels (h, w; None: all) that are neither the hand's nor the table's.
+
+    table (4,): `n·P + offset = 0` in the camera; None: the widest plane, if it is wider than `extent` [m]. Raises
+    InvalidInput for images of another size than the camera's, and for depth that is not in metres.
+    """
+    depth = camera.check_depth(depth)
+    for name, mask in (("wanted", wanted), ("hand", hand)):
+        if mask is not None:
+            camera.check_size(mask, name)
+    known = depth[np.isfinite(depth) & (depth > 0)]
+    if len(known) and np.median(known) > REGION.max_range:
+        came = f"a median of {np.median(known):.4g} (millimetres?)"
+        raise InvalidInput(f"depth: expected metres, got {came}")
+    where = np.ones(depth.shape, dtype=bool) if wanted is None else np.asarray(wanted, dtype=bool)
+    covered = np.zeros(depth.shape, dtype=bool) if hand is None else np.asarray(hand, dtype=bool)
+    if table is None and extent < np.inf:
+        table = table_plane(camera, depth, ~covered, extent=extent)
+    plane = np.array([0, 0, 0, np.inf]) if table is None else table  # everything is above that one
+    filled, labels = np.empty(depth.shape, dtype=np.float32), np.empty(depth.shape, dtype=np.int32)
+    image = tuple(map(np.ascontiguousarray, (depth, where, covered)))
+    depth_image.sort_pixels(camera.rays, image, np.append(plane, REGION.table_within), filled, labels)
+    sizes = np.empty(labels.size // REGION.min_segment + 1)
+    count = depth_image.label_parts(filled, labels, REGION.min_segment, sizes)
+    return Scene(camera, filled, labels, sizes[:count].copy())
 
 
-def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float, seed: int = 0) -> Array | None:
-    """Returns the plane (4,) that most of the wanted pixels lie on and that is wider than `extent` [m]; None: there
-    is none.
+def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float) -> Array | None:
+    """Returns the plane (4,) that most of the wanted pixels (h, w) lie on, by random sample consensus.
 
-    Normal towards the camera, `n·P + offset = 0` on it (random sample consensus).
+    It is `n·P + offset = 0` with n towards the camera; None where no plane is wider than `extent` [m].
     """
     pixels = np.flatnonzero(wanted & (depth > 0) & (depth < np.inf))
     if len(pixels) < 500:
         return None
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     chosen = pixels[rng.choice(len(pixels), min(len(pixels), REGION.refine_pixels), replace=False)]
     z = depth.reshape(-1)[chosen].astype(np.float64)
     points = np.c_[camera.rays.reshape(-1, 2)[chosen] * z[:, None], z]
-    within = REGION.table_within * np.maximum(z * z, 1)  # as depth is known
+    within = REGION.table_within * np.maximum(z * z, 1)  # the noise of depth grows like that
     a, b, c = (points[rng.integers(len(points), size=REGION.trials)] for _ in range(3))
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
@@ -90,11 +115,11 @@ def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float, se
     return np.append(n, -n @ middle)
 
 
-def observed_points(scene: Scene, spacing: float, most: int, seed: int = 0) -> NDArray[np.void]:
-    """Returns DEPTH_POINT (n,): points of the scene's parts about `spacing` [m] apart, at most so many, in random
+def observed_points(scene: Scene, spacing: float, most: int) -> NDArray[np.void]:
+    """Returns DEPTH_POINT (n,): at most so many points of the scene's segments, `spacing` [m] apart, in random
     order."""
     order = np.flatnonzero(scene.labels >= 0)
-    np.random.default_rng(seed).shuffle(order)
+    np.random.default_rng(0).shuffle(order)
     chosen = np.empty(most, dtype=np.int64)
     count = depth_image.spread(scene.camera.rays, scene.depth, order, spacing, chosen)
     points = np.zeros(count, dtype=DEPTH_POINT)

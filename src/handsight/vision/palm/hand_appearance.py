@@ -1,4 +1,4 @@
-"""What a hand looks like to a depth camera: points of its skin, and triangles that tell which of them are seen."""
+"""The points of a hand's skin that depth images are compared with, and triangles that decide which are visible."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,26 +9,25 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from handsight import se3
-from handsight._kernels.math import chain
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
-from handsight.hand.chains import Chains
+from handsight.hand.chains import Chains, transform_points
 from handsight.hand.surface import HandShape, sample_by_area
 
 
 class AppearanceOptions(NamedTuple):
-    """`AppearanceOptions` are what of a hand a camera can see."""
+    """`AppearanceOptions` say which points of a hand a camera can see."""
 
     points: int = 1200  # by which a hand is aligned with an image
-    merge_distance: float = 0.005  # vertices nearer than this are one where only visibility is asked for [m]
-    pixel_stride: int = 4  # pixels of an image for each that is drawn for that
-    max_depth: float = 0.006  # how far a point may lie behind what is drawn [m]
-    min_facing: float = 0.1  # the least cosine of its normal with the way to the camera
-    beside: float = 0.02  # off its outline there is air, with a belief as rough as the steps of a search [m]
+    merge_distance: float = 0.005  # side of the cells in which vertices are merged to draw the hand [m]
+    pixel_stride: int = 4  # pixels of an image for each that is drawn
+    max_depth: float = 0.006  # how far a visible point may lie behind what is drawn [m]
+    min_facing: float = 0.1  # the least cosine of its normal with the direction to the camera
+    beside: float = 0.02  # distance from the hand's outline at which there is air, in steps of a search [m]
     continued_depth: float = 0.015
-    """What is visible beside the outline continues it where it is no farther behind the hand than this [m]."""
+    """A surface beside the outline continues it where it is no farther behind the hand than this [m]."""
 
 
 APPEARANCE = AppearanceOptions()
@@ -36,7 +35,7 @@ APPEARANCE = AppearanceOptions()
 
 @dataclass(frozen=True, eq=False)
 class HandAppearance:
-    """A `HandAppearance` is a hand's points and triangles, each of which moves with one link; worked out once."""
+    """A `HandAppearance` has points and triangles of a hand, each of which moves with one link; it is computed once."""
 
     chains: Chains
     skin: tuple[Array, Array, Indices]
@@ -44,23 +43,18 @@ class HandAppearance:
     coarse: tuple[Array, Indices, Indices]
     """Vertices (k, 3) in the axes of their link, the link of each, and faces (f, 3)."""
     point_area: float
-    """That each point stands for [m²]."""
+    """What each point stands for [m²]."""
 
     @classmethod
     def of(cls, hand: Hand) -> "HandAppearance":
         """Returns the appearance of the links that move with the palm or hang on it; raises InvalidInput where its
         file has no shapes."""
-        shape = hand.shape()
-        if not len(shape.faces):
-            raise InvalidInput(f"hand: expected shapes of its links in {hand.file}, got none")
-        corners, link = shape.vertices_body[shape.faces], shape.body_of[shape.faces[:, 0]]
-        body, points, normals = sample_by_area(
-            [corners[link == b] for b in range(len(shape.bodies))], APPEARANCE.points, 0
-        )
+        shape, (points, normals, body) = hand.shape(), skin_points(hand, APPEARANCE.points)
         order = np.random.default_rng(0).permutation(len(points))
+        corners = shape.vertices_body[shape.faces]
         crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = float(np.linalg.norm(crosses, axis=1).sum() / 2)
-        skin = points[order], normals[order], body[order].astype(np.int64)
+        skin = points[order], normals[order], body[order]
         return cls(shape.chains, skin, _coarser(shape), area / len(points))
 
     def placed(self, joint_positions: Mapping[str, float], *, sigma_joint: float = 0.0) -> "PlacedHand":
@@ -72,11 +66,8 @@ class HandAppearance:
         turns = Ts.copy()
         turns[:, :3, 3] = 0
         points, normals, bodies = self.skin
-        skin = np.empty((2, len(points), 3))
-        chain.transform_points(points, bodies, Ts, skin[0])
-        chain.transform_points(normals, bodies, turns, skin[1])
-        vertices = np.empty_like(self.coarse[0])
-        chain.transform_points(self.coarse[0], self.coarse[1], Ts, vertices)
+        skin = np.stack([transform_points(points, bodies, Ts), transform_points(normals, bodies, turns)])
+        vertices = transform_points(self.coarse[0], self.coarse[1], Ts)
         return PlacedHand(self, skin, vertices, axes, float(sigma_joint))
 
 
@@ -96,44 +87,38 @@ class PlacedHand:
 
     @cached_property
     def middle(self) -> Array:
-        """(3,) of its points [m]."""
+        """(3,) mean of its points [m]."""
         return np.asarray(self.skin[0].mean(axis=0))
 
     @cached_property
     def radius(self) -> float:
-        """Of its points about their middle [m]."""
+        """The largest distance of a point from the middle [m]."""
         return float(np.linalg.norm(self.skin[0] - self.middle, axis=1).max())
 
     def by_joints(self, rows: Indices) -> Array:
-        """Returns (k, 3, j) how the points `rows` (k,) move in the palm by each joint [m/rad]."""
+        """Returns the derivative (k, 3, j) of the points `rows` (k,) in the palm by each joint [m/rad]."""
         bodies = self.appearance.skin[2][rows]
         return self.appearance.chains.jacobians(self.skin[0, rows], bodies, self.axes)[:, :3]
 
     def outline_continued(self, camera: Camera, depth: Depth, T_camera_palm: Array) -> float:
-        """Returns share of the pixels around the hand, as it would be drawn there, in which what is seen goes on as
-        near as it.
+        """Returns the share of the pixels around the hand, drawn at a pose, in which the image is about as near as it.
 
-        Around a hand in the air most are far behind; a hand that was laid onto a table has none that are. Where
-        something hides the outline, or there is no depth, it does not count; all of it: 1.
+        Around a hand in the air most are far behind; around a hand that was found in a table none is. Pixels that
+        something hides, or without depth, do not count; the share is 1 where none counts.
         """
         drawn = _drawn(self, camera, T_camera_palm.tobytes())
+        stride, within = APPEARANCE.pixel_stride, APPEARANCE.continued_depth
         near = minimum_filter(drawn, size=3)
         around = np.isfinite(near) & ~np.isfinite(drawn)
-        rows, columns = (
-            APPEARANCE.pixel_stride * k + APPEARANCE.pixel_stride // 2 for k in np.nonzero(around)
-        )
+        rows, columns = (stride * k + stride // 2 for k in np.nonzero(around))
         inside = (rows < depth.shape[0]) & (columns < depth.shape[1])
         observed, hand = depth[rows[inside], columns[inside]], near[around][inside]
-        counts = (observed > 0) & (observed > hand - APPEARANCE.continued_depth)
-        return (
-            float((observed[counts] < hand[counts] + APPEARANCE.continued_depth).mean())
-            if counts.any()
-            else 1.0
-        )
+        counts = (observed > 0) & (observed > hand - within)
+        return float((observed[counts] < hand[counts] + within).mean()) if counts.any() else 1.0
 
     def beside(self, camera: Camera, T_camera_palm: Array, most: int) -> Array:
-        """Returns (k, 3) points in the air, in the palm's axes, `APPEARANCE.beside` off the hand's outline and as
-        near as it [m]."""
+        """Returns at most so many points (k, 3) in the air, in the palm's axes, off the hand's outline and as near as
+        it [m]."""
         small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
         distance = max(se3.apply(T_camera_palm, self.middle[None])[0, 2], APPEARANCE.beside)
         off = max(round(APPEARANCE.beside * small.matrix[0, 0] / distance), 1)
@@ -146,7 +131,8 @@ class PlacedHand:
         return se3.apply(se3.inverse(T_camera_palm), points)
 
     def visible_from(self, camera: Camera, T_camera_palm: Array) -> Mask:
-        """Returns (m,) which points a camera there sees of the hand alone; out of its image all that face it."""
+        """Returns (m,) which points of the hand alone are visible at a pose; out of the image, all that face the
+        camera."""
         small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
         points, normals = se3.apply(T_camera_palm, self.skin[0]), self.skin[1] @ T_camera_palm[:3, :3].T
         way = np.linalg.norm(points, axis=1)
@@ -159,27 +145,38 @@ class PlacedHand:
         return np.asarray(facing & (~inside | (points[:, 2] < front + slack)))
 
 
+def skin_points(hand: Hand, count: int) -> tuple[Array, Array, Indices]:
+    """Returns points (m, 3) and outward normals (m, 3) in the axes of their link, and the link of each in
+    `hand.shape()`.
+
+    m = `count` points are spread by area. Raises InvalidInput where the hand's file has no shapes.
+    """
+    shape = hand.shape()
+    if not len(shape.faces):
+        raise InvalidInput(f"hand: expected shapes of its links in {hand.file}, got none")
+    by_link = [mesh.vertices[mesh.faces] for mesh in shape.meshes.values()]
+    body, points, normals = sample_by_area(by_link, count, 0)
+    return points, normals, body.astype(np.int64)
+
+
 @lru_cache(maxsize=8)
 def _smaller(camera: Camera) -> Camera:
-    K = camera.matrix.copy()
-    K[:2] /= APPEARANCE.pixel_stride
-    K[:2, 2] -= 0.5 - 0.5 / APPEARANCE.pixel_stride
-    return Camera(
-        K,
-        (-(-camera.size[0] // APPEARANCE.pixel_stride), -(-camera.size[1] // APPEARANCE.pixel_stride)),
-        camera.lens,
-    )
+    """Returns the camera with a quarter of the pixels to a side."""
+    K, stride = camera.matrix.copy(), APPEARANCE.pixel_stride
+    K[:2] /= stride
+    K[:2, 2] -= 0.5 - 0.5 / stride
+    return Camera(K, (-(-camera.size[0] // stride), -(-camera.size[1] // stride)), camera.lens)
 
 
-@lru_cache(maxsize=4)  # where a hand comes to lie it is drawn for its outline and for what is seen of it
+@lru_cache(maxsize=4)  # at one pose the hand is drawn for its outline and for its visible points
 def _drawn(hand: PlacedHand, camera: Camera, T_camera_palm: bytes) -> Depth:
-    """Returns the depth of its coarse triangles at a quarter of the size; inf beside them."""
+    """Returns the depth of the coarse triangles [m] in the smaller camera; inf beside them."""
     T = np.frombuffer(T_camera_palm).reshape(4, 4)
     return _smaller(camera).draw(se3.apply(T, hand.vertices), hand.appearance.coarse[2]).depth
 
 
 def _coarser(shape: HandShape) -> tuple[Array, Indices, Indices]:
-    """Returns vertices, their links and faces, with those vertices of a link made one that share a cell."""
+    """Returns vertices, their links and faces, with the vertices of a link in one cell merged to their mean."""
     cells = np.c_[shape.body_of, np.floor(shape.vertices_body / APPEARANCE.merge_distance)]
     _, where = np.unique(cells, axis=0, return_inverse=True)
     where = where.reshape(-1)

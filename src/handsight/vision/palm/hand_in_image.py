@@ -1,4 +1,4 @@
-"""A robot's own hand in its camera's depth images: where it is, and which pixels are its."""
+"""A robot's own hand in its camera's depth images: where it is, and which pixels it covers."""
 
 from collections.abc import Mapping
 
@@ -10,22 +10,21 @@ from handsight.vision.palm.hand_appearance import HandAppearance, PlacedHand
 from handsight.vision.palm.hand_mask import hand_mask
 from handsight.vision.palm.palm_detector import PalmDetection, PalmNotFound, detect_palm, follow_palm
 
+Joints = Mapping[str, float] | None
+
 
 class HandInImage:
-    """A `HandInImage` is the hand of a rig, by its shapes; nothing is known of a hand whose file has none."""
+    """A `HandInImage` finds the hand of a rig by the shapes of its links; a hand without shapes is not found."""
 
     def __init__(self, rig: Rig) -> None:
         self._shape, self._sigma_joint = rig.hand.shape(), rig.sigma_joint_offset
         self._noise = STRUCTURED_LIGHT if rig.camera is None else PRESETS[rig.camera.depth_camera]
         self._appearance = HandAppearance.of(rig.hand) if len(self._shape.faces) else None
 
-    def placed(self, joint_positions: Mapping[str, float] | None) -> PlacedHand | None:
+    def placed(self, joint_positions: Joints) -> PlacedHand | None:
         """Returns the hand with its joints there; None without shapes, or where a joint is missing."""
         joints = joint_positions or {}
-        if self._appearance is None or not joints.keys() >= {
-            *self._shape.joints,
-            *self._appearance.chains.joints,
-        }:
+        if self._appearance is None or not joints.keys() >= set(self._shape.joints):
             return None
         return self._appearance.placed(joints, sigma_joint=self._sigma_joint)
 
@@ -33,49 +32,37 @@ class HandInImage:
         self,
         camera: Camera,
         depth: Depth,
-        joint_positions: Mapping[str, float] | None,
+        joint_positions: Joints,
         T_camera_palm: Array,
         sigmas: tuple[float, float],
+        *,
+        follow: bool = False,
     ) -> PalmDetection | PalmNotFound | None:
-        """Works as `detect_palm`, with sigmas of the believed pose [m, rad]; None where nothing is known of the
-        hand."""
+        """Returns the palm as `detect_palm` does, with sigmas of the believed pose [m, rad]; None for an unknown hand.
+
+        With `follow` the last image has had the palm there: it is searched only where it does not fit there.
+        """
         hand = self.placed(joint_positions)
         if hand is None:
             return None
-        return detect_palm(
+        found = follow_palm(camera, depth, hand, T_camera_palm, noise=self._noise) if follow else None
+        position, rotation = sigmas
+        return found or detect_palm(
             camera,
             depth,
             hand,
             T_camera_palm,
-            sigma_position=sigmas[0],
-            sigma_rotation=sigmas[1],
+            sigma_position=position,
+            sigma_rotation=rotation,
             noise=self._noise,
         )
 
-    def followed(
-        self,
-        camera: Camera,
-        depth: Depth,
-        joint_positions: Mapping[str, float] | None,
-        T_camera_palm: Array,
-        sigmas: tuple[float, float],
-    ) -> PalmDetection | PalmNotFound | None:
-        """Works as `detected`, from where the last picture has had the palm: searched only where it does not fit
-        there."""
-        hand = self.placed(joint_positions)
-        found = None if hand is None else follow_palm(camera, depth, hand, T_camera_palm, noise=self._noise)
-        return found or self.detected(camera, depth, joint_positions, T_camera_palm, sigmas)
-
     def mask(
-        self,
-        camera: Camera,
-        depth: Depth,
-        joint_positions: Mapping[str, float] | None,
-        T_camera_palm: Array,
+        self, camera: Camera, depth: Depth, joint_positions: Joints, T_camera_palm: Array
     ) -> Mask | None:
-        """Returns (h, w) which pixels are the hand's; None where nothing is known of it."""
+        """Returns (h, w) whether a pixel is the hand's; None for an unknown hand."""
         joints = joint_positions or {}
-        if not len(self._shape.faces) or not joints.keys() >= set(self._shape.joints):
+        if self._appearance is None or not joints.keys() >= set(self._shape.joints):
             return None
         vertices = self._shape.vertices_palm(joints)
         return hand_mask(camera, depth, vertices, self._shape.faces, T_camera_palm)

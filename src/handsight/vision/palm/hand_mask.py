@@ -8,7 +8,7 @@ from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices, Mask
 
 AROUND, SLACK = 3, 0.012
-"""How far joints wrong by a degree move a link: around what is drawn [pixels], before and behind it [m]."""
+"""How far joints that are off by a degree move a link: around its drawing [pixels], in front and behind [m]."""
 
 
 def hand_mask(
@@ -19,17 +19,20 @@ def hand_mask(
     T_camera_palm: Array,
     slack: float = SLACK,
 ) -> Mask:
-    """Returns (h, w) whether a pixel is the hand's. What is in front of the hand is not: the object may be."""
+    """Returns (h, w) whether a pixel of a depth image (h, w) [m] is the hand's.
+
+    The hand is triangles `faces` (m, 3) of vertices (k, 3) [m]. What is in front of it is not masked: it may be the
+    object.
+    """
     drawn = camera.draw(se3.apply(T_camera_palm, vertices_palm), faces).depth
     rows, columns = np.nonzero(np.isfinite(drawn))
     mask = np.zeros(depth.shape, dtype=bool)
     if not len(rows):
         return mask
     box = tuple(slice(max(r.min() - AROUND, 0), r.max() + AROUND + 1) for r in (rows, columns))
-    size, there = 2 * AROUND + 1, drawn[box]
-    near = minimum_filter(there, size=size, mode="constant", cval=np.inf)
-    far = maximum_filter(
-        np.where(np.isfinite(there), there, -np.inf), size=size, mode="constant", cval=-np.inf
-    )
-    mask[box] = (near - slack < depth[box]) & (depth[box] < far + slack)
+    size, near = 2 * AROUND + 1, drawn[box]
+    far = np.where(np.isfinite(near), near, -np.inf)
+    nearest = minimum_filter(near, size=size, mode="constant", cval=np.inf)
+    farthest = maximum_filter(far, size=size, mode="constant", cval=-np.inf)
+    mask[box] = (nearest - slack < depth[box]) & (depth[box] < farthest + slack)
     return mask

@@ -1,6 +1,6 @@
-"""What of an object no view has shown, guessed: by a symmetry that contradicts nothing seen, and down to the table.
+"""Guesses of what no view of an object has shown: by a symmetry that contradicts no view, and down to the table.
 
-A guess is never taken for a measurement: each point says which it is.
+Each point of the model says whether it was measured or guessed.
 """
 
 import contextlib
@@ -18,30 +18,28 @@ from handsight.vision.reconstruction.volume import SurfacePoints, Volume, thinne
 
 
 class CompletionOptions(NamedTuple):
-    """`CompletionOptions` say how what no view shows of an object is completed by its symmetry."""
+    """`CompletionOptions` say how an object is completed by its symmetry and down to the table."""
 
-    judged_points: int = 400  # points that a symmetry is judged by
-    turns: int = 24  # of an entire turn, by which a body of revolution is judged and filled
+    judged_points: int = 400  # points by which a symmetry is judged
+    turns: int = 24  # steps of a full turn, by which a body of revolution is judged and completed
     mirror_directions: int = 200  # directions of mirrors that are tried
-    mirror_spacing: float = 2.0  # how far apart mirrors of one direction are [cells]
+    mirror_spacing: float = 2.0  # between mirrors of one direction [cells]
     unknown_cost: float = 0.5
-    """What a place costs that nothing is known of [bounds]; one that is right costs 0, one that is wrong 1."""
-    max_offset: float = 2.0  # points that a symmetry takes to known places are wrong beyond this [cells]
-    max_wrong: float = 0.1  # share of them that may be
+    """Of a point that a symmetry takes to an unknown place; on the surface it costs 0, off it or in free space 1."""
+    max_offset: float = 2.0  # a point that a symmetry takes to a known place is wrong beyond this [cells]
+    max_wrong: float = 0.1  # share of these points that may be wrong
     min_known: float = 0.25  # share of all points that must come to known places
-    max_cosine: float = 0.2  # of the angle between two mirrors that are taken for perpendicular
-    table_margin: float = 2.5
-    """Height above a table from which the object's surface can be told from it [cells]."""
-    base_height: float = 3.0  # and how far its lowest part reaches [cells]
-    closed_gap: int = 4  # gaps in a foot's outline up to twice so wide are closed [cells]
-    open_share: float = 0.6  # what fills less than this of its hull is open
-    part_gap: int = 2  # half of what parts of one object may be apart [cells]
+    max_cosine: float = 0.2  # between the normals of two mirrors that are taken for perpendicular
+    table_margin: float = 2.5  # points nearer to the table than this may be the table's [cells]
+    base_height: float = 3.0  # of the part above that whose outline is taken for the base's [cells]
+    closed_gap: int = 4  # gaps in the base's outline up to twice so wide are closed [cells]
+    open_share: float = 0.6  # an outline that fills less than this of its hull is open
+    part_gap: int = 2  # half the gap that there may be between parts of one object [cells]
     sigma_measured: float = 5e-4
-    """What the measured points may be off by together [m]: mostly the camera's constant error, which no number of
-    views takes away.
-    """
-    sigma_guessed: float = 1.5e-3  # the same of those that were completed [m]
-    guess_distance: float = 1.5  # from any measured point, for a guess to be needed [cells]
+    """Common error of the measured points [m]: mostly the constant one of the camera, which no number of views
+    lowers."""
+    sigma_guessed: float = 1.5e-3  # common error of the guessed points [m]
+    guess_distance: float = 1.5  # from any measured point, beyond which a guess is added [cells]
 
 
 COMPLETION = CompletionOptions()
@@ -49,30 +47,30 @@ COMPLETION = CompletionOptions()
 
 @dataclass(frozen=True, eq=False)
 class ReconstructedModel:
-    """A `ReconstructedModel` is an object's surface as points, and which of them were seen."""
+    """A `ReconstructedModel` is an object's surface as points, measured and guessed."""
 
     points: Array
     """(n, 3) [m]."""
     normals: Array
     """(n, 3) unit, outward."""
     measured: Mask
-    """(n,) whether views showed it; else it is guessed."""
+    """(n,) whether views showed the point; else it is guessed."""
     guesses: tuple[str, ...]
-    """What was guessed, a sentence each."""
+    """What was guessed, in a few words each."""
 
     @property
     def sigmas(self) -> Array:
-        """(n,) how far the points may be off, together with their neighbours [m]."""
+        """(n,) standard deviation of the error that a point shares with its neighbours [m]."""
         return np.where(self.measured, COMPLETION.sigma_measured, COMPLETION.sigma_guessed)
 
     @property
     def share_measured(self) -> float:
-        """Of the points."""
+        """Share of the points that are measured."""
         return float(self.measured.mean()) if len(self.measured) else 0.0
 
 
 def one_object(surface: SurfacePoints, volume: Volume, table: bool) -> SurfacePoints:
-    """Returns the largest connected part of a surface, without a table, on which z is 0."""
+    """Returns the largest connected part of a surface, without the table at z = 0 if there is a `table`."""
     points, normals = surface
     if table:
         above = points[:, 2] > COMPLETION.table_margin * volume.grid.cell
@@ -82,7 +80,7 @@ def one_object(surface: SurfacePoints, volume: Volume, table: bool) -> SurfacePo
     occupied = np.zeros(volume.grid.shape, dtype=bool)
     place = tuple(volume.places(points).T)
     occupied[place] = True
-    # Edges are told by few views: faces may have gaps between them.
+    # Few views show edges: faces may have gaps between them.
     joined = binary_dilation(occupied, np.ones((3, 3, 3)), iterations=COMPLETION.part_gap)
     parts = label(joined)[0][place]
     mine = parts == np.bincount(parts).argmax()
@@ -90,7 +88,7 @@ def one_object(surface: SurfacePoints, volume: Volume, table: bool) -> SurfacePo
 
 
 def closed(surface: SurfacePoints, volume: Volume, table: bool) -> ReconstructedModel:
-    """Returns an object's surface with guesses where no view showed it; `table`: it stands where z is 0, z up."""
+    """Returns an object's surface with guesses where no view showed it; `table`: it stands at z = 0, with z up."""
     points, normals, guesses = surface.points, surface.normals, list[str]()
     count = len(points)
     for description, maps in _symmetries(surface, volume, table):
@@ -99,14 +97,14 @@ def closed(surface: SurfacePoints, volume: Volume, table: bool) -> Reconstructed
             points, normals = np.concatenate([points, new.points]), np.concatenate([normals, new.normals])
             guesses.append(description)
     if table and count:
-        closest = _closest_point(SurfacePoints(points, normals), volume.grid.cell)
-        points, normals = np.concatenate([points, closest.points]), np.concatenate([normals, closest.normals])
+        lowest = _base(SurfacePoints(points, normals), volume.grid.cell)
+        points, normals = np.concatenate([points, lowest.points]), np.concatenate([normals, lowest.normals])
         guesses.append("its foot, straight down to the table")
     return ReconstructedModel(points, normals, np.arange(len(points)) < count, tuple(guesses))
 
 
 def _symmetries(surface: SurfacePoints, volume: Volume, table: bool) -> list[tuple[str, Array]]:
-    """Returns what may fill gaps: a name, and maps (k, 4, 4) of the object onto itself, mirrors among them."""
+    """Returns the object's symmetries: a name, and maps (k, 4, 4) of the object onto itself, for each."""
     if len(surface.points) < COMPLETION.judged_points:
         return []
     some = np.random.default_rng(0).permutation(len(surface.points))[: COMPLETION.judged_points]
@@ -126,47 +124,36 @@ def _symmetries(surface: SurfacePoints, volume: Volume, table: bool) -> list[tup
 
 
 class _Judge:
-    """A `_Judge` is what is known of the places that points would be taken to."""
+    """A `_Judge` says how well maps of an object onto itself agree with what the views show."""
 
     def __init__(self, volume: Volume, points: Array) -> None:
         self._volume, self._points = volume, points
         distances = volume.distances(1)
-        known = np.isfinite(distances)
-        cost = np.where(
-            known, np.minimum(np.abs(np.nan_to_num(distances)) / volume.bound, 1.0), COMPLETION.unknown_cost
-        )
+        known, off = np.isfinite(distances), np.abs(np.nan_to_num(distances)) / volume.bound
+        cost = np.where(known, np.minimum(off, 1.0), COMPLETION.unknown_cost)
         self._cost = np.where(volume.clear(), 1.0, cost)
         self._known = known | volume.clear()
 
-    def _at(self, maps: Array) -> Array:
-        """Returns (k, n, 3) places in the grid that maps (k, 4, 4) take the points to [cells]."""
+    def _at(self, values: Array, maps: Array, outside: float) -> Array:
+        """Returns (k, n) the grid's values (nx, ny, nz) at the places that maps (k, 4, 4) take the points to."""
         grid = self._volume.grid
-        return np.asarray((se3.apply(maps, self._points) - grid.origin) / grid.cell)
+        at = np.moveaxis((se3.apply(maps, self._points) - grid.origin) / grid.cell, -1, 0)
+        return np.asarray(map_coordinates(values, at, order=1, mode="constant", cval=outside))
 
     def cost(self, maps: Array) -> Array:
-        """Returns (k,) of each map, 0 to 1."""
-        at = np.moveaxis(self._at(maps), -1, 0)
-        return np.asarray(
-            map_coordinates(self._cost, at, order=1, mode="constant", cval=COMPLETION.unknown_cost).mean(
-                axis=-1
-            )
-        )
+        """Returns (k,) the mean cost of the points of each map, 0 to 1."""
+        return np.asarray(self._at(self._cost, maps, COMPLETION.unknown_cost).mean(axis=-1))
 
     def allows(self, maps: Array) -> bool:
-        """Returns whether what maps (k, 4, 4) say fits to what is known, and enough is known."""
-        at = np.moveaxis(self._at(maps), -1, 0)
-        known_share = map_coordinates(self._known.astype(np.float32), at, order=1) > 0.9
-        wrong = (
-            map_coordinates(self._cost, at, order=1) * self._volume.bound
-            > COMPLETION.max_offset * self._volume.grid.cell
-        )
-        return bool(
-            known_share.mean() > COMPLETION.min_known
-            and (wrong & known_share).sum() < COMPLETION.max_wrong * known_share.sum()
-        )
+        """Returns whether maps (k, 4, 4) take enough points to known places, and few of these to wrong ones."""
+        known = self._at(self._known.astype(np.float32), maps, 0.0) > 0.9
+        most = COMPLETION.max_offset * self._volume.grid.cell
+        wrong = self._at(self._cost, maps, 0.0) * self._volume.bound > most
+        few = (wrong & known).sum() < COMPLETION.max_wrong * known.sum()
+        return bool(known.mean() > COMPLETION.min_known and few)
 
     def mirrors(self, surface: SurfacePoints, table: bool) -> list[Array]:
-        """Returns mirrors (4, 4) that fit, the best first."""
+        """Returns the mirrors (4, 4) that are allowed, the best first; with a table only upright ones."""
         if table:
             angle = np.linspace(0, np.pi, COMPLETION.mirror_directions // 4, endpoint=False)
             sides = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
@@ -176,9 +163,8 @@ class _Judge:
         for side in sides:
             along = surface.points @ side
             reach, middle = np.ptp(along) / 4, (along.min() + along.max()) / 2
-            offsets = np.arange(
-                middle - reach, middle + reach, COMPLETION.mirror_spacing * self._volume.grid.cell
-            )
+            spacing = COMPLETION.mirror_spacing * self._volume.grid.cell
+            offsets = np.arange(middle - reach, middle + reach, spacing)
             costs = self.cost(np.stack([_mirror(np.append(side, d)) for d in offsets]))
             found.append((float(costs.min()), np.append(side, offsets[costs.argmin()])))
         found.sort(key=lambda each: each[0])
@@ -194,14 +180,15 @@ class _Judge:
             turned[free] += x * np.where(np.array(free) == 3, 0.01, 0.1)
             return turned
 
-        best = minimize(
-            lambda x: self.cost(_mirror(moved(x))[None])[0], np.zeros(len(free)), method="Nelder-Mead"
-        )
+        def cost(x: Array) -> float:
+            return float(self.cost(_mirror(moved(x))[None])[0])
+
+        best = minimize(cost, np.zeros(len(free)), method="Nelder-Mead")
         return _mirror(moved(best.x))
 
 
 def _mirror(plane: Array) -> Array:
-    """Returns (4, 4) the reflection at the plane (4,): normal of any length, and the distance along it [m]."""
+    """Returns the reflection (4, 4) at a plane (4,): its normal of any length, and its distance along it [m]."""
     n = plane[:3] / np.linalg.norm(plane[:3])
     T = np.eye(4)
     T[:3, :3] -= 2 * np.outer(n, n)
@@ -210,7 +197,7 @@ def _mirror(plane: Array) -> Array:
 
 
 def _revolution(surface: SurfacePoints) -> Array:
-    """Returns (TURNS - 1, 4, 4) turns about the line that the surface's normals come nearest to meeting.
+    """Returns turns (turns - 1, 4, 4) about the line that the surface's normals come nearest to meeting.
 
     A line of direction d and moment m meets that of a normal n at p where d·(p × n) + m·n = 0 (Pottmann 1999).
     """
@@ -227,30 +214,27 @@ def _revolution(surface: SurfacePoints) -> Array:
 
 
 def _filled(surface: SurfacePoints, maps: Array, volume: Volume, table: bool) -> SurfacePoints:
-    """Returns where maps (k, 4, 4) take a surface to that nothing is known of, one point a cell."""
+    """Returns the points of a surface under maps (k, 4, 4), one a cell, where they come to unknown places."""
     points = se3.apply(maps, surface.points).reshape(-1, 3)
     normals = np.concatenate([surface.normals @ T[:3, :3].T for T in maps])
-    known_share = volume.among(volume.known(1) | volume.clear(), points)
-    far = cKDTree(surface.points).query(points)[0] > COMPLETION.guess_distance * volume.grid.cell
-    low, high = volume.bounds_object
-    new = far & ~known_share & ((points > low) & (points < high)).all(axis=1)
+    (low, high), cell = volume.bounds_object, volume.grid.cell
+    new = ~volume.among(volume.known(1) | volume.clear(), points)
+    new &= ((points > low) & (points < high)).all(axis=1)
+    new &= cKDTree(surface.points).query(points)[0] > COMPLETION.guess_distance * cell
     if table:
-        new &= points[:, 2] > COMPLETION.table_margin * volume.grid.cell
-    cell = volume.grid.cell
+        new &= points[:, 2] > COMPLETION.table_margin * cell
     if not new.any():
         return SurfacePoints(points[new], normals[new])
     at, facing = thinned(points[new] / cell, normals[new])
     return SurfacePoints(at * cell, facing)
 
 
-def _closest_point(surface: SurfacePoints, cell: float) -> SurfacePoints:
-    """From the lowest that was seen straight down to the table, and what stands on it."""
+def _base(surface: SurfacePoints, cell: float) -> SurfacePoints:
+    """Returns a surface from the lowest points straight down to the table, and its base there."""
     points, normals = surface
-    lowest = (points[:, 2] < (COMPLETION.table_margin + COMPLETION.base_height) * cell) & (
-        np.abs(normals[:, 2]) < 0.5
-    )
-    if not lowest.any():  # it narrows to its foot: what is above stands on all of it
-        lowest = points[:, 2] < (COMPLETION.table_margin + COMPLETION.base_height) * cell
+    low = points[:, 2] < (COMPLETION.table_margin + COMPLETION.base_height) * cell
+    upright = np.abs(normals[:, 2]) < 0.5
+    lowest = low & upright if (low & upright).any() else low  # without upright sides it narrows to its foot
     ring, outward = points[lowest, :2], normals[lowest] * [1, 1, 0]
     outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
     heights = cell * np.arange(0.5, COMPLETION.table_margin)
@@ -263,8 +247,7 @@ def _closest_point(surface: SurfacePoints, cell: float) -> SurfacePoints:
 
 
 def _filled_in(ring: Array, cell: float) -> Array:
-    """Returns (m, 2) places a cell apart [m] that a ring of points (n, 2) goes around; if it is open, all between
-    them."""
+    """Returns places (m, 2) a cell apart [m] inside a ring of points (n, 2); those of its hull, if the ring is open."""
     low = ring.min(axis=0) - (COMPLETION.closed_gap + 1) * cell
     at = np.rint((ring - low) / cell).astype(int)
     image = np.zeros(tuple(at.max(axis=0) + COMPLETION.closed_gap + 2), dtype=bool)

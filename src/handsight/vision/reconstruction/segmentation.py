@@ -1,4 +1,4 @@
-"""Where in a depth image an object is that nobody has a model of yet: what stands on a table, or what a hand holds."""
+"""Where in a depth image an object without a model is: an object that stands on a table, or that a hand holds."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -7,45 +7,43 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from handsight import se3
-from handsight._kernels.math import chain
 from handsight.camera import Camera, Depth
-from handsight.checks import Array, Indices
-from handsight.errors import InvalidInput
+from handsight.checks import Array
 from handsight.hand import Hand
-from handsight.hand.surface import sample_by_area
+from handsight.hand.chains import transform_points
 from handsight.vision.object.region import scene_of, table_plane
+from handsight.vision.palm.hand_appearance import skin_points
 
 
 class SegmentationOptions(NamedTuple):
-    """`SegmentationOptions` are what of an image is the object."""
+    """`SegmentationOptions` say which part of an image is the object."""
 
-    min_table: float = 0.15  # what is wider and flat is a table [m]
+    min_table: float = 0.15  # a plane wider than this is a table [m]
     min_pixels: int = 200  # of an object in its first view
-    margin: float = 0.03  # around what the first view shows [m]
-    below: float = 0.02  # below a table [m]
-    max_extent: float = 0.3  # nothing is taken to be larger [m]
+    margin: float = 0.03  # of the bounds around what the first view shows [m]
+    below: float = 0.02  # how far the bounds reach below a table [m]
+    max_extent: float = 0.3  # no object is larger [m]
     skin_points: int = 12_000  # of a hand, on its palm some four millimetres apart
-    hand_margin: float = 0.005  # what is nearer to the hand may be the hand [m]
-    joint_sigmas: float = 3.0  # and so may what is as far as its joints may move it, in standard deviations
+    hand_margin: float = 0.005  # points nearer to the hand than this may be the hand's [m]
+    joint_sigmas: float = 3.0  # and so may points as near as the errors of its joints, in standard deviations
     neighbours: int = 8  # of the hand's points that are compared
 
 
 SEGMENTATION = SegmentationOptions()
 
 IN_HAND_BOUNDS = SEGMENTATION.max_extent / 2 * np.array([[-1.0, -1, -1], [1, 1, 1]])
-"""About the middle of the fingertips, of what a hand holds [m]."""
+"""Bounds of an object in the hand, about the middle of the fingertips [m]."""
 
 
 def on_table(camera: Camera, depth: Depth) -> tuple[Array, Array] | None:
     """Returns T_camera_object (4, 4) and bounds (2, 3) [m] of what stands on a table nearest to the image's middle.
 
-    Its frame: z up from the table, the origin on it. None where no table is seen, or nothing on it.
+    Its frame has z up from the table, and the origin on it. None where there is no table, or nothing on it.
     """
-    everywhere = np.ones(depth.shape, dtype=bool)
-    plane = table_plane(camera, depth, everywhere, extent=SEGMENTATION.min_table)
+    plane = table_plane(camera, depth, np.ones(depth.shape, dtype=bool), extent=SEGMENTATION.min_table)
     if plane is None:
         return None
-    scene = scene_of(camera, depth, wanted=everywhere, table=plane)
+    scene = scene_of(camera, depth, table=plane)
     rows, columns = np.nonzero(scene.labels >= 0)
     big = scene.sizes[scene.labels[rows, columns]] >= SEGMENTATION.min_pixels
     rows, columns = rows[big], columns[big]
@@ -59,39 +57,28 @@ def on_table(camera: Camera, depth: Depth) -> tuple[Array, Array] | None:
     x /= np.linalg.norm(x)
     T = se3.compose(np.column_stack([x, np.cross(z, x), z]), middle - (z @ middle + plane[3]) * z)
     there = se3.apply(se3.inverse(T), points)
-    # Behind what is seen there is as much again.
-    side = min(
-        1.5 * float(np.linalg.norm(there[:, :2], axis=1).max()) + SEGMENTATION.margin,
-        SEGMENTATION.max_extent / 2,
-    )
+    # Behind the visible part there is as much again.
+    reach = float(np.linalg.norm(there[:, :2], axis=1).max())
+    side = min(1.5 * reach + SEGMENTATION.margin, SEGMENTATION.max_extent / 2)
     top = min(float(there[:, 2].max()) + SEGMENTATION.margin, SEGMENTATION.max_extent)
     return T, np.array([[-side, -side, -SEGMENTATION.below], [side, side, top]])
 
 
 class InHandView:
-    """An `InHandView` is what a hand holds, in depth images of both."""
+    """An `InHandView` takes the hand out of depth images of it and the object that it holds."""
 
     def __init__(self, hand: Hand, sigma_joint: float) -> None:
-        """`sigma_joint`: of each joint, constant [rad, for slides m]. Raises InvalidInput for a hand without shapes."""
-        self._shape, self._hand, self._sigma_joint = hand.shape(), hand, sigma_joint
-        if not len(self._shape.faces):
-            raise InvalidInput(f"hand: expected shapes of its links in {hand.file}, got none")
-        corners, link = (
-            self._shape.vertices_body[self._shape.faces],
-            self._shape.body_of[self._shape.faces[:, 0]],
-        )
-        body, points, _ = sample_by_area(
-            [corners[link == b] for b in range(len(self._shape.bodies))], SEGMENTATION.skin_points, 0
-        )
-        self._bodies: Indices = body.astype(np.int64)
-        self._points = np.ascontiguousarray(points)
+        """`sigma_joint`: constant error of each joint [rad, for slides m]. Raises InvalidInput for a hand without
+        shapes."""
+        self._hand, self._chains, self._sigma_joint = hand, hand.shape().chains, sigma_joint
+        self._points, _, self._bodies = skin_points(hand, SEGMENTATION.skin_points)
 
     def tells(self, joint_positions: Mapping[str, float] | None) -> bool:
-        """Returns whether these are all joints that say where the hand is."""
-        return (joint_positions or {}).keys() >= {*self._shape.joints, *self._hand.joint_names}
+        """Returns whether every joint of the hand has a position."""
+        return (joint_positions or {}).keys() >= {*self._chains.joints, *self._hand.joint_names}
 
     def middle(self, joint_positions: Mapping[str, float]) -> Array:
-        """Returns (3,) of the fingertips in the palm [m]."""
+        """Returns the mean (3,) of the fingertips in the palm [m]."""
         return np.asarray(self._hand.Ts_palm_tip(joint_positions)[:, :3, 3].mean(axis=0))
 
     def without_hand(
@@ -101,17 +88,14 @@ class InHandView:
         joint_positions: Mapping[str, float],
         T_camera_palm: Array,
     ) -> Depth:
-        """Returns a depth image (h, w) [m] with 0 for all that is as near to the hand as its joints may be off.
+        """Returns a depth image (h, w) [m] with 0 for all points as near to the hand as the errors of its joints.
 
-        The object's, too, where it is touched: a piece of a finger in a model is worse than a hole.
+        Those of the object that the hand touches are among them: a piece of a finger in a model is worse than a hole.
         """
-        Ts, axes = self._shape.chains.poses(joint_positions)
-        skin = np.empty_like(self._points)
-        chain.transform_points(self._points, self._bodies, Ts, skin)
-        moves = self._shape.chains.jacobians(skin, self._bodies, axes)[:, :3]
-        slack = SEGMENTATION.hand_margin + SEGMENTATION.joint_sigmas * self._sigma_joint * np.linalg.norm(
-            moves, axis=(1, 2)
-        )
+        Ts, axes = self._chains.poses(joint_positions)
+        skin = transform_points(self._points, self._bodies, Ts)
+        moves = np.linalg.norm(self._chains.jacobians(skin, self._bodies, axes)[:, :3], axis=(1, 2))
+        slack = SEGMENTATION.hand_margin + SEGMENTATION.joint_sigmas * self._sigma_joint * moves
         points = se3.apply(se3.inverse(T_camera_palm), camera.points(depth).reshape(-1, 3).astype(np.float64))
         low, high = skin.min(axis=0) - slack.max(), skin.max(axis=0) + slack.max()
         with np.errstate(invalid="ignore"):

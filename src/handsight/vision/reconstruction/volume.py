@@ -1,4 +1,4 @@
-"""A volume that depth images of an object are fused into, and the surface in it."""
+"""A volume into which depth images of an object are fused, and the surface in it."""
 
 from typing import NamedTuple
 
@@ -11,9 +11,9 @@ from handsight.checks import Array, Indices, Mask
 from handsight.objects.fields import Grid, GridField
 
 BOUND = 3.0
-"""How far from the surface its distance is kept [cells]."""
-LEAST_VIEWS = 2
-"""A node that one view alone has seen may be that view's noise."""
+"""Distances to the surface are kept up to this [cells]."""
+MIN_VIEWS = 2
+"""Views that must agree on a node: one alone may be noise."""
 
 
 class SurfacePoints(NamedTuple):
@@ -26,10 +26,10 @@ class SurfacePoints(NamedTuple):
 
 
 class Volume:
-    """A `Volume` is distances to a surface on a grid in the object's frame, as far as depth images have told them."""
+    """A `Volume` has distances to a surface on a grid in the object's frame, as far as depth images give them."""
 
     def __init__(self, bounds_object: Array, cell: float) -> None:
-        """`bounds_object` (2, 3): the least and the largest coordinates of what it holds [m]; `cell` [m]."""
+        """`bounds_object` (2, 3): its least and largest coordinates [m]; `cell`: side of a cell [m]."""
         shape = np.ceil((bounds_object[1] - bounds_object[0]) / cell).astype(int) + 1
         self.grid = Grid(bounds_object[0], cell, (int(shape[0]), int(shape[1]), int(shape[2])))
         self.voxels = np.zeros(self.grid.shape, dtype=VOXEL)
@@ -48,27 +48,26 @@ class Volume:
         )
 
     def fuse(self, camera: Camera, depth: Depth, T_camera_object: Array) -> None:
-        """Adds what a depth image (h, w) [m] says, 0 where it says nothing."""
+        """Adds a depth image (h, w) [m], 0 where it has no depth."""
         R, p = T_camera_object[:3, :3], T_camera_object[:3, 3]
         to_camera = np.column_stack([R * self.grid.cell, R @ self.grid.origin + p])
         kernel.fuse(camera.record, depth, to_camera, self.bound, self.voxels)
         self.views += 1
 
-    def known(self, least: int = LEAST_VIEWS) -> Mask:
-        """Returns (nx, ny, nz) whether the distance is known: so many views had the surface near, no more looked
-        through."""
+    def known(self, least: int = MIN_VIEWS) -> Mask:
+        """Returns (nx, ny, nz) whether the distance is known: so many views had the surface near, and no more of them
+        saw past the node."""
         views = self.voxels["views"]
         return np.asarray((views >= least) & (self.voxels["passed"] <= views))
 
-    def distances(self, least: int = LEAST_VIEWS) -> Array:
+    def distances(self, least: int = MIN_VIEWS) -> Array:
         """Returns (nx, ny, nz) [m]; NaN where it is not known."""
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = self.voxels["sum"] / self.voxels["weight"]
         return np.where(self.known(least), mean, np.nan).astype(np.float64)
 
     def field(self) -> GridField:
-        """Returns the distances that any view tells, as a smooth field; elsewhere that of what is clear of a
-        surface."""
+        """Returns the distances of any views as a smooth field, with the largest distance where there is none."""
         return self.grid.field(np.nan_to_num(self.distances(1), nan=self.bound).reshape(-1))
 
     def surface(self) -> SurfacePoints:
@@ -81,14 +80,14 @@ class Volume:
         return SurfacePoints(self.grid.origin + self.grid.cell * at, facing)
 
     def among(self, nodes: Mask, points_object: Array) -> Mask:
-        """Returns (n,) whether the nodes nearest to points (n, 3) [m] are among some (nx, ny, nz)."""
+        """Returns (n,) whether the nodes nearest to points (n, 3) [m] are among `nodes` (nx, ny, nz)."""
         place = self.places(points_object)
         inside = np.asarray(((place >= 0) & (place < self.grid.shape)).all(axis=1))
         inside[inside] = nodes[tuple(place[inside].T)]
         return inside
 
     def places(self, points_object: Array) -> Indices:
-        """Returns (n, 3) the nodes nearest to points (n, 3) [m], some of them perhaps outside."""
+        """Returns (n, 3) the indices of the nodes nearest to points (n, 3) [m]; they may be outside."""
         return np.asarray(np.rint((points_object - self.grid.origin) / self.grid.cell).astype(np.int64))
 
     def observed(self) -> Mask:
@@ -96,15 +95,15 @@ class Volume:
         return np.asarray((self.voxels["views"] > 0) | (self.voxels["passed"] > 0))
 
     def clear(self) -> Mask:
-        """Returns (nx, ny, nz) whether more views looked through than had a surface near by."""
+        """Returns (nx, ny, nz) whether a node is free space: more views saw past it than had a surface near."""
         views, passed = self.voxels["views"], self.voxels["passed"]
-        return np.asarray((passed > views) & (passed >= min(LEAST_VIEWS, self.views)))
+        return np.asarray((passed > views) & (passed >= min(MIN_VIEWS, self.views)))
 
 
 def _slope(f: Array, axis: int) -> Array:
-    """Returns (nx, ny, nz) the mean change of f to its neighbours along an axis that are known; 0 where none is.
+    """Returns (nx, ny, nz) the mean change of f to its known neighbours along an axis; 0 where there is none.
 
-    Seen aslant a surface is a few nodes thick: often there is a neighbour on one side only.
+    A surface seen aslant is a few nodes thick, and often has a neighbour on one side only.
     """
     change = np.diff(f, axis=axis, prepend=np.nan, append=np.nan)
     n = f.shape[axis]
@@ -123,7 +122,7 @@ def _crossings(f: Array, slopes: Array, axis: int) -> tuple[Array, Array]:
     share = (f[here] / (f[here] - f[next_]))[:, None]
     normals = (1 - share) * slopes[here] + share * slopes[next_]
     length = np.linalg.norm(normals, axis=1)
-    # Where the slope disagrees with the change of sign, or is not known, it is no surface.
+    # Where the slope contradicts the change of sign, or is not known, there is no surface.
     with np.errstate(invalid="ignore"):
         good = (length > 0) & (normals[:, axis] * (f[next_] - f[here]) > 0)
     points = at + share * np.eye(3)[axis]
@@ -131,16 +130,12 @@ def _crossings(f: Array, slopes: Array, axis: int) -> tuple[Array, Array]:
 
 
 def thinned(points: Array, normals: Array) -> SurfacePoints:
-    """Returns the means of points (n, 3) [cells] of a cell that face the same way."""
+    """Returns the means of the points (n, 3) [cells] with normals (n, 3) in each cell that face the same way."""
     facing = np.abs(normals).argmax(axis=1)
     side = 2 * facing + (normals[np.arange(len(normals)), facing] > 0)
     cells = np.column_stack([np.rint(points).astype(np.int64), side])
     _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    mean = [means(each, which.reshape(-1), count) for each in (points, normals)]
-    length = np.linalg.norm(mean[1], axis=1, keepdims=True)
-    return SurfacePoints(mean[0], mean[1] / np.maximum(length, 1e-12))
-
-
-def means(values: Array, which: Indices, count: Indices) -> Array:
-    """Returns (m, k) the means of the rows of values (n, k) that are the same of `which` (n,); `count` (m,) of each."""
-    return np.stack([np.bincount(which, column) / count for column in values.T], axis=1)
+    columns = [np.bincount(which.reshape(-1), column) / count for column in (*points.T, *normals.T)]
+    at, facing = np.stack(columns[:3], axis=1), np.stack(columns[3:], axis=1)
+    length = np.linalg.norm(facing, axis=1, keepdims=True)
+    return SurfacePoints(at, facing / np.maximum(length, 1e-12))

@@ -16,16 +16,16 @@ from scipy.optimize import least_squares
 import handsight as hs
 from hand_scenes import CAMERA, SQUARE, error, hand_scene, moved
 from handsight import se3
-from handsight._kernels.image import hand_term, palm_scan
+from handsight._kernels.image import depth_covariance, hand_term, palm_scan
 from handsight._kernels.image.palm_scan import PALM_SCAN
-from handsight._kernels.image.vision_records import CANDIDATE
+from handsight._kernels.image.vision_records import DEPTH_ERROR, STAGE
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
+from handsight.vision.candidates import candidates_at, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.palm.hand_appearance import APPEARANCE, HandAppearance
 from handsight.vision.palm.hand_in_image import HandInImage
-from handsight.vision.palm.palm_covariance import _spread
-from handsight.vision.palm.palm_search import Picture, _shifts, _turns, picture_of
+from handsight.vision.palm.palm_search import PALM_SEARCH, Picture, _shifts, _turns, picture_of
 
 if find_spec("gymnasium_robotics") is None:  # it is not imported: only its files are used
     pytest.skip("the Shadow hand's files come with handsight[sim]", allow_module_level=True)
@@ -128,20 +128,16 @@ def laid(seed, bound=0.012):
     hand = shadow()[2].placed(drawn.joints)
     picture = picture_of(CAMERA, drawn.depth, hand, drawn.T_camera_palm, 0.01)
     skin = np.ascontiguousarray(hand.skin[:, hand.visible_from(CAMERA, drawn.T_camera_palm)])
-    look, T = (
-        np.zeros(1, dtype=CANDIDATE),
-        off(hand, drawn.T_camera_palm, np.random.default_rng(seed), 0.003, 0.01),
-    )
-    look["pose"]["rotation"], look["pose"]["position"] = T[:3, :3], T[:3, 3]
-    rung = np.array([bound, bound, 60, hand.radius])
-    hand_term.refine_hand(CAMERA.record, picture.arrays, skin, hand.middle, rung, look)
+    look = candidates_at(off(hand, drawn.T_camera_palm, np.random.default_rng(seed), 0.003, 0.01)[None])
+    stages = np.array([(0, bound, bound, 60, 1)], dtype=STAGE)
+    hand_term.refine_hand(CAMERA.record, picture.arrays, skin, hand.middle, hand.radius, stages, look)
     return picture, hand, skin, look
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_rows_are_the_derivative_of_the_residual(seed):
     picture, _, skin, look = laid(seed)
-    T, rows = detect_palm.poses_of(look)[0], np.empty((skin.shape[1], 8))
+    T, rows = poses_of(look)[0], np.empty((skin.shape[1], 8))
     hand_term.rows_of(CAMERA.record, picture.arrays, skin, look["pose"].copy(), 0.012, rows)
     weight, Q, P, n = plain_rows(picture, T, skin, 0.012)
     # Where a pixel's border is met, rounding decides.
@@ -162,7 +158,7 @@ def test_rows_are_the_derivative_of_the_residual(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_descent_ends_where_the_plain_residual_is_least(seed):
     picture, hand, skin, look = laid(seed)
-    T = detect_palm.poses_of(look)[0]
+    T = poses_of(look)[0]
     weight, Q, P, n = plain_rows(picture, T, skin, 0.012)
     about = se3.apply(T, hand.middle[None])[0]
 
@@ -183,7 +179,7 @@ def test_whatever_a_belief_is_off_by_something_near_is_tried(reach, angle, seed)
     shift, turn = error(rng, reach * rng.random() ** (1 / 3), angle * rng.random() ** (1 / 3))
     tried = np.abs(_shifts(reach) - shift)
     assert (tried <= np.array([0.0125, 0.0125, 0.05]) + 1e-9).all(axis=1).any()
-    turns = [np.linalg.norm(se3.rotation_log(each.T @ turn)) for each in _turns(angle)]
+    turns = [np.linalg.norm(se3.rotation_log(each.T @ turn)) for each in _turns(angle, PALM_SEARCH.rotation)]
     assert min(turns) < np.deg2rad(12)
 
 
@@ -275,11 +271,11 @@ def test_a_hand_that_is_no_longer_there_is_searched():
     assert not refusal
     assert refusal.reason == "no_fit"
     asked_for = CAMERA, drawn.depth, drawn.joints, gone, (0.04, 0.05)
-    found, searched = own.followed(*asked_for), own.detected(*asked_for)
+    found, searched = own.detected(*asked_for, follow=True), own.detected(*asked_for)
     assert found
     assert searched
     np.testing.assert_array_equal(found.T_camera_palm, searched.T_camera_palm)
-    assert own.followed(CAMERA, drawn.depth, None, gone, (0.04, 0.05)) is None
+    assert own.detected(CAMERA, drawn.depth, None, gone, (0.04, 0.05), follow=True) is None
 
 
 def test_a_hand_that_is_followed_out_of_the_picture_is_refused():
@@ -312,7 +308,7 @@ def test_what_goes_on_beside_a_hand_speaks_against_it_in_a_scan_and_what_is_behi
     """One point on a plane and eight beside it: agreement, unless the plane goes on there."""
     cells = np.zeros((9, 9, 4), dtype=np.float32)
     cells[..., 3] = -1.0
-    corner = np.array([-0.4, -0.4, 0.1, 0.01])
+    corner = np.array([-0.4, -0.4, 0.1])
     on = np.tile([0.0, 0.0, 0.0], (12, 1))
     air = np.array([[0.1 * i, 0.1 * j, 0.0] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])
     hand = np.stack([np.concatenate([on, air]), np.concatenate([on - [0, 0, 1.0], 0 * air])])
@@ -321,7 +317,7 @@ def test_what_goes_on_beside_a_hand_speaks_against_it_in_a_scan_and_what_is_behi
         cells[..., 0] = 1.0 + behind
         cells[4, 4, 0] = 1.0
         found = np.empty((1, 1, 2))
-        palm_scan.scan(cells, corner, hand, np.array([[0.0, 0, 1]]), np.eye(3)[None], found)
+        palm_scan.scan(cells, corner, 0.01, hand, np.array([[0.0, 0, 1]]), np.eye(3)[None], found)
         scores.append(found[0, 0, 0] * (len(on) + palm_scan.PALM_SCAN.visible_slack))
     np.testing.assert_allclose(
         scores, [len(on) - palm_scan.PALM_SCAN.beside_weight * len(air), len(on), len(on)]
@@ -330,19 +326,29 @@ def test_what_goes_on_beside_a_hand_speaks_against_it_in_a_scan_and_what_is_behi
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60))
-def test_pulls_of_points_spread_as_their_shared_errors_say(seed, count):
-    """The plain sum over all pairs."""
+def test_points_inform_and_pull_as_their_shared_errors_say(seed, count):
+    """The plain sums over all points, and over all pairs."""
     rng = np.random.default_rng(seed)
-    pulls, slopes = rng.normal(size=(count, 6)), 0.02 * rng.normal(size=(count, 2))
+    slopes, z, weights = 0.02 * rng.normal(size=(count, 2)), rng.uniform(0.4, 0.6, count), rng.random(count)
+    points, normals = np.c_[slopes * z[:, None], z], rng.normal(size=(count, 3))
     own, near, smooth, constant = rng.random(4)
-    error = np.array([own, near, smooth, constant, 1e4, 1e2, 0.0])
-    S = np.zeros((6, 6))
+    error, center, radius = (
+        np.array([(own, near, smooth, constant, 1e4, 1e2)], DEPTH_ERROR),
+        rng.random(3),
+        0.1,
+    )
+    found = np.empty((2, 6, 6))
+    depth_covariance.inform_points(weights, points, normals, center, radius, error, count, found)
+    levers = np.hstack([normals, np.cross((points - center) / radius, normals)])
+    pulls = (weights * (normals * points).sum(axis=1) / z)[:, None] * levers
+    A, S = levers.T @ (weights[:, None] * levers), np.zeros((6, 6))
     for i in range(count):
         for j in range(count):
             apart = ((slopes[i] - slopes[j]) ** 2).sum()
             shared = near * np.exp(-1e4 * apart) + smooth * np.exp(-1e2 * apart) + constant
             S += (shared + own * (i == j)) * np.outer(pulls[i], pulls[j])
-    np.testing.assert_allclose(_spread(pulls, slopes, error), S, atol=1e-9 * np.trace(S))
+    for kind, expected in zip(found, (A, S), strict=True):
+        np.testing.assert_allclose(kind, expected, atol=1e-9 * np.trace(expected))
 
 
 def test_a_noisier_camera_widens_the_covariance():

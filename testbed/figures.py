@@ -1,4 +1,4 @@
-"""What the figures share: matplotlib without a screen, colours, axes in centimetres, views of a simulated grasp."""
+"""Parts of figures: matplotlib without a screen, colours, axes in centimetres, views of a simulated grasp."""
 
 import itertools
 from collections.abc import Sequence
@@ -8,21 +8,22 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
-from shared import report
-from shared.report import Array
+from testbed import report
+from testbed.report import Array
 
 INITIAL, TRUTH, RESULT = "0.6", "#2e9e4f", "#e6b400"
-"""The paper's colours of its Fig. 3: grey, green, yellow."""
+"""The colours of the paper's figure 3: grey, green, yellow."""
 GREEN, PINK = (0.2, 0.75, 0.3, 0.6), (0.95, 0.3, 0.65, 0.6)
-"""Of the object drawn where vision or a correction puts it."""
+"""Colours of the object at the pose of vision or of a correction."""
 AWAY, CENTRED = np.array([-0.16, 0.36, 0.22]), 0.06
-"""Of the eye from the object [m], on the side of the robot's camera; the picture's middle, towards the hand."""
+"""Position of the camera relative to the object [m], on the side of the robot's camera; shift of the picture's middle
+from the object towards the hand [m]."""
 CLOSE = slice(30, 450), slice(70, 570)
-"""The part of a picture that is shown."""
+"""Rows and columns of a picture that are shown."""
 
 
 def pyplot() -> Any:
-    """matplotlib's pyplot on a backend that needs no screen."""
+    """Returns matplotlib's pyplot on a backend that needs no screen; exits with a message where it is absent."""
     try:
         import matplotlib
     except ImportError:
@@ -36,19 +37,19 @@ def pyplot() -> Any:
 
 
 def save(figure: Any, path: Path) -> None:
-    """Writes the figure as PNG, closes it, and says so."""
+    """Writes the figure as PNG, closes it, and prints the file's name."""
     figure.savefig(path, dpi=140)
     pyplot().close(figure)
     report.wrote(path)
 
 
 def shares(values: Array) -> tuple[Array, Array]:
-    """The values in order, and the share that is not above each: a cumulative distribution."""
+    """Returns a cumulative distribution: the values in order, and the share that is not above each."""
     return np.sort(values), np.arange(1, len(values) + 1) / len(values)
 
 
 def frame_3d(axes: Any, points: Array, view: tuple[float, float] = (22, -58)) -> None:
-    """Equal scales around the points, ticks in centimetres, few of them."""
+    """Sets equal scales around points (n, 3) [m], with few ticks in centimetres."""
     from matplotlib.ticker import MaxNLocator
 
     low, high = points.min(axis=0), points.max(axis=0)
@@ -67,7 +68,7 @@ def frame_3d(axes: Any, points: Array, view: tuple[float, float] = (22, -58)) ->
 
 
 def outline(model: hs.ObjectModel) -> list[Array]:
-    """Polylines (k, 3), object frame, of a box' edges or of a cylinder's rims."""
+    """Returns the edges of a box or the rims of a cylinder, as polylines (k, 3) in the object's frame [m]."""
     low, high = model.bounds_object
     if model.symmetries.axes:
         angle = np.linspace(0, 2 * np.pi, 73)
@@ -79,20 +80,20 @@ def outline(model: hs.ObjectModel) -> list[Array]:
 
 
 def faces_viewer(axes: Any, normals: Array) -> Array:
-    """(n,) bool: the surface there is turned to the viewer of these axes, as `frame_3d` has set them."""
+    """Returns whether surfaces with these normals (n, 3) face the viewer of axes that `frame_3d` has set, (n,)."""
     elevation, azimuth = np.deg2rad([axes.elev, axes.azim])
     toward = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
     return np.asarray(normals @ np.array(toward) > 0)
 
 
 def legend_below(figure: Any, axes: Any, columns: int) -> None:
-    """The legend of some axes, outside and below."""
+    """Adds the legend of some axes below the figure."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=columns)
 
 
 def show_pictures(panels: Any, pictures: Sequence[tuple[str, Array]]) -> None:
-    """A picture a panel, under its title."""
+    """Shows one picture in each panel, with its title."""
     for axes, (title, picture) in zip(panels, pictures, strict=True):
         axes.imshow(picture)
         axes.set_title(title)
@@ -100,7 +101,7 @@ def show_pictures(panels: Any, pictures: Sequence[tuple[str, Array]]) -> None:
 
 
 def close_up(trial: Any, T_palm_object: Array | None = None, color: Any = GREEN) -> Array:
-    """(h, w, 3) a simulated grasp from near: as it is, or with the object only where it is said to be."""
+    """Returns a picture (h, w, 3) of a simulated grasp from near: as it is, or with the object at another pose only."""
     from handsight.simulation import camera_facing, render
 
     at = trial.sample.T_world_object[:3, 3] - [CENTRED, 0, 0]

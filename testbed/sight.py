@@ -1,7 +1,7 @@
-"""Pictures of ten YCB objects, and how well one is found in them: what the experiments on sight share.
+"""Drawn pictures of ten YCB objects, in which one of them is to be found.
 
-A bin is how the object lies: on a table with two others close to it, that with a Shadow hand which hides 20 to 50 % of
-it, or anywhere before the camera with the hand hiding a share. Seeds 100 and 101 are those that numbers were fitted on.
+A bin says how the object lies: on a table with two others close to it; the same with a Shadow hand that hides 20 to
+50 % of it; or anywhere in front of the camera, with the hand hiding a share of it.
 """
 
 import functools
@@ -13,16 +13,17 @@ import numpy as np
 
 import handsight as hs
 from handsight.objects import ObjectWarning, propose_symmetries
-from shared import sight_scenes as scenes
-from shared import ycb
+from testbed import sight_scenes as scenes
+from testbed import ycb
 
 FITTED_ON = (100, 101)
+"""Seeds of the pictures that constants were fitted to."""
 LOOKS_ALIKE = 0.02
-"""Part of the diameter that a symmetry may be off: depth does not show it."""
+"""Error of a symmetry, relative to the diameter, that depth images do not show."""
 
 
 class Bin(NamedTuple):
-    """How an object lies, and what share of its silhouette is hidden."""
+    """A `Bin` says how an object lies, and what share of its silhouette is hidden."""
 
     table: bool
     hand: bool
@@ -38,7 +39,7 @@ BINS = {
 
 @functools.cache
 def objects() -> dict[str, hs.ObjectModel]:
-    """The ten by name, each with the symmetries that its surface shows to a depth camera."""
+    """Returns the ten objects by name, each with the symmetries that a depth camera cannot tell apart."""
     found = {}
     for path in sorted((ycb.data_or_goodbye() / "ycb_meshes").glob("*.ply")):
         with warnings.catch_warnings():
@@ -49,7 +50,7 @@ def objects() -> dict[str, hs.ObjectModel]:
 
 
 def picture(name: str, k: int, seed: int) -> tuple[str, scenes.Picture]:
-    """The k-th picture of a bin, and which of the objects it is of: one after the other."""
+    """Returns the name of the object, which are taken in turn, and the k-th picture of a bin."""
     models, kind = objects(), BINS[name]
     rng = np.random.default_rng([seed, list(BINS).index(name), k])
     chosen = list(models)[k % len(models)]
@@ -62,5 +63,5 @@ def picture(name: str, k: int, seed: int) -> tuple[str, scenes.Picture]:
 
 
 def tasks(trials: int, seeds: Sequence[int]) -> list[tuple[str, int, int]]:
-    """The arguments of `picture`: so many a bin and seed."""
+    """Returns the arguments of `picture` for `trials` pictures of each bin and seed."""
     return [(name, k, seed) for seed in seeds for name in BINS for k in range(trials)]

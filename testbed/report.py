@@ -1,4 +1,4 @@
-"""Options of an experiment, progress, tables with their spread, CSV files."""
+"""Options of an experiment or a benchmark, its progress, tables with standard errors, CSV files."""
 
 import argparse
 import csv
@@ -22,7 +22,7 @@ from handsight.errors import MissingExtra
 
 Array = np.ndarray
 Row = dict[str, Any]
-"""What one trial found, by the names of the CSV file."""
+"""The results of one trial, by their column in the CSV file."""
 Rows = list[Row]
 WIDTH = 130
 SEEDS_APART = 10_000
@@ -30,37 +30,37 @@ SEEDS_APART = 10_000
 
 @dataclass(frozen=True)
 class Options:
-    """How an experiment was asked to run."""
+    """`Options` say how an experiment is run."""
 
     quick: bool
     output: Path
-    """Folder for the files; made where it is missing."""
+    """Folder for the files, which is created where it is missing."""
     trials: int
     seed: int
 
     @property
     def first_seed(self) -> int:
-        """Of the simulated grasps: those of one `--seed` and the next are apart."""
+        """Seed of the first simulated grasp; no two values of `--seed` have a grasp in common."""
         return self.seed * SEEDS_APART
 
     def rng(self, *keys: int) -> np.random.Generator:
-        """The generator of one trial: the same for the same seed, whatever else is run."""
+        """Returns the random generator of one trial, the same for the same seed, whatever else is run."""
         return np.random.default_rng([self.seed, *keys])
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
-    """A parser that shows the experiment's docstring as written."""
+    """Returns a parser whose help shows the experiment's docstring as written."""
     shown = argparse.RawDescriptionHelpFormatter
     return argparse.ArgumentParser(description=description, formatter_class=shown)
 
 
 def options(description: str | None, *, trials: int, quick_trials: int) -> Options:
-    """The options of an experiment that has no others."""
+    """Returns the parsed options of an experiment that has no others."""
     return parsed(parser(description), trials=trials, quick_trials=quick_trials)[0]
 
 
 def parsed(arguments: argparse.ArgumentParser, *, trials: int, quick_trials: int) -> tuple[Options, Any]:
-    """The options that every experiment has, and all that was parsed."""
+    """Returns the options that every experiment has, and all parsed arguments."""
     add, default = arguments.add_argument, "(default: %(default)s)"
     add("--quick", action="store_true", help=f"a look in under half a minute: {quick_trials} trials")
     add("--trials", type=at_least(2), metavar="N", help=f"default: {trials}, or {quick_trials} with --quick")
@@ -77,7 +77,7 @@ def parsed(arguments: argparse.ArgumentParser, *, trials: int, quick_trials: int
 
 
 def at_least(least: int) -> Callable[[str], int]:
-    """The type of an argument that is a whole number of at least that."""
+    """Returns the type of an argument that is a whole number of at least `least`."""
 
     def whole(text: str) -> int:
         try:
@@ -92,7 +92,7 @@ def at_least(least: int) -> Callable[[str], int]:
 
 
 def amount(text: str) -> float:
-    """The type of an argument that is a finite number of at least 0."""
+    """Returns the number of an argument, which must be finite and at least 0."""
     try:
         value = float(text)
     except ValueError:
@@ -103,7 +103,7 @@ def amount(text: str) -> float:
 
 
 def or_skip(main: Callable[[], None]) -> Callable[[], None]:
-    """The same program, which says so and ends well where what it needs is not installed."""
+    """Returns a program that prints which package is missing, and succeeds, where `main` raises MissingExtra."""
 
     @functools.wraps(main)
     def guarded() -> None:
@@ -116,56 +116,56 @@ def or_skip(main: Callable[[], None]) -> Callable[[], None]:
 
 
 def progress(items: Sequence[Any], what: str) -> Iterable[Any]:
-    """The items, with a bar on stderr."""
+    """Yields the items with a progress bar on stderr."""
     return track(items, description=what, console=Console(stderr=True), total=len(items))
 
 
 def chosen(rows: Iterable[Row], **key: object) -> Rows:
-    """The rows whose columns are as given."""
+    """Returns the rows whose columns have the given values."""
     return [row for row in rows if all(row[k] == v for k, v in key.items())]
 
 
 def values(rows: Iterable[Row], name: str, **key: object) -> Array:
-    """The numbers of one column, of the rows whose other columns are as given."""
+    """Returns the numbers of one column in the rows whose other columns have the given values."""
     return np.array([row[name] for row in chosen(rows, **key)])
 
 
 def distinct(rows: Iterable[Row], name: str) -> list[Any]:
-    """The values of a column, each once, in order of appearance."""
+    """Returns the values of a column, each once, in order of appearance."""
     return list(dict.fromkeys(row[name] for row in rows))
 
 
 def summary(values: Iterable[float]) -> tuple[float, float]:
-    """Mean and its standard error."""
+    """Returns the mean and its standard error."""
     array = np.asarray(list(values), dtype=np.float64)
     return float(array.mean()), float(array.std(ddof=1) / np.sqrt(len(array)))
 
 
 def positive(differences: Iterable[float]) -> bool | None:
-    """Whether the mean is above zero; None where it is within two standard errors of it."""
+    """Returns whether the mean is above zero; None where it is within two standard errors of zero."""
     mean, error = summary(differences)
     return None if abs(mean) <= 2 * error else mean > 0
 
 
 def all_of(answers: Iterable[bool | None]) -> bool | None:
-    """False where any is false, else None where any is open."""
+    """Returns False where any answer is false, else None where any is None, else True."""
     listed = list(answers)
     return False if False in listed else None if None in listed else True
 
 
 def plus_minus(values: Iterable[float], digits: int = 2) -> str:
-    """Mean±standard error, as text; one significant digit where the digits would show a zero."""
+    """Returns the text mean±standard error, with one significant digit where `digits` would show a zero."""
     return with_error(*summary(values), digits)
 
 
 def with_error(mean: float, error: float, digits: int = 2) -> str:
-    """Mean±error, as text, as `plus_minus`."""
+    """Returns the text mean±error as `plus_minus` does."""
     form = f".{digits}f" if abs(mean) >= 0.5 * 10**-digits or mean == 0 else ".0e"
     return f"{mean:{form}}±{error:{form}}"
 
 
 def grouped(rows: Iterable[Row], keys: Sequence[str], names: Iterable[str]) -> Rows:
-    """A row per combination of `keys`, in order of appearance: mean, standard error, median of each name."""
+    """Returns a row for each combination of `keys`, in order of appearance: mean, standard error, median of `names`."""
     groups: dict[tuple[Any, ...], Rows] = {}
     for row in rows:
         groups.setdefault(tuple(row[key] for key in keys), []).append(row)
@@ -183,7 +183,7 @@ def grouped(rows: Iterable[Row], keys: Sequence[str], names: Iterable[str]) -> R
 def print_grouped(
     title: str, rows: Rows, keys: Sequence[str], digits: Mapping[str, int], note: str = ""
 ) -> None:
-    """Prints `grouped` rows as mean±standard error, each column with its digits."""
+    """Prints `grouped` rows as mean±standard error, each column with its number of digits."""
     cells = []
     for line in grouped(rows, keys, digits):
         numbers = (with_error(line[f"{name}_mean"], line[f"{name}_se"], d) for name, d in digits.items())
@@ -192,7 +192,7 @@ def print_grouped(
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], note: str = "") -> None:
-    """Prints a table: first column left, numbers right, the note below."""
+    """Prints a table, its first column aligned left and numbers right, with a note below."""
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", padding=(0, 1, 0, 0))
     for i, name in enumerate(columns):
         table.add_column(name, justify="right" if i else "left")
@@ -205,19 +205,19 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obje
 
 
 def say(text: str) -> None:
-    """Prints a sentence, wrapped under its first word."""
+    """Prints a sentence, its further lines indented."""
     console = _console()
     wrapped = textwrap.fill(text, console.width - 1, subsequent_indent="  ", break_on_hyphens=False)
     console.print(wrapped, markup=False, highlight=False, soft_wrap=True)
 
 
 def wrote(path: Path) -> None:
-    """Prints the name of a file, never wrapped."""
+    """Prints the name of a file that was written, without wrapping it."""
     _console().print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
 
 
 def verdict(claim: str, holds: bool | None, numbers: str) -> dict[str, str]:
-    """Prints a claim with its outcome; the same as a row for a CSV file. None: the numbers do not decide."""
+    """Prints a claim with its outcome and returns both as a row; `holds` is None where the numbers do not decide."""
     outcome = {True: "confirmed", False: "NOT confirmed", None: "not decided by so few trials"}[holds]
     say(f"* {claim}: {outcome}. {numbers}")
     return {"claim": claim, "outcome": outcome, "numbers": numbers}
@@ -228,7 +228,7 @@ def _console() -> Console:
 
 
 def write_csv(path: Path, rows: Rows) -> None:
-    """Writes rows with one header, floats to six significant digits, and says so."""
+    """Writes rows with one header and floats of six significant digits, and prints the file's name."""
     with path.open("w", newline="", encoding="utf-8") as file:
         names = list(dict.fromkeys(name for row in rows for name in row))
         writer = csv.DictWriter(file, fieldnames=names, restval="", lineterminator="\n")
@@ -239,18 +239,18 @@ def write_csv(path: Path, rows: Rows) -> None:
 
 
 def timed(call: Callable[[], Any]) -> tuple[Any, float]:
-    """What the call answers, and the seconds it took."""
+    """Returns the result of a call, and its duration [s]."""
     begin = time.perf_counter()
     answer = call()
     return answer, time.perf_counter() - begin
 
 
 def machine() -> str:
-    """Processor and number of cores, for times."""
+    """Returns the machine's processor, cores and versions, to be printed below times."""
     name = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         name = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), name)
     except OSError:
-        pass  # not Linux: the short name does
+        pass  # not Linux: the short name is kept
     return f"{name}, {os.cpu_count()} cores, Python {platform.python_version()}, NumPy {np.__version__}"

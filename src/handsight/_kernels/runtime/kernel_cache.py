@@ -1,0 +1,111 @@
+"""Where the machine code of kernels is kept on disk.
+
+Numba's own cache numbers the files of a function, with an index beside them. It looks at the source of that function
+alone, so that it would go on using a kernel whose callee in another file has changed; processes that save at the same
+time mix the numbers up; and LLVM ends the process on damaged machine code instead of raising. So here one stamp over
+all kernels names the folder, and each file is named and sealed by what it is for.
+"""
+
+import contextlib
+import hashlib
+import os
+import pickle
+import shutil
+import sys
+import warnings
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core import compiler, serialize
+
+from handsight import cache_folder, checks
+
+on_compile: list[Callable[[], object]] = []
+"""Called once each when the first kernel that is not on disk is about to be compiled, which takes a while."""
+
+
+class KernelWarning(UserWarning):
+    """Warns that compiled kernels cannot be kept on disk, which costs time and nothing else."""
+
+
+def _stamp() -> str:
+    """Returns a text that changes with Python, numba, any kernel (they are compiled into each other), and the bounds
+    in `checks` that kernels use."""
+    digest = hashlib.sha256(f"{sys.implementation.cache_tag} {numba.__version__}".encode())
+    for path in (Path(checks.__file__), *sorted(Path(__file__).parents[1].rglob("*.py"))):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+STAMP = _stamp()
+
+
+def folder() -> Path:
+    """Returns the folder of this version's machine code, in `$NUMBA_CACHE_DIR` if that is set, else in handsight's
+    cache."""
+    name, configured = f"kernels-{STAMP}", os.environ.get("NUMBA_CACHE_DIR")
+    if configured:
+        return cache_folder.private_folder(Path(configured), name)
+    return cache_folder.cache_folder() / name
+
+
+class KernelCache:
+    """A `KernelCache` keeps the machine code of one kernel, a file for each signature and kind of processor.
+
+    Numba's dispatcher calls `load_overload` before it compiles, and `save_overload` after that.
+    """
+
+    cache_path = ""  # numba shows it in a kernel's `stats`; `folder` is asked each time
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.name = f"{function.__module__}.{function.__qualname__}".replace("<", "").replace(">", "")
+        """The name in the file's name; kernels of other packages, which the stamp does not cover, extend it."""
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """Returns the compiled kernel for a signature; None where there is no such file, or a damaged one."""
+        target_context.refresh()
+        with contextlib.suppress(Exception):
+            entry = cache_folder.read_entry(*self._file(signature, target_context.codegen()))
+            return compiler.CompileResult._rebuild(target_context, *pickle.loads(entry))
+        while on_compile:
+            on_compile.pop()()
+        return None
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        """Writes a compiled kernel; where that is not possible, one warning says so."""
+        if compiled.library.has_dynamic_globals:  # addresses of this process
+            return
+        try:
+            cache_folder.write_entry(
+                *self._file(signature, compiled.codegen), serialize.dumps(compiled._reduce())
+            )
+        except OSError as error:
+            _warn_once(str(folder().parent), error.strerror or str(error))
+        else:
+            _remove_oldest()
+
+    def _file(self, signature: Any, codegen: Any) -> tuple[Path, str]:
+        """Returns the file for a signature and this processor, and the text by which it is sealed."""
+        seal = f"{STAMP} {self.name} {signature} {codegen.magic_tuple()}"
+        return folder() / f"{self.name}.{hashlib.sha256(seal.encode()).hexdigest()[:16]}.nbc", seal
+
+
+@cache
+def _warn_once(place: str, reason: str) -> None:
+    message = (
+        f"{place}: compiled kernels cannot be kept there ({reason}); each process compiles them again "
+        "(name another folder in HANDSIGHT_CACHE or NUMBA_CACHE_DIR)"
+    )
+    warnings.warn(message, KernelWarning, stacklevel=2)
+
+
+def _remove_oldest() -> None:
+    """Removes all but four folders of this and earlier versions; other processes may do so at the same time."""
+    with contextlib.suppress(OSError):
+        ages = sorted((path.stat().st_mtime, path) for path in folder().parent.glob("kernels-*"))
+        for _, path in ages[:-4]:
+            if path != folder():
+                shutil.rmtree(path, ignore_errors=True)

@@ -1,0 +1,107 @@
+"""The room that experiments and benchmarks share, and who may import whom among them."""
+
+import ast
+import csv
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.commands import called
+from handsight.simulation import Scenario
+from testbed import report, ycb
+from testbed.recordings import record
+
+ROOT = Path(__file__).parents[2]
+
+
+def imported(folder):
+    """(file, module) of every import in a folder's files."""
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                yield path.relative_to(ROOT).as_posix(), node.module
+            elif isinstance(node, ast.Import):
+                yield from ((path.relative_to(ROOT).as_posix(), alias.name) for alias in node.names)
+
+
+def test_experiments_and_benchmarks_do_not_stand_on_the_command_line_nor_on_each_other():
+    commands = {"benchmarks/golden/commands.py"}  # its subject is the command line
+    for folder in ("experiments", "benchmarks", "testbed"):
+        wrong = {file for file, module in imported(folder) if module.startswith("handsight.cli")}
+        assert wrong <= commands
+    others = {"shared", "experiments", *(path.stem for path in (ROOT / "experiments").glob("*.py"))}
+    for folder in ("benchmarks", "testbed"):
+        assert not [pair for pair in imported(folder) if pair[1].split(".")[0] in others]
+    assert not [pair for pair in imported("testbed") if pair[1].split(".")[0] == "benchmarks"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--trials", "1"], "argument --trials: expected a whole number of at least 2, got '1'"),
+        (["--trials", "x"], "argument --trials: expected a whole number of at least 2, got 'x'"),
+        (["--seed", "-1"], "argument --seed: expected a whole number of at least 0, got '-1'"),
+        (["--shift-mm", "nan"], "argument --shift-mm: expected a number of at least 0, got 'nan'"),
+        (["--output", os.devnull], f"argument --output: {os.devnull}: File exists"),
+    ],
+)
+def test_wrong_arguments_of_an_experiment_are_said_in_a_sentence(arguments, message, monkeypatch, capsys):
+    parser = report.parser("An experiment.")
+    parser.add_argument("--shift-mm", type=report.amount)
+    monkeypatch.setattr("sys.argv", ["experiment.py", *arguments])
+    with pytest.raises(SystemExit):
+        report.parsed(parser, trials=100, quick_trials=6)
+    assert capsys.readouterr().err.splitlines()[-1].endswith(f"error: {message}")
+
+
+def test_a_mean_has_its_standard_error_and_numbers_that_do_not_decide_say_so():
+    values = np.random.default_rng(0).normal(2.0, 1.0, 400)
+    mean, error = report.summary(values)
+    assert (mean, error) == pytest.approx((values.mean(), values.std(ddof=1) / 20))
+    assert report.plus_minus([1.0, 1.2, 1.4]) == "1.20±0.12"
+    assert report.plus_minus([0.0011, 0.0013]) == "1e-03±1e-04"
+    assert (report.positive(values), report.positive(-values), report.positive([-1.0, 1.1])) == (
+        True,
+        False,
+        None,
+    )
+    assert (report.all_of([True, None]), report.all_of([None, False]), report.all_of([True])) == (
+        None,
+        False,
+        True,
+    )
+
+
+def test_rows_are_grouped_in_order_of_appearance_and_written_with_one_header(tmp_path, capsys):
+    rows = [{"kind": kind, "mm": mm} for kind, mm in (("b", 1.0), ("a", 5.0), ("b", 3.0), ("a", 7.0))]
+    found = report.grouped(rows, ["kind"], ["mm"])
+    assert [(row["kind"], row["mm_mean"], row["mm_median"], row["trials"]) for row in found] == [
+        ("b", 2.0, 2.0, 2),
+        ("a", 6.0, 6.0, 2),
+    ]
+    np.testing.assert_array_equal(report.values(rows, "mm", kind="a"), [5.0, 7.0])
+    path = tmp_path / "rows.csv"
+    report.write_csv(path, [*rows, {"kind": "c", "deg": 1 / 3}])
+    assert capsys.readouterr().out == f"wrote {path}\n"
+    with path.open(newline="", encoding="utf-8") as file:
+        written = list(csv.DictReader(file))
+    assert written[-1] == {"kind": "c", "mm": "", "deg": "0.333333"}
+
+
+def test_a_recording_is_the_one_that_the_command_writes(tmp_path, monkeypatch):
+    record(Scenario(object="box", seed=2), tmp_path / "own.mcap")
+    options = ("--seed", "2", "--motion", "grasp")
+    assert called(monkeypatch, tmp_path, "simulate", "box", *options, "-o", "box.mcap") == 0
+    for suffix in (".mcap", ".rig.yaml"):
+        own, theirs = ((tmp_path / name).with_suffix(suffix) for name in ("own.mcap", "box.mcap"))
+        assert own.read_bytes() == theirs.read_bytes()
+
+
+def test_without_data_an_experiment_says_so_and_ends_well(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("HANDSIGHT_DATA", str(tmp_path))
+    with pytest.raises(SystemExit) as ended:
+        ycb.data_or_goodbye()
+    assert ended.value.code == 0
+    assert f"HANDSIGHT_DATA={tmp_path} has no ycb_meshes" in capsys.readouterr().out
