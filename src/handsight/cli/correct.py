@@ -80,8 +80,7 @@ def correct(
     * **contacts**: `normal` is the object's outward normal. Sigmas are standard deviations per axis (default 1 mm,
       0.1 rad); or give `covariance`, 6x6 of point and normal.
     * **contacts_of_residual**: `true` if the sigmas are those of the residuals between contacts and model, as measured
-    at
-      known poses. By default they are the sensor's, and the model's own error is added.
+      at known poses. By default they are the sensor's, and the model's own error is added.
     * **vision** (optional): a pose with sigmas per axis, or with `covariance`, 6x6 of position and rotation.
     * **outside**: points on the hand, `[[x, y, z], ...]`, that cannot be inside the object.
     * **planes**: `[{"point": [x, y, z], "normal": [x, y, z], "sigma": 0.003}]`, which the object cannot cross; the

@@ -125,11 +125,10 @@ def locate(
     poses.
 
     * **One image or a folder of them**: PNGs of 16 bits, in millimetres or in the unit of `--depth-scale`, 0 where
-    depth
-      is unknown. Their camera is in `camera.json`:
-      `{"fx": 615, "fy": 615, "cx": 320, "cy": 240, "width": 640, "height": 480}` [pixels], with
-      `"lens": [k1, k2, p1, p2, k3]` where the images are not rectified. In a folder, depth is in `depth/`, with colour
-      under the same names in `rgb/` or `color/`; or all images are in the folder itself, with "depth" in their names.
+      depth is unknown. Their camera is in `camera.json`: `{"fx": 615, "fy": 615, "cx": 320, "cy": 240, "width":
+      640, "height": 480}` [pixels], with `"lens": [k1, k2, p1, p2, k3]` where the images are not rectified. In a
+      folder, depth is in `depth/`, with colour under the same names in `rgb/` or `color/`; or all images are in the
+      folder itself, with "depth" in their names.
     * **A BOP scene** (`scene_camera.json`, `depth/000000.png`, `rgb/`), or a split with scenes in it; the objects are
       those of its data set, unless `--library` names others.
     * **A recording** with depth images, as for `handsight track`: the rig names the topics. The hand is masked where it
