@@ -74,7 +74,7 @@ def test_track_writes_results_that_agree_and_are_far_better_than_vision(by_comma
     assert f"{summary['poses']} poses of {summary['observations']} observations" in said
 
 
-def test_track_takes_the_rig_and_the_object_it_is_told(by_command, asked):
+def test_track_takes_the_rig_and_the_object_of_its_options(by_command, asked):
     folder, _ = by_command
     (folder / "elsewhere").mkdir()
     (folder / "elsewhere" / "r.yaml").write_text((folder / "can.rig.yaml").read_text())
