@@ -1,4 +1,4 @@
-"""Old public names: each works for one release, with a warning that names the new one."""
+"""Former public names: each works for one release, with a warning that names the new one."""
 
 import functools
 import warnings
@@ -12,11 +12,11 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def renamed(module: str, names: Mapping[str, str], *, stacklevel: int = 2) -> Callable[[str], object]:
-    """Returns the `__getattr__` of a module some of whose names were changed.
+    """Returns a `__getattr__` for a module with renamed names.
 
-    `names` maps an old name to the full dotted path of the new one. Asking for an old name answers the new object and
-    issues a DeprecationWarning; asking for any other raises AttributeError, as a module without `__getattr__` does.
-    `stacklevel`: 2 where it is the module's `__getattr__`, 3 where that calls it.
+    `names`: the full dotted path of the new name, by the old one. For an old name the `__getattr__` returns the new
+    object and issues a DeprecationWarning; for any other it raises AttributeError. `stacklevel`: 2 if it is itself the
+    module's `__getattr__`, 3 if the module's `__getattr__` calls it.
     """
 
     def __getattr__(name: str) -> object:

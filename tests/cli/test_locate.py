@@ -185,7 +185,7 @@ def test_what_kind_of_camera_it_is_matters_to_the_covariance(frames, asked):
     assert spread["time_of_flight"] > 2 * spread["structured_light"]
 
 
-def test_an_object_is_looked_for_in_a_box_or_a_mask_only(frames, pictures, asked):
+def test_an_object_is_searched_for_only_in_a_box_or_a_mask(frames, pictures, asked):
     """Around it it is found; where it is not, it is not, though it is in the picture."""
     _, truth = pictures[0]
     u, v = CAMERA.project(truth[None, :3, 3])[0].round().astype(int)

@@ -1,1 +1,1 @@
-"""Many problems: read from JSON lines, answered by processes of this machine or by a cluster."""
+"""Batches of problems: read from JSON lines, solved by processes of this machine or by a cluster."""

@@ -116,6 +116,10 @@ class Entry:
         """The name of the model's file."""
         return f"obj_{self.number:06d}.ply"
 
+    def is_called(self, name: str) -> bool:
+        """Returns whether a name is the object's name, its number, or its file's name without the ending."""
+        return name in (self.name, str(self.number), self.file.removesuffix(".ply"))
+
     @property
     def diameter(self) -> float:
         """Largest distance between two surface points [m]."""
