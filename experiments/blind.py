@@ -25,15 +25,17 @@ from handsight.correction.modes import pose_distances
 from handsight.objects import propose_symmetries
 from handsight.search import Belief, Sweep, best_sweep
 from handsight.search.sweep_choice import level_sweep, shortened
-from handsight.simulation import Scenario, model_of
-from handsight.simulation.motion import MOTION, WEIGH_LEGS
-from handsight.simulation.probe import PROBE
-from handsight.simulation.touch_search import (
+from handsight.simulation import (
+    MOTION,
+    PROBE,
     TOUCH_SEARCH,
+    Scenario,
+    model_of,
     simulate_touch_search,
     start_search,
     touch_search_rig,
 )
+from handsight.simulation.motion import WEIGH_LEGS
 from shared import figures, report, ycb
 from testbed.report import Array, Row, Rows
 

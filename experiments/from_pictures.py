@@ -33,8 +33,7 @@ from handsight.camera import Camera
 from handsight.objects.symmetry import nearest
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import Rig
-from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate
-from handsight.simulation.camera import BELIEVED_CAMERA, displacement
+from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate, true_camera
 from handsight.tracking import TrackerSettings
 from handsight.vision import DepthTracker, hand_mask
 from shared import figures, report, scenes
@@ -66,7 +65,7 @@ def covered(samples: tuple[Sample, ...], scenario: Scenario, share: float) -> tu
         return samples
     rig, model = rig_of(scenario), model_of(scenario)
     camera, out = Camera.of(rig.camera), []
-    T_camera_world = se3.inverse(BELIEVED_CAMERA) @ displacement(scenario.nuisances, int(scenario.seed))
+    T_camera_world = true_camera(scenario)
     way = np.random.default_rng(int(scenario.seed)).uniform(0, 2 * np.pi)
     for sample in samples:
         depth = sample.observation.depth
@@ -84,9 +83,13 @@ def covered(samples: tuple[Sample, ...], scenario: Scenario, share: float) -> tu
 
 
 def calibrated(samples: tuple[Sample, ...], rig: Rig, model: hs.ObjectModel) -> Iterator[Observation]:
-    """Yields observations with the pose of their images; the calibration says where hand and object are searched."""
+    """Yields observations with the pose of their images; hand and object are searched where the calibration puts them.
+
+    Raises InvalidInput where the rig has no camera.
+    """
     camera, shape = Camera.of(rig.camera), rig.hand.shape()
-    follower, T_camera_world = DepthTracker(model, camera), se3.inverse(BELIEVED_CAMERA)
+    T_world_camera = np.eye(4) if rig.camera is None else rig.camera.T_mount_camera
+    follower, T_camera_world = DepthTracker(model, camera), se3.inverse(T_world_camera)
     for sample in samples:
         seen = sample.observation
         pose = None

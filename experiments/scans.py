@@ -19,7 +19,7 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
-from handsight.objects.symmetry import Symmetries
+from handsight.objects import Symmetries
 from shared import figures, report, scenes, ycb
 from testbed.report import Array, Row, Rows
 

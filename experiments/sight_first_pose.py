@@ -16,7 +16,8 @@ from scipy.special import chdtri
 
 from handsight import se3
 from handsight.objects.symmetry import nearest
-from handsight.vision.object.first_pose import ObjectDetection, first_pose
+from handsight.vision import ObjectDetection
+from handsight.vision.object.first_pose import first_pose
 from handsight.vision.object.region import scene_of, table_plane
 from shared import figures, report, sight, ycb
 from shared import sight_scenes as scenes

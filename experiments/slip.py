@@ -30,8 +30,7 @@ import handsight as hs
 from handsight import se3
 from handsight.forces import SlipDetector, slip_twist
 from handsight.forces.friction import FRICTION
-from handsight.simulation import Sample, Scenario, model_of, rig_of, simulate
-from handsight.simulation.scenario import SCENARIO
+from handsight.simulation import SCENARIO, Sample, Scenario, model_of, rig_of, simulate
 from handsight.tracking import FingertipSensors
 from shared import figures, report, scenes, slips
 from testbed.report import Array, Row, Rows

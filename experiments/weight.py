@@ -30,9 +30,9 @@ from handsight.forces import Weigher
 from handsight.objects import Symmetries
 from handsight.recording import open_recording
 from handsight.rig import Rig
-from handsight.simulation import Nuisances, Scenario, simulate
+from handsight.simulation import MOTION, Nuisances, Scenario, simulate
 from handsight.simulation.loads import Payload, center_of_mass
-from handsight.simulation.motion import MOTION, WEIGH_LEGS
+from handsight.simulation.motion import WEIGH_LEGS
 from handsight.tracking import JointOffsets
 from shared import report, wrong_weights, ycb
 from shared.grasp_trials import exact_model, fingertips, rig, trial_of

@@ -37,7 +37,7 @@ IMAGES = 40
 
 def called(*arguments: str) -> None:
     """Runs `handsight ARGUMENTS` in this process; raises RuntimeError with what it said where it fails."""
-    from handsight.cli.main import main
+    from handsight.cli import main
 
     before, said = sys.argv, io.StringIO()
     sys.argv = ["handsight", *arguments]

@@ -7,7 +7,7 @@ import pytest
 
 from handsight.errors import InvalidInput
 from handsight.simulation import Scenario, rig_of, simulate
-from handsight.simulation.camera import EDGE, spoil
+from handsight.simulation.camera import EDGE, add_depth_noise
 from handsight.vision import DepthNoise
 from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 from simulation.simulated import only
@@ -24,7 +24,7 @@ def wall(z, shape=SHAPE):
 def images(depth, noise, count, seed=0, drawn=0):
     """(count, h, w) one camera's."""
     rng = np.random.default_rng(drawn)
-    return np.stack([spoil(depth, noise, rng, seed) for _ in range(count)])
+    return np.stack([add_depth_noise(depth, noise, rng, seed) for _ in range(count)])
 
 
 @KINDS
@@ -86,7 +86,7 @@ def test_bias_has_its_size_grows_with_the_square_of_the_depth_and_is_smooth(kind
     seeds = range(150)
     shape = (160, 160)
     found = {
-        z: np.stack([spoil(wall(z, shape), noise, np.random.default_rng(0), s) for s in seeds]) - z
+        z: np.stack([add_depth_noise(wall(z, shape), noise, np.random.default_rng(0), s) for s in seeds]) - z
         for z in (0.7, 2.0)
     }
     offsets = found[0.7] - (found[2.0] - found[0.7]) * 0.7**2 / (2.0**2 - 0.7**2)
@@ -124,20 +124,20 @@ def test_without_noise_depth_is_exact_in_its_range_and_none_beyond(kind):
     depth[0] = 0.9 * noise.nearest
     depth[1] = 1.1 * noise.farthest
     depth[2], depth[3], depth[4], depth[5] = np.nan, np.inf, 0, -1
-    seen = spoil(depth, noise.times(0), rng, 0)
+    seen = add_depth_noise(depth, noise.times(0), rng, 0)
     assert seen.dtype == np.float32
     assert np.isnan(seen[:6]).all()
     np.testing.assert_array_equal(seen[6:], depth[6:])
-    spoilt = spoil(depth, noise, rng, 0)
+    spoilt = add_depth_noise(depth, noise, rng, 0)
     assert np.isnan(spoilt[:6]).all()
     assert not np.isinf(spoilt).any()
     assert not (spoilt < 0.9 * noise.nearest).any()
 
 
 def test_what_is_drawn_is_the_seeds_and_the_generators():
-    one, same = (spoil(wall(1.0), STRUCTURED_LIGHT, np.random.default_rng(3), 4) for _ in range(2))
+    one, same = (add_depth_noise(wall(1.0), STRUCTURED_LIGHT, np.random.default_rng(3), 4) for _ in range(2))
     np.testing.assert_array_equal(one, same)
-    assert (one != spoil(wall(1.0), STRUCTURED_LIGHT, np.random.default_rng(4), 4)).mean() > 0.3
+    assert (one != add_depth_noise(wall(1.0), STRUCTURED_LIGHT, np.random.default_rng(4), 4)).mean() > 0.3
 
 
 @KINDS

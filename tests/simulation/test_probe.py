@@ -64,13 +64,13 @@ def test_a_table_is_felt_where_it_is_and_what_is_lower_beside_it_does_not_count(
     # Beside the table's edge the finger's side meets it, the tip being lower.
     T = probe.T_world_object
     at_edge = (T[:3, :3] @ [-0.083, 0.15, 0.0] + T[:3, 3])[:2]
-    assert probe.feel_table(at_edge) < -0.01
+    assert probe.measure_table(at_edge) < -0.01
     monkeypatch.setattr("handsight.simulation.probe.PROBE", PROBE._replace(table_unevenness=0.005))
-    assert probe.feel_table([*TABLE_PROBES, at_edge, *TABLE_PROBES]) == pytest.approx(0.0, abs=1e-3)
+    assert probe.measure_table([*TABLE_PROBES, at_edge, *TABLE_PROBES]) == pytest.approx(0.0, abs=1e-3)
     with pytest.raises(
-        InvalidInput, match=r"^places: expected some over the table, felt nothing at any of 1$"
+        InvalidInput, match=r"^places: expected some over the table, touched nothing at any of 1$"
     ):
-        probe.feel_table([3.0, 3.0])
+        probe.measure_table([3.0, 3.0])
 
 
 def test_what_is_larger_than_its_place_on_the_table_is_said():

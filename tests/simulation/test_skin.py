@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.simulation import Scenario
-from handsight.simulation.skin import PALM_SKIN, Solid, sunk, taxel_forces
+from handsight.simulation.skin import PALM_SKIN, Solid, spring_forces, taxel_forces
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -18,7 +18,7 @@ seeds = st.integers(0, 2**32 - 1)
 def test_the_springs_hold_the_force_and_no_other_reaches_the_body(seed, force, stiffness):
     gaps = np.random.default_rng(seed).exponential(1e-3, 40)
     gaps[:3] = np.inf
-    forces = sunk(gaps, force, stiffness)
+    forces = spring_forces(gaps, force, stiffness)
     assert forces.sum() == pytest.approx(force)
     depth = (forces / stiffness + gaps)[forces > 0]
     np.testing.assert_allclose(depth, depth[0])
@@ -26,7 +26,7 @@ def test_the_springs_hold_the_force_and_no_other_reaches_the_body(seed, force, s
 
 
 def test_without_a_force_nothing_is_felt():
-    assert not sunk(np.zeros(4), 0.0, 100.0).any()
+    assert not spring_forces(np.zeros(4), 0.0, 100.0).any()
 
 
 @pytest.mark.parametrize("kind", ["box", "cylinder", "hull"])
@@ -44,7 +44,7 @@ def test_a_solid_begins_where_a_ray_meets_it(kind):
     direction = rng.normal(size=3)
     direction /= np.linalg.norm(direction)
     starts = -2 * size * direction + 0.5 * size * rng.normal(size=(50, 3))
-    ahead = solid.ahead(starts, direction)
+    ahead = solid.distances(starts, direction)
     hits, rays, _ = mesh.ray.intersects_location(starts, np.tile(direction, (50, 1)), multiple_hits=False)
     expected = np.full(50, np.inf)
     expected[rays] = (hits - starts[rays]) @ direction
