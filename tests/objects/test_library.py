@@ -10,9 +10,8 @@ import pytest
 import trimesh
 
 from handsight.errors import InvalidFile, InvalidInput, InvalidObject
-from handsight.objects import Facts, Library, ObjectModel
+from handsight.objects import Facts, Library, ObjectModel, declared_symmetries
 from handsight.objects.files import Shape, ply_bytes, read_shape
-from handsight.objects.symmetry_search import declared
 from objects.libraries import block, bop, off_text
 from objects.object_shapes import box_mesh, data_file, prism
 
@@ -230,7 +229,7 @@ def test_symmetries_are_declared_in_words(words, axes, rotations):
     sides = 24 if "z" in words else 3
     vertices, faces = prism(sides, 0.04, 0.1)
     model = ObjectModel.from_mesh(np.add(vertices, [0.01, -0.02, 0.03]), faces)
-    of = declared(model, words)
+    of = declared_symmetries(model, words)
     assert (len(of.axes), len(of.rotations)) == (axes, rotations)
     for point, direction in of.axes:
         np.testing.assert_allclose(np.cross(point - [0.01, -0.02, 0.03], direction), 0, atol=1e-9)
@@ -249,7 +248,7 @@ def test_symmetries_are_declared_in_words(words, axes, rotations):
 )
 def test_symmetries_that_the_surface_has_not_are_refused(words, said):
     with pytest.raises(InvalidInput, match=f"^symmetry: {said}"):
-        declared(ObjectModel.box((0.06, 0.09, 0.14)), words)
+        declared_symmetries(ObjectModel.box((0.06, 0.09, 0.14)), words)
 
 
 def test_a_real_object_is_the_same_from_the_library(tmp_path):

@@ -38,7 +38,7 @@ def test_from_image_to_image_depth_differs_by_its_sigma(kind, z, amount):
 
 
 @KINDS
-def test_neighbours_share_their_noise_as_far_as_it_says(kind):
+def test_noise_of_neighbouring_pixels_is_correlated_as_stated(kind):
     noise = replace(PRESETS[kind], step=0.0, dropouts=0.0)
     one, other = images(wall(1.0), noise, 2).astype(float)
     off = one - other - (one - other).mean()
@@ -55,7 +55,7 @@ def test_depth_is_rounded_to_steps_of_disparity():
     assert len(steps) > 3
 
 
-def test_a_pixel_looks_beside_itself():
+def test_a_pixel_has_the_depth_of_a_pixel_near_it():
     """On a slope that is its slope's error; by whole pixels, as Gaussians are rounded."""
     noise, slope = replace(BARE, lateral=0.7), 1e-3
     for axis in (0, 1):
@@ -67,7 +67,7 @@ def test_a_pixel_looks_beside_itself():
 
 
 @KINDS
-def test_bias_is_the_same_in_each_image_of_a_camera_and_another_in_another(kind):
+def test_bias_is_the_same_in_all_images_of_a_camera_and_differs_between_cameras(kind):
     noise = replace(PRESETS[kind], dropouts=0.0)
     constant = replace(noise, axial=(0.0, 0.0, 0.0), step=0.0)
     bias, again = images(wall(1.2), constant, 2) - 1.2
@@ -81,7 +81,7 @@ def test_bias_is_the_same_in_each_image_of_a_camera_and_another_in_another(kind)
 
 
 @KINDS
-def test_bias_has_its_size_grows_with_the_square_of_the_depth_and_is_smooth(kind):
+def test_bias_is_smooth_of_the_stated_size_and_grows_with_the_square_of_the_depth(kind):
     noise = replace(PRESETS[kind], axial=(0.0, 0.0, 0.0), step=0.0, edges=0.0, dropouts=0.0, lateral=0.0)
     seeds = range(150)
     shape = (160, 160)
@@ -117,7 +117,7 @@ def test_depth_is_lost_behind_edges_and_seldom_elsewhere(kind, share):
 
 
 @KINDS
-def test_without_noise_depth_is_exact_in_its_range_and_none_beyond(kind):
+def test_without_noise_depth_is_exact_in_range_and_missing_beyond(kind):
     noise = PRESETS[kind]
     rng = np.random.default_rng(0)
     depth = rng.uniform(noise.nearest + 1e-3, noise.farthest - 1e-3, (30, 40)).astype(np.float32)
@@ -134,14 +134,14 @@ def test_without_noise_depth_is_exact_in_its_range_and_none_beyond(kind):
     assert not (spoilt < 0.9 * noise.nearest).any()
 
 
-def test_what_is_drawn_is_the_seeds_and_the_generators():
+def test_noise_follows_from_the_seed_and_the_generator():
     one, same = (add_depth_noise(wall(1.0), STRUCTURED_LIGHT, np.random.default_rng(3), 4) for _ in range(2))
     np.testing.assert_array_equal(one, same)
     assert (one != add_depth_noise(wall(1.0), STRUCTURED_LIGHT, np.random.default_rng(4), 4)).mean() > 0.3
 
 
 @KINDS
-def test_a_scenarios_camera_is_of_its_kind_and_the_rig_says_so(kind):
+def test_a_scenarios_camera_is_of_the_kind_that_its_rig_states(kind):
     scenario = Scenario(depth_camera=kind, images=True, nuisances=only(depth_noise=1.0))
     assert rig_of(scenario).camera.depth_camera == kind
     exact = Scenario(images=True, nuisances=only(depth_noise=0.0))
@@ -153,7 +153,7 @@ def test_a_scenarios_camera_is_of_its_kind_and_the_rig_says_so(kind):
     assert 0.6 * noise.sigma(z) < spread < 2 * np.hypot(noise.sigma(z), noise.bias(z))
 
 
-def test_a_kind_that_is_none_is_refused():
+def test_an_unknown_kind_of_camera_is_rejected():
     with pytest.raises(
         InvalidInput, match="^depth_camera: expected one of structured_light, .*, got 'lidar'"
     ):

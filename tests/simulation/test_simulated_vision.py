@@ -48,7 +48,7 @@ def test_a_wrong_camera_is_wrong_by_one_rigid_motion_of_the_world():
             )
 
 
-def test_white_noise_of_vision_has_the_size_it_is_told():
+def test_white_noise_of_vision_has_the_stated_sigma():
     run = samples("can", 0, "manipulate", 10.0, only(vision_position=0.005, vision_rotation=0.05))
     camera = se3.inverse(rig_of(Scenario()).camera.T_mount_camera)
     wrong = np.array(
@@ -97,7 +97,7 @@ def test_depth_images_show_the_object_where_it_is():
     assert np.mean(greener[:, 1] > greener[:, 0]) > 0.8
 
 
-def test_a_picture_shows_the_object_and_a_second_one_where_it_is_told():
+def test_a_picture_shows_the_object_and_a_second_one_at_the_given_pose():
     scenario, sample = Scenario(nuisances=NONE), samples()[-1]
     view = camera_facing([-0.3, 0.4, 0.3], [0, 0, 0.06])
     plain = render(scenario, sample, T_world_camera=view).astype(int)

@@ -15,7 +15,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 @given(seeds, st.floats(0.01, 10), st.floats(10, 1e4))
-def test_the_springs_hold_the_force_and_no_other_reaches_the_body(seed, force, stiffness):
+def test_compressed_springs_balance_the_force_and_the_others_are_free(seed, force, stiffness):
     gaps = np.random.default_rng(seed).exponential(1e-3, 40)
     gaps[:3] = np.inf
     forces = spring_forces(gaps, force, stiffness)
@@ -25,7 +25,7 @@ def test_the_springs_hold_the_force_and_no_other_reaches_the_body(seed, force, s
     assert (gaps[forces == 0] >= depth[0] - 1e-12).all()
 
 
-def test_without_a_force_nothing_is_felt():
+def test_without_a_force_no_spring_is_compressed():
     assert not spring_forces(np.zeros(4), 0.0, 100.0).any()
 
 
@@ -55,7 +55,7 @@ def test_a_solid_begins_where_a_ray_meets_it(kind):
     np.testing.assert_allclose(ahead[near], expected[near], atol=2e-3 * size)
 
 
-def test_a_face_is_felt_where_it_lies_and_with_the_force_it_presses_with():
+def test_taxels_under_a_face_measure_its_force():
     T = se3.compose(np.eye(3), np.array([0.018, 0.0, 0.01]))
     readings = taxel_forces(PALM_SKIN, Solid.box(np.array([0.04, 0.03, 0.02])), T, 2.0)
     assert readings.sum() == pytest.approx(2.0)
@@ -64,7 +64,7 @@ def test_a_face_is_felt_where_it_lies_and_with_the_force_it_presses_with():
     np.testing.assert_allclose(places.max(axis=0)[:2], [0.028, 0.014], atol=1e-9)
 
 
-def test_the_can_is_held_on_the_skin(simulated):
+def test_the_power_grasp_presses_the_can_on_the_skin(simulated):
     samples = simulated(Scenario(object="can", seed=1, motion="grasp", rate=50, skin=True))
     last = samples[-1]
     assert not last.dropped

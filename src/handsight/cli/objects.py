@@ -94,8 +94,7 @@ def add(
     handsight objects add can.stl --name can --scale 0.001 --symmetry z --symmetry x/2
     ```
     """
-    from handsight.objects import Facts, ObjectModel, Symmetries
-    from handsight.objects.symmetry_search import declared
+    from handsight.objects import Facts, ObjectModel, Symmetries, declared_symmetries
 
     facts = Facts(
         name=name,
@@ -109,7 +108,7 @@ def add(
     symmetries = Symmetries()
     if symmetry:
         try:
-            symmetries = declared(ObjectModel.from_file(file, scale), symmetry)
+            symmetries = declared_symmetries(ObjectModel.from_file(file, scale), symmetry)
         except InvalidInput as error:
             raise InvalidInput(f"--symmetry: {str(error).removeprefix('symmetry: ')}") from None
     opened = _opened(library)

@@ -6,7 +6,7 @@ from handsight.objects.model import ObjectModel
 from handsight.objects.spec import ObjectSpec
 from handsight.objects.surface import ObjectWarning
 from handsight.objects.symmetry import Symmetries
-from handsight.objects.symmetry_search import propose_symmetries
+from handsight.objects.symmetry_search import declared_symmetries, propose_symmetries
 
 __all__ = [
     "Facts",
@@ -17,5 +17,6 @@ __all__ = [
     "ObjectSpec",
     "ObjectWarning",
     "Symmetries",
+    "declared_symmetries",
     "propose_symmetries",
 ]

@@ -79,7 +79,7 @@ def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Sy
     return search.group(axes)
 
 
-def declared(model: ObjectModel, words: Sequence[str]) -> Symmetries:
+def declared_symmetries(model: ObjectModel, words: Sequence[str]) -> Symmetries:
     """Returns the symmetries given in words, about the middle of the surface.
 
     `z` is any turn about z, `z/4` quarter turns, `find` alone is `propose_symmetries`. Raises InvalidInput for other

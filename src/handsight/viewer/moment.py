@@ -94,7 +94,7 @@ class Moment:
         )
 
     def after(self, last: "Moment | None", picture: Picture | None) -> "Moment":
-        """Returns this moment with a new picture, else the last one's, and with vision's last pose while it is fresh."""
+        """Returns this moment with a new picture, else the last one's, and vision's last pose while it is fresh."""
         if last is None:
             return replace(self, picture=picture)
         old = last.vision

@@ -71,7 +71,7 @@ class Page:
         self._lock = threading.Lock()  # both the player and the panel's checkboxes draw
         self._aimed = False
         self._drawn: tuple[Picture | None, float, dict[Color, Array]] = None, 0.0, {}
-        """The image that is shown, the stamp of its moment [s], and T_camera_object (4, 4) of each outline by colour."""
+        """The image on the page, the stamp of its moment [s], and T_camera_object (4, 4) of each outline by colour."""
         self.last: Moment | None = None
         """The moment that is shown."""
         with self.server.atomic():
