@@ -33,7 +33,7 @@ COVERED = (0.0, 0.5, 0.8, 0.95)
 EXPECTED = np.repeat([0.005, np.deg2rad(3)], 3)
 """How well the object is known before, per axis [m, rad]: as a tracker knows it once a finger has touched it."""
 HAND = np.repeat([0.0015, np.deg2rad(0.6)], 3)
-"""Of the palm in the camera, as the seen hand tells it, per axis [m, rad]."""
+"""Sigma of the palm's pose in the camera, as estimated from images of the hand, per axis [m, rad]."""
 
 
 def uncovered(depth: Array, drawn: Array, share: float, way: float) -> Array:

@@ -41,7 +41,7 @@ COLUMNS = (
     "held", "slips", "missed", "precision", "strict", "recall", "delay ms, 90 %", "friction first %", "end %", "way °",
 )  # fmt: skip
 WAYS = (("without weight", ""), ("weighed", "weighed "))
-"""How the tracker is told of, and how its errors are called in a row."""
+"""Name of each way in the table, and the prefix of its columns in a row."""
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ SIGMA = 1e-3
 MASSES = ((0.15, 0.0), (0.05, 0.02), (0.1, 0.02), (0.2, 0.02), (0.3, 0.02))
 """Mass [kg], and how far its centre is off the middle [m]."""
 SEEN_FOR, TILTED = 1.0, 12.5
-"""How long the demo's box is seen, and from when on it is tilted [s]."""
+"""How long vision measures the demo's box, and when its tilt begins [s]."""
 
 
 @dataclass(frozen=True)
