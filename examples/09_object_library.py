@@ -1,4 +1,4 @@
-"""Objects by name: added once with what is known of them, then asked for, here or where the folder is served."""
+"""Objects by name: each is added once to a library with its mass and symmetries, then loaded by its name."""
 
 import tempfile
 from pathlib import Path

@@ -379,13 +379,10 @@ def held():
     """
     pytest.importorskip("mujoco")
     pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
-    from handsight.simulation import Scenario, rig_of, simulate
-    from handsight.simulation.camera import displacement
+    from handsight.simulation import Scenario, rig_of, simulate, true_camera
 
     scenario = Scenario(object="box", rate=20, images=True)
-    rig = rig_of(scenario)
-    T_camera_world = se3.inverse(rig.camera.T_mount_camera) @ displacement(scenario.nuisances, 0)
-    return rig, list(simulate(scenario))[-3:], T_camera_world
+    return rig_of(scenario), list(simulate(scenario))[-3:], true_camera(scenario)
 
 
 @pytest.mark.slow

@@ -15,7 +15,6 @@ from handsight.messages.topics import rig_topics
 from handsight.objects.symmetry import nearest
 from handsight.recording import RecordingWriter
 from handsight.recording.mcap import McapSource
-from handsight.simulation.camera import BELIEVED_CAMERA
 from handsight.tracking import TrackerSettings
 from handsight.tracking.replay import Tally, replay
 from sight_scenes import SQUARE, TABLE
@@ -42,7 +41,7 @@ def seen(can):
 def pictures(rig, model, samples, *, every, late=0, wrong=WRONG, way=lambda stamp: np.zeros(3)):
     """Observations with drawn images; `way(stamp)`: where the hand, the object in it, has gone by then [m]."""
     camera, shape = Camera.of(rig.camera), rig.hand.shape()
-    T_camera_world = se3.inverse(BELIEVED_CAMERA) @ wrong
+    T_camera_world = se3.inverse(rig.camera.T_mount_camera) @ wrong
     rng, out, taken = np.random.default_rng(0), [], []
     for k, sample in enumerate(samples):
         observation = sample.observation
