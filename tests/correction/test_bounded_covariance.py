@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from handsight.correction import PoseEstimate
-from handsight.correction.estimate import bounded_covariance
+from handsight.correction import PoseEstimate, bounded_covariance
 
 
 def informed(rng, rank):

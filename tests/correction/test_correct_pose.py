@@ -235,6 +235,14 @@ def test_sampling_gets_away_from_a_wall_that_the_maximum_leans_on():
     assert few.T_palm_object[0, 3] == pytest.approx(many.T_palm_object[0, 3], abs=2e-3)
 
 
+@pytest.mark.parametrize("samples", [1, 2])
+def test_few_samples_have_a_covariance_too(samples):
+    contacts, vision, T = grasp(BOX_POINTS, BOX_NORMALS, seed=1)
+    estimate = hs.correct_pose(box(), contacts, vision=vision, samples=samples)
+    assert (np.linalg.eigvalsh(estimate.covariance) > 0).all()
+    np.testing.assert_allclose(estimate.information @ estimate.covariance, np.eye(6), atol=1e-6)
+
+
 def test_a_wall_lends_no_information_of_the_way_back():
     contacts, vision, finger = gripped_against_a_finger()
     sigma = [
@@ -300,7 +308,10 @@ def test_contacts_without_normals_are_used_by_their_place():
         ({"samples": -1}, "samples: expected a whole number"),
         ({"outside": [[0, 0, np.nan]]}, "outside: expected finite numbers"),
         ({"outside": [[0, 0]]}, "outside: expected finite numbers of shape"),
-        ({"vision": np.eye(4)}, "vision: expected a PosePrior, a PoseMeasurement or None, got ndarray"),
+        (
+            {"vision": np.eye(4)},
+            "vision: expected a PosePrior, a PoseMeasurement, a GaussianPose or None, got ndarray",
+        ),
         ({"method": "paper-lm"}, "vision: the paper's method starts from a pose"),
     ],
 )

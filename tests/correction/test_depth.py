@@ -108,7 +108,7 @@ def test_what_is_no_depth_is_refused():
     with pytest.raises(InvalidInput, match="depth: expected DepthPoints or None, got Contacts"):
         hs.correct_pose(BOX, contacts, depth=contacts)
     depth = DepthPoints(np.zeros((4, 3)), 1e-3)
-    with pytest.raises(InvalidInput, match="depth: expected None, for the paper's method knows of none"):
+    with pytest.raises(InvalidInput, match="depth: expected None, as the paper's method does not use it"):
         hs.correct_pose(BOX, contacts, vision=given().vision, depth=depth, method="paper-lm-distance")
 
 
@@ -119,3 +119,6 @@ def test_where_no_point_is_the_objects_there_are_none_and_what_is_no_point_is_re
     for wrong in (np.ones(3), np.ones((3, 2)), np.ones((3, 3), dtype=int)):
         with pytest.raises(InvalidInput, match=r"points_palm: expected floats of shape \(n, 3\), got"):
             DepthPoints.of_image(BOX, wrong, prior)
+    known_height = hs.PosePrior(T, np.diag([1e-6, 1e-6, 0.0, 1e-4, 1e-4, 1e-4]))
+    with pytest.raises(InvalidInput, match=r"vision\.covariance: expected a positive definite one"):
+        DepthPoints.of_image(BOX, seen(np.random.default_rng(0)), known_height)

@@ -8,10 +8,8 @@ import trimesh
 
 import handsight as hs
 from handsight._kernels.solve import search
-from handsight.correction import refine_pose
+from handsight.correction import MOST_CONTACTS, MOST_PLANES, refine_pose
 from handsight.correction.modes import SAME_MODE
-from handsight.correction.outside import MOST_PLANES
-from handsight.correction.problem import MOST_CONTACTS
 from scenes import NOISE, anywhere_on, box, off, random_scene
 
 PROFILE = np.array([[-0.02, 0], [0.08, 0], [0.08, 0.04], [0.02, 0.04], [0.02, 0.14], [-0.02, 0.14]])

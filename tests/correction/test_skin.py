@@ -95,3 +95,20 @@ def test_what_is_no_skin_is_refused():
     scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
     with pytest.raises(InvalidInput, match="skin: expected SkinEvidence or None, got int"):
         hs.correct_pose(scene.model, scene.tips, skin=3)
+
+
+@pytest.mark.parametrize("points", ["abc", np.zeros(4), np.zeros((3, 4)), [[0.0, 0.0], [0.0]]])
+def test_untouched_points_are_rows_of_three_numbers(points):
+    with pytest.raises(
+        InvalidInput, match=r"skin\.untouched_palm: expected finite numbers of shape \(n, 3\)"
+    ):
+        SkinEvidence(None, points, np.ones(6))
+
+
+def test_the_papers_method_is_as_uncertain_as_the_array_too():
+    scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
+    skin = SkinEvidence(None, [[0.0, 0.0, 0.9]], np.full(6, 0.02))
+    estimate = hs.correct_pose(
+        scene.model, scene.tips, vision=scene.vision, skin=skin, method="paper-lm-distance"
+    )
+    assert (np.sqrt(np.diag(estimate.covariance)) > 0.02).all()
