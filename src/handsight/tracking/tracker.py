@@ -91,7 +91,7 @@ class Tracker:
 
     def __repr__(self) -> str:
         """Returns which object is tracked, and how well."""
-        trust = f"{self.state} {self.reason}".strip()
+        trust = f"{self.state} ({self.reason})" if self.reason else self.state
         return f"<Tracker of {self.model.name}: {trust}, {self.corrections} corrections>"
 
     def update(self, observation: Observation) -> PoseEstimate | None:
