@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
-from handsight.correction.modes import pose_distances
+from handsight.correction import pose_distances
 from handsight.objects import propose_symmetries
 from handsight.search import Belief, Sweep, best_sweep
 from handsight.search.sweep_choice import level_sweep, shortened

@@ -11,6 +11,7 @@ from handsight import se3
 from handsight.correction import (
     ANSWERS,
     METHODS,
+    MOST_CONTACTS,
     Outside,
     PaperMethod,
     Plane,
@@ -18,7 +19,6 @@ from handsight.correction import (
     TwoPhase,
     refine_pose,
 )
-from handsight.correction.problem import MOST_CONTACTS
 from tests.corpus.door import Case, Door, check_covariance, check_pose, spoilt_value
 
 BOX = hs.ObjectModel.box([0.06, 0.09, 0.14])

@@ -7,7 +7,7 @@ import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight.correction.modes import pose_distances
+from handsight.correction import pose_distances
 from handsight.errors import InvalidInput
 from handsight.rig import Table
 from handsight.search import Belief, Touch, best_sweep, candidates, expected_information, resting

@@ -9,7 +9,7 @@ import pytest
 import handsight as hs
 from cli.commands import called
 from handsight import se3
-from handsight.correction.modes import pose_distances
+from handsight.correction import pose_distances
 from handsight.errors import InvalidInput
 from handsight.search import Sweep
 from handsight.simulation import Nuisances, Scenario, model_of, simulate_touch_search, touch_search_rig

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight.checks import Array
-from handsight.correction.estimate import bounded_covariance
+from handsight.correction import bounded_covariance
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import write_errors
 from handsight.messages.decode import rosbags_module, typestore

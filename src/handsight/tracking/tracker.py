@@ -90,8 +90,8 @@ class Tracker:
         self._left_out_in_a_row = 0
 
     def __repr__(self) -> str:
-        """Returns the object's name, the state, and the number of corrections."""
-        trust = f"{self.state} {self.reason}".strip()
+        """Returns which object is tracked, and how well."""
+        trust = f"{self.state} ({self.reason})" if self.reason else self.state
         return f"<Tracker of {self.model.name}: {trust}, {self.corrections} corrections>"
 
     def update(self, observation: Observation) -> PoseEstimate | None:
