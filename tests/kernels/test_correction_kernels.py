@@ -377,7 +377,7 @@ def test_many_problems_are_answered_as_each_alone():
 
 @pytest.mark.parametrize("name", ["can", "box", "egg"])
 @pytest.mark.parametrize("limits", [modes.SAME_MODE, SEARCH.same_after_coarse])
-def test_distinct_poses_are_told_as_in_plain_numpy(name, limits):
+def test_distinct_poses_are_those_of_plain_numpy(name, limits):
     rng, thing = np.random.default_rng(4), model(name)
     Ts = np.repeat(se3.random(rng, 20, spread=0.1), 10, axis=0)
     Ts = se3.moved(Ts, rng.normal(size=(200, 6)) * np.repeat([limits[0], limits[1]], 3) / 2)

@@ -1,6 +1,7 @@
 """Contacts as evidence: the distance and normal residuals of each, whitened together, added to the normal equations.
 
-Rows are derivatives by a step (τ, radius ω) about a frame's center: the pose's shift and turn, along the palm's axes.
+A row has the derivatives of a residual by a step (τ, radius ω), the shift and the turn of the pose about a frame's
+center, along the palm's axes, and then the residual.
 """
 
 from typing import Any
@@ -68,7 +69,7 @@ def load_terms(contacts: Any, terms: Any) -> Vec3:
     for i in range(len(contacts)):
         contact, term = contacts[i], terms[i]
         C, own = contact.covariance, term.contact
-        # Field by field: numba assigns no nested record, and checks shapes at length where it assigns arrays.
+        # Field by field: numba cannot assign a nested record, and assigning arrays compiles long checks of shapes.
         store(vector(contact.point), own.point)
         store(vector(contact.normal), own.normal)
         own.has_normal, own.used, own.of_residual = contact.has_normal, contact.used, contact.of_residual
@@ -95,7 +96,7 @@ def add_contact(term: Any, surface: Surface, frame: Frame, equations: Any) -> No
     turned = skew(scale(n, 1 / radius))
     by_distance = neg(g)
     a, b, c = neg(K[0]), neg(K[1]), neg(K[2])
-    # The derivative by a turn is the lever's cross product with that by a shift; a normal turns by itself too.
+    # The derivative by a turn is the lever's cross product with that by a shift; the surface's normal turns itself too.
     rows = (
         by_distance + cross(lever, by_distance) + (d,),
         a + sub(cross(lever, a), turned[0]) + (error[0],),
@@ -107,8 +108,8 @@ def add_contact(term: Any, surface: Surface, frame: Frame, equations: Any) -> No
 
 @inner
 def add_contacts(evidence: Any, field: Any, pose: Pose, frame: Frame, rewhiten: bool, equations: Any) -> None:
-    """Adds the rows of all contacts in use, weighted by their covariance at this pose if `rewhiten`, else by the last
-    one."""
+    """Adds the rows of all contacts in use, weighted by the inverse of their covariance: at this pose if `rewhiten`,
+    else at the pose of the last rewhitening."""
     for i in range(len(evidence.terms)):
         term = evidence.terms[i]
         if term.contact.used:
@@ -141,9 +142,9 @@ def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: 
     """Returns the covariance of a contact's (distance, normal) residuals: B Σ Bᵀ with B = [g 0; K -1], plus the errors
     of model and field.
 
-    A point moved by its noise along a curved surface meets another normal, so curvature carries the noise of the point
-    into the normal, which counts for less near an edge than on a face. Where the contact's covariance is that of its
-    residuals already, curvature carries nothing, and only the coarse field's own error is added.
+    Along a curved surface the normal changes with the point. So curvature propagates the noise of the point into the
+    residual of the normal, which has less weight near an edge than on a face. If the contact's covariance is that of
+    its residuals already, nothing is propagated, and only the coarse field's own error is added.
     """
     _, g, _, K, place = surface
     contact = term.contact
@@ -184,8 +185,10 @@ def field_error(error: Any, nodes: Any, place: Vec3) -> tuple[float, float]:
 
 @inner
 def model_error(error: Any, nodes: Any, place: Vec3, first: int) -> tuple[float, float]:
-    """Returns two of the four variances of a model's error near a point of the object, beginning with the `first`;
-    linear between nodes."""
+    """Returns two of the four variances of a model's error near a point of the object, linear between nodes.
+
+    `first` 0: of distance [m²] and normal [rad²]; `first` 2: of the bumps' slope [rad²] and curvature [1/m²], times 3.84.
+    """
     one, other = 0.0, 0.0
     nx, ny, nz = error.shape[0], error.shape[1], error.shape[2]
     u = scale(sub(place, vector(error.origin)), error.inverse_cell)
@@ -203,6 +206,7 @@ def model_error(error: Any, nodes: Any, place: Vec3, first: int) -> tuple[float,
 
 @inner
 def _between(u: float, most: float) -> float:
+    """Returns u limited to 0 to `most`; of a NaN, 0."""
     low = u if u > 0.0 else 0.0
     return low if low < most else most
 

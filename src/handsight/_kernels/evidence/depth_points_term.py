@@ -1,8 +1,8 @@
 """Depth points as evidence: points of one depth image that lie on the object's surface, one row each.
 
-The residual of a point is its distance to the surface over the σ that all of them share: their errors are common (the
-camera's pose, the palm's in the camera), and with this σ they know together no more of the pose than the image does.
-It is the same at every pose, so the cost needs no log determinant, as a contact's does.
+The residual of a point is its distance to the surface over σ. The points' errors are correlated (by the camera's pose,
+and the palm's in the camera); σ is so large that all points together carry no more information about the pose than the
+image does. It is the same at every pose, so that the cost needs no log determinant, as a contact's does.
 """
 
 from typing import Any
@@ -15,7 +15,7 @@ from handsight._kernels.runtime.compilation import inner
 
 @inner
 def add_depth_points(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: Any) -> None:
-    """Adds the row of every depth point, whose variance a coarse field adds to."""
+    """Adds the row of every depth point; the variance of a coarse field's own error is added to the point's."""
     depth, (center, radius) = evidence.constraints.depth, frame
     for i in range(depth.count):
         point = vector(depth.points[i])

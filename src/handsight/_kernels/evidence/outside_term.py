@@ -22,9 +22,10 @@ POWER = 8
 _NAN = np.nan, np.nan, np.nan
 NEVER_MEASURED: tuple[Pose, int] = ((_NAN, _NAN, _NAN), _NAN), 0
 """The state of `nearby` before its first call."""
-CLEARANCE_REACH, MAX_FIELD_SLOPE = 0.2, 1.25
-"""Clearances are measured anew when the object has moved by so many radii; the distance of a grid rises by at most so
-many metres per metre."""
+CLEARANCE_REACH = 0.2
+"""Clearances are measured again when the object has moved by this many radii."""
+MAX_FIELD_SLOPE = 1.25
+"""Upper bound of the gradient's length on a grid, whose distance is not exact everywhere."""
 
 
 @inner
@@ -59,9 +60,9 @@ def nearby(evidence: Any, field: Any, pose: Pose, state: tuple[Pose, int], near:
 
     A point that was farther from the object than any part of the object has moved since then is outside. So each
     point's `clearance` is measured only when the object has moved by CLEARANCE_REACH; until then points beyond that
-    reach are left out of `near`, and of the others those that the object cannot have reached are marked `far`. The cost
-    is that of all points, as long as the distance of a grid rises by at most MAX_FIELD_SLOPE per metre. Planes always
-    count.
+    reach are left out of `near`, and of the others those that the object cannot have reached are marked `far`. Neither
+    changes the cost, as long as the distance of a grid rises by at most MAX_FIELD_SLOPE per metre. Planes are always
+    in `near`.
     """
     measured_at, count = state
     move, reach = largest_move(evidence.model, pose, measured_at), CLEARANCE_REACH * evidence.model.radius

@@ -1,4 +1,4 @@
-"""Planes that the object cannot cross, such as a table: one-sided evidence, a row from the lowest point of each."""
+"""Planes that the object cannot cross, such as a table: one-sided evidence, a row for each."""
 
 from typing import Any
 
@@ -33,7 +33,7 @@ def lowest_point(evidence: Any, up: Vec3) -> Vec3:
     low, step = vector(model.samples[scan(model.scan, query), 0]), 0.25 * model.radius
     for _ in range(10):
         lower = sub(low, scale(up, step))
-        for _ in range(2):  # twice, for so far from the surface a grid's distance is not exact
+        for _ in range(2):  # twice, because a grid's distance is not exact far from the surface
             d, g, _ = field_at(evidence.nodes, field, lower)
             lower = sub(lower, scale(g, d))
         if dot(lower, up) < dot(low, up):
@@ -64,9 +64,9 @@ def _height(evidence: Any, pose: Pose, plane: Any) -> tuple[float, Vec3]:
 def add_planes(evidence: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     """Adds `min(0, height) / sigma` of each plane.
 
-    A plane's error along its normal is the same for the complete object: one row, however much of it is below. Another
-    point may become the lowest as the pose changes, yet the height changes as the present one's does (the envelope
-    theorem).
+    A plane's error along its normal is the same for the complete object: one row, however much of it is below. As the
+    pose changes, another point may become the lowest; the derivative of the height is that of the present lowest
+    point's all the same (envelope theorem).
     """
     center, radius = frame
     for i in range(len(evidence.outside)):

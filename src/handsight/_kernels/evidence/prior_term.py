@@ -1,7 +1,7 @@
-"""A prior on the pose as evidence: vision's, or the weak one on the position that stands in for it when blind.
+"""A prior on the pose as evidence: vision's or, without vision, a weak one on the position alone.
 
-The residuals are six: the shift of a pivot, a point that no declared symmetry moves, and the turn. Of an object with a
-declared axis the turn is the swing of the axis alone: a spin about it costs nothing.
+The six residuals are the shift of a pivot, which is a point that no declared symmetry moves, and the rotation vector of
+the turn. For an object with a declared axis the turn is the swing of the axis alone: a spin about it costs nothing.
 """
 
 from typing import Any
@@ -43,7 +43,7 @@ from handsight._kernels.runtime.compilation import inner
 def weak_position_prior(model: Any, center: Vec3, prior: Any) -> None:
     """Fills in the prior of an answer without vision: the object's center ~ N(contact centroid, radius²) per axis.
 
-    It chooses among equal minima, and is left out of the information that is reported.
+    It chooses among equal minima, and is not part of the information that is reported.
     """
     prior.kind, prior.has_axis = WEAK_PRIOR, 0
     store(vector(model.center), prior.pivot_object)
@@ -96,7 +96,7 @@ def about_point(information: Any, lever: Vec3, out: Any) -> None:
 
 @inner
 def _forget_spin(axis: Vec3, information: Any) -> None:
-    """Removes from an information (6, 6) what it says of the turn about an axis given in the palm."""
+    """Removes the turn around an axis, given in the palm, from an information (6, 6), by the Schur complement."""
     by_shift, by_turn = mul(block(information, 0, 3), axis), mul(block(information, 3, 3), axis)
     along = max(dot(axis, by_turn), 1e-300)
     turned = by_shift + by_turn
@@ -184,7 +184,7 @@ def prior_cost(prior: Any, pose: Pose) -> float:
 
 @inner
 def prior_width(model: Any, prior: Any) -> float:
-    """Returns how far the prior lets a point of the surface be, root mean square, as a fraction of the diameter."""
+    """Returns the root mean square deviation of the surface's points by the prior, as a fraction of the diameter."""
     C, c = prior.covariance, mul(matrix(prior.pose.rotation), vector(model.center))
     turn = C[3, 3] + C[4, 4] + C[5, 5]
     # Of the object's center: δp + δθ × c.

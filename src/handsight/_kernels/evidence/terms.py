@@ -1,9 +1,9 @@
-"""All evidence of a correction: what it is made of, and every term named once, for all solvers.
+"""All evidence of a correction, and the sums over all its terms that every solver uses.
 
 A term is of one kind, by how a solver has to treat it:
 
 * CONTACTS lie on the surface. Their covariance depends on the pose, and they alone may be rejected as outliers.
-* WALLS are one-sided: they cost where the object is beyond them, and say nothing of the way back.
+* WALLS are one-sided: they cost where the object is beyond them, and do not tell how far in front it is.
 * FIXED_NOISE is measured beside the contacts, with the same noise at every pose: the object's weight, depth points.
 * PRIOR is the pose known before touch.
 """
@@ -24,7 +24,7 @@ ALL = CONTACTS | WALLS | FIXED_NOISE | PRIOR
 
 
 class Evidence(NamedTuple):
-    """`Evidence` is all that is known of a pose."""
+    """`Evidence` is all evidence on one pose."""
 
     model: Any
     """MODEL."""
@@ -35,7 +35,7 @@ class Evidence(NamedTuple):
     outside: Any
     """(m,) OUTSIDE, points of the hand and planes."""
     constraints: Any
-    """CONSTRAINTS, of which the weight and the depth points are read here."""
+    """CONSTRAINTS: the weight and the depth points of it are used here; its prior is in `prior`."""
     prior: Any
     """PRIOR_TERM."""
     center: Vec3
@@ -48,20 +48,18 @@ def add_evidence(
 ) -> None:
     """Adds the rows of all terms of some kinds at a pose to normal equations by a step (τ, radius ω) about a frame.
 
-    `rewhiten`: whether contacts are weighted by their covariance at this pose; otherwise by the last one, so that the
-    costs of one descent can be compared.
+    `rewhiten`: whether contacts are weighted by their covariance at this pose; otherwise they keep their last weights,
+    so that the costs of one descent can be compared.
     """
     if kinds & CONTACTS:
         add_contacts(evidence, field, pose, frame, rewhiten, equations)
     if kinds & WALLS:
         add_outside(evidence, field, pose, frame, equations)
-    if kinds & WALLS:
         add_planes(evidence, pose, frame, equations)
     if kinds & PRIOR:
         add_prior(evidence.prior, pose, frame, equations)
     if kinds & FIXED_NOISE:
         add_weight(evidence.constraints.weight, pose, frame, equations)
-    if kinds & FIXED_NOISE:
         add_depth_points(evidence, field, pose, frame, equations)
 
 
@@ -71,7 +69,6 @@ def evidence_cost(evidence: Evidence, kinds: int, pose: Pose) -> float:
     total = 0.0
     if kinds & WALLS:
         total += outside_cost(evidence, evidence.model.fine, pose)
-    if kinds & WALLS:
         total += plane_cost(evidence, pose)
     if kinds & CONTACTS:
         total += contact_cost(evidence, pose)
@@ -79,6 +76,5 @@ def evidence_cost(evidence: Evidence, kinds: int, pose: Pose) -> float:
         total += prior_cost(evidence.prior, pose)
     if kinds & FIXED_NOISE:
         total += weight_cost(evidence.constraints.weight, pose)
-    if kinds & FIXED_NOISE:
         total += depth_points_cost(evidence, pose)
     return total

@@ -9,9 +9,10 @@ from handsight._kernels.runtime.compilation import inner
 
 @inner
 def factor(matrix: Any, n: int, ridge: float, out: Any) -> bool:
-    """Writes the Cholesky factor of a matrix (n, n) plus `ridge` times the identity; returns False where it has none.
+    """Writes the Cholesky factor of a matrix (n, n) plus `ridge` times the identity.
 
-    The lower triangle of the matrix is read. The diagonal of `out` holds the reciprocals of the factor's.
+    Returns False where that sum is not positive definite. Only the lower triangle of the matrix is read. The diagonal
+    of `out` holds the reciprocals of the factor's.
     """
     for i in range(n):
         for j in range(i):

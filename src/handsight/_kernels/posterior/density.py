@@ -52,8 +52,8 @@ def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[
             bend = dot(K[0], K[0]) + dot(K[1], K[1]) + dot(K[2], K[2])
             if bend > model.edge_curvature2 and has_normal:
                 # A contact that the prior has pushed to an edge is stopped on one side only: the sharp bend is a wall,
-                # and measures nothing in the other direction. In its place stands a plane along the contact's normal,
-                # without a gradient, which would pull the contact over the edge.
+                # and no information about the other direction. It is replaced by a plane with the contact's normal,
+                # and the gradient is set to zero, as it would pull the contact over the edge.
                 square, n = mahalanobis2(term.contact, surface, factor4), vector(term.contact.normal)
                 plane = surface[0], n, n, FLAT, surface[4]
                 add_contact(term, plane, frame, term.equations)
@@ -73,7 +73,7 @@ def information(
     """Returns χ², and the cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of
     all evidence.
 
-    Weight and depth points count as touch: without them the answer is the prior's. Spurious information is subtracted
+    Weight and depth points count as touch, as all evidence that corrects the prior. Spurious information is subtracted
     from both, but not from the terms' equations nor from `equations`, which hold the other evidence's.
     """
     equations[:] = 0.0
@@ -86,7 +86,7 @@ def information(
                 value += evidence.terms[k].equations[i, j]
             by_touch[i, j] = by_touch[j, i] = value
     subtract_spurious_information(by_touch, equations, model.radius)
-    # Walls cost, but say nothing of the way back.
+    # Walls are part of the cost, but not of the information.
     chi2 += evidence_cost(evidence, WALLS, pose)
     equations[:] = 0.0
     frame = pose[1], 1.0

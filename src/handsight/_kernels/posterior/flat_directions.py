@@ -20,8 +20,8 @@ from handsight._kernels.records import WEAK_PRIOR
 from handsight._kernels.runtime.compilation import inner
 
 SPIN = 1e6
-"""Information about a spin around a declared axis, in traces of the matrix: so large that it is not taken for an
-unobservable direction."""
+"""Information that is added for a spin around a declared axis, in traces of the matrix: so large that the spin is not
+taken for an unobservable direction."""
 TURN = np.array([
     np.eye(3),
     [[0.8960, -0.4440, 0.0], [0.4440, 0.8960, 0.0], [0.0, 0.0, 1.0]],

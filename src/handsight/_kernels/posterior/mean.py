@@ -88,7 +88,7 @@ def _flood(evidence: Evidence, mode: Pose, flat: Any, others: Any, sums: Any) ->
 
 
 @inner
-def _integrated(evidence: Evidence, mode: Pose, others: Any, flat: Any, sums: Any) -> bool:
+def _integrate_mode(evidence: Evidence, mode: Pose, others: Any, flat: Any, sums: Any) -> bool:
     """Returns whether a lattice was fine enough, and small enough to be covered; fills in the sums over its places."""
     choose(evidence, mode, flat, local(UNCERTAINTY))
     rows = np.empty(len(evidence.outside), OUTSIDE)
@@ -142,11 +142,10 @@ def _store_mean(model: Any, mode: Pose, flat: Any, sums: Any, row: Any) -> None:
 
 @entry
 def integrate(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, answers: Any) -> None:
-    """Turns the first of the answers (K,), where they depart from a Gaussian, into means; the first set of contacts
-    counts.
+    """Turns the first of the answers (K,), where they depart from a Gaussian, into means.
 
-    Another mode that is reached along the flat directions is part of that mean: its weight becomes -1. `log_weight`
-    becomes the logarithm of the integral. An answer's `pose` remains the mode.
+    The first set of contacts is used. Another mode that is reached along the flat directions is part of that mean: its
+    weight becomes -1. `log_weight` becomes the logarithm of the integral. An answer's `pose` remains the mode.
     """
     term, flat, sums = local(PRIOR_TERM), local(FLAT_DIRECTIONS), local(SUMS)
     terms, others = np.empty(contacts.shape[1], TERM), np.empty((len(answers), 7))
@@ -170,7 +169,7 @@ def integrate(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: 
             for i in range(6):
                 others[n, i] = six[i]
         evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, mode[1])
-        if _integrated(evidence, mode, others[k + 1 :], flat, sums):
+        if _integrate_mode(evidence, mode, others[k + 1 :], flat, sums):
             _store_mean(model[0], mode, flat, sums, row)
             spins = 6 - flat.count - flat.count_across
             row.log_weight = np.log(sums.total) + sums.best - 0.5 * spins * np.log(floor)

@@ -126,8 +126,8 @@ def expect(Ts: Any, pivot: Any, T_mount_palm: Any, T: Any) -> None:
 
 @entry
 def distance2(Ts: Any, covariance: Any, pivot: Any, measurement: Any) -> float:
-    """Returns χ² (six degrees of freedom) of a MEASUREMENT (1), given a state with its covariance; infinite where its
-    noise is not a covariance."""
+    """Returns χ² (six degrees of freedom) of a MEASUREMENT (1), given a state with its covariance; infinite where the
+    covariance of its noise is not positive definite."""
     rows, factored, spread = np.empty((6, STATE + 1)), np.empty((6, 6)), covariance.copy()
     linearize(Ts, vector(pivot), measurement[0], rows)
     if not factor(measurement[0].covariance, 6, 0.0, factored):
@@ -138,8 +138,8 @@ def distance2(Ts: Any, covariance: Any, pivot: Any, measurement: Any) -> float:
 
 @entry
 def smooth(Ts_prior: Any, prior: Any, pivot: Any, measurements: Any, Ts: Any, covariance: Any) -> bool:
-    """Writes the posterior at the time of the last measurement; returns False where the noise of one is not a
-    covariance.
+    """Writes the posterior at the time of the last measurement; returns False where the covariance of a measurement's
+    noise is not positive definite.
 
     `Ts`, the last answer, becomes the maximum a posteriori of a prior with covariance `prior` and all `measurements`
     (k) MEASUREMENT, by Gauss-Newton; `covariance` is written. A step is a Kalman filter over the measurements, in the
@@ -182,8 +182,8 @@ def smooth(Ts_prior: Any, prior: Any, pivot: Any, measurements: Any, Ts: Any, co
 
 @inner
 def _average(old: Any, new: Any, Ts: Any, pivot: Vec3) -> bool:
-    """Returns whether the newer of two measurements was turned into both, as one from the older's palm: innovations
-    weighted by their information.
+    """Replaces the newer of two measurements by their mean, weighted by their information, as one from the older's palm
+    pose; returns whether that was possible.
 
     The older is first brought to the newer's time: its covariance grows by the object's random walk in between.
     """

@@ -1,8 +1,8 @@
 """Spurious information: what the bumps of a scanned model add to the information of its contacts.
 
-A model is off its object by a random slope and curvature, place by place. Moved along the object's surface, a contact
-then has residuals that the object itself would not show: it seems to know where along the surface it is, and does not.
-What it seems to know is worked out here, and subtracted.
+A scanned model differs from its object by a random slope and curvature at each place. Moved along the surface of the
+model, a contact then has residuals that the object itself would not cause, and appears to be information about where
+along the surface it is. That part is computed here, and subtracted.
 """
 
 from typing import Any
@@ -26,7 +26,7 @@ from handsight._kernels.math.vec3 import cross, outer, sub, sub33, vector
 from handsight._kernels.records import UNCERTAINTY
 from handsight._kernels.runtime.compilation import inner
 
-LEND = 3.84
+CHI2_95 = 3.84
 """Factor on the variance of a slope or a curvature, the 95 % quantile of χ² with one degree of freedom: a grasp meets
 few bumps at once, and their mean would not be enough."""
 TRACE = 2.5
@@ -99,6 +99,6 @@ def cost_deviation(evidence: Evidence, pose: Pose) -> float:
                 invert_covariance(factored(S), term.contact.has_normal != 0, term.weight)
                 W = term.weight
                 by_height = min(W[0, 0] * height, 1.0)
-                by_slope = min((W[1, 1] + W[2, 2] + W[3, 3]) / TRACE * slope / LEND, 1.0)
+                by_slope = min((W[1, 1] + W[2, 2] + W[3, 3]) / TRACE * slope / CHI2_95, 1.0)
                 square += by_height * (4 - 2 * by_height) + 2 * by_slope * (4 - 2 * by_slope)
     return np.sqrt(square)

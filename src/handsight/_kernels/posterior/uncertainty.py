@@ -239,4 +239,4 @@ def summarize(evidence: Evidence, pose: Pose, row: Any) -> None:
         if contact.used:
             row.rows += 3 if contact.has_normal else 1
     row.rows += 3 if evidence.constraints.weight.known else 0
-    row.rows += min(evidence.constraints.depth.count, 6)  # they know no more than the one pose of their image
+    row.rows += min(evidence.constraints.depth.count, 6)  # together they are one measurement of the pose

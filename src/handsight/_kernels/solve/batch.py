@@ -1,4 +1,4 @@
-"""What Python calls: one correction after another, or one stage of many descents, in one call.
+"""The entries of a correction: many corrections one after another, or one stage of many descents, in one call.
 
 `model` is an object's record in an array of one, `nodes` its grids' nodes. `contacts` (sets, n) are the contacts of a
 problem, each set with its own `used`. `constraints` is an array of one CONSTRAINTS. Arguments that range over descents
@@ -36,8 +36,8 @@ LIMITS = DESCENT.coarse, DESCENT.fine
 
 @inner
 def load_evidence(model: Any, contacts: Any, constraints: Any, terms: Any, prior: Any) -> Vec3:
-    """Returns the centroid of the contacts (n,); fills in their TERM (n,), and the PRIOR_TERM of the constraints, or of
-    the weak prior on the position where there is none."""
+    """Returns the centroid of the contacts (n,); fills in their TERM (n,), and the PRIOR_TERM of the constraints' prior
+    or, where they have none, of the weak prior on the position."""
     center = load_terms(contacts, terms)
     if constraints.has_prior:
         vision_prior(model, constraints.prior, prior, local(UNCERTAINTY))
@@ -65,7 +65,8 @@ def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
 
 @inner
 def _residual(model: Any, nodes: Any, contact: Any, pose: Pose) -> tuple[float, float]:
-    """Returns distance [m] of a contact to the surface, and the angle [rad] between the normals; NaN without one."""
+    """Returns distance [m] of a contact to the surface, and the angle [rad] between the normals, NaN without
+    a normal."""
     distance, _, facing, _, _ = surface_at(nodes, model.fine, vector(contact.point), pose)
     if not contact.has_normal:
         return distance, np.nan
@@ -75,6 +76,7 @@ def _residual(model: Any, nodes: Any, contact: Any, pose: Pose) -> tuple[float, 
 
 @inner
 def _store_answer(pose: Pose, answer: Any) -> None:
+    """Writes the pose of an ANSWER, as a POSE and as a matrix (4, 4)."""
     store_pose(pose, answer.pose)
     store_transform(pose, answer.T_palm_object)
 
@@ -93,12 +95,12 @@ def equivalent(model: Any, T: Any, T_reference: Any, out: Any) -> None:
 
 @entry
 def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: Any, residuals: Any) -> None:
-    """Answers every problem from its prior's own pose where that is narrow enough for one start; else with its width
-    only.
+    """Solves every problem whose prior is narrow enough for one start, at the prior's pose; of the others it fills in
+    the width only.
 
-    A problem that `follows` begins at a pose near by that was right, however wide the prior is, and of one that is
-    `pose_only` nothing but the pose is worked out, for measuring. `contacts` (n,) of all problems one after another;
-    `residuals` (n, 2) of each: distance [m], angle [rad].
+    A problem that `follows` begins at its `start` instead, however wide the prior is; of one that is `pose_only` only
+    the pose is computed, for benchmarks. `contacts` (n,) are those of all problems one after another; `residuals`
+    (n, 2) are written: distance [m], angle [rad].
     """
     prior = local(PRIOR_TERM)
     for k in range(len(problems)):
@@ -130,8 +132,8 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
 def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, descents: Any) -> None:
     """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, their cost, and the largest gain of a contact.
 
-    The first set of contacts counts. Σ is over the directions that are known better than by the prior, or, without
-    vision, than the object's own size. With a prior the poses are replaced by their equivalents nearest to it.
+    The first set of contacts is used. Σ is over the directions that are known better than by the prior or, without
+    vision, better than the object's own size. With a prior the poses are replaced by their equivalents nearest to it.
     """
     term, u, terms = local(PRIOR_TERM), local(UNCERTAINTY), np.empty(contacts.shape[1], TERM)
     radius = model[0].radius
@@ -160,8 +162,8 @@ def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any,
 def summarize_all(
     model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, answers: Any
 ) -> None:
-    """Completes answers (K,) whose pose is filled in, by the first set of contacts, whose gains at the first pose are
-    written."""
+    """Completes answers (K,) whose pose is filled in, with the first set of contacts; the contacts' gains at the first
+    pose are written too."""
     term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
     center = load_evidence(model[0], contacts[0], constraints[0], terms, term)
     evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, center)
@@ -175,7 +177,7 @@ def summarize_all(
 
 @entry
 def cost_all(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, descents: Any) -> None:
-    """Fills in minus two log of the posterior density of descents (K,), by the first set of contacts."""
+    """Fills in minus two log of the posterior density of descents (K,), with the first set of contacts."""
     term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
     center = load_evidence(model[0], contacts[0], constraints[0], terms, term)
     evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, center)

@@ -12,7 +12,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 
 @inner
 def _cosine(symmetries: Any, R: Any) -> float:
-    """Returns the cosine of a rotation's angle, the least that a spin about the continuous axes can make of it."""
+    """Returns the cosine of the least angle of a rotation followed by any spin about the continuous axes."""
     axes = symmetries[1]
     if len(axes) > 1:
         return 1.0

@@ -15,9 +15,9 @@ from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.options import DESCENT
 
 LONGEST_STEP = 1e3, DESCENT.max_turn
-"""The most that one step shifts [m] and turns [rad]: farther away the derivative by the turn says nothing."""
+"""The longest step: shift [m], in effect unlimited, and turn [rad], beyond which the linearisation does not hold."""
 IMAGE_DAMPING = 1.7e-4
-"""Damping of a step towards the points of an image: directions that they do not observe stay as they are."""
+"""Damping of a step towards the points of an image: it keeps the pose along directions that they do not observe."""
 
 
 @inner
@@ -75,11 +75,11 @@ def step_size(equations: Any, step: tuple[Vec3, Vec3]) -> tuple[float, float]:
 def descend(
     evidence: Evidence, field: Any, pose: Pose, limits: tuple[int, float], rewhiten: bool
 ) -> tuple[Pose, float, int, bool]:
-    """Returns the minimum at which a descent from a pose ends: where, its cost, steps tried, and whether it converged.
+    """Returns where a descent from a pose ends, the cost there, the number of steps tried, and whether it converged.
 
     `limits`: most steps, and the step [standard deviations] that is small. A step is taken only when it lowers the
     cost; only a step that was taken can end a descent as converged. `rewhiten`: whether the contacts are weighted by
-    their covariance at the first pose, else by the last one.
+    their covariance at the first pose; otherwise they keep their last weights.
     """
     workspace, model, center = local(WORKSPACE), evidence.model, evidence.center
     radius = model.radius
@@ -98,7 +98,7 @@ def descend(
         new[:] = 0.0
         add_evidence(near, ALL, field, candidate, (center, radius), rewhiten and tried < 0, new)
         tried += 1
-        # At rounding level the cost cannot tell better from worse; such a step counts as taken.
+        # A change of the cost within rounding is neither better nor worse; such a step is taken.
         if tried == 0 or new[6, 6] <= now[6, 6] + 1e-12 * (1 + now[6, 6]):
             if tried > 0:
                 longest, square = step_size(now, step)

@@ -70,7 +70,7 @@ def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
             term = evidence.terms[i]
             if term.contact.used:
                 add_match(model, term, pose, frame, equations)
-        # Walls would hold the object back on the way to its place: they hurt from far away.
+        # Without walls: they would stop the object on the way to its place, as their cost is large from far away.
         add_evidence(evidence, PRIOR | FIXED_NOISE, model.coarse, pose, frame, False, equations)
         step = damped_step(equations, model.radius, 1e-9, LONGEST_STEP, workspace)
         pose = retract(pose, step, evidence.center, model.radius)

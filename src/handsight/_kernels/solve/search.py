@@ -1,7 +1,7 @@
 """Descents from many starts: where they begin, how promising each is, and the distinct minima that they lead to.
 
-Work comes in blocks: starts (B, M), each block for one set of contacts. What is a repeat is judged within a block and
-by nothing else, so that the answer is the same on any number of threads.
+Starts come in blocks (B, M), each for one set of contacts. Repeats are looked for within a block only, so that the
+answer is the same on any number of threads.
 """
 
 from typing import Any
@@ -39,7 +39,7 @@ from handsight._kernels.solve.options import DESCENT, SEARCH
 LIMITS = DESCENT.coarse, DESCENT.fine
 COSINE = float(np.cos(SEARCH.same_after_match[1]))
 WORST = 1e300
-"""The cost in place of NaN: such a descent is still an answer where there is no better one."""
+"""The cost in place of a NaN or a larger one: such a descent is still an answer where there is no better one."""
 
 
 @entry
@@ -124,9 +124,9 @@ def score(model: Any, nodes: Any, contacts: Any, sigmas: Any, descents: Any, cos
 
 @inner
 def _repeats(model: Any, rows: Any, k: int, pose: Pose, earlier: Any) -> bool:
-    """Returns whether phase 1 has led to this pose before, up to what a descent would hardly change; symmetries aside.
+    """Returns whether phase 1 led an earlier row nearly to this pose, not counting symmetries; if not, stores the pose.
 
-    `earlier` (M,) POSE: where it led those of the first k rows that were not repeats.
+    `earlier` (M,) POSE: where phase 1 led those of the first k rows that were not repeats.
     """
     (R, p), center = pose, vector(model.center)
     for j in range(k):
@@ -175,9 +175,9 @@ def _select(model: Any, rows: Any, chosen: Any) -> int:
 def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, blocks: Any) -> None:
     """Moves starts (B, M, 1) to the minima that they lead to; a repeat within its block gets an infinite cost.
 
-    Phase 1 and the coarse field come first, but for starts that were minima of other evidence, which have steps behind
-    them; then the fine field for those that are left. Without vision blocks are (B, M, 2): along a flat direction any
-    place is a minimum, and the second of each is moved on to the most likely one by the weak prior.
+    Phase 1 and the coarse field come first, except for starts that are minima of other evidence already (`iterations`
+    above 0); then the fine field for those that are left. Without vision blocks are (B, M, 2): along a flat direction
+    any place is a minimum, and the second of each is moved on to the most likely one by the weak prior.
     """
     term, nothing, terms = local(PRIOR_TERM), local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
     nothing.kind, given = NO_PRIOR, constraints[0]
@@ -186,7 +186,7 @@ def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any
         rows = blocks[b]
         center = load_evidence(model[0], contacts[rows[0, 0].set], given, terms, term)
         matching = Evidence(model[0], nodes, terms, outside, given, term, center)
-        # The weak prior keeps phase 1 from running away, and has no say in what fits.
+        # The weak prior keeps phase 1 from running away, but is no part of the cost by which minima are compared.
         weak = term.kind == WEAK_PRIOR
         fitting = Evidence(model[0], nodes, terms, outside, given, nothing if weak else term, center)
         count, ends = len(rows), 1

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from handsight._kernels.posterior.spurious_information import LEND
+from handsight._kernels.posterior.spurious_information import CHI2_95
 from handsight.checks import Array
 from handsight.objects.geometry import Geometry, Roughness, with_error
 from handsight.objects.scans.noise import NOISE, Noise, Points
@@ -59,7 +59,9 @@ def roughness_of(surface: ScannedSurface, points: Points, noise: Noise) -> Rough
     slope = normal + by_slope
     # Such detail is missing in the surface's normals, but adds no bumps and no spurious information.
     missing = 2 * detail / points.spacing**2
-    variances = np.stack([height + by_height + detail, slope + missing, LEND * slope, LEND * bend], axis=1)
+    variances = np.stack(
+        [height + by_height + detail, slope + missing, CHI2_95 * slope, CHI2_95 * bend], axis=1
+    )
     return Roughness(patches["point"], variances, patches["trust"] ** ROUGHNESS.shared)
 
 
@@ -97,7 +99,8 @@ def unseen_variances(gap: Array, winding: Array, spacing: float) -> Array:
     is_far = (gap / spacing - ROUGHNESS.covered_gap) / (ROUGHNESS.open_gap - ROUGHNESS.covered_gap)
     share = np.clip(is_open, 0.0, 1.0) * np.clip(is_far, 0.0, 1.0)
     return share[:, None] * np.stack(
-        [gap**2, np.ones_like(gap), np.full_like(gap, LEND), np.full_like(gap, LEND / spacing**2)], axis=1
+        [gap**2, np.ones_like(gap), np.full_like(gap, CHI2_95), np.full_like(gap, CHI2_95 / spacing**2)],
+        axis=1,
     )
 
 
@@ -111,6 +114,6 @@ def with_declared_noise(geometry: Geometry, points: Array, sigmas: Array) -> Geo
     def at(nodes: Array) -> Array:
         s2 = variances[tree.query(nodes, k=min(ROUGHNESS.declared_points, len(points)))[1]].mean(axis=1)
         slope, bend = s2 / ROUGHNESS.declared_length**2, 3 * s2 / ROUGHNESS.declared_length**4
-        return np.stack([s2, slope, LEND * slope, LEND * bend], axis=1)
+        return np.stack([s2, slope, CHI2_95 * slope, CHI2_95 * bend], axis=1)
 
     return with_error(geometry, at)
