@@ -187,7 +187,7 @@ def field_error(error: Any, nodes: Any, place: Vec3) -> tuple[float, float]:
 def model_error(error: Any, nodes: Any, place: Vec3, first: int) -> tuple[float, float]:
     """Returns two of the four variances of a model's error near a point of the object, linear between nodes.
 
-    `first` 0: of distance [m²] and normal [rad²]; `first` 2: of the bumps' slope [rad²] and curvature [1/m²], times 3.84.
+    `first` 0: of distance [m²] and normal [rad²]; 2: of the bumps' slope [rad²] and curvature [1/m²], times 3.84.
     """
     one, other = 0.0, 0.0
     nx, ny, nz = error.shape[0], error.shape[1], error.shape[2]
