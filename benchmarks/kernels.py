@@ -14,7 +14,7 @@ from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.runtime.compilation import FAST
 from handsight._kernels.runtime.threads import alone
 from handsight._kernels.solve import batch
-from handsight.correction.estimate import PoseEstimate
+from handsight.correction import PoseEstimate
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
 from handsight.correction.solve import kernel_call, solve_single_start

@@ -10,7 +10,7 @@ import handsight as hs
 from handsight import se3
 from handsight.camera import Camera
 from handsight.hand.surface import HandShape
-from handsight.simulation.camera import spoil
+from handsight.simulation import add_depth_noise
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.palm.hand_mask import hand_mask
 
@@ -198,4 +198,4 @@ def _picture(model, T, hand, still, rng):
     depth, drawn = CAMERA.draw(np.concatenate([vertices, hand[0]]), faces, labels)
     hidden = 1 - (drawn == 0).sum() / max(alone.sum(), 1)
     depth = np.where(np.isfinite(depth), depth, np.float32(T[2, 3] + still.behind))
-    return np.nan_to_num(spoil(depth, NOISE, rng, still.camera)), float(hidden)
+    return np.nan_to_num(add_depth_noise(depth, NOISE, rng, still.camera)), float(hidden)

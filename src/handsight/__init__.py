@@ -15,14 +15,14 @@ And those of a robot that runs:
     vision = hs.PoseMeasurement(T_camera_object)
     estimate = tracker.update(hs.Observation(stamp, joint_positions, wrenches, vision, T_world_palm))
 
-Every part of the package is an attribute, such as `hs.vision` or `hs.recording`, and is loaded when it is first asked
-for. `docs/api.md` has a table of all public names.
+Every part of the package is an attribute, such as `hs.vision` or `hs.recording`, and is loaded when it is first
+used. `docs/api.md` has a table of all public names.
 """
 
 import importlib as _importlib
 import typing as _typing
 
-if _typing.TYPE_CHECKING:  # "as" says that a name is exported
+if _typing.TYPE_CHECKING:  # "as" marks a name as exported
     # ruff: noqa: I001 - one import a room
     from handsight.camera import Camera as Camera
     from handsight.contact import (
@@ -56,7 +56,7 @@ if _typing.TYPE_CHECKING:  # "as" says that a name is exported
     from handsight.viewer import view as view
     from handsight.vision import locate as locate
 
-# A name is loaded when it is first asked for, so that the command's help needs no NumPy.
+# A name is loaded when it is first used, so that the command's help needs no NumPy.
 _NAMES = {
     "camera": "Camera",
     "contact": "Contact Contacts Ellipsoid NoContact Sphere calibrate_wrench contact_from_wrench "

@@ -16,7 +16,7 @@ BOX = hs.ObjectModel.box((0.06, 0.08, 0.12))
 T = se3.compose(se3.rotation_exp(np.array([0.3, -0.5, 0.2])), np.array([0.02, -0.01, 0.1]))
 
 
-def seen(rng, count=300, off=0.0):
+def depth_pixels(rng, count=300, off=0.0):
     """Points of one half of the surface in the palm, some pixels without, some of other things."""
     points = BOX.points_object[BOX.points_object @ [0.5, 0.6, 0.7] > 0.01][:count]
     points = se3.apply(T, points) + off * rng.normal(size=(len(points), 3))
@@ -29,10 +29,10 @@ def vision(rng):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_points_know_no_more_than_their_pose_in_any_direction(seed):
+def test_depth_points_have_no_more_information_than_their_pose_in_any_direction(seed):
     rng = np.random.default_rng(seed)
     prior = vision(rng)
-    depth = DepthPoints.of_image(BOX, seen(rng), prior)
+    depth = DepthPoints.of_image(BOX, depth_pixels(rng), prior)
     surface = BOX.evaluate(se3.apply(se3.inverse(T), depth.points_palm))
     normals = surface.gradient @ T[:3, :3].T
     rows = np.hstack([normals, np.cross(depth.points_palm - T[:3, 3], normals)]) / depth.sigma
@@ -42,11 +42,11 @@ def test_points_know_no_more_than_their_pose_in_any_direction(seed):
     assert share.max() == pytest.approx(1.0, abs=1e-6)  # and in one as much
 
 
-def test_one_solve_of_points_and_touches_finds_the_pose():
+def test_depth_points_and_contacts_together_give_the_pose():
     rng = np.random.default_rng(1)
     prior = hs.PosePrior.from_sigmas(T, 0.002, 0.02)
     touched = hs.Contacts(se3.apply(T, np.array([[-0.03, 0.01, 0.0], [0.0, -0.04, 0.02]])))
-    points = seen(rng, off=5e-4)
+    points = depth_pixels(rng, off=5e-4)
     depth = DepthPoints.of_image(BOX, points, prior)
     begun = hs.PosePrior.from_sigmas(
         se3.moved(T, np.array([0.008, -0.006, 0.007, 0.05, -0.04, 0.06])), 0.02, 0.2
@@ -70,11 +70,11 @@ def given(count=12, weight=None):
     contacts = hs.Contacts(
         se3.apply(T, np.array([[-0.03, 0.01, 0.0], [0.0, -0.04, 0.02]])) + 1e-3 * rng.normal(size=(2, 3))
     )
-    depth = DepthPoints(seen(rng, off=2e-3)[:count], 0.004)
+    depth = DepthPoints(depth_pixels(rng, off=2e-3)[:count], 0.004)
     return Problem(BOX, contacts, vision(rng), NO_OUTSIDE, None, depth)
 
 
-def test_their_cost_is_that_of_the_distances():
+def test_the_cost_of_depth_points_is_that_of_their_distances():
     problem, rng = given(), np.random.default_rng(0)
     Ts, everyone = (
         se3.moved(np.tile(T, (10, 1, 1)), 0.01 * rng.normal(size=(10, 6))),
@@ -85,7 +85,7 @@ def test_their_cost_is_that_of_the_distances():
     np.testing.assert_allclose(found - found[0], expected - expected[0], rtol=1e-6, atol=1e-5)
 
 
-def test_they_are_no_contacts_that_may_be_wrong():
+def test_depth_points_are_never_outliers():
     problem = given(48)
     assert (
         problem.freedom(np.ones((1, 2), dtype=bool)) == 2 + 6
@@ -96,7 +96,7 @@ def test_they_are_no_contacts_that_may_be_wrong():
     assert max(found.outliers, default=0) < 2
 
 
-def test_what_is_no_depth_is_refused():
+def test_wrong_depth_points_are_refused():
     contacts = given().contacts
     for points, sigma, message in (
         (np.empty((0, 3)), 1e-3, "depth.points_palm: expected from 1 to 48 points, got 0"),
@@ -108,14 +108,17 @@ def test_what_is_no_depth_is_refused():
     with pytest.raises(InvalidInput, match="depth: expected DepthPoints or None, got Contacts"):
         hs.correct_pose(BOX, contacts, depth=contacts)
     depth = DepthPoints(np.zeros((4, 3)), 1e-3)
-    with pytest.raises(InvalidInput, match="depth: expected None, for the paper's method knows of none"):
+    with pytest.raises(InvalidInput, match="depth: expected None, as the paper's method does not use it"):
         hs.correct_pose(BOX, contacts, vision=given().vision, depth=depth, method="paper-lm-distance")
 
 
-def test_where_no_point_is_the_objects_there_are_none_and_what_is_no_point_is_refused():
+def test_without_points_near_the_object_there_are_none_and_a_wrong_array_is_refused():
     prior = hs.PosePrior.from_sigmas(T, 0.002, 0.02)
     for none in (np.empty((0, 3)), np.full((4, 3), np.nan), np.ones((4, 3))):
         assert DepthPoints.of_image(BOX, none, prior) is None
     for wrong in (np.ones(3), np.ones((3, 2)), np.ones((3, 3), dtype=int)):
         with pytest.raises(InvalidInput, match=r"points_palm: expected floats of shape \(n, 3\), got"):
             DepthPoints.of_image(BOX, wrong, prior)
+    known_height = hs.PosePrior(T, np.diag([1e-6, 1e-6, 0.0, 1e-4, 1e-4, 1e-4]))
+    with pytest.raises(InvalidInput, match=r"vision\.covariance: expected a positive definite one"):
+        DepthPoints.of_image(BOX, depth_pixels(np.random.default_rng(0)), known_height)

@@ -47,7 +47,7 @@ def test_the_answer_is_as_uncertain_as_the_array():
     assert skin.sigmas[4] > 0.1
 
 
-def test_the_former_way_answers_the_same_and_names_the_new_one():
+def test_the_deprecated_outside_of_skin_gives_the_same_answer_with_a_warning():
     scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
     touch = scene.touch(ARRAY)
     new = hs.correct_pose(
@@ -61,7 +61,7 @@ def test_the_former_way_answers_the_same_and_names_the_new_one():
     np.testing.assert_array_equal(old.covariance, new.covariance)
 
 
-def test_an_array_stands_beside_points_of_the_hand_and_another_array():
+def test_an_array_is_combined_with_points_of_the_hand_and_another_array():
     scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
     skin = SkinEvidence.of(scene.touch(ARRAY), np.eye(4))
     far = SkinEvidence(None, [[0.0, 0.0, 0.9]], np.full(6, 1e-6))
@@ -76,7 +76,7 @@ def test_an_array_stands_beside_points_of_the_hand_and_another_array():
 
 
 @pytest.mark.filterwarnings("ignore:Outside.skin")
-def test_points_of_two_are_outside_together():
+def test_joined_outsides_have_the_points_of_both():
     a = Outside([[0, 0, 1.0], [0, 0, 2]], sigmas=1e-3, links=[4, 4], slacks=[0.0, 0.1])
     b = Outside([[1.0, 0, 0]], sigmas=[2e-3], skin=np.arange(6.0))
     both = a.joined(b)
@@ -87,7 +87,7 @@ def test_points_of_two_are_outside_together():
     np.testing.assert_array_equal(both.skin, np.arange(6.0))
 
 
-def test_what_is_no_skin_is_refused():
+def test_wrong_skin_evidence_is_refused():
     with pytest.raises(InvalidInput, match=r"skin\.sigmas: expected 6 finite numbers"):
         SkinEvidence(None, np.empty((0, 3)), [1e-3])
     with pytest.raises(InvalidInput, match=r"skin\.contacts: expected Contacts or None"):
@@ -95,3 +95,20 @@ def test_what_is_no_skin_is_refused():
     scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
     with pytest.raises(InvalidInput, match="skin: expected SkinEvidence or None, got int"):
         hs.correct_pose(scene.model, scene.tips, skin=3)
+
+
+@pytest.mark.parametrize("points", ["abc", np.zeros(4), np.zeros((3, 4)), [[0.0, 0.0], [0.0]]])
+def test_untouched_points_are_rows_of_three_numbers(points):
+    with pytest.raises(
+        InvalidInput, match=r"skin\.untouched_palm: expected finite numbers of shape \(n, 3\)"
+    ):
+        SkinEvidence(None, points, np.ones(6))
+
+
+def test_the_papers_method_is_as_uncertain_as_the_array_too():
+    scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
+    skin = SkinEvidence(None, [[0.0, 0.0, 0.9]], np.full(6, 0.02))
+    estimate = hs.correct_pose(
+        scene.model, scene.tips, vision=scene.vision, skin=skin, method="paper-lm-distance"
+    )
+    assert (np.sqrt(np.diag(estimate.covariance)) > 0.02).all()

@@ -10,16 +10,16 @@ from scipy.optimize import least_squares
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels.image import depth_term, pose_score, votes
+from handsight._kernels.image import depth_covariance, depth_term, pose_score, votes
 from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_ERROR, DEPTH_POINT, STAGE
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects.symmetry import nearest
 from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.object.appearance import appearance_of
-from handsight.vision.object.first_pose import FIRST_POSE, distinct, first_pose
-from handsight.vision.object.region import observed_points, scene_of, table_plane
-from handsight.vision.pose_covariance import UNKNOWN, center_covariances, pose_covariances
+from handsight.vision.object.first_pose import distinct, first_pose
+from handsight.vision.object.region import scene_of, table_plane
+from handsight.vision.pose_covariance import UNKNOWN, pose_covariances
 from sight_scenes import CAMERA, drawn, letter, looking, noisy, on_table
 
 
@@ -148,10 +148,10 @@ def test_what_points_say_counts_the_errors_that_they_share(count):
     facing = rng.permutation(facing)[:count]  # as seen points are
     points, normals = points[facing], normals[facing]
     rows, bound = seen(points + 3e-4 * rng.normal(size=points.shape), normals, T), 0.006
-    look, found = candidates_at(T[None]), np.empty((1, 2, 6, 6))
+    look, found, covariances = candidates_at(T[None]), np.empty((1, 2, 6, 6)), np.empty((1, 6, 6))
     look["bound"] = bound
-    errors = np.array([(4e-6, 2e-6, 3e-6, 1e-6, 1 / 0.01**2, 1 / 0.08**2)], dtype=DEPTH_ERROR)
-    depth_term.inform_all(*model().record[:2], rows, errors, look, found)
+    errors = np.array([(4e-6, 2e-6, 3e-6, 1e-6, 1 / 0.01**2, 1 / 0.08**2, 4e-6, 0, 1e2, 1e2)], DEPTH_ERROR)
+    depth_term.pose_covariances(*model().record[:2], rows, errors, look, found, covariances)
     P = rows["point"]
     values = model().evaluate(se3.apply(se3.inverse(T), P))
     g = values.gradient @ T[:3, :3].T
@@ -169,6 +169,34 @@ def test_what_points_say_counts_the_errors_that_they_share(count):
     within = 1e-3 if count < depth_term.COMPARED else 0.15
     np.testing.assert_allclose(found[0, 1], S, atol=within * np.abs(S).max())
     assert look["weight"][0] == pytest.approx(weight.sum(), rel=1e-6)
+    # The pose's covariance is that of what the points say, by (δp, δθ) of the object's origin.
+    center = GaussianPose(T, covariances[0]).at_point(model().center_object).covariance
+    np.testing.assert_allclose(
+        center * np.outer(scale, scale), plain_covariance(found[0], errors), rtol=1e-6, atol=1e-12
+    )
+
+
+def plain_covariance(informed, errors):
+    """(A S⁻¹ A + U)⁻¹ + v by NumPy, of A and S without their negative eigenvalues."""
+    values, vectors = np.linalg.eigh(informed)
+    values = np.maximum(values, 0)
+    values[1] = 1 / (values[1] + 1e-3 * np.trace(informed[1]) / 6 + 1e-12)
+    A, S_inverse = (vectors * values[:, None]) @ np.swapaxes(vectors, 1, 2)
+    unknown = np.diag(np.repeat([errors["known_shift"][0], errors["known_turn"][0]], 3))
+    return np.linalg.inv(A @ S_inverse @ A + unknown) + errors["pose"][0] * np.eye(6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_covariance_is_positive_definite_where_the_points_say_little(seed):
+    """Of few points, and of pulls whose covariance, summed over some pairs, is not positive."""
+    rng = np.random.default_rng(seed)
+    rows, root = rng.normal(size=(seed, 6)), rng.normal(size=(6, 6))
+    informed = np.stack([rows.T @ rows, 1e-6 * (root @ root.T - 0.5 * np.eye(6))])
+    errors, found = np.zeros(1, dtype=DEPTH_ERROR), np.empty((6, 6))
+    errors["pose"], errors["known_shift"], errors["known_turn"] = 1e-6, 4e2, 1e2
+    depth_covariance.covariance_of(informed, errors, found)
+    np.testing.assert_allclose(found, plain_covariance(informed, errors), rtol=1e-6, atol=1e-9)
+    assert np.linalg.eigvalsh(found).min() > 0.9e-6
 
 
 def test_a_weighted_fit_is_off_as_the_errors_of_its_points_make_it():
@@ -177,8 +205,10 @@ def test_a_weighted_fit_is_off_as_the_errors_of_its_points_make_it():
     rows, weights = rng.normal(size=(40, 6)), rng.uniform(0.2, 1, 40)
     root = 1e-3 * rng.normal(size=(40, 40))
     A, pulls = rows.T @ (weights[:, None] * rows), rows.T * weights
-    informed, unknown = np.stack([A, pulls @ root @ root.T @ pulls.T])[None], np.full(6, 1e-12)
-    found = pose_covariances(informed, unknown, np.array([4e-6]))[0]
+    informed, found = np.stack([A, pulls @ root @ root.T @ pulls.T]), np.empty((6, 6))
+    errors = np.zeros(1, dtype=DEPTH_ERROR)
+    errors["pose"], errors["known_shift"], errors["known_turn"] = 4e-6, 1e-12, 1e-12
+    depth_covariance.covariance_of(informed, errors, found)
     fits = np.linalg.solve(A, pulls @ (root @ rng.normal(size=(40, 20_000))))
     np.testing.assert_allclose(found - 4e-6 * np.eye(6), np.cov(fits), atol=0.05 * np.abs(found).max())
 
@@ -190,7 +220,7 @@ def test_what_no_point_observes_is_unknown_and_the_rest_is_known_to_millimetres(
     points, normals = can.sample(1500, 1)
     look, rows = candidates_at(T[None]), seen(points, normals, T)
     look["bound"] = 0.006
-    covariance = center_covariances(can, CAMERA, rows, look, STRUCTURED_LIGHT)[0]
+    covariance = pose_covariances(can, CAMERA, rows, look, STRUCTURED_LIGHT)[0]
     axis = np.append(np.zeros(3), T[:3, 2])
     assert axis @ covariance @ axis == pytest.approx((UNKNOWN[1] * can.diameter / can.radius) ** 2, rel=0.02)
     across = np.linalg.svd(axis[None])[2][1:]
@@ -278,18 +308,6 @@ def test_an_object_beside_another_is_found_without_a_guess():
         right.append(off.max() < 0.1 * model().diameter)
         assert (np.diff(found.weights) <= 0).all()
     assert sum(right) >= 19
-
-
-def test_the_covariances_are_of_the_objects_origin():
-    _, depth, labels, _ = picture(0, neighbours=0)
-    scene = scene_of(CAMERA, depth, wanted=labels == 0)
-    found = first_pose(model(), scene)
-    points = observed_points(scene, FIRST_POSE.spacing * model().diameter, FIRST_POSE.max_points)
-    centers = center_covariances(model(), CAMERA, points, found.candidates, STRUCTURED_LIGHT)
-    assert len(centers) > 1
-    for T, covariance, expected in zip(found.Ts_camera_object, found.covariances, centers, strict=True):
-        center = GaussianPose(T, covariance).at_point(model().center_object)
-        np.testing.assert_allclose(center.covariance, expected, rtol=1e-6, atol=1e-9)
 
 
 def test_where_nothing_is_there_is_no_pose():

@@ -333,7 +333,7 @@ def test_points_inform_and_pull_as_their_shared_errors_say(seed, count):
     points, normals = np.c_[slopes * z[:, None], z], rng.normal(size=(count, 3))
     own, near, smooth, constant = rng.random(4)
     error, center, radius = (
-        np.array([(own, near, smooth, constant, 1e4, 1e2)], DEPTH_ERROR),
+        np.array([(own, near, smooth, constant, 1e4, 1e2, 0, 0, 0, 0)], DEPTH_ERROR),
         rng.random(3),
         0.1,
     )

@@ -1,4 +1,4 @@
-"""Depth points as evidence of a correction, in place of the pose that their image gave."""
+"""Points of a depth image as evidence, in place of the pose that was estimated from that image."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class DepthPoints:
     """`DepthPoints` are points of one depth image that lie on the object's surface."""
 
     points_palm: Array
-    """(n, 3), n from 1 to 48 [m]."""
+    """(n, 3) points in the palm frame, n from 1 to 48 [m]."""
     sigma: float
-    """One standard deviation of a point's distance to the surface [m], in which the points' common errors are counted:
-    of n points that are all wrong together it is √n times their error."""
+    """One standard deviation of a point's distance to the surface [m]. It must include errors that all points share:
+    if n points share one error, sigma is √n times that error."""
 
     __repr__ = short_repr
 
@@ -42,14 +42,14 @@ class DepthPoints:
 
     @classmethod
     def of_image(cls, model: ObjectModel, points_palm: ArrayLike, vision: PosePrior) -> DepthPoints | None:
-        """Returns the points of a depth image that are near the surface, evenly chosen; None where none is.
+        """Returns the points of a depth image that are near the object's surface, evenly chosen; None without any.
 
-        points_palm: (n, 3) floats [m], of the object and of its surroundings, NaN where a pixel has none. vision: the
-        object's pose in the palm that the image gave, with all that makes it uncertain: noise, the camera's constant
-        error, where the palm is in the camera. The points share these errors, so their σ is the least for which all
-        together know in no direction more than that pose does: σ² = λ_max(Σ Jᵀ J), with J the derivative of the
-        distances by the pose and Σ the pose's covariance. So the pose is not to be given as a prior as well. Raises
-        InvalidInput.
+        points_palm: (n, 3) floats [m], of the object and of its surroundings; NaN for pixels without a depth. vision:
+        the object's pose in the palm that was estimated from the same image, with a positive definite covariance of all
+        its errors: noise, the camera's constant error, the pose of the palm in the camera. The points share these
+        errors, so their σ is the least with which all points together have no more information than that pose in any
+        direction: σ² = λ_max(Σ Jᵀ J), with J the derivative of the distances by the pose and Σ the pose's covariance.
+        So that pose must not be given as a prior as well. Raises InvalidInput.
         """
         points = np.asarray(points_palm)
         if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind != "f":
@@ -66,8 +66,13 @@ class DepthPoints:
         normals, arms = surface.gradient[near] @ T[:3, :3].T, points[near] - T[:3, 3]
         scale = np.repeat([1.0, model.radius], 3)
         by_pose = np.hstack([normals, np.cross(arms, normals)]) / scale
-        root = np.linalg.cholesky(vision.covariance * np.outer(scale, scale))
-        # The largest singular value.
+        try:
+            root = np.linalg.cholesky(vision.covariance * np.outer(scale, scale))
+        except np.linalg.LinAlgError:
+            raise InvalidInput(
+                "vision.covariance: expected a positive definite one, got a singular one"
+            ) from None
+        # The norm is the largest singular value.
         return cls(points[near], float(np.linalg.norm(by_pose @ root, 2)))
 
     def added_to(self, constraints: NDArray[np.void]) -> NDArray[np.void]:

@@ -1,7 +1,8 @@
 """A mode's mean and covariance in place of its maximum, by integration or by sampling.
 
 Two fingers and a thumb on opposite faces leave a flat direction that edges bound but do not fix: the maximum of the
-density is at the interval's end, its mean in the middle. How it is integrated: `_kernels/posterior/mean.py`.
+density is at an end of the interval, its mean in the middle. The kernel that integrates is in
+`_kernels/posterior/mean.py`.
 """
 
 from collections.abc import Callable
@@ -20,34 +21,37 @@ from handsight.errors import InvalidInput
 from handsight.objects.symmetry import tangents
 
 ANSWERS = ("best", "maximum", "mean")
-"""The mean where a mode is not Gaussian, else the maximum; or always one of them."""
+"""What an answer can be: "best" is the mean where a mode is not Gaussian, and else the maximum."""
 
 
 class SamplingOptions(NamedTuple):
-    """`SamplingOptions` say how the posterior is sampled."""
+    """`SamplingOptions` are the numbers of the Metropolis sampler."""
 
-    chains: int = 64  # Markov chains that move at once; one evaluation serves them all
-    burn_in: int = 100  # least number of steps that tune the stride and are discarded
-    acceptance: float = 0.35  # share of accepted steps that explores a line fastest, about
+    chains: int = 64  # Markov chains that move at once: one call of the kernel evaluates all of them
+    burn_in: int = 100  # least number of first steps, which tune the stride and are discarded
+    acceptance: float = (
+        0.35  # share of accepted steps that the stride is tuned to: about where mixing is fastest
+    )
 
 
 SAMPLING = SamplingOptions()
 
 
 def checked_answer(answer: object, name: str = "answer") -> str:
-    """Returns one of `ANSWERS`; raises InvalidInput."""
+    """Returns the answer if it is one of `ANSWERS`; else raises InvalidInput, which begins with `name`."""
     if not isinstance(answer, str) or answer not in ANSWERS:
         raise InvalidInput(f"{name}: expected one of {', '.join(ANSWERS)}, got {checks.brief(answer)!r}")
     return answer
 
 
 def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstimate:
-    """Returns the estimate with means in place of its likeliest modes where these are not Gaussian; if `answer` is
-    "mean", in place of its first one in any case.
+    """Returns the estimate with each mode that is not Gaussian replaced by its mean: with `answer` "mean" the first
+    mode in any case, with "maximum" no mode.
 
-    Another mode along the same flat direction is part of the mean, and no hypothesis any more, nor is the second of two
-    means that are not distinct. Without vision, a mode with a direction that is not known stays its maximum: such a
-    direction is not bounded, and several maxima along it say more than one mean.
+    Only the likeliest modes are tested. A mode along the same flat direction as another is part of that one's mean, and
+    is no hypothesis any more; of means that are not distinct, the likeliest remains. Without vision, a mode with an
+    unobservable direction stays a maximum: the direction is not bounded, and several maxima along it are more
+    informative than one mean.
     """
     likeliest = estimate.modes[: INTEGRATION.max_modes]
     integrated = [
@@ -76,12 +80,14 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEst
 
 
 def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, samples: int) -> PoseEstimate:
-    """Returns the estimate with pose and covariance replaced by mean and covariance of `samples` posterior draws.
+    """Returns the estimate with pose and covariance replaced by mean and covariance of draws from the posterior.
 
-    Markov chains (Metropolis) start from the mode and move along the eigenvectors of the information there, which must
-    have no wall in it: at the end of an interval, where the mode is, a wall tilts them, and chains along tilted ones do
-    not get away from it (measured: 4 000 samples left the mean of a gripped box 2 mm nearer to its maximum than 80 000
-    did). They do not move along a declared symmetry axis, which has no mean, and with one the covariance is None.
+    `used` (1, n): the contacts in use. `samples`: the number of draws, at least one for each chain. Markov chains
+    (Metropolis) start at the maximum and move along the eigenvectors of the information there. That information must be
+    without walls: a maximum at the end of an interval is at a wall, whose information would tilt the eigenvectors so
+    that chains hardly get away (measured: 4 000 samples left the mean of a gripped box 2 mm nearer to its maximum than
+    80 000 did). Chains do not move about a declared symmetry axis, which has no mean; with such an axis the covariance
+    is None.
     """
     T_mode, radius = estimate.T_palm_object, problem.model.radius
     axes = tangents(problem.model.symmetries, T_mode)
@@ -90,10 +96,11 @@ def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, sampl
     length = 1 / np.sqrt(np.maximum(values, 1 / radius**2))
     scale = np.repeat([1.0, 1 / radius], 3)
     directions = (vectors.T @ basis) * length[:, None] * scale
+    samples = max(samples, SAMPLING.chains)
     draws = _metropolis(lambda poses: -solve.cost(problem, poses, used) / 2, T_mode, directions, samples)
     T = se3.moved(T_mode, draws.mean(axis=0))
     spread = np.cov(draws.T)
-    # Along an axis no chain has moved, so that the spread is next to none; there nothing is known, not everything.
+    # No chain has moved about a symmetry axis, so the spread there is nearly zero; the information there must be zero.
     known = _across(tangents(problem.model.symmetries, T), radius)
     inverse = known.T @ np.linalg.inv(known @ (spread / scale[:, None] / scale) @ known.T) @ known
     return estimate.with_gaussian(
@@ -116,10 +123,13 @@ def _across(axes: Array, radius: float) -> Array:
 def _metropolis(
     log_density: Callable[[Array], Array], T_mode: Array, directions: Array, samples: int
 ) -> Array:
-    """Returns (samples, 6) perturbations of the mode, drawn from a posterior whose logarithm is given up to a
-    constant; `directions` (k, 6) are steps of about one standard deviation."""
+    """Returns (samples, 6) perturbations (δp [m], δθ [rad]) of the mode, drawn from a posterior.
+
+    `log_density`: poses (c, 4, 4) to its logarithm (c,), up to a constant. `directions` (k, 6): steps of about one
+    standard deviation.
+    """
     rng = np.random.default_rng(0)
-    chains = min(SAMPLING.chains, samples)
+    chains = SAMPLING.chains
     kept = -(-samples // chains)
     burn = max(kept, SAMPLING.burn_in)
     at = np.repeat(T_mode[None], chains, axis=0)

@@ -1,4 +1,4 @@
-"""Wrong contacts: each suspect is left out in turn, and is wrong where the others then fit much better."""
+"""The search for wrong contacts: each suspect is left out in turn, and is wrong if the others then fit much better."""
 
 from typing import NamedTuple
 
@@ -12,30 +12,30 @@ from handsight.correction.solve import Candidates, gains, solve
 
 
 class OutlierOptions(NamedTuple):
-    """`OutlierOptions` say how wrong contacts are searched for."""
+    """`OutlierOptions` are the limits of the search for wrong contacts."""
 
-    more_starts: int = 2  # times as many starts are drawn when none of the usual ones fits
-    min_gain: float = 1.0  # by how much these must lower the cost for the search to go on
-    fewer_starts: int = 14  # starts for each contact left out in turn: so many fewer than the usual ones
-    max_starts: int = 16  # and at most so many
-    blind_starts: int = 64  # the same without vision
-    kept_minima: int = 4  # minima of all contacts that are starts for each contact left out as well
+    more_starts: int = 2  # factor on the number of starts when none of the usual ones fits
+    min_gain: float = 1.0  # least fall of the cost by these starts after which the search goes on
+    fewer_starts: int = 14  # with a contact left out: how many starts fewer than usual are drawn
+    max_starts: int = 16  # with a contact left out: most starts that are drawn
+    blind_starts: int = 64  # with a contact left out, without vision: number of starts
+    kept_minima: int = 4  # with a contact left out: minima of all contacts that are starts too
     max_suspects: int = 10
-    """Contacts that are left out in turn, the most promising ones, so that the work grows no faster than the number of
-    contacts.
+    """Most contacts that are left out in turn, those of the largest gain, so that the work grows no faster than the
+    number of contacts.
     """
-    max_outliers: int = 10  # contacts that may be called wrong
+    max_outliers: int = 10  # most contacts that may be called wrong
     accept_p: float = 0.05
-    """Without the wrong one the others must fit better than this part of right contacts do."""
+    """Level of the χ² test that the others must pass without the wrong contact."""
 
 
 OUTLIERS = OutlierOptions()
 
 
 def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candidates:
-    """Returns the minima of a correction; where nothing fits, after more starts and after leaving out wrong contacts.
+    """Returns the minima of a correction; where none fits, after more starts and with wrong contacts left out.
 
-    When the budget is spent, those found until then.
+    When the budget is spent, those found until then are returned.
     """
     everyone = np.ones((1, len(problem.contacts)), dtype=bool)
     number = starts.usual(problem) if problem.blind or options.starts is None else options.starts
@@ -52,11 +52,11 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candi
             and gain >= MODES.decisive
             and (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost)
         ):
-            # The pose without it may be the one that fits it too, and was only hard to reach.
+            # The pose that was found without this contact may fit it too, and only have been hard to reach.
             again = solve(problem, without.minima[None], found.used, budget)
             if again.fits(OUTLIERS.accept_p):
                 return again
-            # A wrong contact is rare, a second one rarer: the search goes on only where these do not fit.
+            # A second wrong contact is rare: it is searched for only where the contacts left do not fit.
             found, suspicious = without, not without.fits()
             if not suspicious:
                 return found
@@ -73,17 +73,17 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candi
 
 
 def _suspicious(problem: Problem, found: Candidates) -> bool:
-    """Returns whether the contacts may not fit together."""
-    # Without vision the others may not fix the pose, and the gain of one says nothing.
+    """Returns whether one of the contacts may be wrong."""
+    # Without vision the other contacts may not fix the pose, and then any contact has a gain.
     gain = 0.0 if problem.blind else float(found.minima["gain"][0])
     return not modes.unsuspicious(found.cost, found.freedom, gain)
 
 
 def _starts(problem: Problem, number: int) -> Records:
-    """Returns (number,) DESCENT at starts for all contacts; or at those that the problem has."""
+    """Returns (number,) DESCENT at starts for all contacts, or (K,) at the starts that the problem has itself."""
     if problem.starts is not None:
         near = descents_at(problem.starts)
-        near["iterations"] = 1  # so they skip phase 1, as minima of other evidence do
+        near["iterations"] = 1  # a descent with steps behind it skips phase 1
         return near
     if problem.vision is not None:
         return starts.from_prior(problem.vision, number)
@@ -92,20 +92,23 @@ def _starts(problem: Problem, number: int) -> Records:
 
 
 def most_outliers(n: int, *, blind: bool) -> int:
-    """Returns how many of n contacts may be called wrong: the rest must still outvote them."""
+    """Returns how many of n contacts may be called wrong: fewer than the rest."""
     return min(max((n - 2) // 2 if blind else (n - 1) // 2, 0), OUTLIERS.max_outliers)
 
 
 def _leave_one_out(problem: Problem, found: Candidates, budget: Budget) -> Candidates | None:
-    """Returns the cheapest minima with one more contact left out, of the suspects; None where no more may be.
+    """Returns the minima with one more contact left out, the one without which the cheapest minimum is cheapest; None
+    where no more may be left out.
 
-    The search without it goes on from the minima found so far, and from a few starts that all share, or, without
-    vision, from those that the others fit best: all are scored once.
+    The descents without each suspect start at the minima found so far and at a few draws from the prior, the same for
+    all suspects; without vision, at the starts that the other contacts fit best, out of one set that is scored once.
     """
     contacts, n = np.flatnonzero(found.used[0]), found.used.size
     if n - len(contacts) >= most_outliers(n, blind=problem.blind):
         return None
-    if len(contacts) > OUTLIERS.max_suspects:  # those that promise most, to first order, at the best minimum
+    if (
+        len(contacts) > OUTLIERS.max_suspects
+    ):  # those of the largest gain, to first order, at the best minimum
         gain = gains(problem, found.minima[:1], found.used)
         contacts = np.sort(contacts[np.argsort(-gain[contacts], kind="stable")[: OUTLIERS.max_suspects]])
     masks = np.repeat(found.used, len(contacts), axis=0)

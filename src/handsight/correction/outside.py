@@ -1,4 +1,4 @@
-"""What cannot be inside the object, checked, as kernels take it: points of the hand, and planes such as a table."""
+"""Evidence of what is outside the object: points of the hand, and planes such as a table; checked, and as records."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from handsight.objects import ObjectModel
 from handsight.representation import short_repr
 
 MOST_POINTS, MOST_PLANES = 10_000, 100
-"""Of one correction."""
-NO_OUTSIDE, NO_POINTS = np.empty(0, dtype=OUTSIDE), np.empty((0, 3))
+"""Points and planes of one correction."""
+NO_OUTSIDE = np.empty(0, dtype=OUTSIDE)
 _EACH = np.arange(MOST_POINTS)
 
 
@@ -33,11 +33,11 @@ class Plane:
     """A `Plane` is a plane that the object cannot cross."""
 
     point_palm: Array
-    """(3,) any point of it [m]."""
+    """(3,) any point of the plane [m]."""
     normal_palm: Array
-    """(3,) to the side where the object is; of any length."""
+    """(3,) normal of any length, to the side of the plane on which the object is."""
     sigma: float
-    """One standard deviation of where it is along its normal [m]."""
+    """One standard deviation of the plane's position along its normal [m]."""
 
     __repr__ = short_repr
 
@@ -49,29 +49,31 @@ class Plane:
 
 @dataclass(frozen=True)
 class Outside:
-    """An `Outside` is what cannot be inside the object."""
+    """An `Outside` has points and planes of which the object cannot contain any point."""
 
     points_palm: ArrayLike = ()
-    """(m, 3) of the hand's surface [m]."""
+    """(m, 3) points of the hand's surface in the palm frame [m]."""
     planes: Sequence[Plane] = ()
-    """With all that is behind them."""
+    """Planes that the object cannot cross: it is on the side to which each normal leads."""
     sigmas: ArrayLike | None = None
-    """One for all points or (m,): one standard deviation per axis [m]; None: 1.5 times the median contact's."""
+    """One standard deviation per axis of a point [m], one for all points or (m,); None: 1.5 times that of the median
+    contact."""
     links: ArrayLike | None = None
-    """(m,) whole numbers: the points of one link are wrong together, and count as the deepest of them does; None: each
-    point by itself."""
+    """(m,) whole numbers, the link of each point: the points of a link have one common error, so together they count
+    about as the deepest of them; None: each point counts by itself."""
     slacks: ArrayLike | None = None
-    """One for all points or (m,): how deep inside a point may be, where a link is smaller than its shape [m]."""
+    """How deep in the object a point may be at no cost [m], as a link may be smaller than its shape; one for all points
+    or (m,). None: 0."""
 
     skin: ArrayLike | None = None
-    """Deprecated: `correct_pose(skin=SkinEvidence(...))` takes a tactile array. These are its `sigmas` (6,)."""
+    """Deprecated: the `sigmas` (6,) of a tactile array, which is now `correct_pose(skin=SkinEvidence(...))`."""
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if not isinstance(self.planes, list | tuple) or not all(isinstance(p, Plane) for p in self.planes):
             raise InvalidInput(f"outside.planes: expected a list of Planes, got {checks.brief(self.planes)}")
-        points = np.array(_points(self.points_palm))  # the caller may change its own
+        points = np.array(_points(self.points_palm))  # a copy, as the caller may change its own array
         check_number(len(self.planes), MOST_PLANES, "outside.planes", "planes")
         object.__setattr__(self, "points_palm", points)
         if self.links is not None:
@@ -87,16 +89,16 @@ class Outside:
 
     @classmethod
     def of_skin(cls, touch: SkinTouch, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None) -> Outside:
-        """Returns the untouched taxels of an array. Deprecated: `SkinEvidence.of` has the pressed ones as well."""
+        """Returns the untouched taxels of an array. Deprecated: `SkinEvidence.of` has the pressed taxels as well."""
         skin = SkinEvidence.of(touch, T_palm_frame, by_error)
         return cls(skin.untouched_palm, sigmas=SIGMA_CLEARANCE, skin=skin.sigmas)
 
     def joined(self, other: Outside) -> Outside:
-        """Returns the evidence of both; each must have sigmas of its own."""
+        """Returns the points and planes of both; points that have no sigmas get NaN, so each must have its own."""
         counts = [len(np.asarray(each.points_palm)) for each in (self, other)]
 
         def both(name: str, usual: float) -> Array:
-            """Returns the values of all points, where one may be given for all, or none."""
+            """Returns a field of all points (m,), with the usual value where one of the two does not state it."""
             given = [getattr(each, name) for each in (self, other)]
             return np.concatenate(
                 [np.broadcast_to(usual if v is None else v, n) for v, n in zip(given, counts, strict=True)]
@@ -120,7 +122,7 @@ class Outside:
     def trusted(
         cls, points_palm: Array, sigmas: Array, links: Indices, slacks: Array | None = None
     ) -> Outside:
-        """Returns points of links from arrays that are not checked, and kept, for loops at control rate."""
+        """Returns points of links, whose arrays are neither checked nor copied; for control loops."""
         outside = object.__new__(cls)
         given: dict[str, Any] = {"points_palm": points_palm, "planes": (), "sigmas": sigmas, "links": links}
         given |= {"slacks": slacks, "skin": None}
@@ -130,11 +132,11 @@ class Outside:
 
 
 def _points(value: ArrayLike) -> Array:
-    """Returns (m, 3), or none; raises InvalidInput."""
+    """Returns points (m, 3) [m], of which there may be none; raises InvalidInput."""
     if isinstance(value, np.ndarray | list | tuple) and not len(value):
         return np.empty((0, 3))
     usual = isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape[1:] == (3,)
-    # Only where this quick test fails are the numbers checked one by one; it fails for NaN too.
+    # This test is quick, and fails for NaN too; only then is the full check made.
     if not (usual and value.min() >= -checks.MAX_DISTANCE and value.max() <= checks.MAX_DISTANCE):  # type: ignore[union-attr]
         value = checks.position(value, "outside", (None, 3))
     check_number(len(value), MOST_POINTS, "outside", "points")  # type: ignore[arg-type]
@@ -142,7 +144,7 @@ def _points(value: ArrayLike) -> Array:
 
 
 def _each(value: ArrayLike, name: str, n: int, limits: tuple[float, float]) -> Array:
-    """Returns () or (n,) between limits; raises InvalidInput."""
+    """Returns one number () or n numbers (n,) between limits; raises InvalidInput."""
     numbers = checks.finite(value, name, (n,) if checks.ndim(value) else ())
     if numbers.size and not limits[0] <= numbers.min() <= numbers.max() <= limits[1]:
         low, high = limits
@@ -151,7 +153,7 @@ def _each(value: ArrayLike, name: str, n: int, limits: tuple[float, float]) -> A
 
 
 def _links(value: ArrayLike, n: int) -> Indices:
-    """Returns (n,) whole; raises InvalidInput."""
+    """Returns the links' numbers (n,) as integers; raises InvalidInput."""
     numbers = checks.finite(value, "outside.links", (n,))
     if (numbers != np.rint(numbers)).any() or np.abs(numbers).max(initial=0.0) > 2**31:
         raise InvalidInput(f"outside.links: expected whole numbers, got {checks.brief(value)}")
@@ -164,9 +166,10 @@ def outside_records(
     outside: ArrayLike | Outside | None,
     skin: SkinEvidence | None = None,
 ) -> NDArray[np.void]:
-    """Returns (m,) OUTSIDE: points, those of a link in a row, then untouched taxels, each a link by itself, and planes.
+    """Returns OUTSIDE records (m,): first points, sorted by link, then untouched taxels, each a link by itself, then
+    planes; raises InvalidInput.
 
-    Points are no evidence about an object that has no inside.
+    Points and taxels are left out for an object that has no inside.
     """
     if outside is None and skin is None:
         return NO_OUTSIDE
@@ -175,7 +178,7 @@ def outside_records(
         outside.points_palm if isinstance(outside, Outside) else _points(() if outside is None else outside)
     )
     planes: Sequence[Plane] = () if given is None else given.planes
-    untouched = NO_POINTS if skin is None else skin.untouched_palm
+    untouched = np.empty((0, 3)) if skin is None else skin.untouched_palm
     n, m = (len(places), len(untouched)) if model.closed else (0, 0)
     rows = np.zeros(n + m + len(planes), dtype=OUTSIDE)
     if n:
@@ -200,15 +203,15 @@ def outside_records(
 
 
 def _usual_sigma(model: ObjectModel, contacts: Contacts) -> float:
-    """Returns sigma [m] of points for which none is given: 1.5 times that of the median contact, and at least a
-    thousandth of that part of the object's diameter.
+    """Returns the sigma of points for which none is given [m]: 1.5 times that of the median contact or a thousandth of
+    the object's diameter, whichever is larger.
 
-    A point is as uncertain as the contacts, through the same kinematics, and more, as others beside it are wrong with
-    it.
+    Points are as uncertain as contacts, because of the same kinematics; the factor is for the common error of points
+    near each other.
     """
     covariance = contacts.covariance
     variances = sorted((covariance[:, 0, 0] + covariance[:, 1, 1] + covariance[:, 2, 2]).tolist())
-    # np.median takes longer than all the rest.
+    # This is much faster than np.median.
     middle = variances[(len(variances) - 1) // 2], variances[len(variances) // 2]
     median = (math.sqrt(middle[0] / 3) + math.sqrt(middle[1] / 3)) / 2
     return 1.5 * max(median, 1e-3 * model.diameter)

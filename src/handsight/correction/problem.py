@@ -1,4 +1,4 @@
-"""One correction, its inputs checked, as kernels take it; and how long it may search."""
+"""One correction as a `Problem`, with its inputs checked and as records for the kernels; its options and its budget."""
 
 import time
 from dataclasses import dataclass
@@ -19,6 +19,7 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
 Records = NDArray[np.void]
+"""NumPy structured values of a type in `_kernels/records.py`."""
 
 MOST_CONTACTS = 256
 """Contacts of one correction: more than any hand has, and time and memory grow with their number."""
@@ -27,10 +28,11 @@ MOST_STARTS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class TwoPhase:
-    """A `TwoPhase` says how handsight's own method runs; the defaults choose themselves from the problem."""
+    """A `TwoPhase` has the options of handsight's own method."""
 
     starts: int | None = None
-    """Number of descents from draws of the prior; None: by the prior's width, and more if none fits."""
+    """Number of descents, from draws of the prior; None: as many as the prior's width requires, and more if none fits.
+    Without vision it has no effect."""
     reject_outliers: bool = True
     """Whether a wrong contact is searched for when the contacts do not fit together."""
 
@@ -45,26 +47,26 @@ class TwoPhase:
 
 @dataclass(slots=True)
 class Budget:
-    """A `Budget` is the time at which a search has to end, and whether that has cut it short."""
+    """A `Budget` is the time at which a search has to end, and whether it was cut short by that."""
 
     ends: float = np.inf
-    """By `time.perf_counter` [s]."""
+    """The end of the search, by `time.perf_counter` [s]."""
     cut_short: bool = False
 
     @classmethod
     def of(cls, seconds: float | None) -> "Budget":
-        """Returns a budget from now on; None: without an end. Raises InvalidInput."""
+        """Returns a budget of so many seconds from now; None: without an end. Raises InvalidInput."""
         return cls() if seconds is None else cls(time.perf_counter() + checks.positive(seconds, "budget"))
 
     def spent(self) -> bool:
-        """Returns whether it is over, and notes it, for the caller then leaves something out."""
+        """Returns whether the time is over; then it sets `cut_short`, as the caller skips the rest of the search."""
         self.cut_short = self.cut_short or time.perf_counter() >= self.ends
         return self.cut_short
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A `Problem` is one correction."""
+    """A `Problem` is the evidence of one correction."""
 
     model: ObjectModel
     contacts: Contacts
@@ -74,7 +76,7 @@ class Problem:
     weight: WeightEvidence | None = None
     depth: DepthPoints | None = None
     starts: Array | None = None
-    """(K, 4, 4) to descend from on the fine field; None: from the prior, in two phases."""
+    """(K, 4, 4) poses to descend from on the fine field; None: draws from the prior, in two phases."""
 
     def __post_init__(self) -> None:
         check_number(len(self.contacts), MOST_CONTACTS, "contacts", "contacts")
@@ -105,32 +107,31 @@ class Problem:
         return contacts
 
     def freedom(self, used: Mask) -> int:
-        """Returns the degrees of freedom of the χ² at a mode: the rows of evidence, less six where the pose is free."""
+        """Returns the degrees of freedom of the χ² at a mode: the rows of evidence, less six if there is no prior."""
         rows = int((used * (1 + 2 * self.contacts.has_normal)).sum()) + (0 if self.weight is None else 3)
-        rows += (
-            0 if self.depth is None else min(len(self.depth), 6)
-        )  # they stand for the one pose of their image
+        if self.depth is not None:
+            rows += min(len(self.depth), 6)  # all of them together count as the one pose of their image
         return max(rows - 6, 1) if self.blind else rows
 
 
 def check_number(n: int, most: int, name: str, what: str) -> None:
-    """Raises InvalidInput where there are more than `most` of them."""
+    """Raises InvalidInput, which begins with `name`, where `n` is more than `most`; `what` is what is counted."""
     if n > most:
         raise InvalidInput(f"{name}: expected at most {most} {what}, got {n}")
 
 
 def plain(records: Records) -> Array:
-    """Returns the numbers (..., w) of records (...), which NumPy copies ten times faster than structured rows."""
+    """Returns records (...) as a view of their numbers (..., w), which NumPy copies ten times faster."""
     return records.view(np.float64).reshape(*records.shape, -1)
 
 
 def taken(descents: Records, rows: Indices) -> Records:
-    """Returns the descents (K,) at K indices of descents (n,)."""
+    """Returns `descents[rows]`, a copy, in a tenth of the time."""
     return np.asarray(plain(descents)[rows].view(DESCENT)[:, 0])
 
 
 def descents_at(Ts_palm_object: Array) -> Records:
-    """Returns (K,) DESCENT that begin at poses (K, 4, 4)."""
+    """Returns (K,) DESCENT whose poses are the given ones (K, 4, 4), and the rest zero."""
     descents = np.zeros(len(Ts_palm_object), dtype=DESCENT)
     descents["pose"]["rotation"] = Ts_palm_object[:, :3, :3]
     descents["pose"]["position"] = Ts_palm_object[:, :3, 3]

@@ -1,4 +1,4 @@
-"""Tactile arrays as evidence of a correction: which taxels touch the object, and how wrong an array is as a whole."""
+"""Tactile arrays as evidence: which taxels touch the object, which do not, and the common error of an array."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from handsight.representation import short_repr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinEvidence:
-    """A `SkinEvidence` says where the taxels of tactile arrays touch the object, and where it does not reach.
+    """A `SkinEvidence` has the pressed and the untouched taxels of tactile arrays in the palm.
 
-    A pressed taxel is a contact and an untouched one a point outside the object, but all are wrong together with their
-    array, so the answer is as uncertain as that. A face that lies on the array ends where the untouched taxels begin,
-    which gives the cost no slope: the search has starts of its own.
+    A pressed taxel is a contact, an untouched one a point outside the object. All taxels of an array share the error of
+    its position, which is added to the covariance of the answer. A face of the object that lies on an array ends where
+    untouched taxels begin; the cost has no slope that leads there, so the search has starts of its own
+    (`starts.within_footprint`).
     """
 
     contacts: Contacts | None
-    """The pressed taxels in the palm; None where none is."""
+    """The pressed taxels in the palm frame; None if no taxel is pressed."""
     untouched_palm: Array
-    """(m, 3) points above untouched taxels, which the object does not cover [m]."""
+    """(m, 3) points just above untouched taxels, which cannot be inside the object [m]."""
     sigmas: Array
-    """(6,) how wrong the arrays are as a whole: one standard deviation per axis of shift [m] and turn [rad], along the
-    palm's axes."""
+    """(6,) one standard deviation per axis of the arrays' common error, shift [m] and turn [rad] along the palm's
+    axes."""
 
     __repr__ = short_repr
 
@@ -40,7 +41,9 @@ class SkinEvidence:
             raise InvalidInput(
                 f"skin.contacts: expected Contacts or None, got {type(self.contacts).__name__}"
             )
-        points = np.reshape(np.asarray(self.untouched_palm, dtype=np.float64), (-1, 3))
+        points = self.untouched_palm
+        if checks.ndim(points) and not len(points):
+            points = np.empty((0, 3))
         object.__setattr__(self, "untouched_palm", checks.position(points, "skin.untouched_palm", (None, 3)))
         object.__setattr__(self, "sigmas", checks.finite(self.sigmas, "skin.sigmas", (6,)))
 
@@ -48,11 +51,12 @@ class SkinEvidence:
     def of(cls, touch: SkinTouch, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None) -> SkinEvidence:
         """Returns the evidence of an array's taxels.
 
-        `T_palm_frame` (4, 4): the pose of its link. `by_error` (6, j): how that moves [m] and turns [rad] in the palm
-        for one standard deviation of each of j errors of its joints; None: it is fixed in the palm.
+        `T_palm_frame` (4, 4): the pose of the array's link. `by_error` (6, j): the shift [m] and the turn [rad] of the
+        link in the palm by one standard deviation of each of j joint errors; None: the link is fixed in the palm.
         """
         array = touch.array
-        # Its height is as wrong at one side as at the other: what is soft gives way more where it is pressed more.
+        # The heights of two opposite sides may differ by this error too, as soft skin gives way more where it is
+        # pressed more; so the array may also be turned.
         turn = 2 * array.sigma_mount / (array.pitch * min(array.shape))
         variance = np.repeat([array.sigma_mount**2, turn**2], 3)
         if by_error is not None:
@@ -60,7 +64,7 @@ class SkinEvidence:
         return cls(touch.contacts(T_palm_frame), touch.outside(T_palm_frame), np.sqrt(variance))
 
     def joined(self, other: SkinEvidence) -> SkinEvidence:
-        """Returns the evidence of both; an answer by both is as uncertain as the worse of the two, axis by axis."""
+        """Returns the taxels of both; the common error is the larger one of the two, axis by axis."""
         mine, theirs = self.contacts, other.contacts
         return SkinEvidence(
             mine.joined(theirs) if mine is not None and theirs is not None else mine or theirs,

@@ -1,8 +1,8 @@
-"""Where descents begin: draws from the prior; without vision, poses whose surface reaches a contact; on a tactile
-array, poses that cover the right taxels.
+"""The poses at which descents start: draws from the prior; without vision, poses whose surface meets a contact; on a
+tactile array, poses that cover the right taxels.
 
-Draws are made along the object's own axes and ordered by lengths alone, so that another palm frame or another
-order of the contacts gives the same starts.
+Draws are along the object's own axes, and contacts are ordered by distances, so that neither another palm frame nor
+another order of the contacts changes the starts.
 """
 
 from dataclasses import dataclass
@@ -23,29 +23,29 @@ from handsight.objects import ObjectModel
 
 
 class StartOptions(NamedTuple):
-    """`StartOptions` say where searches start."""
+    """`StartOptions` are the numbers of starts of each kind."""
 
-    min_starts: int = 16  # starts from a prior
-    max_starts: int = 32  # starts from a wide prior
-    blind_spins: int = 18  # turns about a contact's normal that are tried without vision
-    max_anchors: int = 3  # contacts that these are laid on
-    blind_kept: int = 384  # starts without vision that are descended from
+    min_starts: int = 16  # with vision: starts from the narrowest prior
+    max_starts: int = 32  # with vision: starts from the widest prior
+    blind_spins: int = 18  # without vision: turns about a contact's normal that are tried
+    max_anchors: int = 3  # without vision: contacts on which the surface is laid
+    blind_kept: int = 384  # without vision: starts that are descended from
     max_scoring: int = 20
-    """Contacts by which starts without vision are scored: more of them say no more of poses that are so far off."""
-    first_scoring: int = 3  # the farthest contacts, which score every start
-    promising: int = 4  # times as many of the best go on to be scored by the others as well
-    serial: int = 512  # starts whose scores are not worth another thread
-    footprint_draws: int = 384  # poses of a round of draws around those that cover the right taxels
-    footprint_rounds: int = 3  # rounds, each around the likeliest poses of the one before
-    footprint_kept: int = 12  # likeliest poses of a round
-    footprint_shrink: float = 0.3  # factor on the spread of each round
+    """Without vision: most contacts by which starts are scored; more would not rank such coarse poses any better."""
+    first_scoring: int = 3  # without vision: the outermost contacts, by which every start is scored first
+    promising: int = 4  # one start in so many, of the lowest costs, is then scored by the other contacts too
+    serial: int = 512  # starts whose scores are too few to be shared with another thread
+    footprint_draws: int = 384  # on a tactile array: poses that are drawn in a round
+    footprint_rounds: int = 3  # rounds, each around the likeliest poses of the round before
+    footprint_kept: int = 12  # likeliest poses that are kept of a round
+    footprint_shrink: float = 0.3  # factor on the spread from round to round
 
 
 STARTS = StartOptions()
 
 
 def usual(problem: Problem) -> int:
-    """Returns the number of starts of a problem for which one is not enough: with vision by the prior's width."""
+    """Returns the number of starts of a problem for which one is not enough; with vision, by the prior's width."""
     if problem.vision is None:
         return STARTS.blind_kept
     w = batch.width(problem.model.record.model, problem.vision.record)
@@ -54,7 +54,7 @@ def usual(problem: Problem) -> int:
 
 def from_prior(vision: PosePrior, number: int) -> Records:
     """Returns (number,) DESCENT: the prior's own pose, then draws from it along the object's own axes."""
-    kept = 1024  # of these, the first ones are the draws of every problem
+    kept = 1024  # draws that are cached; every problem takes the first ones of them
     descents, draws = np.zeros(number, dtype=DESCENT), _draws(max(number, kept))[:number]
     in_parts(partial(search.draw, vision.record), (draws, descents), kept)
     return descents
@@ -62,18 +62,18 @@ def from_prior(vision: PosePrior, number: int) -> Records:
 
 @lru_cache(maxsize=1)
 def _draws(number: int) -> Array:
-    """Returns (number, 6) standard normal, the first at zero."""
+    """Returns standard normal draws (number, 6), the first of them zero."""
     draws = np.random.default_rng(0).normal(size=(number, 6))
     draws[0] = 0.0
     return draws
 
 
 def within_footprint(problem: Problem, estimate: PoseEstimate) -> Array:
-    """Returns (K, 4, 4) poses at which all evidence is likeliest, drawn around an estimate by the contacts alone.
+    """Returns the poses (K, 4, 4) of lowest cost by all evidence, drawn around an estimate by the contacts alone.
 
-    For a face that lies on a tactile array: an untouched taxel under it says that the face is too deep, not where it
-    should end. That evidence has no slope, and a descent would stay where vision was; so poses are drawn from what the
-    contacts leave open.
+    They are for a face of the object that lies on a tactile array. An untouched taxel under the face pushes it away
+    from the array, but not sideways to where it would end: along the array the cost has no slope, and a descent would
+    stay where vision was. So poses are drawn along the directions that the contacts leave open.
     """
     used = np.ones((1, len(problem.contacts)), dtype=bool)
     rng = np.random.default_rng(5)
@@ -90,31 +90,32 @@ def within_footprint(problem: Problem, estimate: PoseEstimate) -> Array:
 
 
 @dataclass(frozen=True)
-class Scored:
-    """A `Scored` are starts without vision and each contact's cost of each, once for every set of contacts."""
+class ScoredStarts:
+    """A `ScoredStarts` has starts without vision and the cost of each contact at each, for any set of contacts."""
 
     descents: Records
     """(K,) DESCENT."""
     costs: Array
-    """(K, m)"""
+    """(K, m) squared residuals of each contact at each start."""
     contacts: Indices
     """(m,) indices of the contacts by which the starts are scored."""
 
     def best(self, used: Mask, number: int) -> Records:
-        """Returns the starts (number,) that fit the contacts in use (n,) best, best first."""
+        """Returns the starts (number,) of the lowest cost by the contacts in use (n,), best first."""
         total = self.costs[:, used[self.contacts]].sum(axis=1)
         return taken(self.descents, np.argsort(total, kind="stable")[:number])
 
 
-def blind(problem: Problem, used: Mask, *, prune: bool) -> Scored:
-    """Returns poses in which a sample of the surface meets one of the contacts in use (n,).
+def blind(problem: Problem, used: Mask, *, prune: bool) -> ScoredStarts:
+    """Returns poses at which a sample of the surface meets one of the contacts in use (n,).
 
-    Each of three contacts is the anchor in turn: where it has a normal the sample's is laid on it and the object spun
-    about it, else the object is turned at random. `prune`: only those that a few contacts find promising.
+    Each of the outermost contacts is the anchor in turn. If contacts have normals, only these are anchors: the sample's
+    normal is laid on the anchor's and the object is spun about it; else the object is turned at random. `prune`: only
+    the best by the first few contacts are scored by all, and returned.
     """
     contacts, chosen = problem.contacts, np.flatnonzero(used)
     points = contacts.points_palm[chosen]
-    # The farthest from their centroid first.
+    # The contacts farthest from their centroid come first.
     order = np.argsort(np.linalg.norm(points - points.mean(axis=0), axis=1), kind="stable")[::-1]
     normalled = [i for i in order if contacts.has_normal[chosen[i]]]
     anchors = np.array((normalled or list(order))[: STARTS.max_anchors])
@@ -125,18 +126,21 @@ def blind(problem: Problem, used: Mask, *, prune: bool) -> Scored:
         else _turned(problem.model, points[anchors])
     )
     if len(order) > STARTS.max_scoring:
-        # Near the middle and far from it.
+        # Evenly from the outermost to the innermost.
         order = order[np.linspace(0, len(order) - 1, STARTS.max_scoring).astype(int)]
     scoring, sigmas = chosen[order], _sigmas(points, descents)
     if prune and len(scoring) > STARTS.first_scoring:
         first = _scores(problem, scoring[: STARTS.first_scoring], sigmas, descents).sum(axis=1)
         descents = taken(descents, np.argsort(first, kind="stable")[: len(first) // STARTS.promising])
-    return Scored(descents, _scores(problem, scoring, sigmas, descents), scoring)
+    return ScoredStarts(descents, _scores(problem, scoring, sigmas, descents), scoring)
 
 
 def _spun(model: ObjectModel, points: Array, normals: Array, anchors: Indices) -> Records:
-    """Returns (K,) DESCENT: every surface sample on the anchors, spun about their normals in even steps, which are
-    counted from the direction of the other contacts."""
+    """Returns (K,) DESCENT: every surface sample on every anchor, spun about its normal in even steps.
+
+    The steps are counted from the direction of the centroid of the contacts, plus a little towards another contact in
+    case that the centroid is on the normal.
+    """
     hints = points.mean(axis=0) - points[anchors] + 1e-6 * (points[anchors] - points[anchors - 1])
     descents = np.zeros((len(anchors), STARTS.blind_spins, SAMPLES), dtype=DESCENT)
     search.spin(model.record.model, np.stack([points[anchors], normals[anchors], hints], axis=1), descents)
@@ -144,7 +148,7 @@ def _spun(model: ObjectModel, points: Array, normals: Array, anchors: Indices) -
 
 
 def _turned(model: ObjectModel, points: Array) -> Records:
-    """Returns (K,) DESCENT: every surface sample on the anchors' points, turned at random."""
+    """Returns (K,) DESCENT: every surface sample on every anchor's point (a, 3), with the object turned at random."""
     turns = _turns()
     arms = turns.reshape(STARTS.blind_spins, SAMPLES, 3, 3) @ model.points_object[:, :, None]
     descents = np.zeros((len(points), len(turns)), dtype=DESCENT)
@@ -155,19 +159,21 @@ def _turned(model: ObjectModel, points: Array) -> Records:
 
 @cache
 def _turns() -> Array:
+    """Returns random rotations (m, 3, 3), `blind_spins` for each surface sample."""
     return se3.random(np.random.default_rng(0), STARTS.blind_spins * SAMPLES)[:, :3, :3]
 
 
 def _sigmas(points: Array, descents: Records) -> Array:
-    """Returns sigmas of distance [m] and normal [rad] for scoring: half a step of the spin at a contact, and a step."""
+    """Returns the sigmas of scoring, of distance [m] and of normal [rad]: half a step of the spin at the contacts' mean
+    distance from the object's origin, and a step."""
     step = 2 * np.pi / STARTS.blind_spins
-    origins = descents["pose"]["position"][::16]  # their mean distance from the contacts, of some of them
+    origins = descents["pose"]["position"][::16]  # every 16th is enough for a mean
     reach = np.linalg.norm(points - origins[:, None], axis=-1).mean() * step / 2
     return np.array([reach, step])
 
 
 def _scores(problem: Problem, chosen: Indices, sigmas: Array, descents: Records) -> Array:
-    """Returns the costs (K, m) of contacts (m,) at each start."""
+    """Returns the cost of each chosen contact (m,) at each start, (K, m)."""
     costs, contacts = np.empty((len(descents), len(chosen))), problem.contacts.record[chosen]
     given = (*problem.model.record[:2], contacts, sigmas)
     in_parts(partial(search.score, *given), (descents, costs), STARTS.serial)

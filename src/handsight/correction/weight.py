@@ -1,4 +1,4 @@
-"""The object's weight as evidence of its pose: where its centre of mass is, in the object and in the palm."""
+"""The object's weight as evidence of its pose: its centre of mass in the object, and as measured in the palm."""
 
 from __future__ import annotations
 
@@ -17,20 +17,19 @@ from handsight.objects.symmetry import check_kept, kept_center
 from handsight.representation import short_repr
 
 CONTRADICTS = chi2_limit(3, 0.01)
-"""χ² of three numbers that one right measurement in a hundred exceeds."""
+"""The 99 % quantile of χ² with three degrees of freedom."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightEvidence:
-    """A `WeightEvidence` says where an object's centre of mass is: in the object, and in the palm by the loads on the
-    fingertips."""
+    """A `WeightEvidence` is an object's centre of mass in the object, and in the palm by the fingertips' loads."""
 
     center_object: Array
-    """(3,) [m]"""
+    """(3,) position of the centre of mass in the object's frame [m]."""
     center_palm: Array
-    """(3,) [m]"""
+    """(3,) position of the centre of mass in the palm frame [m]."""
     covariance: Array
-    """(3, 3) of both together, along the palm's axes, positive definite [m²]."""
+    """(3, 3) covariance of the difference of the two, along the palm's axes, positive definite [m²]."""
 
     __repr__ = short_repr
 
@@ -52,20 +51,19 @@ class WeightEvidence:
         return record
 
     def of(self, model: ObjectModel) -> WeightEvidence:
-        """Returns the evidence about an object, whose symmetries must leave the centre of mass in place, moved to where
-        they do exactly; raises InvalidInput where they move it farther than its error."""
+        """Returns the evidence with the centre of mass moved to the nearest point that the object's symmetries leave in
+        place; raises InvalidInput where that is more than two standard deviations and 1 mm away."""
         center = kept_center(model.symmetries, self.center_object)
-        # A symmetry that moves it by more than two sigmas is not one of an object that weighs like this.
         limit = 2.0 * float(np.sqrt(np.trace(self.covariance) / 3))
         check_kept(center, self.center_object, limit, "weight.center_object")
         return WeightEvidence(center, self.center_palm, self.covariance)
 
     def contradicts(self, estimate: PoseEstimate) -> bool:
-        """Returns whether all other evidence contradicts the weight at the pose that was found with it.
+        """Returns whether all other evidence contradicts the weight, at the estimate that was found with it.
 
-        With J the derivative of the residuals, Σ their covariance and C that of the pose, the residuals at the pose
-        have the covariance Σ - J C Jᵀ: the smaller, the more the weight itself has determined the pose. Directions in
-        which that is below a fiftieth of Σ count as a fiftieth.
+        It is a χ² test of the residuals. With J their derivative by the pose, Σ their covariance and C that of the
+        pose, their covariance at the estimate is Σ - J C Jᵀ: the more the weight itself has determined the pose, the
+        smaller it is. It is taken to be at least Σ / 50 in every direction.
         """
         T, C = estimate.T_palm_object, estimate.bounded_covariance
         arm = T[:3, :3] @ self.center_object

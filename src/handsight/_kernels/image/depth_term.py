@@ -11,8 +11,9 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame, Pose
 from handsight._kernels.evidence.prior_term import add_prior
-from handsight._kernels.image.depth_covariance import inform
+from handsight._kernels.image.depth_covariance import congruence, inform, pose_covariance, pose_jacobian
 from handsight._kernels.math.simd import accumulate, local
+from handsight._kernels.math.so3 import IDENTITY
 from handsight._kernels.math.symmetry import pose_of, store_pose
 from handsight._kernels.math.vec3 import (
     Vec3,
@@ -156,10 +157,17 @@ def closeness(model: Any, nodes: Any, points: Any, within: Any, candidates: Any)
 
 
 @entry
-def inform_all(model: Any, nodes: Any, points: Any, errors: Any, candidates: Any, out: Any) -> None:
-    """Fills `out` (k, 2, 6, 6) with what DEPTH_POINT (n,) say of CANDIDATE (k,), as `inform` does, by (δp, radius δθ)
-    of the object's centre along the camera's axes; and the candidates' weight. errors: DEPTH_ERROR (k,)."""
+def pose_covariances(
+    model: Any, nodes: Any, points: Any, errors: Any, candidates: Any, informed: Any, out: Any
+) -> None:
+    """Fills `out` (k, 6, 6) with the covariances of CANDIDATE (k,) by (δp, δθ) of the object's origin along the
+    camera's axes, from DEPTH_POINT (n,) with DEPTH_ERROR (k,).
+
+    Also fills in the candidates' weight and `informed` (k, 2, 6, 6), as `inform` does, by (δp, radius δθ) of the
+    object's centre.
+    """
     weights, places, normals = np.empty(len(points)), np.empty((len(points), 3)), np.empty((len(points), 3))
+    J, radius = np.empty((6, 6)), model[0].radius
     for k in range(len(candidates)):
         pose = pose_of(candidates[k].pose)
         count, total = 0, 0.0
@@ -172,5 +180,13 @@ def inform_all(model: Any, nodes: Any, points: Any, errors: Any, candidates: Any
                 total += weight
                 count += 1
         candidates[k].weight = total
-        frame = add(mul(pose[0], vector(model[0].center)), pose[1]), model[0].radius
-        inform(weights[:count], places, normals, frame, errors[k], COMPARED, out[k])
+        arm = mul(pose[0], vector(model[0].center))
+        inform(
+            weights[:count], places, normals, (add(arm, pose[1]), radius), errors[k], COMPARED, informed[k]
+        )
+        for i in range(3, 6):
+            # The model's normals differ from the object's, and seem to observe turns that the object's do not.
+            informed[k, 0, i, i] -= total * errors[k].normal
+        pose_covariance(informed[k], errors[k], out[k])
+        pose_jacobian(IDENTITY, neg(arm), radius, 1.0, J)
+        congruence(J, out[k], out[k])

@@ -49,7 +49,8 @@ STAGE = record(
     ("stride", "i8"),  # every stride-th point takes part
 )
 
-# The errors of depth points, as variances [m²], and the correlation of those that neighbours share.
+# The errors of depth points, as variances [m²], and the correlation of those that neighbours share; then what the
+# covariance of a pose takes beside its points.
 DEPTH_ERROR = record(
     ("own", "f8"),  # of each pixel by itself
     ("shared", "f8"),  # in common with its neighbours
@@ -57,6 +58,10 @@ DEPTH_ERROR = record(
     ("offset", "f8"),  # of a bias of the whole image
     ("shared_decay", "f8"),  # one over the squared correlation length of `shared` [slopes]
     ("smooth_decay", "f8"),  # and of `smooth`
+    ("pose", "f8"),  # variance of a pose that no number of points lowers, by (δp, radius δθ) [m²]
+    ("normal", "f8"),  # information on turns that the model's normals feign, for each point [rad²]
+    ("known_shift", "f8"),  # information that is there without any point, on a shift [1/m²]
+    ("known_turn", "f8"),  # and on radius times a turn [1/m²]
 )
 
 # A node of a volume that depth images are fused into.

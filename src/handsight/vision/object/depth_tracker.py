@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
+from handsight._deprecated import renamed_members
+from handsight._kernels.image import depth_covariance
 from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
@@ -49,6 +51,7 @@ DEPTH_TRACKER = DepthTrackerOptions()
 HIDDEN = "hardly anything of it is seen"
 
 
+@renamed_members(look="candidate")
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
     """A `Sighting` is what a depth image says of an object that is followed."""
@@ -228,7 +231,6 @@ class DepthTracker:
         """Returns the belief after an image that shows enough of the object."""
         last, velocity = self._belief, predicted.velocity
         pose = predicted.pose_camera_object.fused(refined.pose_camera_object)
-        pose = replace(pose, covariance=(pose.covariance + pose.covariance.T) / 2)
         if last is None or predicted.lost:
             velocity = np.zeros(6)
         elif 0 < predicted.stamp - last.stamp <= DEPTH_TRACKER.max_gap:
@@ -256,16 +258,7 @@ def _is_enough(refined: RefinedPose) -> bool:
 
 
 def surface_shift(model: ObjectModel, pose_camera_object: GaussianPose) -> float:
-    """Returns how far off the object's surface may be [m]: the most that one sigma along any of the three least known
-    directions moves it. A turn that it looks the same after leaves it where it is."""
-    center, scale = model.center_object, np.repeat([1.0, model.radius], 3)
-    pose = pose_camera_object.at_point(center)
-    pose = pose.transformed(se3.inverse(pose.T_a_b))  # along the object's axes
-    values, vectors = np.linalg.eigh(pose.covariance * np.outer(scale, scale))
-    vectors *= np.sign(
-        vectors[np.abs(vectors).argmax(axis=0), range(6)]
-    )  # their sign is any that LAPACK gives
-    steps = (vectors * np.sqrt(np.maximum(values, 0.0))).T[3:] / scale
-    Ts = se3.moved(np.broadcast_to(np.eye(4), (3, 4, 4)), steps)
-    moved = center + se3.apply(Ts, model.points_object - center).reshape(-1, 3)
-    return float(np.abs(model.evaluate(moved).distance).max())
+    """Returns the most that one sigma along any of the three least known directions moves the object's surface [m]. A
+    turn that the object looks the same after does not move it."""
+    pose = pose_camera_object
+    return depth_covariance.largest_shift(*model.record[:2], pose.T_a_b, pose.covariance)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handsight import se3
+from handsight._deprecated import renamed_members
 from handsight._kernels.image import depth_term, pose_score, votes
 from handsight._kernels.image.vision_records import CANDIDATE, STAGE
 from handsight._kernels.solve import distinct_poses
@@ -15,7 +15,7 @@ from handsight.vision.candidates import NOTHING_KNOWN, Candidates, center_depths
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.region import Scene, observed_points
-from handsight.vision.pose_covariance import center_covariances
+from handsight.vision.pose_covariance import pose_covariances
 
 
 class FirstPoseOptions(NamedTuple):
@@ -54,6 +54,7 @@ EVIDENCE = np.array([-9.53, 14.95, -7.72, 6.6, -18.67])
 Shares alone: sums, and how close points lie, say more of drawn pictures, and mislead with a real camera's."""
 
 
+@renamed_members(looks="candidates")
 @dataclass(frozen=True, eq=False)
 class ObjectDetection:
     """An `ObjectDetection` has the poses that an object may have, the likeliest first; none, if it is not there."""
@@ -114,13 +115,11 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
     log_weights = log_weights @ FIRST_POSE.score_weights
     order = np.argsort(-log_weights, kind="stable")
     found, weights = found[order], np.exp(log_weights[order] - log_weights.max(initial=-np.inf))
-    poses = poses_of(found)
-    to_origin = se3.point_jacobian(-poses[:, :3, :3] @ model.center_object)
-    covariances = (
-        to_origin @ center_covariances(model, camera, observed, found, noise) @ np.swapaxes(to_origin, 1, 2)
-    )
+    covariances = pose_covariances(model, camera, observed, found, noise)
     probability = float(probabilities(log_odds(found[:1])).sum())
-    return ObjectDetection(poses, covariances, weights / max(weights.sum(), 1.0), found, probability)
+    return ObjectDetection(
+        poses_of(found), covariances, weights / max(weights.sum(), 1.0), found, probability
+    )
 
 
 def explained_within(noise: DepthNoise, z: Array) -> Array:

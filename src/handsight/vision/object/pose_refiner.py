@@ -16,7 +16,7 @@ from handsight.vision.depth_noise import DepthNoise
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.first_pose import explained_within
 from handsight.vision.object.region import REGION
-from handsight.vision.pose_covariance import center_covariances
+from handsight.vision.pose_covariance import pose_covariances
 
 
 class RefinerOptions(NamedTuple):
@@ -77,9 +77,8 @@ class PoseRefiner:
         sides, center = appearance_of(self.model).sides, self.model.center_object
         pose_score.score_all(self.camera.record, image[1:], sides, np.zeros(1), center, candidate)
         some = np.ascontiguousarray(points[:: max(count // REFINER.covariance_points, 1)])
-        covariance = center_covariances(self.model, self.camera, some, candidate, self.noise)[0]
-        T_camera_center = poses_of(candidate)[0] @ se3.compose(np.eye(3), center)
-        return RefinedPose(GaussianPose(T_camera_center, covariance).at_point(-center), candidate, count)
+        covariance = pose_covariances(self.model, self.camera, some, candidate, self.noise)[0]
+        return RefinedPose(GaussianPose(poses_of(candidate)[0], covariance), candidate, count)
 
     def _around(self, T: Array) -> tuple[slice, slice]:
         """Returns rows and columns around the object's silhouette; both are empty where it is out of the image."""
@@ -101,7 +100,12 @@ class PoseRefiner:
         window = self._window[0]
         last = slice(*window["rows"]), slice(*window["columns"])
         self._depth[last], self._labels[last] = 0, OUT
-        self._depth[box] = np.where(np.isfinite(depth[box]), depth[box], 0)
+        copied = self._depth[box]
+        copied[:] = depth[box]
+        if not np.isfinite(
+            copied.sum()
+        ):  # many cameras have 0 for no depth, and one sum is quicker than a mask
+            copied[~np.isfinite(copied)] = 0
         self._labels[box] = 0 if hand is None else np.where(hand[box], np.int32(HAND), np.int32(0))
         rows, columns = box
         window["rows"], window["columns"] = (rows.start, rows.stop), (columns.start, columns.stop)

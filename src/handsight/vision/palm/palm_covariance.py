@@ -9,7 +9,7 @@ from handsight.gaussian_pose import GaussianPose
 from handsight.vision.candidates import Candidates, poses_of
 from handsight.vision.depth_noise import DepthNoise
 from handsight.vision.palm.palm_search import Picture
-from handsight.vision.pose_covariance import PIXEL, depth_errors, pose_covariances
+from handsight.vision.pose_covariance import depth_errors
 
 
 def palm_covariance(
@@ -28,17 +28,15 @@ def palm_covariance(
     weights, normals = fitted[used, 0], np.ascontiguousarray(fitted[used, 2:5])
     points, center = se3.apply(T, skin[0, used]), se3.apply(T, hand.middle[None])[0]
     z = np.maximum(center[2:], 1e-3)
-    informed, errors = np.empty((1, 2, 6, 6)), depth_errors(camera, noise, z)
-    depth_covariance.inform_points(
-        weights, points, normals, center, hand.radius, errors, compared, informed[0]
-    )
-    # A direction that no point observes: half the hand's size, and 1.8 rad.
-    unknown = np.repeat([1.0, 1 / 1.8**2], 3) / hand.radius**2
-    covariance = pose_covariances(informed, unknown, (PIXEL * z / camera.matrix[0, 0]) ** 2)[0]
+    # Along a direction that no point observes: half the hand's size, and 1.8 rad.
+    errors = depth_errors(camera, noise, z, (hand.radius, 1.8 * hand.radius))
+    informed, covariance = np.empty((2, 6, 6)), np.empty((6, 6))
+    depth_covariance.inform_points(weights, points, normals, center, hand.radius, errors, compared, informed)
+    depth_covariance.covariance_of(informed, errors, covariance)
     if hand.sigma_joint > 0:
         lines = np.hstack([normals, np.cross(points - center, normals) / hand.radius])
         by_joints = np.einsum("mi,ij,mjk->mk", normals, T[:3, :3], hand.by_joints(rows[used]))
-        information = informed[0, 0] + (weights.sum() + 1e-9) * 1e-9 * np.eye(6)
+        information = informed[0] + (weights.sum() + 1e-9) * 1e-9 * np.eye(6)
         follows = np.linalg.solve(information, np.einsum("m,mi,mk->ik", weights, lines, by_joints))
         covariance = covariance + hand.sigma_joint**2 * follows @ follows.T
     scale = np.repeat([1.0, hand.radius], 3)
