@@ -192,7 +192,7 @@ def test_empty_images_give_no_pose(can, seen, fill):
     assert tracker.estimate is None
     assert tracker.state == "lost"
     assert tracker.images["object_seen"] == 0
-    assert tracker.images["palm_detected"] == 0
+    assert tracker.images["hand_seen"] == 0
 
 
 def test_undoing_a_jump_of_the_clock_undoes_what_its_image_measured(can, seen):
