@@ -4,7 +4,6 @@ import os
 import shutil
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import time
@@ -156,15 +155,19 @@ def graph(folder):
 
 
 def read_until(reader, stamp):
-    """Takes what comes, of messages that begin with a header, until one of that time [s]."""
+    """The poses by stamp that a reader of PoseWithCovarianceStamped receives, until one of that time [s].
+
+    None is lost, unlike by `rosbag record`, whose queue of 100 overflows on a busy machine when the first seconds of
+    answers come at once.
+    """
+    kind, found = "geometry_msgs/msg/PoseWithCovarianceStamped", {}
     with reader.makefile("rb") as file:
-        file.read(int.from_bytes(file.read(4), "little"))  # what the publisher says of itself
-        while True:
+        file.read(int.from_bytes(file.read(4), "little"))  # the publisher's header
+        while not found or max(found) < stamp - 1e-6:
             data = file.read(int.from_bytes(file.read(4), "little"))
             assert data, "the publisher ended"
-            sec, nanosec = struct.unpack_from("<II", data, 4)
-            if sec + 1e-9 * nanosec >= stamp - 1e-6:
-                return
+            found |= by_stamp([typestore("ros1").deserialize_ros1(data, kind)])
+    return found
 
 
 def messages_of(path, topic):
@@ -177,8 +180,13 @@ def messages_of(path, topic):
 
 def poses_of(path):
     """By stamp the position and quaternion that were recorded."""
+    return by_stamp(messages_of(path, "/handsight/pose"))
+
+
+def by_stamp(messages):
+    """Position and quaternion of PoseWithCovarianceStamped by stamp."""
     found = {}
-    for message in messages_of(path, "/handsight/pose"):
+    for message in messages:
         stamp, p, q = message.header.stamp, message.pose.pose.position, message.pose.pose.orientation
         found[round(stamp.sec + 1e-9 * stamp.nanosec, 6)] = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
     return found
