@@ -10,11 +10,12 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
 MAX_POINTS = 48
-"""More say no more of a pose, because their errors are common to many."""
+"""More points add nothing, because they share their errors."""
 
 
 def depth_points(model: ObjectModel, points_palm: ArrayLike, vision: PosePrior) -> Contacts | None:
-    """Returns points of a depth image as contacts without normals, for one correction with what fingers touch.
+    """Returns points of a depth image as contacts without normals, for a correction together with the contacts of
+    fingers.
 
     points_palm: (n, 3) [m], of the object and of its surroundings, NaN where a pixel has none. vision: the pose that
     the image gave, in the palm, with all that makes it uncertain: noise, the camera's constant error, the pose of the
