@@ -14,7 +14,7 @@ from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.runtime.compilation import FAST
 from handsight._kernels.runtime.threads import alone
 from handsight._kernels.solve import batch
-from handsight.correction.estimate import PoseEstimate
+from handsight.correction import PoseEstimate
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
 from handsight.correction.solve import kernel_call, solve_single_start
@@ -65,9 +65,8 @@ class Evaluation:
 @numba.njit(error_model="numpy", fastmath=FAST)
 def _evaluations(n, model, nodes, contacts, constraints, outside):
     prior, workspace, rows = local(PRIOR_TERM), local(WORKSPACE), np.empty(len(contacts), TERM)
-    center = batch.load_terms(contacts, rows)
-    batch.fill_prior(model[0], constraints[0], center, prior)
-    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0].weight, prior, center)
+    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0], prior, center)
     R, p = pose_of(constraints[0].prior.pose)
     for k in range(n):
         pose = R, (p[0] + 1e-9 * k, p[1], p[2])

@@ -24,12 +24,12 @@ from rich.progress import Progress
 from testbed import report
 
 STEP = 1e-4
-"""How far each line's problem lies from the one before [m]; its answer is exact to far less."""
+"""Shift of each line's problem from the one before [m]; answers are far more accurate than that."""
 PERIOD = 10_000
 """Lines until the problems begin again, before the object is farther from the palm than a position may be."""
 MALFORMED_EVERY = 1000
 LOOK_EVERY = 1.0
-"""Seconds between two looks at the memory."""
+"""Seconds between two measurements of the memory."""
 
 
 def line(i: int) -> str:

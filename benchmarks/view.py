@@ -1,8 +1,8 @@
-"""What the page costs: CPU of a frame while somebody looks, and of the tracker's process that feeds it.
+"""What the page costs: CPU of a frame while a browser is open, and of the tracker's process that feeds it.
 
 Synthetic: the built-in recording of a can, and a grasp with colour and depth of 640 x 480 pixels. Frames are drawn one
-after the other, 30 a second, for a reader in another process that takes all that is sent; the CPU is that of the whole
-process: what is computed, packed and sent. Tracking is not in it, images are made small while tracking.
+after the other, 30 a second, for a reader in another process that receives all that is sent; the CPU is that of the
+complete process: computing, packing and sending. Tracking is not included; images are reduced while tracking.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from handsight.observation import Observation
 from handsight.recording import open_recording
 from handsight.rig import Rig
 from handsight.simulation import Scenario
-from handsight.tracking.replay import Tally
+from handsight.tracking import Tally
 from handsight.viewer import Viewer
 from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page

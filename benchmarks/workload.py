@@ -25,7 +25,7 @@ OPEN = 1 / 3
 """Contacts leave a direction open when its standard deviation is above this part of the object's radius."""
 
 Solve = Callable[[], Any]
-"""One solve of one problem; what it answers is for `pose_of`."""
+"""One solve of one problem; its answer is the argument of `pose_of`."""
 
 
 class Peer(Protocol):

@@ -1,4 +1,4 @@
-"""From a six-axis sensor under a fingertip to a contact: calibrate it, take off bias and weight, sense."""
+"""From a six-axis sensor under a fingertip to a contact: calibrate, subtract bias and tip weight, sense."""
 
 import numpy as np
 
@@ -16,11 +16,11 @@ torques = np.cross(center, mass * gravities) + 2e-5 * rng.normal(size=(6, 3))
 calibration = hs.calibrate_wrench(forces, torques, gravities)
 print(f"mass {1e3 * calibration.mass:.1f} g, bias {np.round(calibration.bias_force, 3)} N")
 
-# A push of 2 N on the tip's side, as the same sensor reads it.
+# The same sensor's reading of a push of 2 N on the tip's side.
 push, where = np.array([-2.0, 0, -0.3]), np.array([0.0066, 0, 0.0068])
-reading = bias + mass * gravities[0] + push
-twist = np.cross(center, mass * gravities[0]) + np.cross(where, push)
-force, torque = hs.contact.compensate(reading, twist, gravities[0], calibration)
+read_force = bias + mass * gravities[0] + push
+read_torque = np.cross(center, mass * gravities[0]) + np.cross(where, push)
+force, torque = hs.contact.compensate(read_force, read_torque, gravities[0], calibration)
 
 contact = hs.contact_from_wrench(force, torque, tip)
 if contact:

@@ -1,4 +1,4 @@
-"""No camera at all: which poses of a can fit three touches? Several do, and each comes with its weight."""
+"""Without a camera: several poses of a can fit three contacts, and each comes with its probability."""
 
 import numpy as np
 
@@ -12,8 +12,6 @@ contacts = hs.Contacts(points, normals, sigma_point=1e-3, sigma_normal=0.1)
 
 estimate = hs.correct_pose(model, contacts)
 for mode in estimate.hypotheses:
-    axis = mode.T_palm_object[:3, 2]
-    print(
-        f"weight {mode.weight:.2f}: middle at {np.round(1e3 * mode.T_palm_object[:3, 3])} mm, axis {np.round(axis, 2)}"
-    )
-print(f"{len(estimate.unobservable)} directions open: the can may slide and spin between the fingers")
+    middle, axis = 1e3 * mode.T_palm_object[:3, 3], mode.T_palm_object[:3, 2]
+    print(f"probability {mode.weight:.2f}: middle at {np.round(middle)} mm, axis {np.round(axis, 2)}")
+print(f"{len(estimate.unobservable)} unobservable directions: the can may slide and spin between the fingers")

@@ -1,4 +1,4 @@
-"""Two hundred problems on a Dask cluster: two processes of this machine here; give your scheduler's address instead.
+"""Two hundred problems on a Dask cluster, here two processes of this machine; use your scheduler's address instead.
 
 The same from the command line: handsight correct many.jsonl --output answers.jsonl --cluster tcp://scheduler:8786
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from handsight import se3
-from handsight.batch.run import answering
+from handsight.batch import answering
 
 try:
     from dask.distributed import LocalCluster
@@ -25,16 +25,16 @@ PLACES = NORMALS * [0.03, 0.045, 0.07] + 0.01 * np.array(
 
 
 def problem(rng: np.random.Generator) -> tuple[bytes, np.ndarray]:
-    """A box somewhere, five contacts on it, a camera that is 3 cm off; and where the box is."""
+    """Returns a line with a box, five contacts on it and vision that is 3 cm off; and the box's true pose (4, 4)."""
     T_palm_box = se3.random(rng, 1)[0]
     points = PLACES @ T_palm_box[:3, :3].T + T_palm_box[:3, 3] + 5e-4 * rng.normal(size=PLACES.shape)
     normals = NORMALS @ T_palm_box[:3, :3].T
-    seen, quaternion = T_palm_box[:3, 3], se3.quaternion_from_rotation(T_palm_box[:3, :3])
+    position, quaternion = T_palm_box[:3, 3], se3.quaternion_from_rotation(T_palm_box[:3, :3])
     line = {
         "object": {"box": [0.06, 0.09, 0.14]},
         "contacts": [{"point": [*p], "normal": [*n]} for p, n in zip(points, normals, strict=True)],
         "vision": {
-            "position": [*(seen + 0.03 * rng.normal(size=3))],
+            "position": [*(position + 0.03 * rng.normal(size=3))],
             "quaternion_xyzw": [*quaternion],
             "sigma_position": 0.03,
             "sigma_rotation_deg": 10,
@@ -51,7 +51,7 @@ if __name__ == "__main__":  # workers are processes that read this file again
         with answering(source, Path.cwd(), cluster=cluster.scheduler_address) as answered:
             answers = [json.loads(text) for _, some in answered for text in some.texts]
     positions = np.array([answer["position"] for answer in answers])
-    off = 1e3 * np.linalg.norm(positions - np.array(truths)[:, :3, 3], axis=1)
+    errors = 1e3 * np.linalg.norm(positions - np.array(truths)[:, :3, 3], axis=1)
     print(
-        f"{len(answers)} boxes, off by {np.median(off):.2f} mm, nine of ten by {np.quantile(off, 0.9):.2f} mm"
+        f"{len(answers)} boxes, median error {np.median(errors):.2f} mm, 90 % below {np.quantile(errors, 0.9):.2f} mm"
     )

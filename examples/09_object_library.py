@@ -1,4 +1,4 @@
-"""Objects by name: added once with what is known of them, then asked for, here or where the folder is served."""
+"""Objects by name: each is added once to a library with its mass and symmetries, then loaded by its name."""
 
 import tempfile
 from pathlib import Path
@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import handsight as hs
-from handsight.objects import Facts, Library
-from handsight.objects.symmetry_search import declared
+from handsight.objects import Facts, Library, declared_symmetries
 
 folder = Path(tempfile.mkdtemp())
 corners = 30.0 * np.array([(x, y, z) for x in (-1, 1) for y in (-1.5, 1.5) for z in (-2, 2)])  # millimetres
@@ -26,7 +25,7 @@ entry = library.add(
     folder / "tea.off",
     Facts(name="tea", mass=0.12, center_of_mass=(0, 0, -0.004), sigma_center_of_mass=0.003, licence="CC0"),
     scale=1e-3,
-    symmetries=declared(measured, ["z/2", "x/2"]),
+    symmetries=declared_symmetries(measured, ["z/2", "x/2"]),
 )
 print(f"{entry.name}: object {entry.number}, {1e3 * entry.diameter:.0f} mm, {entry.facts.mass} kg")
 

@@ -1,17 +1,17 @@
 """Blind: where an object stands on a table, found by a simulated hand's touch alone, and then held.
 
-A Shadow hand stretches one finger and sweeps its tip along level lines, slowly, until it feels something (MuJoCo;
+A Shadow hand stretches one finger and sweeps its tip along level lines, slowly, until it touches something (MuJoCo;
 joints 1° off, 10 mN and .05 mN m of noise, a table 3 mm and 1° off, objects free to be pushed). The object stands
-upright within 30 x 30 cm, turned anyhow. Before the search the hand presses down on the table at four places around it.
+upright within 30 x 30 cm, at any angle. Before the search the hand presses down on the table at four places around it.
 Synthetic.
 Located is an error below 8 mm, of the object's middle in space, and 8°, modulo symmetry.
 
   random         lines anywhere through the area
   through mean   lines in any direction through the mean of all poses that are left
-  information    the line whose outcome is least known
+  information    the line whose outcome is most uncertain
 
-All three go along a line only where the object may be met. Then the whole task, from the search by information to the
-pose in the hand: grasp at the believed pose, lift, tilt by 20° about two axes, weigh; no camera anywhere.
+All three sweep a line only where the object may be. Then the whole task, from the search by information to the
+pose in the hand: grasp at the estimated pose, lift, tilt by 20° about two axes, weigh; no camera anywhere.
 """
 
 from collections.abc import Callable
@@ -21,19 +21,21 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
-from handsight.correction.modes import pose_distances
+from handsight.correction import pose_distances
 from handsight.objects import propose_symmetries
 from handsight.search import Belief, Sweep, best_sweep
 from handsight.search.sweep_choice import level_sweep, shortened
-from handsight.simulation import Scenario, model_of
-from handsight.simulation.motion import MOTION, WEIGH_LEGS
-from handsight.simulation.probe import PROBE
-from handsight.simulation.touch_search import (
+from handsight.simulation import (
+    MOTION,
+    PROBE,
     TOUCH_SEARCH,
+    Scenario,
+    model_of,
     simulate_touch_search,
     start_search,
     touch_search_rig,
 )
+from handsight.simulation.motion import WEIGH_LEGS
 from shared import figures, report, ycb
 from testbed.report import Array, Row, Rows
 

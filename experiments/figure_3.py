@@ -1,4 +1,4 @@
-"""Fig. 3 of the paper: an object where it was seen (grey), where it is (green), corrected (yellow).
+"""Fig. 3 of the paper: an object as measured by vision (grey), its true pose (green), corrected (yellow).
 
 The paper shows Levenberg-Marquardt with normals on simulated data and finds that its result "coincides
 almost perfectly" with the truth. Here it is beside handsight, on the same starts and contacts: Table I's,

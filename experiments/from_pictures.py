@@ -1,23 +1,23 @@
-"""Section III again with poses from pictures in place of drawn ones, the camera 8 cm off; and what touch adds to sight.
+"""Section III with poses from pictures in place of drawn ones, the camera 8 cm off; and what touch adds to vision.
 
-The simulated Shadow hand grasps can and box before a structured-light camera whose depth is spoilt as such a camera's
-is, and whose calibration is wrong by 8 cm in the table's plane on average, 64 mm in height and 6 degrees. No pose is
-drawn but in the first row. Errors are those at the end of the grasp, against the exact truth, modulo symmetry.
-Everything is SYNTHETIC (MuJoCo); the model of the object is exact.
+The simulated Shadow hand grasps can and box before a structured-light camera whose depth has such a camera's errors,
+and whose calibration is wrong by 8 cm in the table's plane on average, 64 mm in height and 6 degrees. Only the first
+row draws poses. Errors are those at the end of the grasp, against the exact truth, modulo symmetry. Everything is
+SYNTHETIC (MuJoCo); the model of the object is exact.
 
   drawn + touch      the former way: a pose drawn with the camera's error, and contacts
-  pictures           the object followed in the depth images, the camera believed to be where it was calibrated
+  pictures           the object tracked in the depth images, the camera's pose as calibrated
   pictures + touch   those poses, and contacts
-  seen hand          the hand, seen in the same images, tells where the camera is; nothing is felt
+  seen hand          the camera's pose is estimated from the hand in the same images; contacts are not used
   seen hand + touch  what `Tracker` and `handsight track` do with images
 
-The second table: how touch and sight help each other where so much of the object is covered up (from the first quarter
-of a second on a part of its pixels, on one side, has no depth; what is covered from the first image on is never found),
-where the depth is so many times noisier, and where the camera is less wrong.
+The second table: how touch and vision help each other where part of the object is covered (from the first quarter of a
+second on, a share of its pixels on one side has no depth; an object covered from the first image on is never found),
+where the depth is noisier by a factor, and where the camera's error is smaller.
 
-  touch              contacts alone, and no idea of where the object is
+  touch              contacts alone, without a prior
 
-The third: what touch adds to the error of the very same grasps by sight alone, and that where sight was good.
+The third: what touch adds to the error of vision alone in the same grasps, and in those where vision was good.
 """
 
 from collections.abc import Iterator
@@ -30,11 +30,10 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from handsight.camera import Camera
-from handsight.objects.symmetry import nearest
+from handsight.objects import nearest
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import Rig
-from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate
-from handsight.simulation.camera import BELIEVED_CAMERA, displacement
+from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate, true_camera
 from handsight.tracking import TrackerSettings
 from handsight.vision import DepthTracker, hand_mask
 from shared import figures, report, scenes
@@ -66,7 +65,7 @@ def covered(samples: tuple[Sample, ...], scenario: Scenario, share: float) -> tu
         return samples
     rig, model = rig_of(scenario), model_of(scenario)
     camera, out = Camera.of(rig.camera), []
-    T_camera_world = se3.inverse(BELIEVED_CAMERA) @ displacement(scenario.nuisances, int(scenario.seed))
+    T_camera_world = true_camera(scenario)
     way = np.random.default_rng(int(scenario.seed)).uniform(0, 2 * np.pi)
     for sample in samples:
         depth = sample.observation.depth
@@ -84,9 +83,13 @@ def covered(samples: tuple[Sample, ...], scenario: Scenario, share: float) -> tu
 
 
 def calibrated(samples: tuple[Sample, ...], rig: Rig, model: hs.ObjectModel) -> Iterator[Observation]:
-    """Yields observations with the pose of their images; the calibration says where hand and object are searched."""
+    """Yields observations with the pose of their images; hand and object are searched where the calibration puts them.
+
+    Raises InvalidInput where the rig has no camera.
+    """
     camera, shape = Camera.of(rig.camera), rig.hand.shape()
-    follower, T_camera_world = DepthTracker(model, camera), se3.inverse(BELIEVED_CAMERA)
+    T_world_camera = np.eye(4) if rig.camera is None else rig.camera.T_mount_camera
+    follower, T_camera_world = DepthTracker(model, camera), se3.inverse(T_world_camera)
     for sample in samples:
         seen = sample.observation
         pose = None

@@ -2,8 +2,8 @@
 
 For each object and seed a grasp is searched (`handsight simulate MESH` does the same) and the manipulation is recorded
 with it, the usual nuisances on. Held: the object is in the hand at the end, by the simulator's own criterion (within
-3 cm and half a radian in the palm of where it was let go), and thumb and a finger felt it (over 0.1 N each) for at
-least nine tenths of the time since. Trials: grasps simulated until one held. Fingers: how many tips felt it, on
+3 cm and half a radian in the palm of where it was let go), and thumb and a finger touched it (over 0.1 N each) for at
+least nine tenths of the time since. Trials: grasps simulated until one held. Fingers: how many tips touched it, on
 average; thumb: how hard it pressed. Seconds are of CPU time.
 """
 
@@ -15,8 +15,8 @@ import numpy as np
 from handsight.simulation import Sample, Scenario, find_grasp, simulate
 from shared import report, ycb
 
-RATE, FELT, MOSTLY = 10.0, 0.1, 0.9
-"""Samples a second; what a tip feels [N]; share of the time."""
+RATE, TOUCHES, MOSTLY = 10.0, 0.1, 0.9
+"""Samples a second; force above which a tip touches [N]; share of the time for which they must."""
 QUICK = ("008_pudding_box", "011_banana")
 MEDIANS = ("fingers", "thumb", "moved", "search", "record")
 COLUMNS = ("object", "held", "trials", "most", "fingers", "thumb N", "moved mm", "search s", "record s")
@@ -29,22 +29,22 @@ def trial(mesh: Path, seed: int) -> report.Row:
     found = find_grasp(scenario)
     searched = process_time()
     samples = [sample for sample in simulate(scenario, grasp=found.grasp) if sample.phase != "close"]
-    felt = [_felt(sample) for sample in samples]
-    both = np.mean(["th" in fingers and len(fingers) > 1 for fingers in felt])
+    touching = [_touching(sample) for sample in samples]
+    both = np.mean(["th" in fingers and len(fingers) > 1 for fingers in touching])
     last, first = samples[-1].T_palm_object, samples[0].T_palm_object
     return {
         "object": mesh.stem, "seed": seed, "trials": found.trials, "hold": found.hold, "failures": found.failures,
         "held": bool(found.succeeded and not samples[-1].dropped and both >= MOSTLY),
-        "fingers": float(np.mean([len(fingers) for fingers in felt])),
+        "fingers": float(np.mean([len(fingers) for fingers in touching])),
         "thumb": float(np.mean([sample.forces_object.get("th", 0.0) for sample in samples])),
         "moved": 1000 * float(np.linalg.norm(last[:3, 3] - first[:3, 3])),
         "search": searched - begin, "record": process_time() - searched,
     }  # fmt: skip
 
 
-def _felt(sample: Sample) -> list[str]:
-    """The fingers that feel the object."""
-    return [finger for finger, force in sample.forces_object.items() if force > FELT]
+def _touching(sample: Sample) -> list[str]:
+    """The fingers that touch the object."""
+    return [finger for finger, force in sample.forces_object.items() if force > TOUCHES]
 
 
 @report.or_skip

@@ -13,8 +13,8 @@ import numpy as np
 from PIL import Image
 
 from handsight import se3
-from handsight.simulation import Scenario, camera_facing, simulate
-from handsight.simulation.camera import INTRINSICS, spoil
+from handsight.camera import Camera
+from handsight.simulation import Scenario, add_depth_noise, camera_facing, rig_of, simulate
 from handsight.simulation.rendering import Renderer
 from handsight.simulation.scene import scene
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
@@ -89,7 +89,7 @@ def record_both() -> None:
 
 
 def take_picture() -> None:
-    """The can in the closed hand, seen from where the fingers hide half of it."""
+    """The can in the closed hand, from a viewpoint where the fingers hide half of it."""
     scenario = Scenario(object="can", seed=RECORDED_SEED, rate=20)
     sample, rng = list(simulate(scenario))[-1], np.random.default_rng(RECORDED_SEED)
     T_world_camera = camera_facing(EYE, sample.T_world_object[:3, 3] + AIMED_OFF)
@@ -97,10 +97,11 @@ def take_picture() -> None:
         color, exact = renderer.take(sample.configuration, T_world_camera)
     left, top, width, height = CROPPED
     window = slice(top, top + height), slice(left, left + width)
-    depth = np.nan_to_num(spoil(exact, STRUCTURED_LIGHT, rng, RECORDED_SEED)[window])
+    depth = np.nan_to_num(add_depth_noise(exact, STRUCTURED_LIGHT, rng, RECORDED_SEED)[window])
     Image.fromarray(np.round(1e3 * depth).astype(np.uint16)).save(FOLDER / "can.depth.png", optimize=True)
     Image.fromarray(color[window]).save(FOLDER / "can.color.jpg", quality=85)
-    fx, fy, (cx, cy) = INTRINSICS[0, 0], INTRINSICS[1, 1], INTRINSICS[:2, 2] - [left, top]
+    intrinsics = Camera.of(rig_of(scenario).camera).matrix
+    fx, fy, (cx, cy) = intrinsics[0, 0], intrinsics[1, 1], intrinsics[:2, 2] - [left, top]
     camera = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "width": width, "height": height}
     (FOLDER / "can.camera.json").write_text(json.dumps(camera) + "\n")
     T_camera_object = se3.inverse(T_world_camera) @ sample.T_world_object

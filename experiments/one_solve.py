@@ -6,8 +6,8 @@ hand's pixels and a part of the object's, on one side, left out. Where the palm 
 hand's error. Then the fingers' contacts are added in two ways, to the same evidence:
 
   pose      the image's pose and its covariance, with what was expected, are the prior of `correct_pose`
-  points    48 of the depth points are contacts without normals in the same solve (`vision.depth_points`); what was
-            expected is the prior
+  points    48 of the depth points are in the same solve as evidence of their own (`hs.DepthPoints`); what was expected
+            is the prior
 
 Errors against the truth modulo symmetry; inside: truths in the 95 % region.
 """
@@ -19,10 +19,8 @@ from from_pictures import OBJECTS, RATE, errors, grasped
 from handsight import se3
 from handsight.camera import Camera
 from handsight.gaussian_pose import GaussianPose
-from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of
-from handsight.simulation.camera import BELIEVED_CAMERA, displacement
-from handsight.tracking.fingertips import FingertipSensors
-from handsight.vision import depth_points
+from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, true_camera
+from handsight.tracking import FingertipSensors
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.object.depth_tracker import DEPTH_TRACKER
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
@@ -35,7 +33,7 @@ COVERED = (0.0, 0.5, 0.8, 0.95)
 EXPECTED = np.repeat([0.005, np.deg2rad(3)], 3)
 """How well the object is known before, per axis [m, rad]: as a tracker knows it once a finger has touched it."""
 HAND = np.repeat([0.0015, np.deg2rad(0.6)], 3)
-"""Of the palm in the camera, as the seen hand tells it, per axis [m, rad]."""
+"""Sigma of the palm's pose in the camera, as estimated from images of the hand, per axis [m, rad]."""
 
 
 def uncovered(depth: Array, drawn: Array, share: float, way: float) -> Array:
@@ -58,7 +56,7 @@ def rows_of(scenario: Scenario, samples: tuple[Sample, ...]) -> Rows:
     if touched is None or depth is None or T_world_palm is None:
         return []
     camera = Camera.of(rig.camera)
-    T_camera_world = se3.inverse(BELIEVED_CAMERA) @ displacement(scenario.nuisances, int(scenario.seed))
+    T_camera_world = true_camera(scenario)
     T_camera_palm = T_camera_world @ T_world_palm
     drawn = camera.draw(se3.apply(T_camera_palm @ T, model.vertices), model.faces).depth
     T_seen = se3.moved(T_camera_palm, HAND * rng.normal(size=6))
@@ -109,13 +107,12 @@ def fused(
 ) -> dict[str, hs.PoseEstimate]:
     """Returns the estimate of each way; `seen` is None where too little of the object is visible."""
     vision = expected if seen is None else both(expected, seen)
-    more = None if seen is None else depth_points(model, points, seen)
+    depth = None if seen is None else hs.DepthPoints.of_image(model, points, seen)
     alone = hs.PoseEstimate.from_gaussian(vision.T_palm_object, vision.covariance, np.empty((0, 6)))
-    joined = touched if more is None else touched.joined(more)
     return {
         "pose alone": alone,
         "pose": hs.correct_pose(model, touched, vision=vision),
-        "points": hs.correct_pose(model, joined, vision=expected),
+        "points": hs.correct_pose(model, touched, vision=expected, depth=depth),
     }
 
 

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 import handsight as hs
 import views_around  # beside the scenes
 from handsight import se3
-from handsight.objects.files import Shape, ply_bytes
+from handsight.objects import Shape, ply_bytes
 from handsight.vision.reconstruction.completion import ReconstructedModel, closed, one_object
 from handsight.vision.reconstruction.reconstruct import Reconstruction, View
 from handsight.vision.reconstruction.segmentation import on_table
@@ -35,9 +35,9 @@ CELL, BOUND, COVERED = 0.002, 0.006, 0.004
 MARGIN, BELOW = 0.03, 0.02
 """Around the object, and below the table, of what is fused [m]."""
 STANDS = 0.006
-"""What is lower is not judged as seen: it is the table's [m]."""
+"""Height below which the surface is not judged: it is the table's [m]."""
 MOTIONS = {"given": 24, "4 mm, 2° off": 24, "not given": 72}
-"""By what is known of where the camera was: views."""
+"""Number of views, by what is known of the camera's motion."""
 
 
 def things(quick: bool) -> dict[str, hs.ObjectModel]:

@@ -1,4 +1,4 @@
-"""How often the truth lies in the reported 50 % and 95 % regions (judged modulo symmetry).
+"""How often the truth is inside the reported 50 % and 95 % regions (judged modulo symmetry).
 
 Generated problems with true sigmas: contacts drawn on the surface (can: on its side; box: three faces; meshes:
 uniform over the area), noise 0.5 mm and 2 degrees per axis, vision off by a Gaussian draw of 20 mm and 15 degrees

@@ -19,7 +19,7 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
-from handsight.objects.symmetry import Symmetries
+from handsight.objects import Symmetries
 from shared import figures, report, scenes, ycb
 from testbed.report import Array, Row, Rows
 
@@ -28,7 +28,7 @@ SIGMAS_MM = (0.5, 1.0, 2.0)
 VISION = (0.065, float(np.deg2rad(20)))
 """Root mean square length and angle of vision's error."""
 NAMED = 0.9
-"""A direction is named when this much of it lies in what the answer calls unobservable."""
+"""Share of a direction within the estimate's unobservable directions above which it counts as named."""
 FUSED_SIGMA, FUSED_LENGTH, FUSED_STEP, VOXEL = 8e-4, 3e-3, 5e-4, 3e-3
 WAVES = 400
 YCB = ("006_mustard_bottle", "021_bleach_cleanser", "002_master_chef_can", "004_sugar_box")

@@ -49,7 +49,7 @@ BY_CONTACTS = (
 
 
 def one_instant(options: report.Options, name: str) -> tuple[Rows, Rows, Sensing, Row]:
-    """Rows of all methods, the same grasps seen with no error in height by the paper's, and what was left out."""
+    """Rows of all methods, rows of the paper's with no error in height for the same grasps, and what was left out."""
     left_out, fingers, sensing = Counter[str](), Counter[str](), Sensing({"clean": [], "noisy": []})
     rows, plane, trials = Rows(), Rows(), grasps(name, options.trials, options.first_seed, left_out)
     for k in report.progress(range(options.trials), f"{name}, one instant"):
@@ -139,7 +139,7 @@ def print_contacts(rows: Rows) -> None:
 
 
 def print_regions(by_object: dict[str, Rows]) -> None:
-    """How often the truth lies in the stated regions."""
+    """How often the truth is inside the stated regions."""
     cells = []
     for name, lines in by_object.items():
         for line in lines:

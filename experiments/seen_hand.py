@@ -1,14 +1,14 @@
-"""The seen hand: the palm's pose in the camera, from a depth image and a belief that is off. SYNTHETIC pictures.
+"""The seen hand: the palm's pose in the camera, from a depth image and a guess that is off. SYNTHETIC pictures.
 
 The Shadow hand, curled at random and holding one of ten YCB objects, is drawn from any side at .55 to 1.1 m over a
-table, in every second picture with its forearm before or behind it; at least 1500 pixels of it are seen. Depth has the
-noise of a structured-light camera: correlated, rounded disparity, pixels lost behind edges, a smooth bias (1.5 mm at
-1 m) and an offset (1 mm). Each joint is off by 1° (standard deviation), constantly. The belief is off by so much at the
-hand's middle, in a random direction, and about a random axis; in the row "simulator" by 64 mm and 6° per axis, as its
-camera is by default. "Followed": the last picture's pose, that far off, is laid on without a search.
+table, in every second picture with its forearm before or behind it; at least 1500 pixels of it are visible. Depth has
+the noise of a structured-light camera: correlated, rounded disparity, pixels lost behind edges, a smooth bias (1.5 mm
+at 1 m) and an offset (1 mm). Each joint is off by 1° (standard deviation), constantly. The guess is off by the stated
+amount at the hand's middle, in a random direction, and about a random axis; in the row "simulator" by 64 mm and 6° per
+axis, as its camera is by default. "Followed": the last picture's pose, that far off, is refined without a search.
 
   median        of what was answered: at the hand's middle [mm], and the turn [°]
-  within 8 mm   of all pictures; refused ones are not
+  within 8 mm   of all pictures; rejected ones do not count as within
   wrong         of all pictures: answered, and beyond 8 mm
   held          by 95 % regions, of all that was answered
   ms            of CPU time on one core, median
@@ -66,7 +66,7 @@ class Stage:
 def scene_and_belief(
     stage: Stage, options: report.Options, trial: int, off: tuple[Any, Any], joints: float
 ) -> tuple[Any, Any, Array, tuple[float, float]]:
-    """Returns a picture, the believed hand, its believed pose, and the stated errors of both."""
+    """Returns a picture, the hand as guessed, its guessed pose, and the stated errors of both."""
     rng = options.rng(trial, 77)
     shapes = stage.shape, stage.objects[trial % len(stage.objects)], stage.arm if trial % 2 else None
     scene = hand_scenes.hand_scene(stage.hand, shapes, rng, sigma_joint=np.deg2rad(joints))
@@ -148,7 +148,7 @@ def print_rows(title: str, rows: Rows, key: str) -> None:
 
 
 def draw(stage: Stage, options: report.Options) -> None:
-    """Draws the hand's outline on the first pictures, as believed and as detected."""
+    """Draws the hand's outline on the first pictures, as guessed and as detected."""
     figure, axes = figures.pyplot().subplots(2, 3, figsize=(9, 6), layout="constrained")
     for trial, column in enumerate(axes.T):
         scene, hand, believed, sigmas = scene_and_belief(stage, options, trial, BELIEFS[3], 1.0)

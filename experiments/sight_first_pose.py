@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from handsight import se3
-from handsight.objects.symmetry import nearest
+from handsight.objects import nearest
 from handsight.vision.object.first_pose import ObjectDetection, first_pose
 from handsight.vision.object.region import scene_of, table_plane
 from shared import figures, report, sight, ycb
@@ -60,7 +60,7 @@ def located(picture: scenes.Picture) -> tuple[ObjectDetection, dict[str, float]]
 
 
 def inside(picture: scenes.Picture, found: ObjectDetection, k: int) -> int:
-    """Whether the truth, moved along the symmetries, lies in a mode's 95 % region."""
+    """Whether the truth, moved along the symmetries, is in a mode's 95 % region."""
     model, T = picture.model, found.Ts_camera_object[k]
     truth = nearest(model.symmetries, picture.T_camera_object, T, model.radius)
     off = se3.difference(truth, T)
@@ -115,7 +115,7 @@ def reliability(rows: report.Rows) -> list[tuple[float, float, int]]:
 
 
 def show_reliability(rows: report.Rows) -> None:
-    """Prints what weights are worth."""
+    """Prints how often modes are right, by their weight."""
     cells = [[f"{w:.2f}", f"{share:.2f}", n] for w, share, n in reliability(rows)]
     report.print_table(
         "Weights of modes, and how often these are right", ("mean weight", "right", "modes"), cells

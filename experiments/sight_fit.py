@@ -18,11 +18,11 @@ from testbed.report import Array
 RIGHT = 0.1
 NEVER = -30.0
 PENALTY = 1e-2
-"""By the square of a weight: what many weights say alike is shared among them."""
+"""Penalty on the square of a weight: evidence that several weights share is spread among them."""
 
 
 def looked_for(name: str, k: int, seed: int) -> tuple[str, dict[str, Array], Array, Array]:
-    """Which object it is, each one's best LOOK (1,), and of that one's modes worth (m, 2) and which are right."""
+    """Returns the object's name, the best candidate of each object, its own modes' scores (m, 2), which are right."""
     of, picture = sight.picture(name, k, seed)
     models = sight.objects()
     extent = LOCATE.max_plane * max(model.diameter for model in models.values())

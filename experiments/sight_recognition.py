@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from handsight.vision import recognise
 from handsight.vision.object.first_pose import log_odds, probabilities
-from handsight.vision.object.locate import LOCATE, recognise
+from handsight.vision.object.locate import LOCATE
 from shared import figures, report, sight, ycb
 from shared import sight_scenes as scenes
 from testbed.report import Array

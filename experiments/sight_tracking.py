@@ -54,7 +54,7 @@ def show(rows: Rows) -> None:
 
 
 def show_states(title: str, rows: Rows) -> None:
-    """Prints what is said where the pose is off and where it is not."""
+    """Prints how often each state was reported, where the pose is wrong and where it is right."""
     table = []
     for method in ("handsight", "in palm"):
         for off in (False, True):
@@ -66,7 +66,7 @@ def show_states(title: str, rows: Rows) -> None:
 
 
 def captured(model: hs.ObjectModel, image: drawn.Instant, rng: np.random.Generator) -> dict[str, bool]:
-    """Whether a first pose so far off is put right by one image."""
+    """Whether one image corrects a first pose that is off by each of `CAPTURES`."""
     found = {}
     for mm, degrees in CAPTURES:
         way, axis = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
@@ -80,7 +80,7 @@ def captured(model: hs.ObjectModel, image: drawn.Instant, rng: np.random.Generat
 
 
 def draw(rows: Rows, path: Any) -> None:
-    """Errors over the hidden share, each image a dot, coloured by what was said of it."""
+    """Errors over the hidden share, each image a dot, coloured by the reported state."""
     plt = figures.pyplot()
     figure, panels = plt.subplots(1, 2, figsize=(9.5, 4), layout="constrained", sharey=True)
     colours = {"tracking": "#2e9e4f", "uncertain": "#e6b400", "lost": "#c0392b"}

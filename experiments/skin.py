@@ -20,7 +20,6 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
-from handsight.correction import Outside
 from handsight.simulation import Scenario, model_of, rig_of, simulate
 from handsight.simulation.skin import SKIN
 from shared import figures, report, scenes, skin_scenes
@@ -56,13 +55,11 @@ def main() -> None:
 
 def answers(scene: skin_scenes.SkinScene, touch: Any) -> Rows:
     """The errors of a static scene by the tips, with pressed taxels, and with all."""
-    pressed, rows = touch.contacts(np.eye(4)), []
-    for name in WITH:
-        contacts = scene.tips if name == "tips" else scene.tips.joined(pressed)
-        everything = Outside.of_skin(touch, np.eye(4))
-        # Without the untouched ones the array's height is as uncertain.
-        outside = {"tips": None, "+ pressed": Outside(skin=everything.skin)}.get(name, everything)
-        correct = partial(hs.correct_pose, scene.model, contacts, vision=scene.vision, outside=outside)
+    everything, rows = hs.SkinEvidence.of(touch, np.eye(4)), []
+    # Without the untouched ones the array's height is as uncertain.
+    pressed = replace(everything, untouched_palm=np.empty((0, 3)))
+    for name, skin in zip(WITH, (None, pressed, everything), strict=True):
+        correct = partial(hs.correct_pose, scene.model, scene.tips, vision=scene.vision, skin=skin)
         estimate, seconds = report.timed(correct)
         row = errors(scene.model, estimate, scene.T_palm_object, scene.across, np.array([0.0, 0, 1]))
         rows.append({"with": name, **row, "ms": 1e3 * seconds})

@@ -30,8 +30,7 @@ import handsight as hs
 from handsight import se3
 from handsight.forces import SlipDetector, slip_twist
 from handsight.forces.friction import FRICTION
-from handsight.simulation import Sample, Scenario, model_of, rig_of, simulate
-from handsight.simulation.scenario import SCENARIO
+from handsight.simulation import SCENARIO, Sample, Scenario, model_of, rig_of, simulate
 from handsight.tracking import FingertipSensors
 from shared import figures, report, scenes, slips
 from testbed.report import Array, Row, Rows
@@ -42,7 +41,7 @@ COLUMNS = (
     "held", "slips", "missed", "precision", "strict", "recall", "delay ms, 90 %", "friction first %", "end %", "way °",
 )  # fmt: skip
 WAYS = (("without weight", ""), ("weighed", "weighed "))
-"""How the tracker is told of, and how its errors are called in a row."""
+"""Name of each way in the table, and the prefix of its columns in a row."""
 
 
 @dataclass(frozen=True)

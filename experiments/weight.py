@@ -30,9 +30,9 @@ from handsight.forces import Weigher
 from handsight.objects import Symmetries
 from handsight.recording import open_recording
 from handsight.rig import Rig
-from handsight.simulation import Nuisances, Scenario, simulate
+from handsight.simulation import MOTION, Nuisances, Scenario, simulate
 from handsight.simulation.loads import Payload, center_of_mass
-from handsight.simulation.motion import MOTION, WEIGH_LEGS
+from handsight.simulation.motion import WEIGH_LEGS
 from handsight.tracking import JointOffsets
 from shared import report, wrong_weights, ycb
 from shared.grasp_trials import exact_model, fingertips, rig, trial_of
@@ -49,7 +49,7 @@ SIGMA = 1e-3
 MASSES = ((0.15, 0.0), (0.05, 0.02), (0.1, 0.02), (0.2, 0.02), (0.3, 0.02))
 """Mass [kg], and how far its centre is off the middle [m]."""
 SEEN_FOR, TILTED = 1.0, 12.5
-"""How long the demo's box is seen, and from when on it is tilted [s]."""
+"""How long vision measures the demo's box, and when its tilt begins [s]."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
-"""Drawn pictures of ten YCB objects, in which one of them is to be found.
+"""Drawn pictures of ten YCB objects, one of which is to be found.
 
-A bin says how the object lies: on a table with two others close to it; the same with a Shadow hand that hides 20 to
+A bin states where the object is: on a table with two others close to it; the same with a Shadow hand that hides 20 to
 50 % of it; or anywhere in front of the camera, with the hand hiding a share of it.
 """
 
@@ -23,7 +23,7 @@ LOOKS_ALIKE = 0.02
 
 
 class Bin(NamedTuple):
-    """A `Bin` says how an object lies, and what share of its silhouette is hidden."""
+    """A `Bin` states where an object is, and the share of its silhouette that is hidden."""
 
     table: bool
     hand: bool

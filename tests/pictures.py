@@ -7,7 +7,7 @@ from PIL import Image
 
 import handsight as hs
 from handsight import se3
-from handsight.objects.files import Shape, ply_bytes
+from handsight.objects import Shape, ply_bytes
 from sight_scenes import CAMERA, drawn, letter, looking, noisy, on_table
 
 K = CAMERA.matrix

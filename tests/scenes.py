@@ -15,7 +15,7 @@ from scipy.special import chdtri
 
 import handsight as hs
 from handsight import se3
-from handsight.objects.symmetry import nearest
+from handsight.objects import nearest
 
 Array = np.ndarray
 Rng = np.random.Generator

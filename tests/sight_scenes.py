@@ -16,8 +16,8 @@ import handsight as hs
 from handsight import se3
 from handsight.camera import Camera
 from handsight.hand.surface import HandShape
-from handsight.objects.symmetry import Symmetries, about
-from handsight.simulation.camera import spoil
+from handsight.objects import Symmetries, about
+from handsight.simulation import add_depth_noise
 from handsight.vision import STRUCTURED_LIGHT, DepthNoise, hand_mask
 
 Array = np.ndarray
@@ -89,7 +89,7 @@ def drawn(T_camera_table, shapes, Ts_table_object, camera=CAMERA):
 
 def noisy(depth: Array, rng: Rng, noise: DepthNoise = STRUCTURED_LIGHT) -> Array:
     """As a camera has it, each time another one, and as near as scenes are; 0 where there is none."""
-    return np.nan_to_num(spoil(depth, replace(noise, nearest=0.1), rng, int(rng.integers(2**31))))
+    return np.nan_to_num(add_depth_noise(depth, replace(noise, nearest=0.1), rng, int(rng.integers(2**31))))
 
 
 # Pictures of any models

@@ -10,7 +10,7 @@ import handsight as hs
 from handsight import se3
 from handsight.camera import Camera
 from handsight.hand.surface import HandShape
-from handsight.simulation.camera import spoil
+from handsight.simulation import add_depth_noise
 from handsight.vision import STRUCTURED_LIGHT, hand_mask
 
 CAMERA = Camera(np.array([[525.0, 0, 319.5], [0, 525, 239.5], [0, 0, 1]]), (640, 480))
@@ -197,4 +197,4 @@ def _picture(model, T, hand, still, rng):
     depth, drawn = CAMERA.draw(np.concatenate([vertices, hand[0]]), faces, labels)
     hidden = 1 - (drawn == 0).sum() / max(alone.sum(), 1)
     depth = np.where(np.isfinite(depth), depth, np.float32(T[2, 3] + still.behind))
-    return np.nan_to_num(spoil(depth, NOISE, rng, still.camera)), float(hidden)
+    return np.nan_to_num(add_depth_noise(depth, NOISE, rng, still.camera)), float(hidden)

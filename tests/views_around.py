@@ -8,7 +8,7 @@ import numpy as np
 
 import handsight as hs
 from handsight import se3
-from handsight.simulation.camera import spoil
+from handsight.simulation import add_depth_noise
 from handsight.vision import STRUCTURED_LIGHT
 from sight_scenes import CAMERA, drawn
 
@@ -43,7 +43,7 @@ def pictures(Ts_camera_table: Array, shape: Shape, rng: Rng, *, camera: Any = CA
 def spoiled(clean: Iterable[Array], rng: Rng) -> list[Array]:
     """Depth images with the errors of one camera, 0 where there is none."""
     noise, own = replace(STRUCTURED_LIGHT, nearest=0.1), int(rng.integers(2**31))
-    return [np.nan_to_num(spoil(depth, noise, rng, own)) for depth in clean]
+    return [np.nan_to_num(add_depth_noise(depth, noise, rng, own)) for depth in clean]
 
 
 def turned_before(n: int, distance: float = 0.45) -> Array:

@@ -23,7 +23,7 @@ TRACKED = {
     "skin": ("can", "--seed", "5", "--skin", "--motion", "grasp"),
     "pulled": ("box", "--seed", "6", "--motion", "ramp"),
 }
-"""What `handsight simulate` is told for each recording."""
+"""Arguments of `handsight simulate` for each recording."""
 WEIGHED = {
     "box weighed": ("box", "--seed", "7", "--motion", "weigh"),
     "box weighed again": ("box", "--seed", "8", "--motion", "weigh"),
@@ -36,8 +36,8 @@ IMAGES = 40
 
 
 def called(*arguments: str) -> None:
-    """Runs `handsight ARGUMENTS` in this process; raises RuntimeError with what it said where it fails."""
-    from handsight.cli.main import main
+    """Runs `handsight ARGUMENTS` in this process; raises RuntimeError with its output if it fails."""
+    from handsight.cli import main
 
     before, said = sys.argv, io.StringIO()
     sys.argv = ["handsight", *arguments]

@@ -58,7 +58,7 @@ def hand_points(shape: Shape, T: Array, rng: Rng, k: int) -> Any:
 
 
 def planes(shape: Shape, T: Array, rng: Rng, k: int) -> Any:
-    """Returns one or two planes that an object at T lies on, within 4 mm."""
+    """Returns one or two planes on which an object at T rests, within 4 mm."""
     places, found = shape[0] @ T[:3, :3].T + T[:3, 3], []
     for _ in range(1 + k % 2):
         way = rng.normal(size=3)

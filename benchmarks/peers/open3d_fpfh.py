@@ -51,7 +51,7 @@ class FpfhRansacIcp:
         return solve
 
     def _guess(self, seen: o3d.geometry.PointCloud) -> np.ndarray:
-        """T_object_camera that most of the seen points agree on."""
+        """T_object_camera that most of the measured points agree on."""
         features = registration.compute_fpfh_feature(seen, AROUND)
         checks = [
             registration.CorrespondenceCheckerBasedOnEdgeLength(EDGES),

@@ -48,7 +48,7 @@ class OursFirstPose:
     name = "handsight"
 
     def prepare(self, model: hs.ObjectModel) -> None:
-        """What the object looks like from all sides."""
+        """The object's appearance from all sides."""
         self._model = model
         appearance_of(model)
 

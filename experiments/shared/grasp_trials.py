@@ -27,7 +27,7 @@ OBJECTS = ("can", "box")
 OUTSIDE = 500
 """Number of points of the hand's surface, shrunk by 1.5 mm, that cannot be inside the object."""
 INSTANTS = 10.0
-"""Observations per second of a grasp, of which only the last is used."""
+"""Observations per second of a grasp; only the last one is used."""
 
 
 @dataclass(frozen=True)

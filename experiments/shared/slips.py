@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from handsight.simulation import Nuisances, Sample, Scenario
-from handsight.simulation.scenario import Profile
+from handsight.simulation import Nuisances, Profile, Sample, Scenario
 from testbed.report import Array, Row
 
 PRESSED = 0.2

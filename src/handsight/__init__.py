@@ -15,14 +15,14 @@ And those of a robot that runs:
     vision = hs.PoseMeasurement(T_camera_object)
     estimate = tracker.update(hs.Observation(stamp, joint_positions, wrenches, vision, T_world_palm))
 
-Every part of the package is an attribute, such as `hs.vision` or `hs.recording`, and is loaded when it is first asked
-for. `docs/api.md` has a table of all public names.
+Every part of the package is an attribute, such as `hs.vision` or `hs.recording`, and is loaded when it is first
+used. `docs/api.md` has a table of all public names.
 """
 
 import importlib as _importlib
 import typing as _typing
 
-if _typing.TYPE_CHECKING:  # "as" says that a name is exported
+if _typing.TYPE_CHECKING:  # "as" marks a name as exported
     # ruff: noqa: I001 - one import a room
     from handsight.camera import Camera as Camera
     from handsight.contact import (
@@ -36,11 +36,13 @@ if _typing.TYPE_CHECKING:  # "as" says that a name is exported
         contacts_from_wrenches as contacts_from_wrenches,
     )
     from handsight.correction import (
+        DepthPoints as DepthPoints,
         Outside as Outside,
         PaperMethod as PaperMethod,
         Plane as Plane,
         PoseEstimate as PoseEstimate,
         PosePrior as PosePrior,
+        SkinEvidence as SkinEvidence,
         TwoPhase as TwoPhase,
         WeightEvidence as WeightEvidence,
         correct_pose as correct_pose,
@@ -54,12 +56,13 @@ if _typing.TYPE_CHECKING:  # "as" says that a name is exported
     from handsight.viewer import view as view
     from handsight.vision import locate as locate
 
-# A name is loaded when it is first asked for, so that the command's help needs no NumPy.
+# A name is loaded when it is first used, so that the command's help needs no NumPy.
 _NAMES = {
     "camera": "Camera",
     "contact": "Contact Contacts Ellipsoid NoContact Sphere calibrate_wrench contact_from_wrench "
     "contacts_from_wrenches",
-    "correction": "Outside PaperMethod Plane PoseEstimate PosePrior TwoPhase WeightEvidence correct_pose correct_poses",
+    "correction": "DepthPoints Outside PaperMethod Plane PoseEstimate PosePrior SkinEvidence TwoPhase WeightEvidence "
+    "correct_pose correct_poses",
     "errors": "HandsightError InvalidInput",
     "objects": "ObjectModel",
     "observation": "Observation PoseMeasurement",

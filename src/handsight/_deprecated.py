@@ -1,24 +1,76 @@
-"""Old public names: each works for one release, with a warning that names the new one."""
+"""Former public names: each works for one release, with a warning that names the new one."""
 
+import functools
 import warnings
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from operator import attrgetter
+from typing import Any, TypeVar, cast
+
+T = TypeVar("T")
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 def renamed(module: str, names: Mapping[str, str], *, stacklevel: int = 2) -> Callable[[str], object]:
-    """Returns the `__getattr__` of a module some of whose names were changed.
+    """Returns a `__getattr__` for a module with renamed names.
 
-    `names` maps an old name to the full dotted path of the new one. Asking for an old name answers the new object and
-    issues a DeprecationWarning; asking for any other raises AttributeError, as a module without `__getattr__` does.
-    `stacklevel`: 2 where it is the module's `__getattr__`, 3 where that calls it.
+    `names`: the full dotted path of the new name, by the old one. For an old name the `__getattr__` returns the new
+    object and issues a DeprecationWarning; for any other it raises AttributeError. `stacklevel`: 2 if it is itself the
+    module's `__getattr__`, 3 if the module's `__getattr__` calls it.
     """
 
     def __getattr__(name: str) -> object:
         if name not in names:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
         room, _, attribute = names[name].rpartition(".")
-        message = f"{module}.{name} is now {names[name]}; the old name goes with the next release"
-        warnings.warn(message, DeprecationWarning, stacklevel=stacklevel)
+        _warn(f"{module}.{name}", names[name], stacklevel=stacklevel + 1)
         return getattr(import_module(room), attribute)
 
     return __getattr__
+
+
+def renamed_members(**names: str) -> Callable[[type[T]], type[T]]:
+    """Returns a class decorator under which former names of attributes still work.
+
+    `names` maps an old name to the new one, which may be dotted. Each use issues a DeprecationWarning; a type checker
+    knows only the new names.
+    """
+
+    def decorate(cls: type[T]) -> type[T]:
+        def __getattr__(self: T, name: str) -> object:
+            if name not in names:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            _warn(f"{cls.__name__}.{name}", f"{cls.__name__}.{names[name]}", stacklevel=3)
+            return attrgetter(names[name])(self)
+
+        setattr(cls, "__getattr__", __getattr__)  # noqa: B010 - a plain assignment lets mypy accept any attribute
+        return cls
+
+    return decorate
+
+
+def renamed_keywords(**names: str) -> Callable[[F], F]:
+    """Returns a decorator under which former names of a function's keywords still work.
+
+    `names` maps an old name to the new one. Each use issues a DeprecationWarning.
+    """
+
+    def decorate(function: F) -> F:
+        @functools.wraps(function)
+        def call(*args: Any, **keywords: Any) -> Any:
+            for old, new in names.items():
+                if old in keywords:
+                    name = function.__qualname__
+                    _warn(f"{name}({old}=)", f"{name}({new}=)", stacklevel=3)
+                    keywords[new] = keywords.pop(old)
+            return function(*args, **keywords)
+
+        return cast(F, call)
+
+    return decorate
+
+
+def _warn(old: str, new: str, *, stacklevel: int) -> None:
+    """Issues the warning about a former name; `stacklevel` 2 is the caller of this function."""
+    message = f"{old} is now {new}; the old name goes with the next release"
+    warnings.warn(message, DeprecationWarning, stacklevel=stacklevel)

@@ -1,6 +1,6 @@
-"""The folder for what can be computed again, such as distance fields and compiled kernels, and its files.
+"""The cache folder and its files: distance fields, compiled kernels, and whatever else can be computed again.
 
-Cached files are trusted, and compiled kernels are code. So the folder must be one that no other user can write to.
+Cached files are trusted, and compiled kernels are code, so no other user may be able to write to the folder.
 """
 
 import contextlib
@@ -16,26 +16,26 @@ from handsight.files import atomic_file
 
 
 class CacheWarning(UserWarning):
-    """Another cache folder than the requested one is used; this costs time and nothing else."""
+    """Another cache folder than the requested one is used; this costs time, but changes no result."""
 
 
 def cache_folder() -> Path:
-    """Returns `$HANDSIGHT_CACHE`, else `$XDG_CACHE_HOME/handsight`, else `~/.cache/handsight`; it may not exist yet.
+    """Returns `$HANDSIGHT_CACHE`, else `$XDG_CACHE_HOME/handsight`, else `~/.cache/handsight`; it may not exist.
 
-    Where that is not private, it is another one, as `private_folder` says.
+    If it is not private, a temporary folder is returned, as by `private_folder`.
     """
     if configured := os.environ.get("HANDSIGHT_CACHE"):
         return private_folder(Path(configured))
     home = os.path.expanduser("~")
     places = (os.environ.get("XDG_CACHE_HOME", ""), f"{home}/.cache" if os.path.isdir(home) else "")
-    # Relative paths are not used: that of XDG_CACHE_HOME by its specification, that of a home as it is none.
+    # Relative paths are ignored: XDG's specification demands it, and a relative home is no home.
     return private_folder(Path(next(filter(os.path.isabs, places), os.devnull), "handsight"))
 
 
 def private_folder(base: Path, name: str = "") -> Path:
-    """Returns `base / name` where only the user and root can write, else `name` in a temporary folder of the user.
+    """Returns `base / name` if the user can write there, and nobody else but root; else `name` in a temporary folder.
 
-    The second comes with one CacheWarning, also where nobody can write.
+    The temporary folder is the user's own, and using it issues a CacheWarning, once.
     """
     reason = _why_unusable(base / name)
     if reason is None:
@@ -48,7 +48,7 @@ def private_folder(base: Path, name: str = "") -> Path:
 
 
 def read_entry(path: Path, name: str) -> memoryview:
-    """Returns what `write_entry` wrote under that name; raises OSError without a file, ValueError for a damaged one."""
+    """Returns the content that `write_entry` wrote; raises OSError without a file, ValueError for a damaged one."""
     data = memoryview(path.read_bytes())
     if data[:4] != checksum(name, data[4:]):
         raise ValueError("damaged, or of another name")
@@ -56,24 +56,24 @@ def read_entry(path: Path, name: str) -> memoryview:
 
 
 def write_entry(path: Path, name: str, content: bytes) -> None:
-    """Writes a file that `read_entry` reads; the file appears complete or not at all. Raises OSError."""
+    """Writes a file for `read_entry`; it appears complete or not at all. Raises OSError."""
     for folder in reversed([path.parent, *path.parent.parents]):
-        folder.mkdir(mode=0o755, exist_ok=True)  # others can read at most, whatever the umask
+        folder.mkdir(mode=0o755, exist_ok=True)  # others can at most read, whatever the umask
     with atomic_file(path, mode=0o644) as file:
         file.write(checksum(name, content))
         file.write(content)
 
 
 def checksum(name: str, content: bytes | memoryview) -> bytes:
-    """Returns the first four bytes of an entry; they protect against damage and mixed-up names, not against malice."""
+    """Returns the first four bytes of an entry; they protect against damage and mixed-up names, not against attacks."""
     return zlib.crc32(content, zlib.crc32(name.encode())).to_bytes(4, "little")
 
 
 def _why_unusable(folder: Path) -> str | None:
-    """Returns why a folder cannot be created, or why another user could put files there; None where it can be used.
+    """Returns why a folder cannot be created, or why another user could put files there; None: it can be used.
 
-    Only the folder is checked, or the one in which it would be created: where others can write further up, they can
-    replace the folder, but then it belongs to them. Systems without POSIX owners know nothing about others.
+    Only the folder itself is checked, or the nearest existing parent. Users who can write further up could replace the
+    folder, but then it would belong to them. On systems without POSIX owners, other users are not checked.
     """
     place = Path(os.path.realpath(folder))
     nearest = next(path for path in (place, *place.parents) if os.path.exists(path))
@@ -81,7 +81,7 @@ def _why_unusable(folder: Path) -> str | None:
         return f"{folder}: cannot be written"
     status = nearest.stat()
     if nearest != place and status.st_mode & stat.S_ISVTX:
-        return None  # in a sticky folder, as /tmp is, others can add folders, but not move what is the user's
+        return None  # in a sticky folder such as /tmp, others can add folders, but not move the user's
     if not hasattr(os, "getuid"):
         return None
     if status.st_uid not in (os.getuid(), 0):
@@ -93,8 +93,10 @@ def _why_unusable(folder: Path) -> str | None:
 
 
 def _is_private_group(gid: int) -> bool:
-    """Returns whether the user is a group's only member; many systems have such a group for each user, which may write
-    to the user's files."""
+    """Returns whether a group has the user as its only member.
+
+    Many systems have such a group for each user, and it may write to the user's files.
+    """
     import grp
     import pwd
 
@@ -112,7 +114,7 @@ def _warn_once(message: str) -> None:
 
 @cache
 def _temporary_folder() -> Path:
-    """Returns a folder of the user, shared by all processes; one that cannot be created where another user has it."""
+    """Returns the user's own temporary folder, or one that cannot be created where that is not private."""
     with contextlib.suppress(OSError):  # no temporary folder can be written to
         folder = Path(tempfile.gettempdir(), f"handsight-{os.getuid() if hasattr(os, 'getuid') else 'cache'}")
         folder.mkdir(mode=0o700, exist_ok=True)

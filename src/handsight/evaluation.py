@@ -28,7 +28,7 @@ class TrackErrors:
         return len(self.base)
 
     def summary(self) -> dict[str, float]:
-        """Returns the means and the last values [mm, degrees] and the number of errors; needs at least one."""
+        """Returns the means and the last values [mm, degrees], and the number of errors, which must be at least one."""
         return {
             "base_mean": 1e3 * float(self.base.mean()),
             "base_last": 1e3 * float(self.base[-1]),
@@ -40,7 +40,7 @@ class TrackErrors:
 
 
 def pose_errors(model: ObjectModel, Ts: Array, Ts_true: Array, Ts_world_palm: Array) -> TrackErrors:
-    """Returns the errors of poses in the palm; each of the three stacks is (n, 4, 4)."""
+    """Returns the errors of n poses in the palm `Ts`, against `Ts_true`; all three stacks are (n, 4, 4)."""
     true = nearest(model.symmetries, Ts_true, Ts, model.radius)
     bases = base_center(model, Ts_world_palm @ Ts_true)[:, None]
     base = (se3.apply(Ts_world_palm @ Ts, bases) - se3.apply(Ts_world_palm @ true, bases))[:, 0, :2]
@@ -50,7 +50,10 @@ def pose_errors(model: ObjectModel, Ts: Array, Ts_true: Array, Ts_world_palm: Ar
 
 
 def base_center(model: ObjectModel, T_world_object: Array) -> Array:
-    """Returns the middle (..., 3) of the side of the object's bounding box that faces down, in its own frame [m]."""
+    """Returns the middle (..., 3) of the side of the object's bounding box that faces down, in the object's frame [m].
+
+    `T_world_object` is (..., 4, 4).
+    """
     low, high = model.bounds_object
     down = -T_world_object[..., 2, :3]
     axis = np.argmax(np.abs(down), axis=-1)[..., None]
@@ -61,7 +64,7 @@ def base_center(model: ObjectModel, T_world_object: Array) -> Array:
 
 
 class Truths:
-    """`Truths` are true poses of the object in the palm by stamp."""
+    """`Truths` are the object's true poses in the palm, by their stamps."""
 
     def __init__(self, stamped: Iterable[tuple[float, Array]]) -> None:
         """`stamped`: (stamp [s], T_palm_object (4, 4)), in any order."""
@@ -78,7 +81,7 @@ class Truths:
 
 
 def track_errors(model: ObjectModel, steps: Iterable[Step], truths: Truths, *, vision: bool) -> TrackErrors:
-    """Returns the errors of the estimates, or with `vision` of vision's poses, at the steps with a known truth."""
+    """Returns the errors of the estimates at the steps whose truth is known; with `vision`, those of vision's poses."""
     rows = []
     for step in steps:
         T = step.T_palm_object_vision if vision else step.estimate.T_palm_object
@@ -92,12 +95,12 @@ def track_errors(model: ObjectModel, steps: Iterable[Step], truths: Truths, *, v
 
 @dataclass(frozen=True, slots=True)
 class CorrectionErrors:
-    """`CorrectionErrors` say how far one corrected pose is from the truth, and from the contacts."""
+    """`CorrectionErrors` are the errors of one corrected pose against the truth, and against its contacts."""
 
     shift: float
     """Error of the object's origin [m]."""
     shift_observable: float
-    """The part of `shift` along directions that are observable by the contacts [m]."""
+    """The part of `shift` along directions that the contacts make observable [m]."""
     turn: float
     """Angle between estimated and true rotation [rad]."""
     gap: float
@@ -107,7 +110,10 @@ class CorrectionErrors:
 def correction_errors(
     model: ObjectModel, T_palm_object: Array, T_true: Array, points_palm: Array, unobservable: Array
 ) -> CorrectionErrors:
-    """Returns the errors of a pose corrected by contacts (k, 3) [m]; `unobservable` (m, 6) as in its `PoseEstimate`."""
+    """Returns the errors of a pose (4, 4) that was corrected by contacts at `points_palm` (k, 3) [m].
+
+    `unobservable` (m, 6) are the unobservable directions, as `PoseEstimate` has them.
+    """
     equivalent = nearest(model.symmetries, T_true, T_palm_object, model.radius)
     delta = se3.difference(T_palm_object, equivalent) * np.array([1.0] * 3 + [model.radius] * 3)
     observable = delta - unobservable.T @ (unobservable @ delta)

@@ -1,4 +1,4 @@
-"""Files and streams that a user names: reading them in bounds, writing them completely, and their names in messages."""
+"""Files and streams named by a user: bounded reading, atomic writing, and their names in messages."""
 
 import contextlib
 import os
@@ -11,13 +11,13 @@ from typing import BinaryIO
 from handsight.errors import InvalidFile, NotWritten
 
 STREAMS = ("stdin", "stdout", "stderr")
-"""Names of the standard streams, by their file descriptors."""
+"""Names of the standard streams, in the order of their file descriptors."""
 
 
 def open_regular(path: str | os.PathLike[str], name: str | None = None) -> BinaryIO:
-    """Returns a regular file, or a link to one, open to read its bytes; raises InvalidFile.
+    """Returns a regular file, or a link to one, opened for reading bytes; raises InvalidFile.
 
-    A folder, a device or a pipe is not even opened. Messages begin with `name`, or with the path where it is None.
+    A folder, a device or a pipe is refused without opening it. Messages begin with `name`; None: with the path.
     """
     name = str(path) if name is None else name
     try:
@@ -33,9 +33,10 @@ def open_regular(path: str | os.PathLike[str], name: str | None = None) -> Binar
 
 
 def read_bytes(path: str | os.PathLike[str], most: int, name: str | None = None) -> bytes:
-    """Returns the bytes of a regular file of at most `most` bytes; raises InvalidFile as `open_regular` does.
+    """Returns the content of a regular file of at most `most` bytes; raises InvalidFile.
 
-    Of a file that grows meanwhile, the part that was there when it was opened is returned.
+    If the file grows meanwhile, only the part that was there when it was opened is returned. `name`: as for
+    `open_regular`.
     """
     with open_regular(path, name) as file:
         size = os.fstat(file.fileno()).st_size
@@ -49,7 +50,7 @@ def read_bytes(path: str | os.PathLike[str], most: int, name: str | None = None)
 
 @contextlib.contextmanager
 def write_errors(name: str | os.PathLike[str]) -> Iterator[None]:
-    """Turns an OSError inside into a NotWritten that begins with the name; a BrokenPipeError stays as it is."""
+    """Converts an OSError raised inside to a NotWritten that begins with the name; a BrokenPipeError stays as it is."""
     try:
         yield
     except BrokenPipeError:
@@ -60,9 +61,9 @@ def write_errors(name: str | os.PathLike[str]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def atomic_file(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
-    """Yields a new file that gets the name `path` at the end, complete; after an error, `path` is as it was before.
+    """Yields a new file that is renamed to `path` once it is complete; after an error, `path` is unchanged.
 
-    `mode`: the file's permissions before the umask. Safe under several processes. Raises OSError.
+    `mode`: the permissions before the umask. Several processes may write the same path. Raises OSError.
     """
     temporary = path.with_name(f".{path.name}-{secrets.token_hex(8)}.part")
     try:
@@ -75,7 +76,7 @@ def atomic_file(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
 
 
 def stream_name(stream: object) -> str:
-    """Returns the name of a stream for a message."""
+    """Returns the name of a stream, for a message."""
     name = getattr(stream, "name", "stream")
     if isinstance(name, int) and name in range(len(STREAMS)):
         return STREAMS[name]
@@ -83,9 +84,10 @@ def stream_name(stream: object) -> str:
 
 
 def check_not_overwritten(destination: object, what: str, other: object, whose: str) -> None:
-    """Raises InvalidFile where writing `what` to `destination` would overwrite the file `other`, which holds `whose`.
+    """Raises InvalidFile if writing `what` to `destination` would overwrite the file `other`, which has `whose`.
 
-    Both are paths, streams or None. Links to one file are that file. A terminal, a pipe or None overwrites nothing.
+    `destination` and `other` are paths, streams or None; links to the same file count as equal. Writing to a terminal,
+    to a pipe or to None overwrites nothing.
     """
     identity = _file_identity(destination)
     if identity is not None and identity == _file_identity(other):
@@ -96,7 +98,7 @@ def check_not_overwritten(destination: object, what: str, other: object, whose: 
 
 
 def _file_identity(place: object) -> tuple[str] | tuple[int, int] | None:
-    """Returns what all paths and streams of one file have in common; None where there is no file."""
+    """Returns a value that is the same for all paths and streams of one file; None where there is no file."""
     try:
         found = os.stat(place if isinstance(place, str | os.PathLike) else place.fileno())  # type: ignore[attr-defined]
     except (OSError, ValueError, AttributeError):  # not yet a file, or never one

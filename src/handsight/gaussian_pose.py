@@ -10,25 +10,29 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks, se3
+from handsight._deprecated import renamed_members
 from handsight.checks import Array
 from handsight.representation import short_repr
 
 
+@renamed_members(T_palm_object="T_a_b")  # of what was a PosePrior before
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianPose:
-    """A `GaussianPose` is the pose of a frame b in a frame a, with its covariance; a variable's name says which
-    frames they are."""
+    """A `GaussianPose` is the pose of a frame b in a frame a, with its covariance.
+
+    The names of variables say which two frames these are: `pose_mount_object` is the object's pose in the mount.
+    """
 
     T_a_b: Array
     """(4, 4)."""
     covariance: Array
-    """(6, 6), positive semidefinite: of (δp [m], δθ [rad]) of b's origin, along a's axes."""
+    """(6, 6) of (δp [m], δθ [rad]) of b's origin, along a's axes; positive semidefinite."""
 
     __repr__ = short_repr
 
     @classmethod
     def checked(cls, T_a_b: ArrayLike, covariance: ArrayLike, name: str) -> "GaussianPose":
-        """Returns a pose from a user's arrays; raises InvalidInput, which begins with `name`."""
+        """Returns a pose from a user's arrays; raises InvalidInput with a message that begins with `name`."""
         T = se3.check(T_a_b, f"{name}.T_a_b")
         return cls(T, checks.covariance(covariance, f"{name}.covariance", (6, 6)))
 
@@ -61,11 +65,11 @@ class GaussianPose:
 def kalman_update(
     covariance: Array, H: Array, residual: Array, measurement_covariance: Array
 ) -> tuple[Array, Array]:
-    """Returns the step (n,) of the mean and the covariance (n, n) after a linear measurement of m numbers.
+    """Returns the step (n,) of the mean, and the covariance (n, n), after a linear measurement of m numbers.
 
-    `covariance` (n, n) is that before it, `H` (m, n) the measurement's derivative by the state, `residual` (m,) what
-    was measured less what was expected, and `measurement_covariance` (m, m) that of its noise. The covariance is in
-    Joseph's form, which rounding leaves positive semidefinite.
+    `covariance` (n, n) is the covariance before the measurement, `H` (m, n) the derivative of the measurement by the
+    state, `residual` (m,) the measured value less the expected one, and `measurement_covariance` (m, m) the covariance
+    of the measurement's noise. The update is in Joseph's form, which stays positive semidefinite under rounding.
     """
     gain = np.linalg.solve(H @ covariance @ H.T + measurement_covariance, H @ covariance).T
     keep = np.eye(len(covariance)) - gain @ H

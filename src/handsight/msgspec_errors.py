@@ -1,7 +1,7 @@
-"""Messages about values that msgspec refused: which field, what was expected, what came.
+"""Messages about values that msgspec refuses: the field, what was expected, and what came.
 
-A form is a `msgspec.Struct` type, or another type that msgspec converts to. The `__post_init__` of a form may raise
-`ValueError("key: expected ..., got ...")`; the message is then about the field of that key.
+A *form* is a type to which msgspec converts a document, such as a `msgspec.Struct`. Its `__post_init__` may raise
+`ValueError("key: expected ..., got ...")`; the message is then about the field with that key.
 """
 
 import re
@@ -14,13 +14,13 @@ from handsight.checks import brief, suggestion
 from handsight.errors import InvalidFile
 
 FieldPath = tuple[str | int, ...]
-"""Keys of mappings and places in lists that lead from a whole document to one value in it."""
+"""Keys of mappings and indices of lists that lead from a document to a value in it."""
 Form = TypeVar("Form")
 JsonObject = dict[str, Any]
 
 
 def field_name(path: FieldPath) -> str:
-    """Returns the text of a path, such as `contacts[2].point`; empty for the whole document."""
+    """Returns a path as text, such as `contacts[2].point`; empty for the document itself."""
     steps = [f"[{step}]" if isinstance(step, int) else f".{step}" for step in path]
     return "".join(steps).removeprefix(".")
 
@@ -47,19 +47,19 @@ def decode_object(data: bytes, where: str) -> JsonObject:
 
 
 def explain(error: msgspec.ValidationError, form: object, value: object) -> tuple[FieldPath, str]:
-    """Returns the field of `value` at which msgspec refused it as a `form`, and a message about that field."""
+    """Returns the path of the field for which msgspec refused `value` as a `form`, and a message about that field."""
     text, mark, where = str(error).rpartition(" - at `$")
     try:
         return _field_and_message(text, where, form, value) if mark else _message(str(error), (), form, value)
-    except (LookupError, TypeError, ValueError):  # an unknown key that reads like msgspec's own words
+    except (LookupError, TypeError, ValueError):  # an unknown key that looks like msgspec's own text
         return _message(str(error), (), form, value)
 
 
 def _field_and_message(text: str, where: str, form: object, value: object) -> tuple[FieldPath, str]:
-    """Follows msgspec's own path, such as `.contacts[2].point`, from the document to the refused value."""
+    """Follows msgspec's path `where`, such as `.contacts[2].point`, to the refused value; returns as `explain`."""
     path: FieldPath = ()
     for key in re.findall(r"\.{3}|[^.\[\]`]+", where):
-        if key == "...":  # some entry of a mapping with arbitrary keys: msgspec does not say which one
+        if key == "...":  # an entry of a mapping with arbitrary keys; msgspec does not say which one
             entry_form = _entry_form(form, key)
             for name, entry in value.items():  # type: ignore[attr-defined]
                 try:
@@ -74,7 +74,7 @@ def _field_and_message(text: str, where: str, form: object, value: object) -> tu
 
 
 def _message(text: str, path: FieldPath, form: object, value: object) -> tuple[FieldPath, str]:
-    """Returns msgspec's `text` about the value at a path in words for a user, and the path to the field it is about."""
+    """Returns the path of the field that msgspec's `text` is about, and the text in words for a user."""
     if found := re.fullmatch(r"Object contains unknown field `(.*)`", text, re.DOTALL):
         return (*path, found[1]), f"unknown key{suggestion(found[1], _field_types(form))}"
     if found := re.fullmatch(r"Object missing required field `(.*)`", text):
@@ -101,7 +101,7 @@ def _message(text: str, path: FieldPath, form: object, value: object) -> tuple[F
 
 
 def _kind_text(kind: str, form: object) -> str:
-    """Returns the words for one of msgspec's kinds of values."""
+    """Returns a user's words for one of msgspec's kinds of values."""
     sizes = [len(get_args(part)) for part in alternatives(form) if get_origin(part) is tuple]
     texts = {
         "object": "keys and values",
@@ -115,7 +115,7 @@ def _kind_text(kind: str, form: object) -> str:
 
 
 def alternatives(form: object) -> list[object]:
-    """Returns the types that a type allows: those of a union, without annotations."""
+    """Returns the types in a union, or the type itself, without annotations."""
     if get_origin(form) is Annotated:
         return alternatives(get_args(form)[0])
     if get_origin(form) in (Union, types.UnionType):
@@ -124,7 +124,7 @@ def alternatives(form: object) -> list[object]:
 
 
 def _field_types(form: object) -> dict[str, object]:
-    """Returns the types of a form's fields by the keys they have in the document."""
+    """Returns the types of a form's fields, by key in the document."""
     for kind in alternatives(form):
         if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
             return {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
@@ -132,7 +132,7 @@ def _field_types(form: object) -> dict[str, object]:
 
 
 def _entry_form(form: object, step: str | int) -> object:
-    """Returns the type of the value under a key, at a place of a list, or in any entry of a mapping."""
+    """Returns the type of a form's value under a key, at an index of a list, or in any entry of a mapping."""
     for kind in alternatives(form):
         if get_origin(kind) is tuple:
             return get_args(kind)[int(step)]

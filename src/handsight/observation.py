@@ -20,6 +20,8 @@ from handsight.representation import short_repr
 VisionFrame = Literal["camera", "world", "palm"]
 MAX_STAMP = 1e11
 """Largest stamp [s], some 3000 years; a larger one is in milliseconds or nanoseconds."""
+MAX_JUMP = 1.0
+"""A stamp that differs by more from the one before it is a jump of the clock, which later stamps must confirm [s]."""
 VISION_FRAMES: tuple[VisionFrame, ...] = ("camera", "world", "palm")
 
 
@@ -32,9 +34,9 @@ class PoseMeasurement:
     frame: VisionFrame = "camera"
     """Frame of the pose: the rig's camera (optical frame), the world or the palm."""
     covariance: Array | None = None
-    """(6, 6) covariance of (δp [m], δθ [rad]) along the frame's axes; None: that of the rig's camera is used."""
+    """(6, 6) covariance of (δp [m], δθ [rad]) along the frame's axes; None: the sigmas of the rig's camera are used."""
     stamp: float | None = None
-    """Time at which the image was taken [s], of the observation's clock; None: the observation's stamp."""
+    """Time at which the image was taken, on the observation's clock [s]; None: the observation's stamp."""
 
     __repr__ = short_repr
 
@@ -54,20 +56,20 @@ class PoseMeasurement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactMeasurement:
-    """A `ContactMeasurement` is a contact that a fingertip with a sensor of its own for contacts has measured."""
+    """A `ContactMeasurement` is a contact from a fingertip that senses contacts directly, without a wrench."""
 
     point: Array
     """(3,) position [m]."""
     normal: Array
-    """(3,) direction in which the object pushes the tip, of any length; one that leads out of the tip is reversed."""
+    """(3,) direction in which the object pushes the tip, of any length; one that points out of the tip is reversed."""
     frame: str = "tip"
     """Frame of point and normal: `tip` (the rig's: origin at the surface's centre, the tip points along +z), `palm`, or
     the name of the body that the tip moves with."""
     force: float | None = None
     """Force along the normal [N]; None: not measured. Below the tip's `min_force` there is no contact."""
     covariance: Array | None = None
-    """(6, 6) covariance of point [m] and normal [rad] along the frame's axes, without the joints' errors; None: that of
-    the rig's finger is used."""
+    """(6, 6) covariance of point [m] and normal [rad] along the frame's axes, without the joints' errors; None: the
+    sigmas of the rig's finger are used."""
 
     __repr__ = short_repr
 
@@ -86,33 +88,34 @@ class ContactMeasurement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """An `Observation` holds joints, wrenches, vision and the palm's pose at one instant, each only if it was measured.
+    """An `Observation` holds joints, wrenches, vision and the palm's pose at one instant, those that were measured.
 
-    Its arrays belong to the caller, so they are checked where they are used: by `Tracker.update`, or by a writer.
+    Its arrays belong to the caller, who may change them. So they are checked when they are used: by `Tracker.update`,
+    or by a writer of recordings.
     """
 
     stamp: float
-    """Time [s] within `MAX_STAMP`, of one clock for the whole observation."""
+    """Time [s] within ± `MAX_STAMP`; the whole observation has one clock."""
     joint_positions: Mapping[str, float] | None = None
     """Positions by joint name [rad]; joints of other parts of the robot may be among them."""
     wrenches: Mapping[str, Array] = field(default_factory=dict)
-    """By finger: (6,) raw force [N] and torque [N m] in the sensor's frame, about its origin, with bias and the tip's
-    weight in them; NaN where the sensor has no reading. Sensors of other parts of the robot may be among them."""
+    """By finger: (6,) raw force [N] and torque [N m] in the sensor's frame, about its origin, which still include bias
+    and the tip's weight; NaN where the sensor has no reading. Sensors of other parts of the robot may be among them."""
     vision: PoseMeasurement | None = None
-    """Pose from vision that arrived since the last observation."""
+    """Pose from vision, if one has arrived since the last observation."""
     T_world_palm: Array | None = None
     """(4, 4) pose of the palm in the world."""
     color: NDArray[np.uint8] | None = None
-    """(h, w, 3) image in red, green, blue that arrived since the last observation."""
+    """(h, w, 3) image in red, green, blue, if one has arrived since the last observation."""
     depth: NDArray[np.float32] | None = None
-    """(h, w) depth along the optical axis [m], NaN where there is none."""
+    """(h, w) depth along the optical axis, if an image has arrived [m]; NaN for pixels without depth."""
     image_stamp: float | None = None
-    """Time at which the images were taken [s], of the same clock; None: `stamp`."""
+    """Time at which the images were taken, on the same clock [s]; None: `stamp`."""
     contacts: Mapping[str, ContactMeasurement | None] = field(default_factory=dict)
-    """By finger, contacts of tips that sense them directly; None: the tip touches nothing. No contact is then computed
-    from that finger's wrench."""
+    """By finger, the contact of a tip that senses it directly; None: the tip touches nothing. A finger in this mapping
+    gets no contact from its wrench."""
     skin: Mapping[str, Array] = field(default_factory=dict)
-    """By tactile array: (rows, columns) readings of its taxels, NaN where a taxel has none."""
+    """By tactile array: (rows, columns) readings of its taxels, NaN where a taxel has no reading."""
 
     __repr__ = short_repr
 
@@ -143,7 +146,7 @@ def check_observation(observation: Observation) -> Observation:
 
 
 def _seconds(stamp: float, name: str) -> float:
-    """Returns a stamp [s] as a float; raises InvalidInput for what is no time in seconds."""
+    """Returns a stamp [s] as a float; raises InvalidInput where it is not a plausible time in seconds."""
     seconds = float(checks.finite(stamp, name, ()))
     if abs(seconds) > MAX_STAMP:
         expected = f"expected seconds within {MAX_STAMP:g}"

@@ -1,4 +1,4 @@
-"""How values with large arrays are shown in a terminal: a few lines, whatever their size."""
+"""Short representations of values with large arrays: a few lines in a terminal, whatever their size."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -11,10 +11,10 @@ MAX_CHARACTERS = 600
 
 
 def short_repr(value: object) -> str:
-    """Returns `Name(field=value, ...)` of a dataclass, to be its `__repr__`.
+    """Returns `Name(field=value, ...)` for a dataclass, to serve as its `__repr__`.
 
-    A pose (4, 4) is shown as its position [m] and rotation angle, another large array as its shape, and a field that
-    has its default value is left out.
+    A pose (4, 4) is shown as position [m] and angle of rotation, any other large array as its shape. Fields that have
+    their default value are left out.
     """
     parts = [
         f"{field.name}={_shown(getattr(value, field.name))}"

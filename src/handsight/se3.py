@@ -1,10 +1,10 @@
-"""Rigid transforms as (..., 4, 4) float64 arrays; every function takes stacks of them.
+"""Rigid transforms as (..., 4, 4) float64 arrays, one or a stack of them.
 
 `T_a_b` maps b-coordinates to a: `p_a = T_a_b @ p_b`. Neighbours cancel:
 `T_palm_object = T_palm_camera @ T_camera_object`.
 
 A *perturbation* `(δp, δθ)`, translation [m] first, rotation [rad] second, turns `(p, R)` into `(p + δp, exp(δθ) @ R)`,
-both along the outer frame's axes. Covariances and Jacobians of a pose are for this perturbation (as in ROS'
+both along the outer frame's axes. Covariances and Jacobians of a pose refer to this perturbation (as in ROS'
 PoseWithCovariance).
 """
 
@@ -85,7 +85,7 @@ _SKEW = np.zeros((3, 9))
 _SKEW[2, 1] = _SKEW[0, 5] = _SKEW[1, 6] = -1.0
 _SKEW[1, 2] = _SKEW[2, 3] = _SKEW[0, 7] = 1.0
 _UNSKEW = _SKEW.T / 2
-_TINY = 1e-300  # of a squared angle: keeps x from 0 where sin x / x is 1 to rounding
+_TINY = 1e-300  # the least squared angle: it keeps sin x / x from 0 / 0
 
 
 def _quaternions() -> Array:
@@ -111,10 +111,10 @@ def skew(v: Array) -> Array:
 
 
 def point_jacobian(arm: Array) -> Array:
-    """Returns the derivative (..., 6, 6) of (δp, δθ) at a point of a body by that of its origin, `arm` (..., 3) from
-    there.
+    """Returns the derivatives (..., 6, 6) of (δp, δθ) at a point of a body by (δp, δθ) at the body's origin.
 
-    The point moves by δp - [arm]ₓ δθ: the turn acts over the lever arm. Its first three rows are of the point alone.
+    `arm` (..., 3) leads from the origin to the point, along the outer frame's axes [m]. The point moves by
+    δp - [arm]ₓ δθ, because a rotation acts over the lever arm; the first three rows are the derivative of the point.
     """
     J = np.eye(6) + np.zeros((*arm.shape[:-1], 1, 1))
     J[..., :3, 3:] = -skew(arm)
@@ -122,7 +122,7 @@ def point_jacobian(arm: Array) -> Array:
 
 
 def rotation_exp(w: Array) -> Array:
-    """Returns the rotations (..., 3, 3) about the vectors `w` (..., 3) by their length [rad] (Rodrigues)."""
+    """Returns the rotations (..., 3, 3) about the axes `w` (..., 3), by angles of their lengths [rad] (Rodrigues)."""
     half = 0.5 * np.sqrt(np.maximum((w * w).sum(axis=-1), _TINY))[..., None, None]
     # (1 - cos x)/x² = (sin(x/2)/(x/2))²/2 and sin x/x = sin(x/2)/(x/2) cos(x/2): nothing cancels near 0.
     ratio = np.sin(half) / half
@@ -137,7 +137,7 @@ def rotation_log(R: Array) -> Array:
     cosine = (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1) / 2
     if not (cosine < -0.9).any():
         return np.asarray((np.arctan2(sine, cosine) / sine)[..., None] * vector)
-    # Near half a turn the sine vanishes, and the axis with it; the quaternion keeps the axis.
+    # Near half a turn the sine vanishes, so it no longer gives the axis; the quaternion does.
     q = quaternion_from_rotation(R)
     q = np.where(q[..., 3:] < 0, -q, q)
     sine = np.linalg.norm(q[..., :3], axis=-1)

@@ -191,6 +191,38 @@ def test_planes_and_weight_count_as_they_do_in_correct_pose():
     assert np.linalg.norm(with_weight["position"]) < 0.2 * np.linalg.norm(bare["position"])
 
 
+def test_a_line_takes_depth_points_and_taxels(tmp_path):
+    T, six = np.eye(4), [5e-4, 5e-4, 5e-4, 0.02, 0.02, 0.02]
+    rows = {
+        "depth": {"points_palm": [[0.0, 0.0, 0.061], [0.01, 0.0, 0.061]], "sigma": 0.002},
+        "skin": {
+            "contacts": [{"point": [-0.03, 0.0, 0.0]}],
+            "untouched_palm": [[0.0, 0.05, 0.0]],
+            "sigmas": six,
+        },
+    }
+    line = {
+        "object": {"box": [0.06, 0.08, 0.12]},
+        "contacts": [{"point": [0.031, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]}],
+        "vision": {
+            "position": [0, 0, 0],
+            "quaternion_xyzw": [0, 0, 0, 1],
+            "sigma_position": 0.01,
+            "sigma_rotation_deg": 5,
+        },
+    }
+    values = {
+        "depth": hs.DepthPoints(rows["depth"]["points_palm"], 0.002),
+        "skin": hs.SkinEvidence(hs.Contacts([[-0.03, 0.0, 0.0]]), [[0.0, 0.05, 0.0]], six),
+    }
+    vision = hs.PosePrior.from_sigmas(T, 0.01, np.deg2rad(5))
+    for name, row in rows.items():
+        problem = problems.Reader(tmp_path).read(json.dumps({**line, name: row}).encode())
+        expected = hs.correct_pose(problem.model, problem.contacts, vision=vision, **{name: values[name]})
+        found = problems.answer(problem)
+        np.testing.assert_allclose(found["position"], expected.T_palm_object[:3, 3], atol=1e-12)
+
+
 def test_a_line_takes_all_that_correct_pose_takes():
     """The model is its `object`; `outside` is points and planes; `contacts_of_residual` is of the contacts."""
     import inspect

@@ -197,7 +197,7 @@ def test_a_reader_that_dies_ends_the_run(workers):
         list(answers)
 
 
-def test_a_long_line_is_cut_a_byte_after_the_limit_and_the_next_is_whole():
+def test_a_long_line_is_cut_a_byte_after_the_limit_and_the_next_is_complete():
     data = b"x" * (LONGEST + 500_000) + b"\nnext\n" + b" " * (LONGEST + 9) + b"y\n" + b"x" * LONGEST
     assert [len(line) for lines in blocks(io.BytesIO(data)) for line in lines] == [
         LONGEST + 1,
@@ -306,12 +306,12 @@ def test_workers_that_cannot_start_are_an_error():
         answered(Batch(source(["say 1"]), workers))
 
 
-def test_an_error_that_is_no_death_is_told():
+def test_an_error_other_than_a_death_is_raised():
     with pytest.raises(WorkerFailure, match="worker: RuntimeError: no"):
         obey(["say 1", "fail"])
 
 
-def test_a_worker_has_one_thread_hears_no_ctrl_c_and_leaves_stdout_alone(capfd, monkeypatch):
+def test_a_worker_has_one_thread_ignores_ctrl_c_and_leaves_stdout_alone(capfd, monkeypatch):
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     monkeypatch.setenv("MKL_NUM_THREADS", "8")
     names = "OMP_NUM_THREADS MKL_NUM_THREADS"

@@ -44,7 +44,7 @@ def test_a_quarter_slower_is_a_loss(slower, lost):
     assert list(found) == (["ours / paper, hot"] if lost else [])
 
 
-def test_a_loss_is_told_with_both_numbers():
+def test_a_loss_is_reported_with_both_numbers():
     (sentence,) = gate.losses(results(1.5)["ratios"], BASELINE).values()
     assert sentence == "ours / paper, hot: 0.15, was 0.1 (+50 %)"
 
@@ -73,7 +73,7 @@ class Again:
         self.results["ratios"] |= self._second["ratios"]
 
 
-def test_what_seems_lost_is_measured_once_more(capsys):
+def test_an_apparent_loss_is_measured_once_more(capsys):
     chance = Again(results(2.0), results(1.0))
     assert command.passes(chance, BASELINE)
     assert chance.asked == ["correction"]
@@ -164,7 +164,7 @@ def test_the_judge_agrees_with_the_experiments():
     assert same >= 19
 
 
-def test_the_judge_sees_neither_a_slide_nor_a_spin_that_contacts_leave_open_but_all_else():
+def test_the_judge_ignores_a_slide_and_a_spin_that_contacts_leave_open_and_nothing_else():
     problem = workload.draw("can", NEAR, 0)
     T = problem.scene.T_palm_object
     slid = T @ se3.compose(se3.rotation_exp(np.array([0, 0, 1.0])), np.array([0, 0, 0.01]))
@@ -196,14 +196,14 @@ def test_the_chosen_setting_is_the_fastest_of_the_good_ones():
     assert [row["setting"] for row in frontier.pareto(rows[:3])] == [0, 1, 2]
 
 
-def test_a_ratio_comes_with_an_interval_that_holds_it():
+def test_a_ratio_comes_with_an_interval_that_contains_it():
     rng = np.random.default_rng(0)
     found = timing.ratio(rng.gamma(9, size=200), 2 * rng.gamma(9, size=200))
     assert found["low"] < found["ratio"] < found["high"]
     assert found["ratio"] == pytest.approx(0.5, rel=0.2)
 
 
-def test_shapes_are_closed_and_of_the_size_asked_for():
+def test_shapes_are_closed_and_of_the_requested_size():
     import trimesh
 
     for vertices, faces in (shapes.bumpy(3), shapes.can(14_000, 0.033, 0.115)):
@@ -214,7 +214,7 @@ def test_shapes_are_closed_and_of_the_size_asked_for():
     assert 12_000 < len(faces) < 20_000
 
 
-def test_what_is_asked_for_is_what_runs():
+def test_only_the_requested_benchmarks_run():
     assert command.sections(command.parsed(["--quick", "--only", "sensing"])) == ["sensing"]
     assert command.sections(command.parsed(["--quick", "--gate"])) == [
         "correction",

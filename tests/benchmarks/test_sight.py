@@ -18,7 +18,7 @@ def rows(right, seconds, hidden="table"):
     ]
 
 
-def test_the_bin_where_we_lead_by_least_counts():
+def test_the_bin_with_the_smallest_lead_counts():
     found = rows([[1, 1], [1, 0]], [[1, 1], [9, 9]]) + rows([[1, 0], [1, 0]], [[1, 1], [9, 9]], "hand")
     assert sight.ahead(found, "open3d_fpfh") == 0
     assert sight.ratio(found, "open3d_fpfh")["ratio"] == 9

@@ -50,7 +50,7 @@ def test_an_unknown_finger_is_named(grasp, tmp_path):
     assert {finger for step in ended.steps for finger in step.fingers} == {"ff", "mf", "rf", "lf"}
 
 
-def test_depth_in_the_wrong_unit_is_told(grasp, tmp_path):
+def test_depth_in_a_wrong_unit_is_reported(grasp, tmp_path):
     rig, _ = grasp
     topics = dataclasses.replace(rig.topics, depth="/camera/depth")
     rig = dataclasses.replace(rig, topics=topics)
@@ -62,7 +62,7 @@ def test_depth_in_the_wrong_unit_is_told(grasp, tmp_path):
     assert ended.tally.answered == 39
 
 
-def test_a_file_that_is_cut_in_a_chunk_is_tracked_as_far_as_it_goes(grasp, tmp_path):
+def test_a_file_that_is_cut_in_a_chunk_is_tracked_up_to_the_cut(grasp, tmp_path):
     rig, _ = grasp
     seen = observations(grasp)
     more = [dataclasses.replace(seen[-1], stamp=seen[-1].stamp + (k + 1) / 20) for k in range(800)]
@@ -75,13 +75,13 @@ def test_a_file_that_is_cut_in_a_chunk_is_tracked_as_far_as_it_goes(grasp, tmp_p
     assert len(ended.steps) < 839
 
 
-def test_a_file_of_zero_length_is_told(grasp, tmp_path):
+def test_an_empty_file_is_refused_in_a_sentence(grasp, tmp_path):
     (tmp_path / "a.mcap").write_bytes(b"")
     with pytest.raises(InvalidFile, match=r"a\.mcap: expected a recording .*, got an empty file"):
         track(tmp_path / "a.mcap", grasp[0])
 
 
-def test_stamps_that_go_back_are_told_and_begin_a_new_track(grasp, tmp_path, monkeypatch):
+def test_stamps_that_go_back_are_reported_and_begin_a_new_track(grasp, tmp_path, monkeypatch):
     rig, _ = grasp
     seen = observations(grasp)
     shift = 10 - seen[0].stamp
@@ -96,7 +96,7 @@ def test_stamps_that_go_back_are_told_and_begin_a_new_track(grasp, tmp_path, mon
         again = [dataclasses.replace(s, stamp=s.stamp - 5) for s in looped]
         path = recorded(tmp_path / "a.mcap", [*looped, *again], rig)
     ended, _ = track(path, rig)  # a table of it has each stamp twice
-    told = r"/joint_states: stamps went back 1 times, by up to [\d.]+ s, first from [\d.]+ s \(.*: a new track each time"
+    told = r"/joint_states: stamps went back once, by up to [\d.]+ s, first from [\d.]+ s \(.*: a new track each time"
     assert re.match(told, ended.messages[0])
     begun = [b for a, b in itertools.pairwise(ended.steps) if b.stamp < a.stamp]
     assert len(begun) == 1

@@ -82,7 +82,7 @@ def test_calibrate_camera_prints_what_was_found(folder, monkeypatch, capsys):
     assert "handsight: internal error: RuntimeError" in err
 
 
-def test_without_a_pose_the_exit_code_says_so_and_the_reason_is_told(grasp, folder, monkeypatch, capsys):
+def test_without_a_pose_the_exit_code_is_1_and_the_reason_is_printed(grasp, folder, monkeypatch, capsys):
     rig, _ = grasp
     seen = observations(grasp)
     for changes, said in (
@@ -99,7 +99,7 @@ def test_without_a_pose_the_exit_code_says_so_and_the_reason_is_told(grasp, fold
         assert said in capsys.readouterr().err
 
 
-def test_a_finger_that_never_touches_is_told(grasp, folder, monkeypatch, capsys):
+def test_a_finger_that_never_touches_is_reported(grasp, folder, monkeypatch, capsys):
     rig, _ = grasp
     free = rig.fingers["lf"].calibration
     reading = np.concatenate([free.bias_force, free.bias_torque])
@@ -113,7 +113,7 @@ def test_a_finger_that_never_touches_is_told(grasp, folder, monkeypatch, capsys)
     assert list(summary["fingers_without_contact"]) == ["lf"]
 
 
-def test_a_finger_that_the_others_contradict_is_told(grasp, folder, monkeypatch, capsys):
+def test_a_finger_that_the_others_contradict_is_reported(grasp, folder, monkeypatch, capsys):
     """As where one `reading` has the wrong sign."""
     rig = folder / "can.rig.yaml"
     rig.write_text(rig.read_text().replace("reading: on_tip", "reading: on_sensor", 1))

@@ -185,7 +185,7 @@ def test_what_kind_of_camera_it_is_matters_to_the_covariance(frames, asked):
     assert spread["time_of_flight"] > 2 * spread["structured_light"]
 
 
-def test_an_object_is_looked_for_in_a_box_or_a_mask_only(frames, pictures, asked):
+def test_an_object_is_searched_for_only_in_a_box_or_a_mask(frames, pictures, asked):
     """Around it it is found; where it is not, it is not, though it is in the picture."""
     _, truth = pictures[0]
     u, v = CAMERA.project(truth[None, :3, 3])[0].round().astype(int)
@@ -379,13 +379,10 @@ def held():
     """
     pytest.importorskip("mujoco")
     pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
-    from handsight.simulation import Scenario, rig_of, simulate
-    from handsight.simulation.camera import displacement
+    from handsight.simulation import Scenario, rig_of, simulate, true_camera
 
     scenario = Scenario(object="box", rate=20, images=True)
-    rig = rig_of(scenario)
-    T_camera_world = se3.inverse(rig.camera.T_mount_camera) @ displacement(scenario.nuisances, 0)
-    return rig, list(simulate(scenario))[-3:], T_camera_world
+    return rig_of(scenario), list(simulate(scenario))[-3:], true_camera(scenario)
 
 
 @pytest.mark.slow

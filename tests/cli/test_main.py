@@ -168,7 +168,7 @@ def test_the_demo_corrects_can_and_box_and_draws_them(asked, tmp_path):
     assert (tmp_path / "demo.png").stat().st_size > 20_000
 
 
-def test_the_demo_takes_most_of_what_touch_can_see():
+def test_the_demo_removes_most_of_the_error_that_touch_observes():
     from handsight.cli.demo import examples
 
     for row in examples():

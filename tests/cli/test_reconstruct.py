@@ -67,7 +67,7 @@ def test_what_stands_on_a_table_becomes_a_model(asked, tmp_path, rig, around):
     assert points[:, 2].min() == pytest.approx(0, abs=1e-9)
 
 
-def test_the_robot_may_be_believed(asked, tmp_path, rig, around):
+def test_the_robots_poses_can_be_used_without_aligning(asked, tmp_path, rig, around):
     name = recorded(tmp_path, rig, *around)
     assert "0 did not fit" in asked("reconstruct", name, "-o", "can.ply", "--robot-poses", columns=200).err
 

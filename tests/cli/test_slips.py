@@ -7,7 +7,7 @@ import pytest
 from handsight.cli.track import grip
 from handsight.cli.track_summary import TrackResult
 from handsight.forces import Slip
-from handsight.tracking.replay import Tally
+from handsight.tracking import Tally
 from handsight.tracking.skin import NOTHING
 from handsight.viewer.timeline import slips_of
 
@@ -29,6 +29,8 @@ def test_slips_are_counted_and_said():
         (1000.9, 0.0),
     ]
     assert "the object slipped 2 times, 0.30 s in all, first at 0.30 s; friction 0.81" in run.sentences()
+    once = TrackResult("pulled", Tally(), [], steps=steps()[:9])
+    assert any(sentence.startswith("the object slipped once, 0.30 s") for sentence in once.sentences())
     summary = run.summary()
     assert summary["friction"] == 0.81
     assert summary["slips"] == [{"began": 1000.3, "seconds": 0.3}, {"began": 1000.9, "seconds": 0.0}]

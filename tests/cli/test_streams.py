@@ -47,12 +47,12 @@ def shell(line, folder, *, blocks=None):
         ),
     ],
 )
-def test_a_stream_that_is_closed_is_told(folder, line, said):
+def test_a_closed_stream_is_an_error_in_a_sentence(folder, line, said):
     code, err = shell(line, folder)
     assert (code, err) == (2 if "stdin" in said else 74, f"handsight: {said}\n")
 
 
-def test_a_folder_is_told(folder, asked):
+def test_a_folder_is_an_error_in_a_sentence(folder, asked):
     _, said = asked("correct", folder, expect=2)
     assert said == f"handsight: {folder}: Is a directory\n"
     _, said = asked("contact", folder, *TIP, expect=2)
@@ -78,14 +78,14 @@ def test_a_folder_is_told(folder, asked):
         ("handsight contact /dev/zero --fingertip sphere:8mm", "/dev/zero: line 1: expected at most"),
     ],
 )
-def test_a_full_device_or_one_without_an_end_is_told(folder, line, said):
+def test_a_full_device_and_one_without_an_end_are_errors_in_a_sentence(folder, line, said):
     code, err = shell(line, folder)
     assert code == (2 if "/dev/zero" in line else 74)
     assert said in err
     assert err.count("\n") == 1
 
 
-def test_a_file_that_may_not_grow_is_told_and_keeps_what_was_written(folder):
+def test_a_file_that_cannot_grow_is_an_error_and_keeps_the_answers_until_then(folder):
     code, err = shell("handsight correct p.jsonl -o a.jsonl", folder, blocks=8)
     assert (code, err) == (74, "handsight: a.jsonl: cannot be written: File too large\n")
     whole = (folder / "a.jsonl").read_text().splitlines()[:-1]
@@ -96,14 +96,14 @@ def test_a_file_that_may_not_grow_is_told_and_keeps_what_was_written(folder):
     assert sorted(path.name for path in folder.iterdir()) == ["a.jsonl", "p.jsonl", "w.csv"]
 
 
-def test_a_picture_that_may_not_grow_is_told(folder):
+def test_a_picture_that_cannot_grow_is_an_error_in_a_sentence(folder):
     (folder / "one.json").write_text(json.dumps(BOX))
     code, err = shell("handsight correct one.json -o a.jsonl --plot a.png", folder, blocks=20)
     assert (code, err) == (74, "handsight: a.png: cannot be written: File too large\n")
     assert list(json.loads((folder / "a.jsonl").read_text())) == KEYS
 
 
-def test_a_recording_that_may_not_grow_is_told(folder):
+def test_a_recording_that_cannot_grow_is_an_error_in_a_sentence(folder):
     pytest.importorskip("mujoco")
     pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
     code, err = shell("handsight simulate can --motion grasp -o can.mcap", folder, blocks=32)
@@ -119,7 +119,7 @@ def test_no_file_gets_the_number_of_a_stream_that_was_closed(folder):
     assert [list(json.loads(answer)) for answer in answers] == [KEYS] * 20
 
 
-def test_nobody_to_tell_changes_no_exit_code(folder):
+def test_a_closed_stderr_changes_no_exit_code(folder):
     assert shell("handsight correct none.jsonl 2>&-", folder)[0] == 2
     if Path("/dev/full").exists():
         assert shell("handsight correct none.jsonl 2>/dev/full", folder)[0] == 2

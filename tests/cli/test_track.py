@@ -44,7 +44,7 @@ def test_rig_check_prints_the_rig_and_what_the_recording_lacks(by_command, asked
     assert "th         robot0:thdistal  10.5 x 10.5 x 16" in out
     assert "640 x 480 pixels, no lens; depth by structured light" in out
     said, links = out.split("can.mcap has everything that this rig listens to.\n")
-    assert "larger than it is by [mm]" in links
+    assert "shape too large by [mm]" in links
     rows = dict(line.split() for line in links.splitlines() if line.startswith("robot0:"))
     assert rows["robot0:palm"] == rows["robot0:thmiddle"] == "-"
     assert not {finger.split()[1] for finger in said.splitlines() if "distal" in finger} & set(rows)
@@ -74,7 +74,7 @@ def test_track_writes_results_that_agree_and_are_far_better_than_vision(by_comma
     assert f"{summary['poses']} poses of {summary['observations']} observations" in said
 
 
-def test_track_takes_the_rig_and_the_object_it_is_told(by_command, asked):
+def test_track_takes_the_rig_and_the_object_of_its_options(by_command, asked):
     folder, _ = by_command
     (folder / "elsewhere").mkdir()
     (folder / "elsewhere" / "r.yaml").write_text((folder / "can.rig.yaml").read_text())

@@ -14,7 +14,7 @@ import pytest
 
 import handsight
 from cli.commands import INTERRUPTIBLE, called
-from handsight.recording.write import TrackRow, write_track_mcap
+from handsight.recording import TrackRow, write_track_mcap
 
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
@@ -69,7 +69,7 @@ def test_what_is_wrong_is_one_sentence(folder, monkeypatch, capsys, arguments, s
 
 
 @pytest.mark.skipif(find_spec("viser") is None, reason="the page needs handsight[view]")
-def test_what_track_wrote_is_told_from_what_it_read(folder, monkeypatch, capsys):
+def test_view_refuses_a_track_in_place_of_the_recording(folder, monkeypatch, capsys):
     write_track_mcap(folder / "track.mcap", [TrackRow(1.0, np.eye(4), np.eye(6), "tracking", "", np.eye(6))])
     assert called(monkeypatch, folder, "view", "track.mcap") == 2
     said = "track.mcap: expected the recording that was tracked, got what `handsight track` made of it: poses alone"

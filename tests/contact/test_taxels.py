@@ -1,4 +1,4 @@
-"""An array of taxels: where it is pressed there is the object, where it is not there is none, and the rest is silent."""
+"""Taxel arrays: pressed taxels are contacts, untouched ones are points without object, others are no evidence."""
 
 from dataclasses import replace
 
@@ -58,7 +58,7 @@ def test_nothing_is_pressed_below_the_threshold():
 
 
 @pytest.mark.parametrize("dead", [np.nan, np.inf, 0.0, -5.0])
-def test_a_dead_taxel_amid_pressed_ones_says_nothing(dead):
+def test_a_dead_taxel_amid_pressed_ones_is_no_evidence(dead):
     reading = block()
     reading[2, 3] = dead
     touch = ARRAY.touch(reading)
@@ -78,7 +78,7 @@ def test_a_taxel_that_is_pressed_alone_far_from_the_others_is_stuck():
     assert ARRAY.touch(alone).pressed.sum() == 1
 
 
-def test_a_taxel_that_is_half_covered_says_nothing():
+def test_a_taxel_that_is_half_covered_is_no_evidence():
     reading = block()
     reading[1:4, 6] = 0.3
     touch = ARRAY.touch(reading)
@@ -86,7 +86,7 @@ def test_a_taxel_that_is_half_covered_says_nothing():
     assert touch.untouched[1:4, 7].all()
 
 
-def test_an_offset_is_taken_off_and_a_taxel_without_one_is_silent():
+def test_a_baseline_is_subtracted_and_a_taxel_without_one_is_no_evidence():
     offset = np.random.default_rng(0).normal(size=ARRAY.shape)
     offset[0, 0] = np.nan
     touch, plain = ARRAY.touch(block() + offset, offset), ARRAY.touch(block())
@@ -95,7 +95,7 @@ def test_an_offset_is_taken_off_and_a_taxel_without_one_is_silent():
     assert plain.untouched.sum() - touch.untouched.sum() == 1
 
 
-def test_a_taxel_at_full_scale_is_pressed_whatever_its_offset():
+def test_a_taxel_at_full_scale_is_pressed_whatever_its_baseline():
     array = replace(ARRAY, full_scale=2.0)
     assert array.touch(block(value=2.0), baseline=1.95).pressed.sum() == 12
     reading = block(value=1.5)
@@ -112,7 +112,7 @@ def test_of_many_taxels_the_outermost_are_kept():
 
 
 @given(arrays(np.float64, (6, 9), elements=st.floats(-1, 3, width=32) | st.just(np.nan)))
-def test_no_taxel_says_both(reading):
+def test_no_taxel_is_both_pressed_and_untouched(reading):
     touch = ARRAY.touch(reading)
     assert not (touch.pressed & touch.untouched).any()
     assert not (touch.pressed | touch.untouched)[np.isnan(reading)].any()

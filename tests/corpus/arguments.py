@@ -1,4 +1,4 @@
-"""Numbers given to Python: contacts, priors, what is outside, transforms."""
+"""Arguments of Python functions: contacts, priors, points outside the object, transforms."""
 
 import random
 
@@ -27,7 +27,7 @@ GOOD: dict[str, object] = {
 
 
 def correct(given: dict[str, object]) -> None:
-    """A correction of what is given; what is missing is not given."""
+    """Corrects a pose with these arguments; a key that is missing is an argument that is not given."""
     contacts = hs.Contacts(
         *(given.get(name) for name in ("points", "normals", "sigma_point", "sigma_normal"))
     )
@@ -50,7 +50,7 @@ def correct(given: dict[str, object]) -> None:
 
 
 def correct_spoilt(rng: random.Random) -> None:
-    """With one number or two wrong."""
+    """Corrects a pose with one or two corrupted arguments."""
     given = dict(GOOD)
     if rng.random() < 0.5:
         del given["sigma_position"]

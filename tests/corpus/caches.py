@@ -1,4 +1,4 @@
-"""An object's file in the cache, damaged; what to simulate."""
+"""Damaged files of objects in the cache, and scenarios to simulate."""
 
 import functools
 import os
@@ -14,10 +14,8 @@ import numpy as np
 import handsight as hs
 from handsight import cache_folder
 from handsight.errors import InvalidFile
-from handsight.objects import Symmetries, cache
-from handsight.objects import model as making
-from handsight.objects.geometry import Geometry
-from handsight.objects.surface import Triangles
+from handsight.objects import Geometry, Symmetries, Triangles, cache
+from handsight.objects import model as object_models
 from handsight.simulation import Nuisances, Scenario
 from handsight.simulation.scenario import SCENARIO
 from tests.corpus.door import Case, Door, check_pose, spoilt_bytes, spoilt_value
@@ -27,7 +25,7 @@ NAME = "0" * 64
 
 @functools.cache
 def small() -> tuple[Geometry, bytes]:
-    """A block of 30 x 45 x 25 mm, and what its file holds."""
+    """Returns a block of 30 x 45 x 25 mm and the content of its file in the cache."""
     corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * [
         0.015,
         0.0225,
@@ -35,28 +33,28 @@ def small() -> tuple[Geometry, bytes]:
     ]
     faces = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6)]
     faces += [(0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
-    geometry = making._of_mesh(Triangles(corners, np.array(faces)))
+    geometry = object_models._of_mesh(Triangles(corners, np.array(faces)))
     return geometry, cache.geometry_bytes(geometry)
 
 
 def remembered(data: bytes) -> Geometry:
-    """What is found under the name where the file is `data`; raises InvalidFile where it would be made again."""
+    """Returns the geometry in a cache file with this content; raises InvalidFile where it would be built again."""
 
-    def made_again() -> Geometry:
-        raise InvalidFile("the object's file is none: it would be made again")
+    def built_again() -> Geometry:
+        raise InvalidFile("the object's file is not valid: it would be built again")
 
     with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, HANDSIGHT_CACHE=folder):
         Path(folder, f"field-{NAME}.msgpack").write_bytes(data)
-        return cache.remembered(NAME, made_again)
+        return cache.remembered(NAME, built_again)
 
 
 def sealed(content: bytes, name: str = NAME) -> bytes:
-    """With the checksum that belongs to it."""
+    """Returns a cache file with this content and its checksum."""
     return cache_folder.checksum(name, content) + content
 
 
 def damaged(rng: random.Random) -> None:
-    """Whatever is read is what was written, to the last bit."""
+    """Reads a damaged file, and asserts that whatever is read is what was written, to the last bit."""
     geometry, content = small()
     data = sealed(content, rng.choice([NAME] * 9 + ["1" * 64]))
     found = remembered(spoilt_bytes(data, rng) if rng.random() < 0.8 else data)
@@ -65,7 +63,7 @@ def damaged(rng: random.Random) -> None:
 
 
 def use(geometry: Geometry) -> None:
-    """Where the object is, drawn from and touched."""
+    """Corrects the pose of an object with this geometry, and draws samples of it."""
     model = hs.ObjectModel._from(geometry, "", Symmetries())
     contacts = hs.Contacts([[0.015, 0, 0], [-0.015, 0.004, 0.002], [0, 0.0225, 0]], None, sigma_point=1e-3)
     estimate = hs.correct_pose(model, contacts, vision=hs.PosePrior.from_sigmas(np.eye(4), 0.02, 0.2))
@@ -76,7 +74,7 @@ SIMULATED: dict[str, object] = {"object": "can", "seed": 3, "motion": "grasp", "
 
 
 def scenario(rng: random.Random) -> None:
-    """What to simulate, with one value or two wrong; what is taken can be simulated."""
+    """Builds a scenario with one or two corrupted values, and simulates it if it is accepted."""
     off: Any = {name: getattr(Nuisances(), name) for name in Nuisances.__slots__}
     given: Any = {**SIMULATED, "nuisances": off}
     for _ in range(rng.choice([1, 1, 2])):
@@ -97,10 +95,10 @@ DOORS = [
 ]
 CASES = [
     Case("an object's file as it was", lambda: use(remembered(sealed(small()[1]))), None),
-    Case("an object's file cut", lambda: use(remembered(sealed(small()[1])[:-1])), "made again"),
-    Case("another object's file", lambda: use(remembered(sealed(small()[1], "1" * 64))), "made again"),
-    Case("an empty file of an object", lambda: use(remembered(b"")), "made again"),
+    Case("an object's file cut", lambda: use(remembered(sealed(small()[1])[:-1])), "built again"),
+    Case("another object's file", lambda: use(remembered(sealed(small()[1], "1" * 64))), "built again"),
+    Case("an empty file of an object", lambda: use(remembered(b"")), "built again"),
     Case(
-        "a file without an object", lambda: use(remembered(sealed(msgspec.msgpack.encode(3)))), "made again"
+        "a file without an object", lambda: use(remembered(sealed(msgspec.msgpack.encode(3)))), "built again"
     ),
 ]

@@ -1,8 +1,9 @@
-"""What the corpus is made of: a door, what is brought to it, and what may come of that.
+"""The parts of the corpus: doors, cases, the outcomes that are allowed, and functions that corrupt valid input.
 
-A door is a public function, a command or a file's reader. It is brought good input, spoilt by `rng`, or a case that
-once went wrong. It may answer, or refuse with a HandsightError; anything else is a fault: another exception, a number
-that is not finite, a covariance that is not positive semidefinite, more than `SECONDS` for one input.
+A door is a public function, a command or the reader of a file. It gets valid input that a random generator corrupts; a
+case is an input that once failed. A door may answer, or refuse with a HandsightError. Anything else is a fault: another
+exception, a number that is not finite, a covariance that is not positive semidefinite, more than `SECONDS` for one
+input.
 """
 
 import contextlib
@@ -19,37 +20,37 @@ import numpy as np
 from handsight.errors import HandsightError
 
 SECONDS = 20
-"""One input may take so long; they take milliseconds, and a busy machine some more."""
+"""The longest time for one input; most take milliseconds, and more on a busy machine."""
 
 
 @dataclass(frozen=True)
 class Door:
-    """Where input comes in."""
+    """A place where input enters handsight."""
 
     name: str
     bring: Callable[[random.Random], None]
-    """Brings one input, spoilt by the generator it gets; raises whatever the door raises, and asserts of an answer
-    what must hold of it."""
+    """Corrupts one input by the given generator and passes it to the door; raises the errors of the door, and asserts
+    what must hold for an answer."""
     inputs: int
-    """So many of them run in the tests."""
+    """How many inputs the tests try."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """An input that once went wrong."""
+    """An input that once caused a fault."""
 
     name: str
     bring: Callable[[], None]
     says: str | None
-    """Part of the refusal, told as a HandsightError; None: it must be answered."""
+    """Part of the HandsightError's message; None: the input must be answered."""
 
 
 class Fault(AssertionError):
-    """A door did what none may."""
+    """The error that a door neither answered nor refused."""
 
 
 def knock(door: Door, seed: int) -> bool:
-    """Brings a door one input; whether it was answered. Raises Fault for anything but an answer or a refusal."""
+    """Returns whether a door answered one input; raises Fault for anything but an answer or a refusal."""
     try:
         with within(SECONDS), warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -62,18 +63,18 @@ def knock(door: Door, seed: int) -> bool:
     return True
 
 
-def check_sentence(said: str) -> None:
-    """A refusal is one line for a person, without what a terminal obeys, and of bounded length."""
-    assert said, "a refusal that says nothing"
-    assert len(said) < 2000, f"a refusal of {len(said)} characters"
-    assert said.isprintable(), f"a refusal with characters that a terminal obeys: {said!r}"
-    assert "fault of handsight" not in said, said
-    assert " object at 0x" not in said, said
+def check_sentence(message: str) -> None:
+    """Asserts that a message is one line for a person, without control characters, and of bounded length."""
+    assert message, "an empty message"
+    assert len(message) < 2000, f"a message of {len(message)} characters"
+    assert message.isprintable(), f"a message with control characters: {message!r}"
+    assert "fault of handsight" not in message, message
+    assert " object at 0x" not in message, message
 
 
 @contextlib.contextmanager
 def within(seconds: int) -> Iterator[None]:
-    """Inside, work that takes longer is a fault; where there are no alarms it is not seen."""
+    """Raises Fault where the work inside takes longer; does nothing on systems without alarms."""
 
     def late(signum: int, frame: object) -> None:
         raise Fault(f"took longer than {seconds} s")
@@ -91,7 +92,7 @@ def within(seconds: int) -> Iterator[None]:
 
 
 def check_covariance(covariance: np.ndarray | None) -> None:
-    """None, or symmetric, finite and positive semidefinite to rounding in its own units."""
+    """Asserts that a covariance is None, or finite, symmetric and positive semidefinite, to rounding in its own units."""
     if covariance is None:
         return
     assert np.isfinite(covariance).all(), f"covariance: {covariance}"
@@ -103,7 +104,7 @@ def check_covariance(covariance: np.ndarray | None) -> None:
 
 
 def check_pose(T: np.ndarray) -> None:
-    """A finite rigid transform."""
+    """Asserts that `T` is a finite rigid transform."""
     assert np.isfinite(T).all(), f"pose: {T}"
     np.testing.assert_allclose(T[:3, :3].T @ T[:3, :3], np.eye(3), atol=1e-5)
     assert np.linalg.det(T[:3, :3]) > 0
@@ -118,11 +119,11 @@ STRANGE: list[object] = [
     *(None, True, "", "1", "nan", "a" * 10_000, "\x1b[31mred\n", "\ud800", "\ufeff", b"\x00", [], {}, [[]]),
     *([0.0], [1.0, 2.0], [0.0] * 3, [math.nan] * 3, [[1.0, 2.0, 3.0], [1.0]], ["1", "2", "3"], {"x": 1}),
 ]
-"""What stands where something else should."""
+"""Values that replace a valid one."""
 
 
 def spoilt_value(value: object, rng: random.Random) -> object:
-    """A value of JSON's kind with one place in it changed: replaced, dropped, doubled, or scaled by a unit."""
+    """Returns a JSON value with one part of it changed: replaced, dropped, repeated, or scaled as by another unit."""
     if isinstance(value, dict) and value and rng.random() < 0.9:
         changed = dict(value)
         key = rng.choice(sorted(changed))
@@ -149,7 +150,7 @@ def spoilt_value(value: object, rng: random.Random) -> object:
 
 
 def spoilt_bytes(data: bytes, rng: random.Random) -> bytes:
-    """Bytes that were cut, flipped, doubled, shuffled, or have a number where a count may be."""
+    """Returns bytes that were cut, flipped, repeated or replaced, some by a number where a count may be."""
     for _ in range(rng.choice([1, 1, 2, 8])):
         at, end = sorted(rng.randrange(len(data) + 1) for _ in range(2))
         kind = rng.randrange(6)
@@ -192,7 +193,7 @@ WORDS = [
 
 
 def spoilt_text(text: str, rng: random.Random) -> str:
-    """Text with a word replaced, a line dropped or doubled, or a character put in."""
+    """Returns text with a word replaced, a line dropped or repeated, or characters inserted."""
     for _ in range(rng.choice([1, 1, 2, 4])):
         lines = text.split("\n")
         i = rng.randrange(len(lines))

@@ -1,4 +1,4 @@
-"""A library's documents, damaged or written by somebody who means harm; its names and its URLs."""
+"""Documents of a library, damaged or written to do harm; names and URLs of libraries."""
 
 import json
 import random
@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handsight.objects import Facts, Library
-from handsight.objects.files import Shape, ply_bytes
+from handsight.objects import Facts, Library, Shape, ply_bytes
 from tests.corpus.door import Case, Door, check_pose, spoilt_bytes, spoilt_text, spoilt_value
 from tests.corpus.object_files import CORNERS, FACES
 
@@ -37,7 +36,7 @@ FACTS: dict[str, object] = {
 
 
 def opened(info: bytes, facts: bytes | None) -> None:
-    """All that is said of a library's objects; only numbers become names of files."""
+    """Reads all entries of a library, and asserts that only numbers become names of files."""
     with tempfile.TemporaryDirectory() as folder:
         models = Path(folder, "models")
         models.mkdir()
@@ -56,12 +55,12 @@ def opened(info: bytes, facts: bytes | None) -> None:
 
 
 def text(value: object) -> bytes:
-    """As JSON, as far as that goes."""
+    """Returns a value as JSON; a value that JSON does not have becomes its text."""
     return json.dumps(value, default=str).encode("utf-8", "replace")
 
 
 def documents_spoilt(rng: random.Random) -> None:
-    """With a value wrong in either, or their text or bytes damaged."""
+    """Reads documents of which one has a corrupted value, or damaged text or bytes."""
     info, facts = text(INFO), text(FACTS)
     if rng.random() < 0.5:
         changed = spoilt_value(INFO, rng) if rng.random() < 0.5 else None
@@ -75,7 +74,7 @@ def documents_spoilt(rng: random.Random) -> None:
 
 
 def facts_spoilt(rng: random.Random) -> None:
-    """What is said of an object, with a value or two wrong; what is taken can be written and read."""
+    """Builds facts with one or two corrupted values, and asserts that accepted ones can be written and read."""
     given: dict[str, object] = {
         "name": "block",
         "mass": 0.5,
@@ -92,7 +91,7 @@ def facts_spoilt(rng: random.Random) -> None:
 
 
 def read_from(data: bytes) -> Callable[[], None]:
-    """A library whose model's file is so."""
+    """Returns a call that reads a library whose model's file has this content."""
 
     def read() -> None:
         with tempfile.TemporaryDirectory() as folder:
@@ -106,7 +105,7 @@ def read_from(data: bytes) -> Callable[[], None]:
 
 
 def changed(**parts: object) -> Callable[[], None]:
-    """The documents with parts of the first object, of either of them, so."""
+    """Returns a call that reads documents in which these keys of the first object have these values."""
     of_info = {key: value for key, value in parts.items() if key in ("diameter", "symmetries_discrete")}
     info = {**INFO, "1": {**INFO["1"], **of_info}}  # type: ignore[dict-item]
     record = {**FACTS["objects"]["1"], **{key: value for key, value in parts.items() if key not in of_info}}  # type: ignore[index]
@@ -114,7 +113,7 @@ def changed(**parts: object) -> Callable[[], None]:
 
 
 def named(key: str) -> Callable[[], None]:
-    """The documents with an object so numbered."""
+    """Returns a call that reads documents with an object whose number is this key."""
     return lambda: opened(text({key: {"diameter": 1.0}}), None)
 
 

@@ -1,4 +1,4 @@
-"""Problems a line each, and tables of wrenches: values, text and bytes."""
+"""Problems as JSON lines, and tables of wrenches: corrupted values, text and bytes."""
 
 import io
 import json
@@ -57,7 +57,7 @@ READER = Reader(Path(__file__).parent)
 
 
 def answer(line: bytes) -> None:
-    """What a line is answered, its numbers finite; an `error` is raised as the refusal it tells of."""
+    """Solves the problem in a line, and asserts that the answer is finite; raises the refusal in an `error`."""
     for lines in blocks(io.BytesIO(line)):
         for each in lines:
             text = answer_text(READER, each)
@@ -69,7 +69,7 @@ def answer(line: bytes) -> None:
 
 
 def convert_text(data: bytes) -> None:
-    """Contacts of a table, as CSV or JSON; a row for each wrench, every number finite."""
+    """Converts a table of wrenches, as CSV or JSON; asserts a row for each wrench, with finite numbers."""
     for format in ("csv", "jsonl"):
         sink = io.StringIO()
         source = io.TextIOWrapper(io.BytesIO(data), encoding="utf-8", newline="")
@@ -83,7 +83,7 @@ def convert_text(data: bytes) -> None:
 
 
 def check_numbers(value: object) -> None:
-    """Every number within is finite."""
+    """Asserts that every number in a value is finite."""
     if isinstance(value, dict | list):
         for part in value.values() if isinstance(value, dict) else value:
             check_numbers(part)
@@ -92,7 +92,7 @@ def check_numbers(value: object) -> None:
 
 
 def values_spoilt(rng: random.Random) -> None:
-    """A problem with a value or two wrong."""
+    """Solves a problem with one or two corrupted values."""
     given: object = PROBLEM | rng.choice([{}, {"object": CYLINDER}, {"vision": None}, {"samples": 100}])
     for _ in range(rng.choice([1, 1, 2])):
         given = spoilt_value(given, rng)
@@ -100,7 +100,7 @@ def values_spoilt(rng: random.Random) -> None:
 
 
 def line_spoilt(rng: random.Random) -> None:
-    """A problem whose text or bytes are damaged."""
+    """Solves a problem whose text or bytes are damaged."""
     if rng.random() < 0.5:
         answer(spoilt_text(LINE, rng).encode("utf-8", "surrogatepass"))
     else:
@@ -108,7 +108,7 @@ def line_spoilt(rng: random.Random) -> None:
 
 
 def table_spoilt(rng: random.Random) -> None:
-    """A table whose text or bytes are damaged, in either format; commas are where its words end."""
+    """Converts a table with damaged text or bytes, in either format; its words are separated by commas."""
     table = rng.choice([WRENCHES, WRENCH_LINES])
     if rng.random() < 0.3:
         convert_text(spoilt_bytes(table.encode(), rng))
@@ -119,7 +119,7 @@ def table_spoilt(rng: random.Random) -> None:
 
 
 def wrench_spoilt(rng: random.Random) -> None:
-    """A wrench as JSON with a value wrong."""
+    """Converts a wrench as JSON with a corrupted value."""
     rows = [json.loads(line) for line in WRENCH_LINES.splitlines()]
     i = rng.randrange(len(rows))
     rows[i] = spoilt_value(rows[i], rng)
@@ -208,7 +208,7 @@ CASES = [
         lambda: convert_text(WRENCHES.replace("0.1,0", "\ufeff0.1,0").encode()),
         "column fx",
     ),
-    Case("a table of one line", lambda: convert_text(b"0" * 10**6), "line 1: expected CSV"),
+    Case("a table of one line", lambda: convert_text(b"0" * 10**6), "line 1: expected at most"),
     Case(
         "a finger named by half a character",
         lambda: convert_text(b'{"finger": "\\ud800", "force": [0, 0, -1], "torque": [0, 0, 0]}'),

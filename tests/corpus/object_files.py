@@ -1,4 +1,4 @@
-"""Files of objects: meshes and clouds, in words and binary."""
+"""Files of objects: meshes and clouds, as text and binary."""
 
 import os
 import random
@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handsight.objects import ObjectModel
-from handsight.objects.files import read_shape
+from handsight.objects import ObjectModel, read_shape
 from tests.corpus.door import Case, Door, spoilt_bytes, spoilt_text
 
 CORNERS = np.array([[x, y, z] for x in (-30.0, 30) for y in (-45.0, 45) for z in (-25.0, 25)])
@@ -21,12 +20,12 @@ CLOUD = np.random.default_rng(0).normal(size=(40, 3)).round(3)
 
 
 def words(rows: object, before: str = "") -> str:
-    """A line a row."""
+    """Returns a line of text for each row."""
     return "".join(before + " ".join(map(str, row)) + "\n" for row in rows)
 
 
 def stl(kind: str = "binary", off: float = 0.0) -> bytes:
-    """The box, each corner of each triangle up to so far [mm] off."""
+    """Returns the box as STL, each corner of each triangle moved by up to `off` [mm]."""
     corners = CORNERS[FACES] + off * np.random.default_rng(1).uniform(-1, 1, (12, 3, 3))
     if kind == "binary":
         table = np.zeros(12, [("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
@@ -39,7 +38,7 @@ def stl(kind: str = "binary", off: float = 0.0) -> bytes:
 
 
 def ply(kind: str = "ascii", faces: list[list[int]] = SIDES, index: str = "vertex_indices") -> bytes:
-    """The box, of a type of corners for each name: a float never is one."""
+    """Returns the box as PLY, its faces in the list `index`; the list `weights` is of floats, which no corners are."""
     of = "int" if index != "weights" else "float"
     header = "".join(f"property double {axis}\n" for axis in "xyz")
     header = (
@@ -54,7 +53,7 @@ def ply(kind: str = "ascii", faces: list[list[int]] = SIDES, index: str = "verte
 
 
 def pcd(kind: str = "ascii") -> bytes:
-    """The cloud."""
+    """Returns the cloud as PCD."""
     header = (
         f"VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 40\nHEIGHT 1\nPOINTS 40\nDATA {kind}\n"
     )
@@ -80,7 +79,7 @@ GOOD: list[tuple[str, bytes]] = [
 
 
 def saved(name: str, data: bytes, read: Callable[[Path], None]) -> None:
-    """Read from a file so called."""
+    """Calls a reader on a file with this name and content."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         path.write_bytes(data)
@@ -88,7 +87,7 @@ def saved(name: str, data: bytes, read: Callable[[Path], None]) -> None:
 
 
 def check_shape(path: Path) -> None:
-    """What is read is of one length and in bounds of memory."""
+    """Reads a shape, and asserts that its arrays are of one length and small."""
     shape = read_shape(path)
     assert shape.vertices.ndim == 2
     assert len(shape.vertices) < 10_000
@@ -100,7 +99,7 @@ def check_shape(path: Path) -> None:
 
 
 def check_object(path: Path) -> None:
-    """A model answers finite distances."""
+    """Builds an object, and asserts that its distances are finite."""
     model = ObjectModel.from_file(path, 0.001)
     at = model.evaluate(model.sample(50)[0])
     assert np.isfinite(at.distance).all()
@@ -108,7 +107,7 @@ def check_object(path: Path) -> None:
 
 
 def check_sides(path: Path, *, closed: bool) -> None:
-    """A model is closed or not, and its distance nowhere 5 mm off it is below 2 mm."""
+    """Asserts that an object is closed or not, and that no distance at a place 5 mm from it is below 2 mm."""
     check_object(path)
     model = ObjectModel.from_file(path, 0.001)
     assert model.closed == closed
@@ -119,7 +118,7 @@ def check_sides(path: Path, *, closed: bool) -> None:
 
 
 def spoilt(rng: random.Random) -> tuple[str, bytes]:
-    """A good file's name and what is left of it."""
+    """Returns the name of a valid file, and its corrupted content."""
     name, data = rng.choice(GOOD)
     if rng.random() < 0.5:
         return name, spoilt_text(data.decode("latin-1"), rng).encode("latin-1", "replace")
@@ -127,7 +126,7 @@ def spoilt(rng: random.Random) -> tuple[str, bytes]:
 
 
 def no_file(make: Callable[[Path], object]) -> Callable[[], None]:
-    """Reads what is no regular file."""
+    """Returns a call that reads a path that is no regular file."""
 
     def read() -> None:
         with tempfile.TemporaryDirectory() as folder:
@@ -138,17 +137,17 @@ def no_file(make: Callable[[Path], object]) -> Callable[[], None]:
 
 
 def case(name: str, file: str, data: bytes, says: str | None) -> Case:
-    """A file as an object."""
+    """Returns the case of an object built from a file."""
     return Case(name, lambda: saved(file, data, check_object), says)
 
 
 def sided(name: str, file: str, data: bytes, closed: bool) -> Case:
-    """A mesh that has an inside, or none."""
+    """Returns the case of a mesh that must be closed, or open."""
     return Case(name, lambda: saved(file, data, partial(check_sides, closed=closed)), None)
 
 
 SIDE = b"f 1 2 4 3\n"
-"""One of the box'."""
+"""One side of the box, as OBJ."""
 BOM = b"\xef\xbb\xbf"
 DOORS = [
     Door("read_shape", lambda rng: saved(*spoilt(rng), check_shape), 400),

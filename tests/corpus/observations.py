@@ -1,4 +1,4 @@
-"""What a tracker is given: observations, a start, settings. A gripper of two slides holds a box under a camera."""
+"""Input of a tracker: observations, a start, settings. A gripper with two slides holds a box under a camera."""
 
 import contextlib
 import functools
@@ -33,12 +33,12 @@ GRIPPER = """<robot name="gripper">
 BOX = hs.ObjectModel.box([0.06, 0.09, 0.14])
 T_PALM_BOX = se3.compose(np.eye(3), np.array([0.0, 0.0, 0.1]))
 PUSHED = np.array([0.0, 0.0, -2.0, 0.0, 0.0, 0.0])
-"""On a tip at its pole [N, N m]; a tenth of it is too weak to be one."""
+"""The wrench of a contact at a tip's pole [N, N m]; a hundredth of it is too weak for a contact."""
 
 
 @functools.cache
 def gripper(world_from="tf"):
-    """The rig; its tips, 10 mm in radius, touch the box while the joints are at zero."""
+    """Returns the rig; its tips, of 10 mm radius, touch the box while the joints are at zero."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "gripper.urdf"
         path.write_text(GRIPPER)
@@ -60,21 +60,21 @@ def gripper(world_from="tf"):
     )
 
 
-def observed(stamp, *, touching=True, seen=False, T_world_palm=None):
-    """A good observation: where the box is, or nearly."""
+def observed(stamp, *, touching=True, visible=False, T_world_palm=None):
+    """Returns a valid observation; `visible`: with a pose of the box that is off by 2 mm and 2 mrad per axis."""
     T = np.eye(4) if T_world_palm is None else T_world_palm
     force = PUSHED if touching else 0.01 * PUSHED
     return hs.Observation(
         stamp,
         {"wrist": 0.0, "left": 0.0, "right": 0.0},
         {"left": force.copy(), "right": force.copy()},
-        PoseMeasurement(T @ se3.moved(T_PALM_BOX, np.full(6, 0.002))) if seen else None,
+        PoseMeasurement(T @ se3.moved(T_PALM_BOX, np.full(6, 0.002))) if visible else None,
         T.copy(),
     )
 
 
 def check_answer(tracker):
-    """What must hold of a tracker after each update, whatever it was given."""
+    """Asserts what must hold for a tracker after each update, whatever its input was."""
     assert tracker.state in ("tracking", "uncertain", "lost")
     assert (tracker.reason == "") == (tracker.state == "tracking")
     estimate = tracker.estimate
@@ -85,12 +85,12 @@ def check_answer(tracker):
     check_covariance(estimate.covariance)
     assert np.isfinite(estimate.information).all()
     assert tracker.sigma >= 0
-    # It can be written.
+    # The estimate can be written to a file.
     TrackRow(tracker.stamp, estimate.T_palm_object, estimate.covariance, tracker.state)
 
 
 def spoilt_observation(observation, rng):
-    """With one part of it, or of what it holds, replaced."""
+    """Returns an observation with one of its values, or a part of one, corrupted."""
     part = rng.choice(["stamp", "joint_positions", "wrenches", "vision", "T_world_palm", "all"])
     if part == "all":
         return rng.choice([None, 3.0, "observation", {"stamp": 1.0}, PoseMeasurement(np.eye(4))])
@@ -104,7 +104,7 @@ def spoilt_observation(observation, rng):
 
 
 def spoilt_vision(rng):
-    """A pose measurement with a part spoilt; raises HandsightError where there can be none."""
+    """Returns a pose measurement with a corrupted part; raises HandsightError where that is refused."""
     given = {
         "T": T_PALM_BOX.tolist(),
         "frame": "world",
@@ -120,7 +120,7 @@ def as_list(value):
 
 
 def as_array(value):
-    """Arrays where there can be some: callers have both."""
+    """Returns lists of numbers as arrays, because callers pass both."""
     if isinstance(value, dict):
         return {key: as_array(each) for key, each in value.items()}
     if isinstance(value, list):
@@ -132,19 +132,19 @@ def as_array(value):
 
 
 def update_spoilt(rng):
-    """A few good updates, a spoilt one, and good ones again: they are answered as if it had not been."""
+    """Updates a tracker with valid observations and a corrupted one among them, which must change nothing if refused."""
     tracker = hs.Tracker(gripper(rng.choice(["tf", "joints"])), BOX)
     for k in range(4):
-        tracker.update(observed(0.02 * k, touching=rng.random() < 0.7, seen=k % 2 == 0))
+        tracker.update(observed(0.02 * k, touching=rng.random() < 0.7, visible=k % 2 == 0))
     known, refusal = tracker.estimate.T_palm_object.copy(), None
     try:
-        tracker.update(spoilt_observation(observed(0.08, seen=rng.random() < 0.5), rng))
+        tracker.update(spoilt_observation(observed(0.08, visible=rng.random() < 0.5), rng))
     except HandsightError as error:
         np.testing.assert_array_equal(tracker.estimate.T_palm_object, known)
         refusal = error
     check_answer(tracker)
     for k in range(5, 9):
-        tracker.update(observed(0.02 * k, seen=k % 2 == 0))
+        tracker.update(observed(0.02 * k, visible=k % 2 == 0))
         check_answer(tracker)
     if refusal is not None:
         assert tracker.state == "tracking", tracker.reason
@@ -152,7 +152,7 @@ def update_spoilt(rng):
 
 
 def begin_spoilt(rng):
-    """A tracker with a start and settings that are spoilt."""
+    """Builds and updates a tracker with a corrupted start or corrupted settings."""
     start = {"T": T_PALM_BOX.tolist(), "covariance": np.diag([1e-4] * 3 + [1e-2] * 3).tolist()}
     settings = {"rate": 10.0, "memory": 2.0, "process_noise_position": 0.001, "regrasp_rotation": 0.05}
     settings |= {"lost_after": 3.0, "moved": 0.001, "answer": "best", "samples": 0, "outside": 0}
@@ -165,13 +165,13 @@ def begin_spoilt(rng):
     prior = hs.PosePrior(start["T"], start["covariance"])
     tracker = hs.Tracker(gripper(), BOX, start=prior, settings=TrackerSettings(**settings))
     for k, touching in enumerate((False, True, True, False, True)):
-        tracker.update(observed(0.3 * k, touching=touching, seen=k % 2 == 1))
+        tracker.update(observed(0.3 * k, touching=touching, visible=k % 2 == 1))
         check_answer(tracker)
 
 
 def replay_spoilt(rng):
-    """A stream of observations whose stamps, or contents, are spoilt here and there; a camera calibrated with it."""
-    stream = [observed(10 + 0.02 * k, seen=k % 5 == 0) for k in range(30)]
+    """Replays observations of which some have corrupted stamps or values, and calibrates the camera with them."""
+    stream = [observed(10 + 0.02 * k, visible=k % 5 == 0) for k in range(30)]
     for _ in range(rng.choice([0, 1, 2])):
         k, jump = rng.randrange(30), rng.choice([-1e9, -100.0, -1.5, -0.5, 1.5, 100.0, 1e9])
         end = rng.choice([k + 1, 30])
@@ -195,11 +195,14 @@ def replay_spoilt(rng):
 
 
 def poisoned(**changes):
-    """One bad observation among good ones, told; and the good ones as if it had not been."""
+    """Updates a tracker with one bad observation among good ones; raises its refusal.
+
+    Asserts that the good ones are answered as by a tracker that never got the bad one.
+    """
     tracker, alone = hs.Tracker(gripper(), BOX), hs.Tracker(gripper(), BOX)
     refusal = None
     for k in range(20):
-        good = observed(0.02 * k, seen=k % 5 == 0)
+        good = observed(0.02 * k, visible=k % 5 == 0)
         if k == 10:
             before = vars(tracker).copy()
             try:
@@ -219,17 +222,17 @@ def poisoned(**changes):
 
 
 def clocked(stamps):
-    """The tracker after good observations with these stamps, and what it said after each."""
-    tracker, said = hs.Tracker(gripper(), BOX), []
+    """Returns the tracker after valid observations with these stamps, and its state and reason after each."""
+    tracker, states = hs.Tracker(gripper(), BOX), []
     for stamp in stamps:
-        tracker.update(observed(stamp, seen=True))
+        tracker.update(observed(stamp, visible=True))
         check_answer(tracker)
-        said.append((tracker.state, tracker.reason))
-    return tracker, said
+        states.append((tracker.state, tracker.reason))
+    return tracker, states
 
 
 def one_stamp_ahead():
-    """It is left out, and the track goes on."""
+    """A single stamp far ahead is left out, and the track goes on."""
     stamps = [10 + 0.02 * k for k in range(40)]
     tracker, _ = clocked([*stamps[:20], 1e9, *stamps[20:]])
     assert (tracker.undone, tracker.late, tracker.stamp) == (1, 0, stamps[-1])
@@ -237,15 +240,15 @@ def one_stamp_ahead():
 
 
 def a_clock_set_back():
-    """A new track begins, and says so."""
-    tracker, said = clocked([*(100 + 0.02 * k for k in range(20)), *(40 + 0.02 * k for k in range(80))])
+    """After a clock was set back a new track starts, and the reason says so."""
+    tracker, states = clocked([*(100 + 0.02 * k for k in range(20)), *(40 + 0.02 * k for k in range(80))])
     assert tracker.stamp == 40 + 0.02 * 79
-    assert "the clock went back by 60.4 s: a new track" in said[21][1]
+    assert "the clock went back by 60.4 s: a new track" in states[21][1]
     assert tracker.state == "tracking", tracker.reason
 
 
 def huge_vision():
-    """Poses and covariances as large as they are taken."""
+    """Updates a tracker with the largest poses and covariances that are accepted."""
     tracker = hs.Tracker(gripper(), BOX)
     for k in range(20):
         T = se3.compose(np.eye(3), np.full(3, 1e3 if k % 3 else -1e3))

@@ -27,7 +27,7 @@ CAMERA = {
 
 
 def image(pixels: np.ndarray, kind: str = "PNG") -> bytes:
-    """A file's bytes."""
+    """Returns the bytes of an image file with these pixels."""
     stream = io.BytesIO()
     Image.fromarray(pixels).save(stream, kind)
     return stream.getvalue()
@@ -37,7 +37,7 @@ PNG, JPEG = image(STEPS), image((STEPS[..., None] // [12, 13, 14]).astype(np.uin
 
 
 def read(data: bytes, reader: Callable[[Path], object]) -> object:
-    """What a reader makes of a file of that."""
+    """Returns the answer of a reader to a file with this content."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a"
         path.write_bytes(data)
@@ -45,21 +45,21 @@ def read(data: bytes, reader: Callable[[Path], object]) -> object:
 
 
 def depth(data: bytes) -> None:
-    """A depth image: metres, or NaN."""
+    """Reads a depth image, and asserts that its pixels are positive, in metres, or NaN."""
     found = read(data, read_depth)
     assert found.dtype == np.float32
     assert (np.isnan(found) | (found > 0)).all()
 
 
 def color(data: bytes) -> None:
-    """A colour image."""
+    """Reads a colour image, and asserts its type and shape."""
     found = read(data, read_color)
     assert (found.dtype, found.ndim, found.shape[2]) == (np.uint8, 3, 3)
 
 
-def camera(said: object) -> None:
-    """A camera: points on its rays fall on their pixels."""
-    found = read(json.dumps(said, default=str).encode(), read_camera)
+def camera(value: object) -> None:
+    """Reads a camera, and asserts that points on its rays are projected to finite pixels."""
+    found = read(json.dumps(value, default=str).encode(), read_camera)
     if found.size[0] * found.size[1] > 10_000:
         return
     rays = found.rays[found.size[1] // 2, found.size[0] // 2].astype(np.float64)
@@ -70,13 +70,13 @@ def camera(said: object) -> None:
 SCENE = {"0": {"cam_K": [30.5, 0, 15.5, 0, 30.0, 11.5, 0, 0, 1], "depth_scale": 1.0, "cam_R_w2c": [1] * 9}}
 
 
-def scene(said: object) -> None:
-    """A BOP scene of one image, which is a picture of that camera or told."""
+def scene(value: object) -> None:
+    """Reads a BOP scene of one image, and asserts that the image has that camera, or that a sentence says why not."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "000001"
         (path / "depth").mkdir(parents=True)
         (path / "depth/000000.png").write_bytes(PNG)
-        (path / "scene_camera.json").write_bytes(json.dumps(said, default=str).encode())
+        (path / "scene_camera.json").write_bytes(json.dumps(value, default=str).encode())
         frames = open_frames(path, Beside())
         rows = list(frames.each)
         assert len(rows) == frames.total

@@ -1,4 +1,4 @@
-"""Recordings of all kinds, and the messages in them."""
+"""Recordings of all formats, and the messages in them."""
 
 import dataclasses
 import random
@@ -30,7 +30,7 @@ M = Messages()
 
 @cache
 def good(kind: str, compression: str | None) -> bytes:
-    """A recording with a little of everything."""
+    """Returns a recording with a few messages of every type."""
     with tempfile.TemporaryDirectory() as folder:
         ros = Messages(1 if kind == "bag" else 2)
         path = save(Path(folder), everything(ros), kind, compression=compression)
@@ -38,35 +38,37 @@ def good(kind: str, compression: str | None) -> bytes:
 
 
 def check_observations(observations: list[Any], report: Report, lacks: list[str]) -> None:
-    """What is given on is physical and in order (anew wherever the clock went back), what is not is counted, and both are
-    told."""
-    for seen in observations:
-        assert all(abs(position) <= 1e6 for position in seen.joint_positions.values())
-        for wrench in seen.wrenches.values():
+    """Asserts that observations are physical and in order, but where the clock went back, and all messages counted.
+
+    The report's sentences are checked too.
+    """
+    for observation in observations:
+        assert all(abs(position) <= 1e6 for position in observation.joint_positions.values())
+        for wrench in observation.wrenches.values():
             checks.load(wrench, "wrench", (6,))
-        if seen.T_world_palm is not None:
-            check_pose(seen.T_world_palm)
-            checks.position(seen.T_world_palm[:3, 3], "T_world_palm", (3,))
-        if seen.vision is not None:
-            check_pose(seen.vision.T_frame_object)
-            check_covariance(seen.vision.covariance)
-        if seen.depth is not None:
-            assert not (seen.depth <= 0).any()
-            assert not np.isinf(seen.depth).any()
+        if observation.T_world_palm is not None:
+            check_pose(observation.T_world_palm)
+            checks.position(observation.T_world_palm[:3, 3], "T_world_palm", (3,))
+        if observation.vision is not None:
+            check_pose(observation.vision.T_frame_object)
+            check_covariance(observation.vision.covariance)
+        if observation.depth is not None:
+            assert not (observation.depth <= 0).any()
+            assert not np.isinf(observation.depth).any()
     back = sum(b.stamp < a.stamp for a, b in pairwise(observations))
     assert back <= (report.backwards[0] if report.backwards else 0)
     for topic in report.topics.values():
         parts = topic.used, topic.duplicated, topic.nan, topic.late, topic.bad, topic.stale, topic.stuck
         assert sum(parts) == topic.messages
         assert min(parts) >= 0
-    said = [*report.sentences(), *lacks]
-    assert len(said) < 100
-    for each in said:
+    sentences = [*report.sentences(), *lacks]
+    assert len(sentences) < 100
+    for each in sentences:
         check_sentence(each)
 
 
 def read(data: bytes) -> Report:
-    """Read from a file."""
+    """Reads a recording from a file, checks its observations, and returns its report."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recording"
         path.write_bytes(data)
@@ -76,14 +78,14 @@ def read(data: bytes) -> Report:
 
 
 def put(rows: list[Any]) -> Report:
-    """Put in as from a robot."""
+    """Puts messages into a stream, as from a robot, checks the observations, and returns the report."""
     observations, stream = heard(rows, ROBOT)
     check_observations(observations, stream.report, stream.lacks())
     return stream.report
 
 
 def spoilt_message(message: Any, rng: random.Random) -> Any:
-    """A message of ROS with a number or a name in it that is another."""
+    """Returns a ROS message in which a number or a name is replaced."""
     name = rng.choice(
         [field.name for field in dataclasses.fields(message) if field.init and field.name != "__msgtype__"]
     )
@@ -112,18 +114,18 @@ def spoilt_message(message: Any, rng: random.Random) -> Any:
 
 
 def put_spoilt(rng: random.Random) -> None:
-    """Messages of a robot with some numbers in them that are not measured."""
+    """Puts messages into a stream, of which some have corrupted values."""
     rows = everything(M)
     for _ in range(rng.choice([1, 3, 10])):
         k = rng.randrange(len(rows))
         topic, log, message = rows[k]
         rows[k] = topic, log, spoilt_message(message, rng)
-    if said := put(rows).sentences():
-        raise InvalidInput(said[0])  # refused message by message
+    if sentences := put(rows).sentences():
+        raise InvalidInput(sentences[0])  # refused message by message
 
 
-def told(topic: str, message: Any, says: str) -> Callable[[], None]:
-    """One message among good ones is refused by name, and all others are used."""
+def one_refused(topic: str, message: Any, says: str) -> Callable[[], None]:
+    """Returns a call that asserts that one bad message is refused by its topic, and all others are used."""
 
     def bring() -> None:
         report = put([*everything(M), (topic, START + 0.0351, message)])
@@ -137,24 +139,24 @@ def told(topic: str, message: Any, says: str) -> Callable[[], None]:
 
 
 def far(x: float) -> np.ndarray:
-    """A pose far away."""
+    """Returns a pose at x [m]."""
     T = np.eye(4)
     T[0, 3] = x
     return T
 
 
 def record(op: int, body: bytes) -> bytes:
-    """Of an MCAP."""
+    """Returns a record of an MCAP file."""
     return struct.pack("<BQ", op, len(body)) + body
 
 
 def text(data: bytes) -> bytes:
-    """Of an MCAP."""
+    """Returns a string as an MCAP file stores it."""
     return struct.pack("<I", len(data)) + data
 
 
 def packed_messages(count: int) -> bytes:
-    """An MCAP of so many empty joint states, one chunk of zstd that it has three times."""
+    """Returns an MCAP file in which a zstd chunk with this number of empty joint states is repeated three times."""
     raw = record(5, struct.pack("<HIQQ", 1, 0, 10**9, 10**9)) * count
     packed = import_module(UNPACKERS["zstd"][0]).compress(raw)
     head = record(
@@ -166,14 +168,14 @@ def packed_messages(count: int) -> bytes:
 
 
 def few_messages() -> None:
-    """Of messages that are packed into less than a byte each, few are read, and that is told."""
+    """Of messages that are packed into less than a byte each, few are read, and the report says so."""
     report = read(packed_messages(250_000))
     assert report.topics["/joint_states"].bad < 150_000
-    assert any("expected at least a byte of the file for each message" in said for said in report.sentences())
+    assert any("expected at least a byte of the file for each message" in each for each in report.sentences())
 
 
 def database(*statements: str) -> bytes:
-    """A db3 of a rosbag 2 with one topic."""
+    """Returns the database of a rosbag2 with one topic, after these statements."""
     with tempfile.TemporaryDirectory() as folder:
         base = sqlite3.connect(Path(folder) / "a.db3")
         base.execute("CREATE TABLE topics (id INTEGER PRIMARY KEY, name, type, serialization_format)")
@@ -190,13 +192,13 @@ HEAVY = "replace(hex(zeroblob(9000000)), '00', hex(zeroblob(9)))"
 
 
 def many_topics() -> None:
-    """A hundred thousand topics, some of wrenches, whose names a terminal would obey."""
+    """Reads a hundred thousand topics of wrenches whose names have control characters."""
     from handsight.messages import ObservationStream
 
     topics = {f"/\x1b[2J\n{k}": "geometry_msgs/msg/WrenchStamped" for k in range(100_000)}
     stream = ObservationStream(ROBOT, topics)
     check_observations(stream.finish(), stream.report, stream.lacks())
-    assert any(said.startswith("and 99988 more") for said in stream.report.sentences())
+    assert any(each.startswith("and 99988 more") for each in stream.report.sentences())
 
 
 DOORS = [
@@ -205,13 +207,13 @@ DOORS = [
 ]
 CASES = [
     *(Case(f"a recording as it should be, {k}", lambda k=k: read(good(*k)) and None, None) for k in KINDS),
-    Case("a vision pose 1e20 away", told("/vision/object", M.pose(START + 0.035, far(1e20)), "within 1000 m, got 1e+20"), None),
-    Case("a transform 1e200 away", told("/tf", M.tf(START + 0.035, ("a", "b", far(1e200))), "within 1000 m, got 1e+200"), None),
-    Case("a wrench of 1e300", told("/ff/wrench", M.wrench(START + 0.035, [0, 0, 1e300, 0, 0, 0]), "within 100000 N"), None),
-    Case("a joint at 1e300", told("/joint_states", M.joints(START + 0.035, positions=(0, 1e300, 0)), "joint j1: expected"), None),
-    Case("a covariance of 1e160", told("/vision/object", M.pose(START + 0.035, np.eye(4), covariance=1e160 * np.eye(6)), "standard deviations"), None),
-    Case("a covariance of 1e308 beside its diagonal", told("/vision/object", M.pose(START + 0.035, np.eye(4), covariance=np.eye(6) + 1.7e308 * (1 - np.eye(6))), "positive semidefinite"), None),
-    Case("a covariance of -1", told("/vision/object", M.pose(START + 0.035, np.eye(4), covariance=-np.eye(6)), "positive semidefinite"), None),
+    Case("a vision pose 1e20 away", one_refused("/vision/object", M.pose(START + 0.035, far(1e20)), "within 1000 m, got 1e+20"), None),
+    Case("a transform 1e200 away", one_refused("/tf", M.tf(START + 0.035, ("a", "b", far(1e200))), "within 1000 m, got 1e+200"), None),
+    Case("a wrench of 1e300", one_refused("/ff/wrench", M.wrench(START + 0.035, [0, 0, 1e300, 0, 0, 0]), "within 100000 N"), None),
+    Case("a joint at 1e300", one_refused("/joint_states", M.joints(START + 0.035, positions=(0, 1e300, 0)), "joint j1: expected"), None),
+    Case("a covariance of 1e160", one_refused("/vision/object", M.pose(START + 0.035, np.eye(4), covariance=1e160 * np.eye(6)), "standard deviations"), None),
+    Case("a covariance of 1e308 beside its diagonal", one_refused("/vision/object", M.pose(START + 0.035, np.eye(4), covariance=np.eye(6) + 1.7e308 * (1 - np.eye(6))), "positive semidefinite"), None),
+    Case("a covariance of -1", one_refused("/vision/object", M.pose(START + 0.035, np.eye(4), covariance=-np.eye(6)), "positive semidefinite"), None),
     Case("millions of empty messages", few_messages, None),
     Case("columns that compute", lambda: read(database(f"CREATE TABLE messages (topic_id, timestamp, data AS ({HEAVY}))")) and None, "columns that are computed"),
     Case("a view for a table", lambda: read(database(f"CREATE VIEW messages AS {ENDLESS}")) and None, "got: the tables topics"),

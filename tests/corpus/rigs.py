@@ -67,7 +67,7 @@ FOLDER = tempfile.TemporaryDirectory()
 
 
 def hand(text: str) -> None:
-    """A hand of a description, moved and drawn."""
+    """Reads a hand from a robot description, moves it and draws it."""
     path = Path(FOLDER.name) / "spoilt.xml"
     path.write_bytes(text.encode("utf-8", "replace"))
     made = Hand.from_file(path, palm="palm", tips={"one": "one", "two": "two"})
@@ -77,7 +77,7 @@ def hand(text: str) -> None:
 
 
 def spoilt_xml(text: str, rng: random.Random) -> str:
-    """With a word of an attribute replaced, an element doubled or dropped, or spoilt as any text."""
+    """Returns XML with a word of an attribute replaced, an element repeated or dropped, or corrupted as any text."""
     if rng.random() < 0.3:
         return spoilt_text(text, rng)
     if rng.random() < 0.3:
@@ -92,7 +92,7 @@ def spoilt_xml(text: str, rng: random.Random) -> str:
 
 
 def rig(text: str) -> None:
-    """A rig of a file beside a good hand."""
+    """Reads a rig file beside a valid hand."""
     folder = Path(FOLDER.name)
     (folder / "hand.xml").write_text(URDF)
     (folder / "rig.yaml").write_bytes(text.encode("utf-8", "replace"))
@@ -102,7 +102,7 @@ def rig(text: str) -> None:
 
 
 def touch(given: dict[str, object]) -> None:
-    """A contact, a batch of one, a calibration and a compensation of what is given."""
+    """Computes a contact, a batch of one, a calibration and a compensation from these arguments."""
     make = Sphere if "radius" in given else Ellipsoid
     tip = make(given.get("radius", given.get("semi_axes")), *(given.get(k) for k in ("cap", "friction")))  # type: ignore[arg-type]
     felt = contact_from_wrench(given.get("force"), given.get("torque"), tip, sigma_force=given.get("sigma"))  # type: ignore[arg-type]
@@ -132,7 +132,7 @@ TOUCH: dict[str, object] = {
 
 
 def touch_spoilt(rng: random.Random) -> None:
-    """With a value or two wrong, or a sphere."""
+    """Computes contacts with one or two corrupted values, or with a sphere for a fingertip."""
     given = dict(TOUCH)
     if rng.random() < 0.3:
         del given["semi_axes"]

@@ -1,4 +1,4 @@
-"""Problems of correction at the ends of what is allowed: sigmas, sizes and distances far from those of a hand."""
+"""Corrections at the limits of valid input: sigmas, sizes and distances far from those of a hand."""
 
 import random
 import warnings
@@ -11,6 +11,7 @@ from handsight import se3
 from handsight.correction import (
     ANSWERS,
     METHODS,
+    MOST_CONTACTS,
     Outside,
     PaperMethod,
     Plane,
@@ -18,7 +19,6 @@ from handsight.correction import (
     TwoPhase,
     refine_pose,
 )
-from handsight.correction.problem import MOST_CONTACTS
 from tests.corpus.door import Case, Door, check_covariance, check_pose, spoilt_value
 
 BOX = hs.ObjectModel.box([0.06, 0.09, 0.14])
@@ -36,7 +36,7 @@ SIGMAS = [1e-9, 1e-6, 1e-3, 1e-3, 0.1, 1.0, 1e3]
 
 
 def extreme(rng: random.Random) -> None:
-    """A correction of numbers that are all allowed, each as small or as large as may be."""
+    """Corrects a pose with valid numbers, each as small or as large as is allowed."""
     draw = np.random.default_rng(rng.getrandbits(32))
     model, n = rng.choice(MODELS), rng.choice([1, 2, 3, 5])
     points, normals = model.sample(n, seed=rng.getrandbits(16))
@@ -57,7 +57,7 @@ def extreme(rng: random.Random) -> None:
 def _solved(
     model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior | None, rng: random.Random
 ) -> None:
-    """By one of the doors."""
+    """Solves the problem by one of the public functions."""
     n = len(contacts)
     outside = None
     if rng.random() < 0.3:
@@ -79,7 +79,7 @@ def _solved(
 
 
 def check_estimate(estimate: PoseEstimate, n: int) -> None:
-    """Finite and rigid, covariances positive semidefinite, weights that sum to one."""
+    """Asserts finite rigid poses, positive semidefinite covariances, and probabilities that sum to one."""
     check_pose(estimate.T_palm_object)
     check_covariance(estimate.covariance)
     assert estimate.residuals.distance.shape == (n,)
@@ -102,7 +102,7 @@ def _pose(rng: random.Random, draw: np.random.Generator) -> np.ndarray:
 
 
 def _covariance(rng: random.Random, draw: np.random.Generator) -> np.ndarray:
-    """(6, 6), allowed: of zeros, of any sigmas, of few directions."""
+    """Returns a valid covariance (6, 6): of zeros, of any sigmas, or singular."""
     scale = np.repeat([rng.choice(SIGMAS), rng.choice([0.0, *SIGMAS])], 3)
     spread = draw.normal(size=(6, rng.choice([1, 3, 6])))
     if rng.random() < 0.5:
@@ -112,7 +112,7 @@ def _covariance(rng: random.Random, draw: np.random.Generator) -> np.ndarray:
 
 
 def options(rng: random.Random) -> None:
-    """Options, batches and starts with something strange among them."""
+    """Calls corrections with a corrupted option, batch or start."""
     contacts = hs.Contacts([[0.03, 0, 0.01], [-0.03, 0.01, 0]], [[1.0, 0, 0], [-1, 0, 0]])
     vision = hs.PosePrior.from_sigmas(np.eye(4), 0.01, 0.1)
 
@@ -147,7 +147,7 @@ def options(rng: random.Random) -> None:
 
 
 def many(n: int) -> hs.Contacts:
-    """That many on the box."""
+    """Returns n contacts on the box."""
     return hs.Contacts(*BOX.sample(n))
 
 

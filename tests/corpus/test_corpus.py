@@ -1,4 +1,4 @@
-"""What is malformed is refused in a sentence or answered; `python -m tests.fuzz` brings other seeds."""
+"""Malformed input is refused in a sentence, or answered; `python -m tests.fuzz` tries other seeds."""
 
 import pytest
 
@@ -10,14 +10,14 @@ from tests.corpus.doors import CASES, DOORS
 
 @pytest.fixture(autouse=True, scope="module")
 def kernels_are_compiled():
-    """An input's time is its own: an alarm in the middle of compiling would be a fault of the next one too."""
+    """Compiles all kernels first, because an alarm in the middle of compiling would make the next input fail too."""
     warm(lambda name, seconds: None)
 
 
 @pytest.mark.parametrize("door", DOORS, ids=lambda door: door.name)
-def test_what_is_spoilt_is_answered_or_refused(door):
+def test_corrupted_input_is_answered_or_refused(door):
     answered = sum(knock(door, seed) for seed in range(door.inputs))
-    # A door that refuses all, or takes all, is not tried by what it is brought.
+    # A door that refuses every input, or answers every input, is not tested by these inputs.
     assert 0 < answered < door.inputs
 
 
@@ -26,7 +26,7 @@ def test_the_corpus_is_large():
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_what_once_went_wrong(case):
+def test_an_input_that_once_caused_a_fault_is_answered_or_refused(case):
     if case.says is None:
         case.bring()
         return

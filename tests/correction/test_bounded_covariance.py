@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from handsight.correction import PoseEstimate
-from handsight.correction.estimate import bounded_covariance
+from handsight.correction import PoseEstimate, bounded_covariance
 
 
 def informed(rng, rank):
@@ -27,12 +26,12 @@ def test_open_directions_and_only_they_have_a_variance_of_one_or_more(rank):
     np.testing.assert_allclose(directions @ covariance @ directions.T @ known, np.eye(rank), atol=2e-3)
 
 
-def test_a_spin_through_the_origin_has_the_variance_of_a_whole_turn():
+def test_a_spin_about_the_origin_has_the_variance_of_a_full_turn():
     information = np.diag([1e6, 1e6, 1e6, 1e4, 1e4, 0.0])
     assert bounded_covariance(information)[5, 5] == pytest.approx(np.pi**2 / 3, rel=1e-12)
 
 
-def test_a_covariance_that_is_known_goes_out_as_it_is():
+def test_a_known_covariance_is_its_own_bounded_covariance():
     covariance = np.diag([1e-6, 2e-6, 3e-6, 1e-4, 2e-4, 3e-4])
     estimate = PoseEstimate.from_gaussian(np.eye(4), covariance, np.zeros((0, 6)))
     np.testing.assert_array_equal(estimate.bounded_covariance, covariance)

@@ -72,7 +72,7 @@ def test_scaling_everything_scales_the_translation(seed, k):
 
 @few
 @given(seeds)
-def test_a_perfect_prior_with_consistent_contacts_stays_where_its_covariance_holds_it(seed):
+def test_a_perfect_prior_with_consistent_contacts_does_not_move(seed):
     contacts, _, T = grasp(BOX_POINTS, BOX_NORMALS, seed)
     sigma = 1e-5
     estimate = hs.correct_pose(box(), contacts, vision=hs.PosePrior(T, sigma**2 * np.eye(6)))
@@ -141,7 +141,7 @@ def test_an_origin_far_from_the_object_opens_no_direction():
     assert np.linalg.norm(middle - near.T_palm_object[:3, 3]) < 1e-3
 
 
-def test_along_an_open_direction_the_answer_is_the_priors():
+def test_along_an_open_direction_the_answer_is_the_prior_s():
     contacts, vision, _ = grasp(BOX_POINTS[:2], BOX_NORMALS[:2], seed=4, noise=0.0)
     estimate = hs.correct_pose(box(), contacts, vision=vision)
     # Of the directions that are open together, those that hardly turn.
@@ -177,7 +177,7 @@ def test_contacts_that_fit_nowhere_are_called_inconsistent():
     assert not estimate.consistent
 
 
-def test_the_hand_pushes_the_object_out_of_itself():
+def test_points_of_the_hand_keep_the_object_outside_of_it():
     # Three contacts on one face leave the slide to vision, which puts the box through a finger.
     points = np.array([[0.03, 0.01, 0.03], [0.03, -0.02, -0.04], [0.03, 0.0, 0.0]])
     contacts = hs.Contacts(points, np.tile([1.0, 0, 0], (3, 1)), sigma_point=1e-3, sigma_normal=0.05)
@@ -222,7 +222,7 @@ def gripped_against_a_finger(slide=0.06):
     return contacts, vision, np.column_stack([np.full(81, 0.038), y, z])
 
 
-def test_sampling_gets_away_from_a_wall_that_the_maximum_leans_on():
+def test_sampling_gets_away_from_a_wall_at_the_maximum():
     contacts, vision, finger = gripped_against_a_finger()
     few, many = (
         hs.correct_pose(box(), contacts, vision=vision, outside=finger, samples=n) for n in (4000, 60_000)
@@ -235,7 +235,15 @@ def test_sampling_gets_away_from_a_wall_that_the_maximum_leans_on():
     assert few.T_palm_object[0, 3] == pytest.approx(many.T_palm_object[0, 3], abs=2e-3)
 
 
-def test_a_wall_lends_no_information_of_the_way_back():
+@pytest.mark.parametrize("samples", [1, 2])
+def test_few_samples_have_a_covariance_too(samples):
+    contacts, vision, T = grasp(BOX_POINTS, BOX_NORMALS, seed=1)
+    estimate = hs.correct_pose(box(), contacts, vision=vision, samples=samples)
+    assert (np.linalg.eigvalsh(estimate.covariance) > 0).all()
+    np.testing.assert_allclose(estimate.information @ estimate.covariance, np.eye(6), atol=1e-6)
+
+
+def test_a_wall_gives_no_information_in_the_opposite_direction():
     contacts, vision, finger = gripped_against_a_finger()
     sigma = [
         np.sqrt(
@@ -247,7 +255,7 @@ def test_a_wall_lends_no_information_of_the_way_back():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_pose_is_followed_to_where_a_search_would_lead(seed):
+def test_refine_pose_finds_what_a_search_finds(seed):
     contacts, vision, _ = grasp(BOX_POINTS, BOX_NORMALS, seed)
     found = hs.correct_pose(box(), contacts, vision=vision)
     near = se3.moved(found.T_palm_object, np.array([1e-3, -1e-3, 5e-4, 0.01, 0.01, -0.01]))
@@ -258,13 +266,13 @@ def test_a_pose_is_followed_to_where_a_search_would_lead(seed):
     np.testing.assert_allclose(followed.covariance, found.covariance, atol=1e-4 * found.covariance.max())
 
 
-def test_a_pose_that_does_not_fit_is_not_followed():
+def test_refine_pose_returns_none_where_the_evidence_does_not_fit():
     contacts, vision, T = grasp(BOX_POINTS, BOX_NORMALS, seed=3)
     turned = se3.moved(T, np.array([0, 0, 0, 0, 0, np.pi / 2]))
     assert refine_pose(box(), contacts, vision, turned) is None
 
 
-def test_one_contact_with_vision_is_a_problem_for_us_and_not_for_the_paper():
+def test_one_contact_with_vision_is_enough_for_handsight_and_not_for_the_paper():
     contacts, vision, _ = grasp(BOX_POINTS[:1], BOX_NORMALS[:1], seed=1)
     estimate = hs.correct_pose(box(), contacts, vision=vision)
     assert abs(estimate.residuals.distance[0]) < 5e-4
@@ -285,7 +293,7 @@ def test_every_method_brings_the_contacts_to_the_surface(method):
     np.testing.assert_array_equal(estimate.hypotheses[0].T_palm_object, estimate.T_palm_object)
 
 
-def test_contacts_without_normals_are_used_by_their_place():
+def test_contacts_without_normals_are_used_by_their_points():
     contacts, vision, T = grasp(BOX_POINTS, BOX_NORMALS, seed=9, noise=0.0, error=(0.005, np.deg2rad(4)))
     bare = hs.Contacts(contacts.points_palm, sigma_point=1e-4)
     estimate = hs.correct_pose(box(), bare, vision=vision)
@@ -300,7 +308,10 @@ def test_contacts_without_normals_are_used_by_their_place():
         ({"samples": -1}, "samples: expected a whole number"),
         ({"outside": [[0, 0, np.nan]]}, "outside: expected finite numbers"),
         ({"outside": [[0, 0]]}, "outside: expected finite numbers of shape"),
-        ({"vision": np.eye(4)}, "vision: expected a PosePrior, a PoseMeasurement or None, got ndarray"),
+        (
+            {"vision": np.eye(4)},
+            "vision: expected a PosePrior, a PoseMeasurement, a GaussianPose or None, got ndarray",
+        ),
         ({"method": "paper-lm"}, "vision: the paper's method starts from a pose"),
     ],
 )

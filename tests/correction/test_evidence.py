@@ -16,10 +16,10 @@ EVERYONE = np.ones((1, 5), dtype=bool)
 
 def summary(problem, T, used=EVERYONE):
     """The ANSWER at a pose, first order."""
-    return solve._summaries(problem, descents_at(T[None]), used, first_order=True)[0]
+    return solve.summaries(problem, descents_at(T[None]), used, first_order=True)[0]
 
 
-def test_contacts_are_whitened_as_their_noise_is():
+def test_contacts_are_whitened_by_their_covariance():
     # On a can's side the curvature carries point noise into the normal.
     squares = []
     for seed in range(400):
@@ -29,7 +29,7 @@ def test_contacts_are_whitened_as_their_noise_is():
     assert abs(np.mean(squares) - 15) < 4 * np.sqrt(30 / 400)
 
 
-def test_a_contact_left_out_says_nothing():
+def test_a_contact_that_is_not_used_has_no_information():
     contacts, vision, T = grasp(BOX_POINTS, BOX_NORMALS, 3)
     fewer = np.array([[True, True, False, True, True]])
     rest = hs.Contacts(
@@ -56,7 +56,7 @@ def test_a_contact_adds_a_positive_semidefinite_matrix_at_a_fixed_pose():
         assert np.linalg.eigvalsh(gain).max() > 1e-9
 
 
-def test_a_hand_point_outside_costs_nothing_and_one_inside_costs_its_depth():
+def test_a_hand_point_outside_costs_nothing_and_one_inside_by_its_depth():
     contacts, vision, T = grasp(BOX_POINTS, BOX_NORMALS, 3)
     hand = np.zeros(1, OUTSIDE)
     hand["sigma"] = 0.002
@@ -69,7 +69,7 @@ def test_a_hand_point_outside_costs_nothing_and_one_inside_costs_its_depth():
         assert oracle.of_outside(problem, T)[0] == pytest.approx(depth / 0.002, abs=1e-9)
 
 
-def test_a_wall_costs_and_says_nothing_of_the_way_back():
+def test_a_wall_has_a_cost_and_no_information():
     contacts, vision, T = grasp(BOX_POINTS, BOX_NORMALS, 3)
     hand = np.zeros(1, OUTSIDE)
     hand["point"], hand["sigma"] = se3.apply(T, np.array([[0.02, 0.0, 0.0]])), 0.002

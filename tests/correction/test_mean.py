@@ -170,7 +170,7 @@ def test_a_spin_about_a_declared_axis_is_not_integrated_over():
         np.testing.assert_allclose(other.T_palm_object[:3, 3], estimate.T_palm_object[:3, 3], atol=1e-3)
 
 
-def test_a_slide_is_followed_from_its_maximum_to_the_same_mean():
+def test_refine_pose_from_the_maximum_of_a_slide_gives_the_same_mean():
     for seed in range(4):
         model, contacts, vision, _ = gripped(seed, "free")
         estimate = hs.correct_pose(model, contacts, vision=vision)
@@ -191,7 +191,7 @@ def test_two_maxima_of_one_slide_are_one_hypothesis():
     assert fewer
 
 
-def test_blind_a_slide_that_is_not_known_has_no_covariance():
+def test_without_vision_an_open_slide_has_no_covariance():
     contacts, _, _ = grasp(*can_contacts(), seed=3)
     for answer in ANSWERS:
         estimate = hs.correct_pose(can(), contacts, answer=answer)
@@ -204,7 +204,7 @@ def test_blind_a_slide_that_is_not_known_has_no_covariance():
     assert len(best.unobservable)
 
 
-def test_blind_maxima_along_a_slide_that_is_not_known_stay_hypotheses():
+def test_without_vision_maxima_along_an_open_slide_are_hypotheses():
     several = 0
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -216,7 +216,7 @@ def test_blind_maxima_along_a_slide_that_is_not_known_stay_hypotheses():
     assert several
 
 
-def test_an_answer_that_is_none_is_named():
+def test_an_unknown_answer_is_refused():
     scene = grasp(*can_contacts(), seed=0)
     with pytest.raises(
         hs.HandsightError, match=r"^answer: expected one of best, maximum, mean, got 'median'"
@@ -227,5 +227,5 @@ def test_an_answer_that_is_none_is_named():
     ):
         TrackerSettings(answer="median")
     problem = {"object": {"box": [0.1, 0.1, 0.1]}, "contacts": [{"point": [0.05, 0, 0]}], "answer": "median"}
-    said = json.loads(answer_text(Reader("."), json.dumps(problem).encode()))
-    assert said == {"error": "answer: expected one of best, maximum, mean, got 'median'"}
+    answer = json.loads(answer_text(Reader("."), json.dumps(problem).encode()))
+    assert answer == {"error": "answer: expected one of best, maximum, mean, got 'median'"}

@@ -1,4 +1,4 @@
-"""What is said beside a pose: information, open directions, fit."""
+"""The uncertainty of an answer: information, open directions, regions, fit."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def _calibrated(model, nodes, constraints, outside, descents, values, vectors):
     prior = local(PRIOR_TERM)
     prior_term.vision_prior(model[0], constraints[0].prior, prior, local(UNCERTAINTY))
     evidence = terms.Evidence(
-        model[0], nodes, np.empty(0, TERM), outside, constraints[0].weight, prior, (0.0, 0.0, 0.0)
+        model[0], nodes, np.empty(0, TERM), outside, constraints[0], prior, (0.0, 0.0, 0.0)
     )
     pose, rises = pose_of(descents[0].pose), np.empty(6)
     uncertainty.calibrated_information(evidence, pose, CALIBRATION.stride, values, vectors, rises)
@@ -107,7 +107,7 @@ def test_a_gaussians_information_is_its_own_secant():
     np.testing.assert_allclose(secant(OPEN, OPEN, T), OPEN, rtol=1e-6)
 
 
-def test_a_bump_at_the_mode_does_not_pass_for_knowledge():
+def test_a_bump_at_the_mode_is_not_information():
     np.testing.assert_allclose(secant(SHARP, OPEN, np.eye(4)), OPEN, rtol=1e-6)
 
 
@@ -120,7 +120,7 @@ def test_a_wall_on_one_side_of_the_mode_counts_by_half():
     assert values[1] == pytest.approx(1e6)
 
 
-def test_the_cost_is_read_a_deviation_and_a_half_away():
+def test_the_cost_is_evaluated_one_and_a_half_deviations_away():
     # Walls on both sides that stand 0.03 mm off: what they cost depends on how far away the cost is read.
     walls = np.zeros(2, OUTSIDE)
     walls["point"], walls["sigma"] = [(0.03003, 0.001, 0.002), (-0.03003, 0.001, 0.002)], 1e-4
@@ -128,7 +128,7 @@ def test_the_cost_is_read_a_deviation_and_a_half_away():
     assert values[0] == pytest.approx(((1.5 - 0.3) / 1.5) ** 2 * 1e8, rel=2e-3)
 
 
-def test_blind_a_slide_has_no_covariance_and_a_weight_all_the_same():
+def test_without_vision_a_slide_has_a_probability_but_no_covariance():
     contacts, _, _ = grasp(*can_contacts(), seed=3)
     estimate = hs.correct_pose(can(), contacts)
     assert estimate.covariance is None
@@ -157,7 +157,7 @@ def regions(model, points_normals, count):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("thing", ["can", "box"])
-def test_the_truth_is_in_the_regions_as_often_as_they_say(thing):
+def test_the_truth_is_in_a_region_as_often_as_its_level(thing):
     count = 200
     if thing == "can":
         half, most = regions(can(), lambda _: can_contacts(), count)
@@ -186,7 +186,7 @@ def test_the_can_and_the_box_are_found_from_near_and_from_far(error):
     assert np.mean(found) >= 0.97
 
 
-def test_a_wrong_contact_is_named_whichever_it_is():
+def test_whichever_contact_is_wrong_is_an_outlier():
     for wrong in range(5):
         contacts, vision, T = grasp(BOX_POINTS, BOX_NORMALS, seed=20 + wrong)
         normals = contacts.normals_palm.copy()

@@ -88,7 +88,7 @@ def test_the_residuals_covariance_is_the_one_given(rng):
 
 
 @pytest.mark.parametrize("method", ["select", "moved", "from a list"])
-def test_whose_covariance_it_is_stays_with_each_contact(method, rng):
+def test_each_contact_keeps_its_flag_of_residual(method, rng):
     points, normals = rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
     flags = [True, False, False, True]
     contacts = hs.Contacts(points, normals, of_residual=flags)
@@ -117,7 +117,7 @@ def test_a_flag_is_a_truth_value(value, message):
         hs.Contacts(np.eye(3)[:2], of_residual=value)
 
 
-def test_a_residual_is_never_known_exactly():
+def test_a_singular_covariance_of_a_residual_is_refused():
     flat = np.diag([1e-6, 1e-6, 0.0, 1e-2, 1e-2, 1e-2])
     contacts = {"points_palm": np.eye(3)[:1], "normals_palm": np.eye(3)[:1], "covariance": flat[None]}
     assert len(hs.Contacts(**contacts)) == 1
@@ -131,7 +131,7 @@ def test_a_residual_is_never_known_exactly():
     hs.Contacts(np.eye(3)[:1], covariance=np.diag([1e-6] * 3 + [0.0] * 3)[None], of_residual=True)
 
 
-def test_in_a_problem_of_json_it_is_a_key_beside_the_contacts():
+def test_a_json_problem_has_the_flag_beside_its_contacts():
     import json
     from pathlib import Path
 
@@ -160,5 +160,5 @@ def test_in_a_problem_of_json_it_is_a_key_beside_the_contacts():
     assert json.loads(wrong) == {"error": "contacts_of_residual: expected true or false, got 1"}
     exact = problem | {"contacts_of_residual": True}
     exact["contacts"] = [{"point": [0, 0, 0.05], "covariance": np.diag([1e-6, 1e-6, 0, 0, 0, 0]).tolist()}]
-    said = json.loads(answer_text(reader, json.dumps(exact).encode()))["error"]
-    assert said.startswith("contacts: covariance[0]: expected a residual's")
+    message = json.loads(answer_text(reader, json.dumps(exact).encode()))["error"]
+    assert message.startswith("contacts: covariance[0]: expected a residual's")

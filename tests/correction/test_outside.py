@@ -59,7 +59,7 @@ def _costs(model, nodes, outside, descents, coarse, costs):
 
 @pytest.mark.parametrize("name", ["box", "can", "mustard"])
 @pytest.mark.parametrize("coarse", [False, True])
-def test_what_is_left_out_because_it_is_far_costs_nothing(name, coarse):
+def test_points_that_are_skipped_as_far_cost_nothing(name, coarse):
     thing, scene = model(name), grasp(name)
     for seed in range(8):
         rng = np.random.default_rng(seed)
@@ -81,7 +81,7 @@ def grasp(name, seed=0):
 
 
 @pytest.mark.parametrize("name", ["box", "can", "mustard"])
-def test_the_cost_is_that_of_each_links_points_by_hand(name):
+def test_the_cost_of_each_link_is_that_of_the_formula(name):
     thing, scene, rng = model(name), grasp(name), np.random.default_rng(3)
     outside = hand(thing, rng)
     rows = outside_records(thing, scene.contacts, outside)
@@ -132,7 +132,7 @@ def test_an_answer_is_that_of_all_points_however_many_are_far():
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({"points_palm": [[0, 0, np.nan]]}, r"^outside: expected finite numbers of shape"),
         ({"points_palm": np.full((4, 3), 2e3)}, r"^outside: expected metres within 1000"),
@@ -144,6 +144,6 @@ def test_an_answer_is_that_of_all_points_however_many_are_far():
         ({"links": [1]}, r"^outside\.links: expected 2 finite numbers"),
     ],
 )
-def test_what_is_no_hand_is_refused(given, said):
-    with pytest.raises(InvalidInput, match=said):
+def test_wrong_points_of_a_hand_are_refused(given, message):
+    with pytest.raises(InvalidInput, match=message):
         Outside(**{"points_palm": np.zeros((2, 3)), **given})

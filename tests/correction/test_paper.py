@@ -40,13 +40,13 @@ def grasp(rng, angle_deg=12.0, distance=0.01, cloud_size=2000):
 # Equation 2
 
 
-def test_a_region_holds_the_points_within_epsilon_nearest_first():
+def test_a_region_has_the_points_within_epsilon_nearest_first():
     cloud = np.array([[3.0, 0, 0], [1, 0, 0], [2, 0, 0], [5, 0, 0]])
     (found,) = paper.regions(np.zeros((1, 3)), cloud, epsilon=3.0, min_points=1)
     assert found.tolist() == [1, 2, 0]
 
 
-def test_only_a_region_with_too_few_points_grows_and_just_so_far():
+def test_a_region_with_too_few_points_grows_to_the_least_number():
     cloud = np.array([[0.0, 0, 0], [1, 0, 0], [10, 0, 0], [11, 0, 0], [12, 0, 0]])
     contacts = np.array([[0.5, 0, 0], [20.0, 0, 0]])
     near, far = paper.regions(contacts, cloud, epsilon=1.0, min_points=2)
@@ -54,7 +54,7 @@ def test_only_a_region_with_too_few_points_grows_and_just_so_far():
     assert far.tolist() == [4, 3]
 
 
-def test_a_cloud_smaller_than_the_least_region_is_taken_whole():
+def test_a_cloud_smaller_than_the_least_region_is_one_region():
     (found,) = paper.regions(np.zeros((1, 3)), np.eye(3), epsilon=0.1, min_points=200)
     assert sorted(found) == [0, 1, 2]
 
@@ -239,7 +239,7 @@ def test_an_object_already_in_place_stays_there():
     assert (result.iterations, result.converged) == (0, True)
 
 
-def test_the_limit_of_steps_is_kept_and_said():
+def test_the_limit_of_steps_is_kept_and_reported():
     cloud, cloud_normals, points, normals, _ = grasp(np.random.default_rng(7))
     result = paper.correct(points, normals, cloud, cloud_normals, PaperMethod(max_iterations=3))
     assert (result.iterations, result.converged) == (3, False)

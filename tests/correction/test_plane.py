@@ -108,7 +108,7 @@ def _planes(model, nodes, planes, descents, equations):
 
 
 @pytest.mark.parametrize("name", ["box", "can", "ellipsoid"])
-def test_its_row_is_the_derivative_of_the_height(name):
+def test_a_plane_s_row_is_the_derivative_of_the_height(name):
     model, lowest, tolerance = objects()[name]
     scene, rng, step, below = grasp(model), np.random.default_rng(2), 1e-6, 0
     up, point, center = se3.random(rng)[:3, 0], np.array([0.01, 0.02, -0.01]), np.array([0.1, 0.2, 0.3])
@@ -155,7 +155,7 @@ def test_a_table_keeps_an_object_that_fingers_let_slide_from_sinking_into_it():
     assert rms[True] < 0.003 < 0.015 < rms[False]
 
 
-def test_an_object_that_stays_above_a_plane_is_answered_as_without():
+def test_a_plane_below_the_object_changes_nothing():
     scene = grasp(scenes.box(), 3)
     below = scene.T_palm_object[:3, 3] - [0, 0, 0.3]
     free = hs.correct_pose(scenes.box(), scene.contacts, vision=scene.vision)
@@ -165,15 +165,15 @@ def test_an_object_that_stays_above_a_plane_is_answered_as_without():
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({"point_palm": [0, 0], "normal_palm": [0, 0, 1], "sigma": 1e-3}, r"plane\.point_palm"),
         ({"point_palm": [0, 0, 0], "normal_palm": [0, 0, 0], "sigma": 1e-3}, r"plane\.normal_palm"),
         ({"point_palm": [0, 0, 0], "normal_palm": [0, 0, 1], "sigma": 0}, r"plane\.sigma"),
     ],
 )
-def test_what_is_no_plane_is_refused(given, said):
-    with pytest.raises(InvalidInput, match=said):
+def test_a_wrong_plane_is_refused(given, message):
+    with pytest.raises(InvalidInput, match=message):
         Plane(**given)
 
 

@@ -8,10 +8,8 @@ import trimesh
 
 import handsight as hs
 from handsight._kernels.solve import search
-from handsight.correction import refine_pose
+from handsight.correction import MOST_CONTACTS, MOST_PLANES, refine_pose
 from handsight.correction.modes import SAME_MODE
-from handsight.correction.outside import MOST_PLANES
-from handsight.correction.problem import MOST_CONTACTS
 from scenes import NOISE, anywhere_on, box, off, random_scene
 
 PROFILE = np.array([[-0.02, 0], [0.08, 0], [0.08, 0.04], [0.02, 0.04], [0.02, 0.14], [-0.02, 0.14]])
@@ -70,7 +68,7 @@ def test_on_an_l_few_better_modes_are_missed():
     assert far <= 4
 
 
-def poses_seen(n, monkeypatch, *, blind, wrong=8):
+def poses_scored(n, monkeypatch, *, blind, wrong=8):
     """How many poses a correction of n contacts, some wrong, holds all contacts against."""
     scene = random_scene(box().sample(n, seed=3), np.random.default_rng(3))
     points = scene.contacts.points_palm.copy()
@@ -95,13 +93,13 @@ def poses_seen(n, monkeypatch, *, blind, wrong=8):
 @pytest.mark.parametrize(
     ("blind", "most"), [(False, 1000), pytest.param(True, 30_000, marks=pytest.mark.slow)]
 )
-def test_more_contacts_are_not_held_against_more_poses(monkeypatch, blind, most):
+def test_the_work_does_not_grow_faster_than_the_number_of_contacts(monkeypatch, blind, most):
     # Each contact left out in turn, from a dozen starts, would be 12 poses for each contact with vision.
     for n in (40, 120, 240):
-        assert 0 < poses_seen(n, monkeypatch, blind=blind) < most
+        assert 0 < poses_scored(n, monkeypatch, blind=blind) < most
 
 
-def test_more_contacts_or_planes_than_a_hand_has_are_refused():
+def test_too_many_contacts_or_planes_are_refused():
     scene = random_scene(box().sample(MOST_CONTACTS + 1), np.random.default_rng(0))
     with pytest.raises(hs.HandsightError, match=f"^contacts: expected at most {MOST_CONTACTS} contacts, got"):
         hs.correct_pose(box(), scene.contacts)

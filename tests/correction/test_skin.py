@@ -7,7 +7,7 @@ import handsight as hs
 import scenes
 import skin_scenes
 from handsight import se3
-from handsight.correction import Outside
+from handsight.correction import Outside, SkinEvidence
 from handsight.errors import InvalidInput
 
 ARRAY = skin_scenes.palm_array()
@@ -26,9 +26,8 @@ def test_an_edge_on_the_array_ends_the_slide(draw):
     for seed in range(12):
         scene = draw(np.random.default_rng([100, seed]), ARRAY)
         touch = scene.touch(ARRAY)
-        contacts = scene.tips.joined(touch.contacts(np.eye(4)))
-        outside = Outside.of_skin(touch, np.eye(4))
-        estimate = hs.correct_pose(scene.model, contacts, vision=scene.vision, outside=outside)
+        skin = SkinEvidence.of(touch, np.eye(4))
+        estimate = hs.correct_pose(scene.model, scene.tips, vision=scene.vision, skin=skin)
         assert estimate.consistent
         errors.append(across(scene, estimate))
         inside.append(scenes.region(scene.model, estimate, scene.T_palm_object)["in 95%"])
@@ -39,17 +38,45 @@ def test_an_edge_on_the_array_ends_the_slide(draw):
 def test_the_answer_is_as_uncertain_as_the_array():
     scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
     touch = scene.touch(ARRAY)
-    contacts = scene.tips.joined(touch.contacts(np.eye(4)))
     by_error = np.zeros((6, 2))
     by_error[0, 0], by_error[4, 1] = 0.01, 0.1
     for errors, least in ((None, [5e-4, 5e-4, 5e-4]), (by_error, [0.01, 5e-4, 5e-4])):
-        outside = Outside.of_skin(touch, np.eye(4), errors)
-        estimate = hs.correct_pose(scene.model, contacts, vision=scene.vision, outside=outside)
+        skin = SkinEvidence.of(touch, np.eye(4), errors)
+        estimate = hs.correct_pose(scene.model, scene.tips, vision=scene.vision, skin=skin)
         assert (np.sqrt(np.diag(estimate.covariance))[:3] >= np.array(least)).all()
-    assert outside.skin[4] > 0.1
+    assert skin.sigmas[4] > 0.1
 
 
-def test_what_two_say_is_said_together():
+def test_the_deprecated_outside_of_skin_gives_the_same_answer_with_a_warning():
+    scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
+    touch = scene.touch(ARRAY)
+    new = hs.correct_pose(
+        scene.model, scene.tips, vision=scene.vision, skin=SkinEvidence.of(touch, np.eye(4))
+    )
+    with pytest.warns(DeprecationWarning, match="SkinEvidence"):
+        outside = Outside.of_skin(touch, np.eye(4))
+    contacts = scene.tips.joined(touch.contacts(np.eye(4)))
+    old = hs.correct_pose(scene.model, contacts, vision=scene.vision, outside=outside)
+    np.testing.assert_array_equal(old.T_palm_object, new.T_palm_object)
+    np.testing.assert_array_equal(old.covariance, new.covariance)
+
+
+def test_an_array_is_combined_with_points_of_the_hand_and_another_array():
+    scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
+    skin = SkinEvidence.of(scene.touch(ARRAY), np.eye(4))
+    far = SkinEvidence(None, [[0.0, 0.0, 0.9]], np.full(6, 1e-6))
+    alone, both, hand = (
+        hs.correct_pose(scene.model, scene.tips, vision=scene.vision, skin=given, outside=outside)
+        for given, outside in ((skin, None), (skin.joined(far), None), (skin, [[0.0, 0.0, 0.9]]))
+    )
+    assert len(skin.joined(far).untouched_palm) == len(skin.untouched_palm) + 1
+    np.testing.assert_array_equal(skin.joined(far).sigmas, skin.sigmas)
+    for other in (both, hand):
+        np.testing.assert_allclose(other.T_palm_object, alone.T_palm_object, atol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore:Outside.skin")
+def test_joined_outsides_have_the_points_of_both():
     a = Outside([[0, 0, 1.0], [0, 0, 2]], sigmas=1e-3, links=[4, 4], slacks=[0.0, 0.1])
     b = Outside([[1.0, 0, 0]], sigmas=[2e-3], skin=np.arange(6.0))
     both = a.joined(b)
@@ -60,6 +87,28 @@ def test_what_two_say_is_said_together():
     np.testing.assert_array_equal(both.skin, np.arange(6.0))
 
 
-def test_a_skin_of_another_shape_is_told():
-    with pytest.raises(InvalidInput, match=r"outside\.skin: expected 6 finite numbers"):
-        Outside([[0, 0, 1.0]], sigmas=1e-3, skin=[1e-3])
+def test_wrong_skin_evidence_is_refused():
+    with pytest.raises(InvalidInput, match=r"skin\.sigmas: expected 6 finite numbers"):
+        SkinEvidence(None, np.empty((0, 3)), [1e-3])
+    with pytest.raises(InvalidInput, match=r"skin\.contacts: expected Contacts or None"):
+        SkinEvidence(np.eye(3), np.empty((0, 3)), np.ones(6))
+    scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
+    with pytest.raises(InvalidInput, match="skin: expected SkinEvidence or None, got int"):
+        hs.correct_pose(scene.model, scene.tips, skin=3)
+
+
+@pytest.mark.parametrize("points", ["abc", np.zeros(4), np.zeros((3, 4)), [[0.0, 0.0], [0.0]]])
+def test_untouched_points_are_rows_of_three_numbers(points):
+    with pytest.raises(
+        InvalidInput, match=r"skin\.untouched_palm: expected finite numbers of shape \(n, 3\)"
+    ):
+        SkinEvidence(None, points, np.ones(6))
+
+
+def test_the_papers_method_is_as_uncertain_as_the_array_too():
+    scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY)
+    skin = SkinEvidence(None, [[0.0, 0.0, 0.9]], np.full(6, 0.02))
+    estimate = hs.correct_pose(
+        scene.model, scene.tips, vision=scene.vision, skin=skin, method="paper-lm-distance"
+    )
+    assert (np.sqrt(np.diag(estimate.covariance)) > 0.02).all()

@@ -7,9 +7,8 @@ import handsight as hs
 from handsight import se3
 from handsight._kernels.runtime.threads import alone
 from handsight.correction import outliers, solve, starts
-from handsight.correction.budget import Budget
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import Problem, TwoPhase, poses_of
+from handsight.correction.problem import Budget, Problem, TwoPhase, poses_of
 from oracles import fields
 from scenes import BOX_NORMALS, BOX_POINTS, NOISE, box, can, grasp, off, on_can_side, random_scene
 
@@ -49,7 +48,7 @@ def test_scores_shared_by_all_sets_are_those_of_each_set(normals):
 
 
 @pytest.mark.parametrize("normals", [True, False])
-def test_blind_starts_lay_the_surface_on_a_contact(normals):
+def test_starts_without_vision_have_a_contact_on_the_surface(normals):
     given = problem(1, blind=True, normals=normals)
     Ts = poses_of(starts.blind(given, np.ones(5, dtype=bool), prune=True).descents[::31])
     felt = given.contacts.normals_palm
@@ -75,7 +74,7 @@ def test_draws_have_the_priors_mean_and_covariance():
     np.testing.assert_allclose(np.cov(delta.T), expected, atol=0.03 * np.trace(expected) / 6)
 
 
-def test_many_starts_lead_where_each_of_them_leads():
+def test_many_starts_end_where_each_alone_ends():
     given = problem(2)
     begin, used = starts.from_prior(given.vision, 150)[None], np.ones((1, 5), dtype=bool)
     found = solve.solve(given, begin, used)
@@ -122,7 +121,7 @@ def wide_and_wrong(seed):
 
 
 @pytest.mark.parametrize("blind", [True, False])
-def test_a_budget_that_is_spent_cuts_the_search_short_and_says_so(blind):
+def test_a_search_cut_short_by_its_budget_is_not_converged(blind):
     for seed in range(3):
         contacts, vision = wide_and_wrong(seed)
         vision = None if blind else vision
@@ -144,7 +143,7 @@ def test_a_longer_budget_finds_nothing_worse(monkeypatch):
     everyone = np.ones((1, 5), dtype=bool)
     for units in range(1, 8):
         clock = iter(range(1000))
-        monkeypatch.setattr("handsight.correction.budget.time.perf_counter", lambda clock=clock: next(clock))
+        monkeypatch.setattr("handsight.correction.problem.time.perf_counter", lambda clock=clock: next(clock))
         found = outliers.solve_robustly(given, TwoPhase(), Budget(ends=units))
         costs.append(found.cost)
     monkeypatch.undo()
@@ -154,7 +153,7 @@ def test_a_longer_budget_finds_nothing_worse(monkeypatch):
     assert solve.solve(given, starts.from_prior(vision, 1)[None], everyone).cost >= costs[0] - 1e-9
 
 
-def test_what_fits_at_once_needs_no_budget():
+def test_an_answer_from_one_start_needs_no_budget():
     contacts, vision, _ = grasp(BOX_POINTS, BOX_NORMALS, seed=1)
     answer = hs.correct_pose(box(), contacts, vision=vision, budget=1e-9)
     assert answer.converged

@@ -27,7 +27,7 @@ def gripped(points=SIDE, normals=((1, 0, 0), (1, 0, 0), (-1, 0, 0))):
     )
 
 
-def seen(error=(0.0, 0.015, -0.012, 0.0, 0.0, 0.0)):
+def vision(error=(0.0, 0.015, -0.012, 0.0, 0.0, 0.0)):
     off = np.concatenate([T_TRUE[:3, :3] @ error[:3], T_TRUE[:3, :3] @ error[3:]])
     return hs.PosePrior(se3.moved(T_TRUE, off), np.diag([0.02**2] * 3 + [0.02**2] * 3))
 
@@ -38,10 +38,10 @@ def weighed(center=(0.0, 0.0, 0.0), wrong=(0.0, 0.0, 0.0), sigma=1e-3):
 
 
 @pytest.mark.parametrize("center", [(0, 0, 0), (0.01, -0.02, 0.03)])
-def test_a_slide_that_contacts_leave_open_is_what_weight_sees(center):
+def test_the_weight_measures_a_slide_that_contacts_leave_open(center):
     model = box().with_symmetries(Symmetries())
-    without = hs.correct_pose(model, gripped(), vision=seen())
-    found = hs.correct_pose(model, gripped(), vision=seen(), weight=weighed(center))
+    without = hs.correct_pose(model, gripped(), vision=vision())
+    found = hs.correct_pose(model, gripped(), vision=vision(), weight=weighed(center))
     assert np.linalg.norm(without.T_palm_object[:3, 3] - T_TRUE[:3, 3]) > 0.008
     assert np.linalg.norm(found.T_palm_object[:3, 3] - T_TRUE[:3, 3]) < 1.5e-3
     assert found.weight_fits is True
@@ -53,10 +53,10 @@ def test_weight_is_information_of_its_rows():
     """At a fixed pose touch's information rises by Jᵀ Σ⁻¹ J, and χ² by the squared residuals."""
     contacts, center = gripped(), np.array([0.01, -0.02, 0.03])
     weight = weighed(center, (3e-4, 0, -5e-4))
-    given = Problem(box(), contacts, seen(), NO_OUTSIDE)
+    given = Problem(box(), contacts, vision(), NO_OUTSIDE)
     everyone = np.ones((1, 3), dtype=bool)
     with_weight, without = (
-        solve._summaries(problem, descents_at(T_TRUE[None]), everyone, first_order=True)[0]
+        solve.summaries(problem, descents_at(T_TRUE[None]), everyone, first_order=True)[0]
         for problem in (replace(given, weight=weight), given)
     )
     J = np.hstack([np.eye(3), -se3.skew(T_TRUE[:3, :3] @ center)]) / 1e-3
@@ -69,15 +69,15 @@ def test_weight_is_information_of_its_rows():
 
 
 @pytest.mark.parametrize("wrong", [(0.02, 0, 0), (-0.014, 0.014, 0)])
-def test_a_wrong_centre_of_mass_is_noticed_and_costs_nothing(wrong):
+def test_a_wrong_centre_of_mass_is_left_out(wrong):
     model = box().with_symmetries(Symmetries())
-    found = hs.correct_pose(model, gripped(), vision=seen(), weight=weighed(wrong=wrong))
-    without = hs.correct_pose(model, gripped(), vision=seen())
+    found = hs.correct_pose(model, gripped(), vision=vision(), weight=weighed(wrong=wrong))
+    without = hs.correct_pose(model, gripped(), vision=vision())
     assert found.weight_fits is False
     np.testing.assert_array_equal(found.T_palm_object, without.T_palm_object)
 
 
-def test_blind_with_weight_the_slide_is_known():
+def test_without_vision_the_weight_determines_the_slide():
     corners = np.vstack([SIDE, [[0.0, 0.045, 0.01]]])
     contacts = gripped(corners, [*np.eye(3)[[0, 0]], -np.eye(3)[0], np.eye(3)[1]])
     found = hs.correct_pose(box(), contacts, weight=weighed())
@@ -86,20 +86,20 @@ def test_blind_with_weight_the_slide_is_known():
     assert found.weight_fits is True
 
 
-def test_what_is_heavier_on_one_side_is_not_symmetric():
+def test_a_centre_of_mass_off_the_axis_is_refused_for_a_symmetric_object():
     with pytest.raises(InvalidInput, match="leave in place, got one 10.0 mm off"):
-        hs.correct_pose(can(), gripped(), vision=seen(), weight=weighed((0.01, 0, 0)))
+        hs.correct_pose(can(), gripped(), vision=vision(), weight=weighed((0.01, 0, 0)))
     with pytest.raises(InvalidInput, match="center_of_mass: expected a point that the object's symmetries"):
         can().with_weight(center_of_mass=(0.01, 0, 0))
     np.testing.assert_allclose(can().with_weight(center_of_mass=(1e-4, 0, 0)).center_of_mass, 0, atol=1e-12)
     np.testing.assert_allclose(kept_center(can().symmetries, np.array([0.0, 0, 0.02])), 0, atol=1e-9)
 
 
-def test_the_papers_method_knows_of_no_weight():
+def test_the_papers_method_refuses_a_weight():
     with pytest.raises(InvalidInput, match="weight: expected None"):
-        hs.correct_pose(box(), gripped(), vision=seen(), weight=weighed(), method="paper-lm")
+        hs.correct_pose(box(), gripped(), vision=vision(), weight=weighed(), method="paper-lm")
     with pytest.raises(InvalidInput, match="weight: expected WeightEvidence or None, got tuple"):
-        hs.correct_pose(box(), gripped(), vision=seen(), weight=(0, 0, 0))
+        hs.correct_pose(box(), gripped(), vision=vision(), weight=(0, 0, 0))
 
 
 @pytest.mark.parametrize(
@@ -111,13 +111,13 @@ def test_the_papers_method_knows_of_no_weight():
         ({"covariance": np.diag([1.0, -1, 1]) * 1e-6}, "weight.covariance"),
     ],
 )
-def test_what_is_wrong_with_a_weight_is_said(change, message):
+def test_a_wrong_weight_is_refused(change, message):
     given = {"center_object": np.zeros(3), "center_palm": np.zeros(3), "covariance": 1e-6 * np.eye(3)}
     with pytest.raises(InvalidInput, match=message):
         WeightEvidence(**{**given, **change})
 
 
-def test_a_homogeneous_volumes_centroid_is_offered():
+def test_a_model_has_the_centroid_of_its_volume():
     import trimesh
 
     shape = trimesh.creation.cone(radius=0.03, height=0.1)
@@ -129,7 +129,7 @@ def test_a_homogeneous_volumes_centroid_is_offered():
         getattr(replace(cloud, closed=False), "volume_centroid")  # noqa: B009 - it raises
 
 
-def test_a_library_knows_its_objects_weights(tmp_path):
+def test_a_library_keeps_the_weights_of_its_objects(tmp_path):
     import trimesh
 
     from handsight.objects import Facts, Library

@@ -75,7 +75,7 @@ def test_errors_agree_with_those_of_a_replay_and_read_ones_differ_by_the_reading
         assert found["open"] == 0
 
 
-def test_what_contacts_see_and_what_they_leave_open_make_up_the_whole_error(model):
+def test_observable_and_unobservable_errors_make_up_the_complete_error(model):
     rng = np.random.default_rng(2)
     sample = standing_sample(rng, model)
     T = se3.moved(sample.T_palm_object, 0.02 * rng.normal(size=6))
@@ -95,7 +95,7 @@ def test_a_symmetric_pose_is_no_error(model):
     assert max(found[key] for key in ("base", "middle", "turn", "seen")) < 1e-4
 
 
-def test_regions_hold_the_truths_of_the_gaussian_they_state():
+def test_confidence_regions_contain_the_truths_of_their_gaussian():
     box = hs.ObjectModel.box((0.06, 0.09, 0.14))
     rng = np.random.default_rng(4)
     factor = np.diag([0.004, 0.002, 0.001, 0.02, 0.05, 0.01])
@@ -117,7 +117,7 @@ def test_open_sigma_is_what_the_information_leaves_and_knows_nothing_of_the_symm
     assert grasp_errors.open_sigma(can, estimate) == pytest.approx(30.0)
 
 
-def test_an_interval_holds_its_mean_and_a_constant_gain_has_no_spread():
+def test_an_interval_contains_its_mean_and_a_constant_gain_has_no_spread():
     before = np.random.default_rng(5).exponential(0.08, 60)
     value, low, high = grasp_errors.mean_interval(before)
     assert value == pytest.approx(before.mean())
@@ -147,7 +147,7 @@ def trial():
 
 
 @needs_simulator
-def test_a_trial_is_what_the_robot_knows_and_the_table_tells_height_and_tilt(trial):
+def test_a_trial_has_the_robots_knowledge_and_the_table_gives_height_and_tilt(trial):
     assert len(trial.contacts) == 5
     T_world_palm = trial.sample.observation.T_world_palm
     R = T_world_palm[:3, :3]
@@ -226,7 +226,7 @@ def test_contacts_are_sensed_to_a_tenth_of_a_millimetre_and_noise_adds_to_it(tri
 
 @pytest.mark.slow
 @needs_simulator
-def test_section_3_prints_its_tables_and_writes_what_they_say(tmp_path):
+def test_section_3_prints_its_tables_and_writes_their_numbers(tmp_path):
     text = printed("section_3", tmp_path, "--quick", "--trials", 2)
     for title in ("one instant, 2 grasps", "over time", "Truths inside", "Contact sensing", "Targets"):
         assert title in text
@@ -285,7 +285,7 @@ def test_without_the_simulator_an_experiment_says_so_and_ends_well(name, monkeyp
 
 @pytest.mark.slow
 @needs_simulator
-def test_whole_manipulations_are_followed_and_told_truthfully(tmp_path, monkeypatch):
+def test_complete_manipulations_are_tracked_with_truthful_uncertainty(tmp_path, monkeypatch):
     monkeypatch.setattr("over_time.RATE", 20.0)
     rows = run("over_time", tmp_path, "--quick")["over_time"]
     assert {row["object"] for row in rows} == {"can", "box"}

@@ -11,7 +11,7 @@ NAMED = os.environ.get("HANDSIGHT_DATA")
 DATA = Path(NAMED) if NAMED else Path(__file__).parents[3] / "shared" / "data"
 
 
-def test_without_data_it_is_said_so(tmp_path, monkeypatch):
+def test_without_data_the_program_says_so(tmp_path, monkeypatch):
     monkeypatch.setenv("HANDSIGHT_DATA", str(tmp_path))
     told = printed("sight_real", tmp_path / "output")
     assert told.startswith("skipped: ")

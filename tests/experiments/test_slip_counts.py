@@ -22,7 +22,7 @@ def test_a_delay_is_from_slip_to_alarm_and_below_zero_before():
     assert slips.delays(*told((1.9, 1.95), (1.5, 1.8))) == [None]
 
 
-def test_what_hardly_moves_is_no_slip():
+def test_a_tiny_motion_is_no_slip():
     assert slips.delays(*told((1.5, 1.8), (1.5, 1.8), speed=0.0032)) == []
     assert slips.delays(*told((1.5, 1.8), (1.5, 1.8), speed=0.0025)) == []
 

@@ -31,7 +31,7 @@ def test_outside_evidence_takes_the_hand_out_of_the_box(tmp_path):
 
 
 @pytest.mark.slow
-def test_can_and_box_converge_and_the_regions_hold_without_the_scans(tmp_path, monkeypatch):
+def test_without_data_can_and_box_converge_and_their_regions_contain_the_truth(tmp_path, monkeypatch):
     monkeypatch.setenv("HANDSIGHT_DATA", str(tmp_path))
     rows = run("convergence", tmp_path / "convergence", "--trials", 8)["convergence"]
     assert np.mean([r["clean"] == "True" for r in rows]) > 0.9
@@ -48,7 +48,7 @@ def test_latency_is_measured_for_both_objects(tmp_path):
     assert (column(rows, "ms") > 0).all()
 
 
-def test_what_a_model_adds_is_that_of_a_circle_on_a_can(tmp_path, monkeypatch):
+def test_information_added_by_a_model_is_that_of_a_circle_on_a_can(tmp_path, monkeypatch):
     monkeypatch.setenv("HANDSIGHT_DATA", str(tmp_path))
     rows = run("added_by_model", tmp_path, "--trials", 50)["added_by_model"]
     assert len(rows) == 2

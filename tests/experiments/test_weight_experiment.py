@@ -8,7 +8,7 @@ pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gym
 import weight
 
 
-def test_the_weight_tells_where_the_box_is_after_the_tilt():
+def test_the_weight_locates_the_box_after_the_tilt():
     """A box slides between two faces unnoticed by contacts: below 4 mm without vision."""
     mean, most = weight.after_the_tilt(weighed=True)
     assert most < 4e-3

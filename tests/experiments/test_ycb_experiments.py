@@ -75,7 +75,7 @@ def test_touch_corrects_real_vision_errors_and_seldom_harms(tmp_path, monkeypatc
 
 @pytest.mark.slow
 @needs_data
-def test_an_object_is_followed_while_a_hand_closes_and_a_jugs_unseen_handle_is_known_to_be_unknown(
+def test_an_object_is_tracked_while_a_hand_closes_and_a_jugs_hidden_handle_is_uncertain(
     tmp_path, monkeypatch
 ):
     monkeypatch.setenv("HANDSIGHT_DATA", str(DATA))

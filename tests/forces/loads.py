@@ -1,17 +1,17 @@
-"""Loads on fingertips made from the cone: for the tests of what loads say."""
+"""Simulated loads on fingertips, within and on the friction cone."""
 
 from types import SimpleNamespace
 
 import numpy as np
 
-from handsight.forces.friction import FRICTION
+from handsight.forces import FRICTION
 
 RATE = 500.0
 FINGERS = ("ff", "mf", "th")
 
 
 def rig(sigma_force=0.01, fingers=FINGERS):
-    """As much of one as a detector asks for."""
+    """A rig with the fields that a slip detector reads."""
     return SimpleNamespace(fingers={name: SimpleNamespace(sigma_force=sigma_force) for name in fingers})
 
 
@@ -24,7 +24,7 @@ def load(ratio, normal=2.0, angle=0.0, twist=0.0):
 
 
 def sliding(mu, seconds=1.0, turns=2.0, finger="th", others=0.3):
-    """Loads (t, n, 5) of a closing hand, one of whose fingers slides along the cone while the others stick."""
+    """Yields loads (n, 5) of a closing hand, one of whose fingers slides along the cone while the others stick."""
     for k in range(round(seconds * RATE)):
         angle = 2 * np.pi * turns * k / (seconds * RATE)
         yield np.array(
@@ -45,12 +45,12 @@ class Clock:
         self.detector, self.fingers, self.rate, self.now = detector, fingers, rate, 0.0
 
     def run(self, arrays, rng=None, sigma=0.0):
-        """What it said to each."""
-        said = []
+        """Returns the detector's answer to each array of loads."""
+        answers = []
         for loads in arrays:
             self.now += 1 / self.rate
             noise = (
                 0.0 if rng is None else sigma * rng.normal(size=loads.shape) * [1, 1, 1, 1, FRICTION.torsion]
             )
-            said.append(self.detector.update(self.now, self.fingers, loads + noise))
-        return said
+            answers.append(self.detector.update(self.now, self.fingers, loads + noise))
+        return answers

@@ -1,14 +1,13 @@
-"""What a tip reads in the air is its sensor's bias; what it may touch is not taken for one."""
+"""A sensor's bias is read while its tip is in the air, and only then."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from forces.hand_in_air import CENTER, MASS, TILTS, Held, rig
 from forces.test_weigher import weighed
-from forces.weighed import CENTER, MASS, TILTS, Held, rig
-from handsight.forces import Weigher
-from handsight.forces.loads import LOADS, read_in_air
+from handsight.forces import LOADS, Weigher, read_in_air
 
 
 def moving(held, bend=0.2, count=21):
@@ -26,13 +25,13 @@ def biased(newtons, tip=2):
 
 @settings(max_examples=10, deadline=None)
 @given(st.lists(st.floats(-0.25, 0.25), min_size=3, max_size=3))
-def test_what_is_read_in_the_air_is_the_bias(newtons):
+def test_a_tips_reading_in_the_air_is_its_sensors_bias(newtons):
     read = read_in_air(rig(), moving(Held(biases=biased(newtons), noise=1.0)))
     np.testing.assert_allclose(read[2, :3], newtons, atol=0.015)
     np.testing.assert_allclose(read[3, :3], 0, atol=0.015)
 
 
-def test_what_may_touch_something_is_no_bias():
+def test_the_reading_of_a_tip_that_may_touch_something_is_no_bias():
     held = Held(noise=1.0)
     assert np.isnan(read_in_air(rig(), moving(held))[[0, 1, 4]]).all()  # these hold the object
     assert np.isnan(read_in_air(rig(), moving(held, bend=0.0))).all()
@@ -50,7 +49,7 @@ def listened(held, weigher):
     return weigher
 
 
-def test_a_bias_that_was_read_in_the_air_is_taken_off_and_said():
+def test_a_bias_that_was_read_in_the_air_is_subtracted_and_reported():
     held = Held(biases=biased([0.06, -0.06, 0.05]))
     weigher = weighed(listened(held, Weigher(rig())), held)
     assert weigher.biased == ("rf",)
@@ -59,5 +58,5 @@ def test_a_bias_that_was_read_in_the_air_is_taken_off_and_said():
     assert abs(weighed(Weigher(rig()), held).weighing.mass / MASS - 1) > 0.01
 
 
-def test_a_good_calibration_is_left_in_peace():
+def test_no_bias_is_reported_with_a_good_calibration():
     assert listened(Held(noise=1.0), Weigher(rig())).biased == ()

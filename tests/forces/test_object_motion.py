@@ -1,4 +1,4 @@
-"""Loads of a sliding object say its motion: tangential forces lie along the velocities, up to their sizes."""
+"""The motion of a sliding object follows from its loads: tangential forces are along the velocities."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from handsight import se3
 from handsight.contact import Contacts
-from handsight.forces import slip_twist
-from handsight.forces.friction import FRICTION
+from handsight.forces import FRICTION, slip_twist
 from handsight.forces.object_motion import LENGTH
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -33,7 +32,7 @@ def touched(rng, n=3):
 
 @settings(deadline=None, max_examples=50)
 @given(SEEDS)
-def test_a_slide_along_two_faces_is_told_exactly(seed):
+def test_a_slide_along_two_faces_is_recovered_exactly(seed):
     """All speeds are the same: the twist is the true one, for a metre of slip."""
     rng = np.random.default_rng(seed)
     R = se3.random(rng)[:3, :3]
@@ -48,7 +47,7 @@ def test_a_slide_along_two_faces_is_told_exactly(seed):
 
 @settings(deadline=None, max_examples=50)
 @given(SEEDS)
-def test_it_goes_the_way_the_object_does(seed):
+def test_the_fitted_twist_never_goes_against_the_motion(seed):
     """Any contacts, any motion along them: the fit never goes against it, nor depends on where its origin is."""
     rng = np.random.default_rng(seed)
     points, normals = touched(rng, 4)
@@ -77,7 +76,7 @@ def test_a_twist_between_two_tips_is_a_turn_about_their_normal():
     np.testing.assert_allclose(found, [0, 0, 0, 1 / np.hypot(FRICTION.torsion, LENGTH), 0, 0], atol=1e-6)
 
 
-def test_loads_that_agree_on_nothing_say_nothing():
+def test_contradictory_loads_give_no_twist():
     points, normals = np.array([[0.03, 0, 0], [-0.03, 0, 0]]), np.array([[-1.0, 0, 0], [1.0, 0, 0]])
     for loads in (np.zeros((2, 5)), np.full((2, 5), np.nan), np.array([[0, 0, 0, 2.0, 0]] * 2)):
         assert slip_twist(Contacts(points, normals), loads, np.zeros(3)) is None
@@ -86,7 +85,7 @@ def test_loads_that_agree_on_nothing_say_nothing():
     assert slip_twist(Contacts(same, normals[[0, 0]]), against, np.zeros(3)) is None
 
 
-def test_a_finger_that_says_nothing_is_passed_over():
+def test_a_finger_without_a_load_is_ignored():
     rng = np.random.default_rng(3)
     points, normals = touched(rng)
     loads, _ = slid(points, normals, np.r_[rng.normal(size=3), 0, 0, 0], np.zeros(3), rng)

@@ -1,4 +1,4 @@
-"""When every finger is at its limit the object slips, and only then."""
+"""The object slips when every finger is at the limit of friction, and only then."""
 
 import itertools
 import math
@@ -10,14 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from forces.loads import FINGERS, Clock, load, rig, sliding, steady
-from handsight.forces import SlipDetector
-from handsight.forces.slip import SLIP
+from handsight.forces import SLIP, SlipDetector
 
 MUS = st.floats(0.2, 1.5)
 
 
 def knowing(mu):
-    """A detector that has felt one finger slide."""
+    """Returns a detector that has learnt friction from one sliding finger."""
     clock = Clock(SlipDetector(rig()))
     clock.run(sliding(mu))
     return clock
@@ -54,7 +53,7 @@ def test_before_friction_is_known_nothing_slips():
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1), MUS)
-def test_what_sticks_is_never_taken_for_more_friction_than_there_is(seed, mu):
+def test_loads_within_the_cone_never_raise_friction_above_its_true_value(seed, mu):
     """Loads anywhere within the cone, on the move: from below, noise and all."""
     rng, clock = np.random.default_rng(seed), Clock(SlipDetector(rig()))
     knots = rng.uniform(0, 1, (8, 3)), rng.uniform(0, 2 * np.pi, (8, 3)), rng.uniform(0.5, 4, (8, 3))
@@ -85,7 +84,7 @@ def test_a_lower_limit_first_gives_way_to_the_real_one():
     assert clock.run(sliding(0.5))[-1].friction == pytest.approx(0.8, rel=0.03)
 
 
-def test_a_load_that_only_grows_or_rests_is_no_limit():
+def test_a_load_that_only_grows_or_is_constant_shows_no_friction():
     clock = Clock(SlipDetector(rig()))
     grows = [np.array([load(0.6, normal, 0.3 * k) for k in range(3)]) for normal in np.linspace(0.1, 5, 1000)]
     said = clock.run([*grows, *grows[::-1], *steady(grows[500], 2.0)])
@@ -93,14 +92,14 @@ def test_a_load_that_only_grows_or_rests_is_no_limit():
 
 
 def test_a_spike_above_the_cone_does_not_raise_it():
-    """As a tip feels that touches at two places for a moment: ratios all over, none for long."""
+    """Such as by a tip that touches at two places for a moment: many ratios, none of them for long."""
     clock = knowing(0.6)
     spike = [load(ratio, angle=k) for k, ratio in enumerate(np.linspace(0.9, 2.0, 15))]
     clock.run([np.array([each, load(0.2), load(0.2)]) for each in spike])
     assert clock.run(steady([load(0.3)] * 3, 0.05))[-1].friction == pytest.approx(0.6, rel=0.03)
 
 
-def test_on_the_brink_it_goes_on_and_well_below_it_ends_at_once():
+def test_a_slip_goes_on_near_the_limit_and_ends_at_once_well_below_it():
     mu, clock = 0.7, knowing(0.7)
     assert clock.run(steady([load(mu)] * 3, 0.1))[-1].slipping
     brink = [
@@ -116,13 +115,13 @@ def test_on_the_brink_it_goes_on_and_well_below_it_ends_at_once():
     assert not clock.run(steady([load(0.2 * mu)] * 3, 0.04))[-1].slipping
 
 
-def test_from_below_it_begins_at_the_higher_threshold_only():
+def test_a_slip_begins_only_at_the_higher_threshold():
     clock = knowing(0.7)
     assert not any(each.slipping for each in clock.run(steady([load(0.93 * 0.7)] * 3, 0.5)))
     assert clock.run(steady([load(0.97 * 0.7)] * 3, 0.1))[-1].slipping
 
 
-def test_what_is_hardly_loaded_or_silent_has_no_say():
+def test_a_finger_that_is_hardly_loaded_or_silent_does_not_count():
     clock = knowing(0.7)
     for quiet in (load(0.1, 0.05), np.zeros(5), np.full(5, np.nan), load(0.1) * [1, 1, 1, -1, 1]):
         clock.run(steady([load(0.2)] * 3, 0.2))
@@ -131,7 +130,7 @@ def test_what_is_hardly_loaded_or_silent_has_no_say():
         assert set(said.ratios) == {"ff", "mf"}
 
 
-def test_nothing_is_held_where_nothing_is_touched():
+def test_there_is_no_slip_without_contacts():
     clock = knowing(0.7)
     clock.run(steady([load(0.7)] * 3, 0.1))
     said = clock.detector.update(clock.now + 0.002, (), None)
@@ -139,7 +138,7 @@ def test_nothing_is_held_where_nothing_is_touched():
     assert (said.least, said.friction) == (None, pytest.approx(0.7, rel=0.03))
 
 
-def test_a_dead_tip_reads_the_same_for_ever_and_teaches_nothing():
+def test_friction_is_not_learnt_from_a_dead_tip():
     clock = Clock(SlipDetector(rig()))
     dead = load(1.1, 3.0)
     moving = [np.array([dead, load(0.2, angle=k / 50), load(0.3, angle=k / 70)]) for k in range(1000)]
@@ -194,8 +193,8 @@ def test_memory_stays_flat():
     assert sizes[2] - sizes[1] < 500
 
 
-def test_nothing_is_changed_in_place():
-    """A tracker comes back to what its parts were by their attributes alone."""
+def test_no_attribute_is_changed_in_place():
+    """So a shallow copy of a detector stays as it was."""
     clock = knowing(0.7)
     detector = clock.detector
     before = vars(detector).copy(), vars(detector.friction).copy()

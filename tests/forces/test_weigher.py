@@ -1,15 +1,14 @@
-"""Weighing over time: what is kept, what is carried, and what is noticed and said."""
+"""Weighing over time: which instants are kept and carried along, and which errors are noticed and reported."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from forces.weighed import CENTER, MASS, TILTS, Held, contacts, rig, touched
+from forces.hand_in_air import CENTER, MASS, TILTS, Held, contacts, rig, touched
 from handsight import se3
-from handsight.forces import Weigher
-from handsight.forces.loads import load_sum
-from handsight.forces.object_motion import moved_with_tips, small_motion
+from handsight.forces import Weigher, load_sum, moved_with_tips
+from handsight.forces.object_motion import small_motion
 
 JOINTS = len(rig().hand.moving)
 KNOWN = np.zeros(JOINTS), rig().sigma_joint_offset * np.eye(JOINTS)
@@ -42,28 +41,28 @@ def test_one_orientation_is_counted_once_however_long_it_lasts():
     np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=0.02)
 
 
-def test_a_known_mass_that_is_another_is_said():
+def test_a_mass_other_than_the_declared_one_is_reported():
     weigher = weighed(Weigher(rig(), 0.3, 0.006), Held())
     assert weigher.believed is None
     assert weigher.reason == "it weighs 0.15 kg, not 0.3"
     assert weighed(Weigher(rig(), MASS, 0.003), Held()).believed is not None
 
 
-def test_gravity_with_the_wrong_sign_is_said():
+def test_gravity_with_the_wrong_sign_is_reported():
     weigher = weighed(Weigher(replace(rig(), gravity=-rig().gravity)), Held(noise=1.0))
     assert weigher.believed is None
     assert "gravity point the other way" in weigher.reason
 
 
 @pytest.mark.parametrize("newtons", [0.5, 1.0])
-def test_what_else_bears_the_object_is_said(newtons):
+def test_another_support_of_the_object_is_reported(newtons):
     weigher = weighed(Weigher(rig(), MASS, 0.003), Held(extra_palm=np.array([0.0, 0.0, newtons])))
     assert weigher.believed is None
     assert weigher.reason
 
 
-def test_one_direction_is_not_believed_after_loads_have_fitted_none():
-    """What presses may only seem to have gone: one direction fits whatever does."""
+def test_one_direction_is_not_trusted_after_loads_have_fitted_no_weight():
+    """Another load may only seem to have gone: in one direction any load fits."""
     pressed = Held(extra_palm=np.array([0.0, 0.0, 1.0]))
     weigher = weighed(Weigher(rig()), pressed, [TILTS[k % 3] for k in range(5)])
     assert weighed(weigher, Held(), TILTS[1:2], begin=20.0).believed is None
@@ -71,7 +70,7 @@ def test_one_direction_is_not_believed_after_loads_have_fitted_none():
     assert weighed(weigher, Held(), TILTS[:3], begin=21.0).believed is not None
 
 
-def test_a_biased_tip_is_said():
+def test_a_weighing_with_a_biased_tip_is_not_trusted():
     """By ten times what its calibration should leave, as the palm turns it against gravity."""
     biases = np.zeros((5, 6))
     biases[4, :3] = [0.25, 0.25, -0.25]
@@ -82,17 +81,17 @@ def test_a_biased_tip_is_said():
     ("spoil", "said"),
     [
         (lambda w: {"th": np.full(6, np.nan)}, "th is silent"),
-        (lambda w: {"th": np.zeros(6)}, "th reads the same for ever"),
+        (lambda w: {"th": np.zeros(6)}, "th always reads the same"),
         (lambda w: {"ff": w["ff"] + [80.0, 0, 0, 0, 0, 0]}, "ff is at the end of its sensor's scale"),
     ],
 )
-def test_a_tip_that_measures_nothing_is_said(spoil, said):
+def test_a_tip_that_measures_nothing_is_reported(spoil, said):
     weigher = weighed(Weigher(rig()), Held(noise=1.0), spoil=spoil)
     assert weigher.believed is None
     assert weigher.reason == said
 
 
-def test_a_wrench_that_is_missing_is_said():
+def test_a_missing_wrench_is_reported():
     weigher = weighed(
         Weigher(rig()),
         Held(),
@@ -107,11 +106,11 @@ def test_without_joints_or_the_palms_pose_nothing_is_weighed(field):
     assert weigher.weighing is None
 
 
-def test_less_than_a_weight_is_none():
+def test_a_force_too_small_for_a_weight_is_not_weighed():
     assert weighed(Weigher(rig()), Held(mass=0.01)).reason == "less than 0.25 N hangs on the fingertips"
 
 
-def test_what_was_weighed_is_forgotten():
+def test_a_weighing_is_dropped_when_the_object_is_released():
     weigher = weighed(Weigher(rig()), Held())
     weigher.forget("it was let go")
     assert weigher.believed is None
@@ -119,7 +118,7 @@ def test_what_was_weighed_is_forgotten():
     assert weighed(weigher, Held(), TILTS[:1], begin=10.0).weighing.directions == 1
 
 
-def test_the_centre_goes_with_the_grip():
+def test_the_centre_of_mass_moves_with_the_grip():
     """Fingers that bend take the object with them: what was weighed before still counts."""
     held, bent = Held(), 0.03
     before = load_sum(rig(), held.observations(TILTS[0]), touched(held), KNOWN[0])

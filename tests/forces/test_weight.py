@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from forces.weighed import CENTER, MASS, TILTS, Held, rig, touched
+from forces.hand_in_air import CENTER, MASS, TILTS, Held, rig, touched
 from handsight import se3
-from handsight.forces import Carried, Unknowns, weigh
-from handsight.forces.loads import accelerations, load_sum
-from handsight.forces.weigher import WEIGHER
+from handsight.forces import WEIGHER, Carried, Unknowns, load_sum, weigh
+from handsight.forces.loads import accelerations
 from handsight.forces.weight import score_test
 
 JOINTS = len(rig().hand.moving)
@@ -49,14 +48,14 @@ def test_one_orientation_leaves_the_height_along_gravity_open():
     assert np.linalg.norm(across @ (found.center_palm - CENTER)) < 1e-3
 
 
-def test_acceleration_is_taken_out():
+def test_the_palms_acceleration_is_compensated():
     still = weigh(carried(Held(), TILTS[:3]), unknowns())
     shaken = weigh(carried(Held(), TILTS[:3], acceleration=(1.0, -2.0, 1.5)), unknowns())
     assert shaken.mass == pytest.approx(still.mass, rel=1e-3)
     np.testing.assert_allclose(shaken.center_palm, still.center_palm, atol=2e-4)
 
 
-def test_an_acceleration_that_is_wrong_costs_nothing_across_what_hangs():
+def test_a_wrong_acceleration_costs_nothing_across_the_load():
     """It is wrong in the force as it is in the torque: c x F = T, whatever the acceleration is."""
     (instant,) = carried(Held(), TILTS[:1], acceleration=(1.0, -2.0, 1.5))
     wrong = replace(instant.load, gravity=instant.load.gravity + np.array([0.3, -0.2, 0.1]), acceleration=1.5)
@@ -66,8 +65,8 @@ def test_an_acceleration_that_is_wrong_costs_nothing_across_what_hangs():
     assert np.linalg.norm(across @ (found.center_palm - CENTER)) < 1e-3
 
 
-def test_what_unknowns_would_explain_is_what_they_do_explain():
-    """The score is by how much the squares fall where the columns are fitted too."""
+def test_the_score_test_is_by_how_much_added_columns_lower_the_squares():
+    """The score is how much the sum of squares falls when the columns are fitted too."""
     rng = np.random.default_rng(0)
     H, columns, y = rng.normal(size=(20, 7)), rng.normal(size=(20, 3)), rng.normal(size=20)
     left, least = (y - A @ np.linalg.lstsq(A, y)[0] for A in (H, np.hstack([H, columns])))
@@ -76,7 +75,7 @@ def test_what_unknowns_would_explain_is_what_they_do_explain():
 
 
 @pytest.mark.parametrize("extra", [(0.25, 0, 0), (0, 0.25, 0), (0, 0, 0.25)])
-def test_what_presses_from_a_place_in_the_palm_is_noticed(extra):
+def test_a_force_that_is_fixed_in_the_palm_is_noticed(extra):
     alone, pressed = (
         weigh(carried(Held(extra_palm=np.array(force)), TILTS[:3]), unknowns())
         for force in ((0, 0, 0), extra)
@@ -86,7 +85,7 @@ def test_what_presses_from_a_place_in_the_palm_is_noticed(extra):
     assert pressed.p_fixed < pressed.p_value
 
 
-def test_accelerations_are_those_of_the_way():
+def test_accelerations_are_those_of_the_motion():
     t = np.arange(30) * 0.01
     Ts = np.stack(
         [
@@ -103,7 +102,7 @@ def test_accelerations_are_those_of_the_way():
     np.testing.assert_allclose(measured[0] - [0.4, 0, 0], [0, 0.3, 0], atol=2e-2)
 
 
-def test_the_wrench_changes_with_the_joints_as_its_derivative_says():
+def test_the_derivative_of_the_wrench_by_the_joints_is_that_of_differences():
     held, h = Held(), 1e-6
     seen = held.observations([0.2, 0.1, 0.0], count=5)
     load = load_sum(rig(), seen, touched(held), STAY)
@@ -114,7 +113,7 @@ def test_the_wrench_changes_with_the_joints_as_its_derivative_says():
         np.testing.assert_allclose(load.by_joint[:, j], off, atol=1e-3)  # but for the tip's own torque
 
 
-def test_the_wrench_changes_with_a_bias_as_its_derivative_says():
+def test_the_derivative_of_the_wrench_by_a_bias_is_that_of_differences():
     seen = Held().observations([0.2, 0.1, 0.0], count=5)
     clean = load_sum(rig(), seen, {}, STAY)
     for k in range(0, 30, 7):
@@ -125,8 +124,8 @@ def test_the_wrench_changes_with_a_bias_as_its_derivative_says():
 
 
 @pytest.mark.parametrize("count", [1, 3, 5])
-def test_what_is_said_of_the_uncertainty_is_so(count):
-    """Drawn from all that is unknown, the truth lies as far off as the covariance says, and χ² is its freedom."""
+def test_errors_fit_the_covariance_and_chi2_its_degrees_of_freedom(count):
+    """With errors drawn from all unknowns: the NEES is near one, and so is χ² for each degree of freedom."""
     rng, nees, chi2, freedom = np.random.default_rng(1), [], 0.0, 0
     sigma = unknowns().biases.reshape(5, 6)
     for _ in range(12 if count > 1 else 24):
@@ -149,14 +148,14 @@ def test_what_is_said_of_the_uncertainty_is_so(count):
     assert 0.5 < chi2 / freedom < 1.2
 
 
-def test_a_mass_that_is_known_makes_another_load_stand_out():
+def test_a_known_mass_reveals_another_load():
     held = Held(extra_palm=np.array([0.0, 0.0, 0.5]))
     found = weigh(carried(held, TILTS[:3]), unknowns())
     assert not found.given_mass(MASS, 0.003).consistent
     assert weigh(carried(Held(), TILTS[:3]), unknowns()).given_mass(MASS, 0.003).consistent
 
 
-def test_a_mass_that_is_known_counts_as_a_measurement_of_it():
+def test_a_known_mass_counts_as_a_measurement():
     found = weigh(carried(Held(biases=np.full((5, 6), 0.002)), TILTS[:2]), unknowns())
     known = found.given_mass(MASS, 1e-6)
     assert known.mass == pytest.approx(MASS, abs=1e-5)
@@ -166,15 +165,15 @@ def test_a_mass_that_is_known_counts_as_a_measurement_of_it():
     np.testing.assert_allclose(none.mean, found.mean, atol=1e-9)
 
 
-def test_from_a_weighing_of_a_moment_ago_the_same_is_found():
+def test_one_pass_from_a_recent_weighing_finds_the_same():
     instants = carried(Held(), TILTS[:3])
     found = weigh(instants, unknowns())
     again = weigh(instants, unknowns(), weigh(instants[:2], unknowns()))
     np.testing.assert_allclose(again.mean[:4], found.mean[:4], atol=2e-4)
 
 
-def test_an_instant_of_earlier_is_carried_through_the_grip():
-    """The object has moved by T and crept besides: all loads of then tell of where it is now."""
+def test_an_earlier_instant_is_carried_along_in_the_grip():
+    """The object has moved by T, and crept in addition: earlier loads still measure where it is now."""
     T = se3.compose(se3.rotation_exp(np.array([0.05, -0.04, 0.03])), np.array([0.004, -0.003, 0.002]))
     kappa, creep = 2e-4, np.array([3.0, -2.0, 4.0, 10.0, 0.0, -10.0])
     drift = kappa * (creep[:3] + np.cross(creep[3:], CENTER))
@@ -188,8 +187,8 @@ def test_an_instant_of_earlier_is_carried_through_the_grip():
     )
 
 
-def test_joints_and_centre_are_told_together():
-    """Knowing the offsets would tell the centre better, by what their covariance with it says."""
+def test_joints_and_centre_of_mass_have_a_joint_covariance():
+    """Known offsets would improve the centre by as much as their covariance with it predicts."""
     instants = carried(Held(), TILTS[:3])
     found = weigh(instants, unknowns())
     shared, joints = found.joint_covariance[1:4, 4:], found.joint_covariance[4:, 4:]

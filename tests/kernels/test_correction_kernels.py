@@ -16,13 +16,13 @@ import handsight as hs
 import scenes
 from handsight import se3
 from handsight._kernels import records
-from handsight._kernels.evidence import prior_term, terms
+from handsight._kernels.evidence import contact_term, prior_term, terms
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.runtime.threads import alone, in_parts
 from handsight._kernels.solve import batch, match
 from handsight._kernels.solve.options import SEARCH
-from handsight.correction import WeightEvidence, modes, solve
+from handsight.correction import DepthPoints, WeightEvidence, modes, solve
 from handsight.correction.outside import NO_OUTSIDE, OUTSIDE
 from handsight.correction.problem import Problem, descents_at, poses_of
 from handsight.objects import Symmetries
@@ -53,7 +53,9 @@ def model(name):
     return {"box": scenes.box, "can": scenes.can}[name]()
 
 
-def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False, whole=(), weighed=False):
+def problem(
+    name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False, whole=(), weighed=False, depth=0
+):
     """A grasp of the object with full covariances; `bare`: some contacts without a normal.
 
     `whole`: contacts whose covariance is of the residuals.
@@ -86,18 +88,21 @@ def problem(name, seed, *, n=5, blind=False, bare=False, outside=0, wide=False, 
         center = kept_center(model(name).symmetries, model(name).center_object + 0.01 * rng.normal(size=3))
         place = se3.apply(T, center[None])[0] + root @ rng.normal(size=3)
         weight = WeightEvidence(center, place, root @ root.T)
-    return Problem(model(name), contacts, None if blind else vision, hand, weight)
+    points = None
+    if depth:
+        drawn = palm[rng.integers(n, size=depth)] + rng.normal(0, 0.005, (depth, 3))
+        points = DepthPoints(drawn, 0.005)
+    return Problem(model(name), contacts, None if blind else vision, hand, weight, points)
 
 
 @kept
 def _evaluate(model, nodes, contacts, constraints, outside, descents, equations):
     """Normal equations at the second of two poses, whitened as at the first; the center."""
     prior, rows = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    center = batch.load_terms(contacts, rows)
-    batch.fill_prior(model[0], constraints[0], center, prior)
+    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior)
     if not constraints[0].has_prior:
         prior.kind = 0
-    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0].weight, prior, center)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0], prior, center)
     for k in range(2):
         equations[:] = 0.0
         pose, frame = pose_of(descents[k].pose), (center, model[0].radius)
@@ -128,7 +133,7 @@ def same_equations(equations, r, J, rtol=2e-5):
 WHOLE = {"bare": True, "whole": (0, 1, 3)}
 WEIGHED = {"weighed": True}
 KINDS = [
-    {}, {"bare": True}, {"n": 1}, {"n": 12}, {"outside": 40}, {"blind": True, "outside": 7}, WHOLE, WEIGHED, {**WEIGHED, "blind": True},
+    {}, {"bare": True}, {"n": 1}, {"n": 12}, {"outside": 40}, {"blind": True, "outside": 7}, WHOLE, WEIGHED, {**WEIGHED, "blind": True}, {"depth": 9},
 ]  # fmt: skip
 
 
@@ -167,7 +172,9 @@ def test_normal_equations_are_those_of_the_residuals(name, kind, away):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(
-    "kind", [{}, {"bare": True}, {"n": 12}, {"outside": 40}, {"blind": True}, WHOLE, WEIGHED], ids=str
+    "kind",
+    [{}, {"bare": True}, {"n": 12}, {"outside": 40}, {"blind": True}, WHOLE, WEIGHED, {"depth": 9}],
+    ids=str,
 )
 def test_the_cost_is_minus_two_log_of_the_density(name, kind):
     given, rng = problem(name, 2, **kind), np.random.default_rng(7)
@@ -370,7 +377,7 @@ def test_many_problems_are_answered_as_each_alone():
 
 @pytest.mark.parametrize("name", ["can", "box", "egg"])
 @pytest.mark.parametrize("limits", [modes.SAME_MODE, SEARCH.same_after_coarse])
-def test_distinct_poses_are_told_as_in_plain_numpy(name, limits):
+def test_distinct_poses_are_those_of_plain_numpy(name, limits):
     rng, thing = np.random.default_rng(4), model(name)
     Ts = np.repeat(se3.random(rng, 20, spread=0.1), 10, axis=0)
     Ts = se3.moved(Ts, rng.normal(size=(200, 6)) * np.repeat([limits[0], limits[1]], 3) / 2)
@@ -491,7 +498,7 @@ assert os.waitpid(child, 0)[1] == 0
 def _match(model, contacts, descents, found, equations):
     """Of each contact, at a pose: the nearest sample's point and normal, and its equations about the palm's origin."""
     terms, pose = np.empty(len(contacts), TERM), pose_of(descents[0].pose)
-    batch.load_terms(contacts, terms)
+    contact_term.load_terms(contacts, terms)
     for i in range(len(contacts)):
         place, normal = match.nearest_sample(model[0], contacts[i], pose)
         for k in range(3):
@@ -554,7 +561,7 @@ def test_modes_are_weighed_by_the_density_there(name, kind):
     Ts = poses_of(descents)  # their equivalents nearest to vision
     np.testing.assert_allclose(descents["posterior_cost"], solve.cost(given, Ts, used), rtol=1e-9, atol=1e-9)
     volume = descents["log_weight"] + descents["posterior_cost"] / 2
-    answers = solve._summaries(given, descents, used, first_order=True)
+    answers = solve.summaries(given, descents, used, first_order=True)
     metres = modes.in_metres(answers["information"], given.model.radius)
     floor = (1.0 if given.blind else 1e-9) / given.model.radius**2
     expected = -0.5 * np.log(np.linalg.eigvalsh(metres).clip(floor)).sum(axis=1)

@@ -183,7 +183,7 @@ assert all(seconds > 0 for _, seconds in reported)
 warmed = signatures()
 assert len(warmed) > 50, warmed
 missing = [name for name, kinds in warmed.items() if not kinds]
-assert missing == ["handsight._kernels.solve.batch.two_phases"], missing  # which benchmarks call
+assert not missing, missing
 
 import numpy as np
 contacts = hs.Contacts(np.array([[0.03, 0, 0.02], [-0.03, 0.01, 0], [0, 0.045, 0.01]]),

@@ -107,7 +107,7 @@ def test_measurements_from_palms_apart_stay_until_they_are_too_many():
     assert pose_bias.merge(measurements, 3, SAME, Ts, pivot) == 3
 
 
-def test_a_noise_that_is_no_covariance_is_told():
+def test_a_noise_that_is_no_covariance_is_reported():
     Ts, covariance, pivot, measurements = some(np.random.default_rng(0), 1)
     measurements["covariance"] = -np.eye(6)
     assert pose_bias.distance2(Ts, covariance, pivot, measurements) == np.inf

@@ -77,7 +77,7 @@ def test_a_wrench_that_is_not_a_number_is_left_out():
         ),
     ],
 )
-def test_what_is_no_measurement_is_told_with_its_reason(topic, message, reason):
+def test_a_message_that_is_no_measurement_is_counted_with_the_reason(topic, message, reason):
     observations, report = reading_with((topic, message))
     assert len(observations) == 100
     counted = report.topics[topic]
@@ -140,7 +140,7 @@ def test_a_sensor_that_is_stuck_is_named_and_left_out():
     assert all("ff" in seen.wrenches for seen in observations)
     assert stream.report.topics["/th/wrench"].stuck == 79
     assert stream.report.fingers == {
-        "th": "reads the same six numbers beyond 0.5 s while others change, in 79 messages: a dead sensor? left out"
+        "th": "reads the same six numbers for more than 0.5 s while others change, in 79 messages: a dead sensor? left out"
     }
 
 
@@ -193,7 +193,7 @@ def test_what_the_rig_lacks_is_named_with_the_nearest():
     ]
 
 
-def test_frames_that_are_not_connected_are_told():
+def test_frames_that_are_not_connected_are_reported():
     rows = touched(50)
     rows += [("/tf", START, M.tf(START, ("world", "a", np.eye(4)), ("b", "palm", np.eye(4))))]
     _, stream = heard(sorted(rows, key=lambda row: row[1]))
@@ -201,7 +201,7 @@ def test_frames_that_are_not_connected_are_told():
 
 
 @pytest.mark.parametrize("count", [50, 30])
-def test_where_all_is_heard_nothing_is_lacking_and_where_some_is_it_is_told_how_much(count):
+def test_with_all_transforms_nothing_is_lacking_and_with_some_their_share_is_reported(count):
     stamps = [START + i / 100 for i in range(count)]
     rows = touched(50) + [("/tf", s, M.tf(s, ("world", "palm", np.eye(4)))) for s in stamps]
     rows.append(("/vision/object", START, M.pose(START, np.eye(4))))

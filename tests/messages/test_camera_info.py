@@ -56,7 +56,7 @@ def test_the_lens_is_that_of_the_message(lens, model, expected):
         ((K + np.eye(3, k=1) * [0, 1, 0], (640, 480)), "matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got"),
     ],
 )  # fmt: skip
-def test_what_is_no_pinhole_is_told(said, reason):
+def test_a_camera_that_is_no_pinhole_is_rejected_with_the_reason(said, reason):
     stream = told(info(*said))
     assert stream.intrinsics is None
     ((found, count),) = stream.report.topics["/info"].reasons.items()
@@ -64,7 +64,7 @@ def test_what_is_no_pinhole_is_told(said, reason):
     assert count == 1
 
 
-def test_images_that_are_cut_out_and_binned_see_the_same_points():
+def test_cropped_and_binned_images_show_the_same_points():
     """A pixel of what comes is the mean of those it was made of."""
     whole = Camera(K, (640, 480))
     cut = info(K, (640, 480), x_offset=100, y_offset=60, width=400, height=300, binning_x=2, binning_y=3)
@@ -79,7 +79,7 @@ def test_images_that_are_cut_out_and_binned_see_the_same_points():
     assert only.size == (320, 240)
 
 
-def test_images_of_another_size_than_their_cameras_are_told():
+def test_images_of_another_size_than_their_cameras_are_reported():
     depth = ("/depth", M.image(START + 0.1, np.full((48, 64), 1.0, "<f4"), "32FC1"))
     rigs = "depth images on /depth: expected 640 x 480 pixels as the rig's camera has, got 64 x 48"
     assert rigs in told(depth).lacks()

@@ -89,7 +89,7 @@ def test_a_pose_from_within_a_gap_of_the_joints_is_stale():
 
 
 @pytest.mark.parametrize("difference", [-300.0, -3.0, 2.5, 1e9])
-def test_another_clock_is_told_and_shifted(difference):
+def test_stamps_of_another_clock_are_shifted_and_reported(difference):
     """The wrench's stamps lag behind (positive) or run ahead: log minus stamp differs."""
     rows = [row for row in touched(100, start=START) if row[0] != "/ff/wrench"]
     rows += [("/ff/wrench", s, M.wrench(s - difference, [s - START, 2, 3, 4, 5, 6])) for s in grid(100)]
@@ -102,7 +102,7 @@ def test_another_clock_is_told_and_shifted(difference):
     assert any("/ff/wrench: stamps" in s and "another clock" in s for s in stream.report.sentences())
 
 
-def test_a_small_difference_of_clocks_is_told_and_left():
+def test_a_small_difference_of_clocks_is_reported_but_not_corrected():
     rows = [row for row in touched(100) if row[0] != "/ff/wrench"]
     rows += [("/ff/wrench", s + 0.3, M.wrench(s, [s - START, 2, 3, 4, 5, 6])) for s in grid(100)]
     observations, stream = heard(by_log(rows))
@@ -254,7 +254,7 @@ def test_a_wrench_far_ahead_harms_nothing():
     assert all(topic.late == 0 for topic in stream.report.topics.values())
 
 
-def test_two_that_publish_joint_states_are_heard_together():
+def test_joint_states_of_two_publishers_are_joined():
     hand, arm = joints(grid(50)), joints([s + 0.005 for s in grid(50)], names=("arm0", "arm1"))
     observations, stream = heard(by_log(hand + arm))
     assert len(observations) == 100

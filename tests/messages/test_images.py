@@ -165,7 +165,7 @@ def huge_png():
         ),
     ],
 )
-def test_an_image_that_cannot_be_used_is_told(topic, message, reason):
+def test_an_image_that_cannot_be_used_is_counted_with_the_reason(topic, message, reason):
     import re
 
     observations, report = with_images((topic, message))

@@ -12,7 +12,7 @@ from recording.bags import read, save
 M = Messages()
 
 
-def test_what_is_heard_live_is_what_a_recording_of_it_gives(tmp_path):
+def test_live_messages_give_the_same_observations_as_their_recording(tmp_path):
     rows = [*everything(M), ("/truth", START + 0.02, M.pose(START + 0.02, np.eye(4), "palm"))]
     live, stream = heard(rows)
     recorded, recording = read(save(tmp_path, rows))
@@ -75,7 +75,7 @@ def test_bytes_that_are_no_message_are_counted_and_never_raise(encoding):
         assert sum(counts) == topic.messages
 
 
-def test_before_anything_is_heard_all_is_lacking():
+def test_before_the_first_message_everything_is_lacking():
     assert ObservationStream(rig(color=None, depth=None, camera_info=None)).lacks() == [
         "finger ff: no wrench on /ff/wrench",
         "finger th: no wrench on /th/wrench",

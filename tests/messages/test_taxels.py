@@ -72,7 +72,7 @@ def test_a_flat_array_is_in_the_rows_of_the_grid_and_a_dead_taxel_is_nan():
         (np.full(6, np.nan), [2, 3], "no taxel has a finite reading"),
     ],
 )
-def test_a_message_of_another_array_is_left_out_and_told(values, sizes, reason):
+def test_readings_of_another_array_are_left_out_and_reported(values, sizes, reason):
     dim = [Message(label="", size=size, stride=0) for size in sizes]
     message = {"layout": Message(dim=dim, data_offset=0), "data": values.astype(np.float32)}
     observations, topic = heard(said(message))

@@ -50,12 +50,12 @@ def test_a_contact_is_in_the_observation_in_its_frame(encoding, named, frame):
 
 
 @pytest.mark.parametrize("nothing", [{"force": 0.0}, {"normal": np.zeros(3)}])
-def test_a_tip_that_touches_nothing_says_so(nothing):
+def test_a_tip_that_touches_nothing_has_no_contact(nothing):
     observations, _ = heard(said(START, **nothing))
     assert observations[0].contacts == {"th": None}
 
 
-def test_an_old_word_is_none():
+def test_an_old_contact_is_not_in_the_observation():
     observations, stream = heard(*(said(START + 0.04 * k) for k in range(3)))
     assert all("th" in seen.contacts for seen in observations)
     late = ObservationStream(robot())
@@ -81,7 +81,7 @@ def test_what_cannot_be_a_contact_is_left_out_and_named(wrong, expected):
     )
 
 
-def test_a_topic_that_was_never_heard_is_named():
+def test_a_topic_without_messages_is_named():
     stream = ObservationStream(robot())
     stream.put(raw("/joint_states", START, M.joints(START)))
     stream.finish()

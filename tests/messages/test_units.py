@@ -21,12 +21,12 @@ def said(angle, force, distance):
     return units.sentences()
 
 
-def test_units_that_can_be_told_are():
+def test_values_in_a_wrong_unit_are_reported():
     joint, force, vision = said(45.0, 2000.0, 650.0)
     assert joint.endswith("joint 'j1' up to 45 where its file limits it to 1.6 (degrees? 0.785 rad)")
     assert force.endswith("up to 2000 N (millinewtons? 2 N)")
     assert vision.endswith("poses up to 650 m away (millimetres? 0.65 m)")
 
 
-def test_what_a_hand_says_is_not_remarked_on():
+def test_the_values_of_a_real_hand_are_not_reported():
     assert said(1.7, 20.0, 0.9) == []

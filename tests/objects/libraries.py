@@ -7,7 +7,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 
-from handsight.objects.files import Shape, ply_bytes
+from handsight.objects import Shape, ply_bytes
 from objects.object_shapes import box_mesh
 
 HALF_TURN = [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
@@ -28,7 +28,7 @@ def block(folder, size=(0.06, 0.09, 0.14), name="block.off"):
 
 
 def bop(folder, sizes=((60, 90, 140), (50, 40, 30)), **changed):
-    """A BOP folder as somebody else makes it, its objects boxes of these sizes [mm], with keys that we do not know."""
+    """A BOP folder as other tools write it, of boxes of these sizes [mm], with keys that handsight does not know."""
     infos = {}
     for k, size in enumerate(sizes):
         number = 4 * k + 1
@@ -47,8 +47,8 @@ def bop(folder, sizes=((60, 90, 140), (50, 40, 30)), **changed):
 
 @contextlib.contextmanager
 def served(folder, wrong=None):
-    """A folder behind HTTP: its URL, and what was asked for. `wrong`: by the end of a path, what to answer instead,
-    a status, or (bytes, announced length)."""
+    """A folder served over HTTP: its URL, and the list of requested paths. `wrong`: by the end of a path, the answer to
+    give instead, a status or (bytes, announced length)."""
     asked, wrong = [], wrong or {}
 
     class Handler(BaseHTTPRequestHandler):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handsight.objects.surface import Triangles
+from handsight.objects import Triangles
 
 CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 BOX_FACES = [

@@ -27,7 +27,7 @@ def test_a_cloud_measures_distance_like_the_surface_it_was_drawn_from(box, cloud
     assert ((exact.distance < 0) == (found.distance < 0))[clear].mean() > 0.999
 
 
-def test_a_cloud_knows_its_area_and_that_it_is_closed(box, cloud):
+def test_a_cloud_has_the_area_of_its_surface_and_is_closed(box, cloud):
     assert cloud.area == pytest.approx(box.area, rel=0.1)
     assert cloud.closed
     assert cloud.diameter == pytest.approx(box.diameter, rel=0.03)
@@ -121,6 +121,6 @@ line = np.linspace(0, 1, 30)[:, None] * [0.1, 0.05, 0.02]
         (line, np.ones((29, 3)), InvalidInput, r"normals: expected finite numbers of shape \(30, 3\)"),
     ],
 )
-def test_what_is_no_cloud_is_refused(points, normals, error, message):
+def test_arrays_that_are_no_cloud_are_refused(points, normals, error, message):
     with pytest.raises(error, match=message):
         ObjectModel.from_points(points, normals)

@@ -1,10 +1,10 @@
-"""What a cloud's file says of its points' errors, read, written and believed."""
+"""Errors that a cloud's file declares for its points are read, written, and used by a correction."""
 
 import numpy as np
 import pytest
 
 import handsight as hs
-from handsight.objects.files import Shape, ply_bytes, read_shape
+from handsight.objects import Shape, ply_bytes, read_shape
 
 
 def cloud():
@@ -24,7 +24,7 @@ def test_sigmas_are_read_back_in_the_unit_of_the_points(tmp_path, normals):
     assert read_shape(tmp_path / "plain.ply").sigmas is None
 
 
-def test_a_contact_weighs_less_where_the_model_is_said_to_be_off(tmp_path):
+def test_a_contact_weighs_less_where_the_declared_error_of_the_model_is_large(tmp_path):
     points, outward, sigmas = cloud()
     (tmp_path / "box.ply").write_bytes(ply_bytes(Shape(points, normals=outward, sigmas=sigmas), 1.0))
     declared, plain = (
@@ -41,7 +41,7 @@ def test_a_contact_weighs_less_where_the_model_is_said_to_be_off(tmp_path):
     assert height_sigma(declared, -1) < 1.2 * height_sigma(plain, -1)
 
 
-def test_points_whose_error_is_no_number_are_dropped(tmp_path):
+def test_points_with_an_invalid_error_are_dropped(tmp_path):
     points, _, sigmas = cloud()
     sigmas[:7], sigmas[7] = np.nan, -1
     (tmp_path / "box.ply").write_bytes(ply_bytes(Shape(points, sigmas=sigmas), 1.0))

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from handsight.objects import ObjectModel
-from handsight.objects.fields import ExactField, GridField
+from handsight.objects import ExactField, GridField, ObjectModel
 from objects.object_shapes import box_mesh, triangles
 from oracles import fields, meshes
 

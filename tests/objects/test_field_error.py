@@ -1,4 +1,4 @@
-"""A model says where its field is off: at the edges a grid rounds off, and not on the faces."""
+"""The error of a field is large at the edges, which a grid rounds off, and small on the faces."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def on_top(model, low, high, count=400):
     return np.column_stack([x, y, np.full(count, 0.07)]), np.tile([0, 0, 1.0], (count, 1))
 
 
-def test_the_field_is_right_on_a_face_and_off_at_an_edge(box_mesh):
+def test_the_field_error_is_small_on_a_face_and_large_at_an_edge(box_mesh):
     face, _ = on_top(box_mesh, -0.3, 0.3)
     edge, _ = on_top(box_mesh, 0.97, 1.0)
     on_face, at_edge = (fields.variances(box_mesh.field_error, p)[:, :2].mean(axis=0) for p in (face, edge))
@@ -39,20 +39,20 @@ def test_the_field_is_right_on_a_face_and_off_at_an_edge(box_mesh):
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.9, 1.0), (0.97, 1.0)])
-def test_the_error_at_an_edge_is_about_what_the_field_is_off_by(box_mesh, low, high):
+def test_the_field_error_at_an_edge_is_the_fields_real_error_within_a_factor_of_four(box_mesh, low, high):
     points, normals = on_top(box_mesh, low, high)
-    said = np.sqrt(fields.variances(box_mesh.field_error, points)[:, :2].mean(axis=0))
+    expected = np.sqrt(fields.variances(box_mesh.field_error, points)[:, :2].mean(axis=0))
     found = np.sqrt(measured(box_mesh, points, normals))
-    # Averaged over half a cell around: the order of magnitude is what it promises.
-    assert (said < 4 * found + [2e-5, 0.01]).all()
-    assert (found < 4 * said + [2e-5, 0.01]).all()
+    # It is averaged over half a cell around, so that only its order of magnitude can be right.
+    assert (expected < 4 * found + [2e-5, 0.01]).all()
+    assert (found < 4 * expected + [2e-5, 0.01]).all()
 
 
-def test_far_away_it_is_that_of_the_nearest_place(box_mesh):
+def test_the_field_error_far_away_is_finite(box_mesh):
     far = fields.variances(box_mesh.field_error, np.array([[10.0, 0, 0], [-10.0, 5, 3]]))
     assert np.isfinite(far).all()
     assert (far >= 0).all()
 
 
-def test_exact_objects_have_none():
+def test_exact_objects_have_no_field_error():
     assert hs.ObjectModel.box((0.06, 0.09, 0.14)).field_error is None

@@ -1,4 +1,4 @@
-"""What was added to a library is the same object when it is asked for; a BOP folder of others is a library as it is."""
+"""An object added to a library is read back as the same object, and a folder of a BOP data set is a library."""
 
 import json
 import os
@@ -10,16 +10,22 @@ import pytest
 import trimesh
 
 from handsight.errors import InvalidFile, InvalidInput, InvalidObject
-from handsight.objects import Facts, Library, ObjectModel
-from handsight.objects.files import Shape, ply_bytes, read_shape
-from handsight.objects.symmetry_search import declared
+from handsight.objects import (
+    Facts,
+    Library,
+    ObjectModel,
+    Shape,
+    declared_symmetries,
+    ply_bytes,
+    read_shape,
+)
 from objects.libraries import block, bop, off_text
 from objects.object_shapes import box_mesh, data_file, prism
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.001, 0.0254])
 @pytest.mark.parametrize("shape", [box_mesh((0.05, 0.06, 0.07)), prism(7, 0.03, 0.1)], ids=["box", "prism"])
-def test_what_was_added_is_the_same_object(tmp_path, shape, scale, rng):
+def test_an_added_object_is_read_back_as_the_same_object(tmp_path, shape, scale, rng):
     vertices, faces = shape
     file = tmp_path / "thing.off"
     file.write_text(off_text((vertices + rng.normal(size=3) * 0.1) / scale, faces))
@@ -39,7 +45,7 @@ def test_what_was_added_is_the_same_object(tmp_path, shape, scale, rng):
     assert not list(library.wrong(library.entries()))
 
 
-def test_a_cloud_stays_one_and_keeps_its_normals(tmp_path, rng):
+def test_an_added_cloud_stays_a_cloud_and_keeps_its_normals(tmp_path, rng):
     points, normals = ObjectModel.sphere(0.04).sample(300)
     file = tmp_path / "ball.xyz"
     np.savetxt(file, np.hstack([points, normals]), fmt="%.17g")
@@ -51,7 +57,7 @@ def test_a_cloud_stays_one_and_keeps_its_normals(tmp_path, rng):
     np.testing.assert_allclose(kept.normals, normals, atol=1e-12)
 
 
-def test_a_ply_in_millimetres_is_kept_as_it_stands(tmp_path):
+def test_a_ply_in_millimetres_is_kept_byte_for_byte(tmp_path):
     bop(tmp_path / "theirs")
     file = tmp_path / "theirs/models/obj_000001.ply"
     library = Library(tmp_path / "ours")
@@ -61,7 +67,7 @@ def test_a_ply_in_millimetres_is_kept_as_it_stands(tmp_path):
 
 @pytest.mark.parametrize("normals", [False, True])
 @pytest.mark.parametrize("scale", [1.0, 1000.0, 0.3])
-def test_what_is_written_as_ply_is_read_back_here_and_elsewhere(tmp_path, rng, normals, scale):
+def test_a_written_ply_is_read_back_by_handsight_and_by_trimesh(tmp_path, rng, normals, scale):
     vertices, faces = rng.normal(size=(40, 3)), rng.integers(0, 40, (25, 3))
     shape = Shape(vertices, None, rng.normal(size=(40, 3))) if normals else Shape(vertices, faces)
     (tmp_path / "a.ply").write_bytes(ply_bytes(shape, scale))
@@ -76,7 +82,7 @@ def test_what_is_written_as_ply_is_read_back_here_and_elsewhere(tmp_path, rng, n
     np.testing.assert_array_equal(theirs.faces, faces)
 
 
-def test_a_bop_folder_of_others_is_a_library(tmp_path):
+def test_a_folder_of_a_bop_data_set_is_a_library(tmp_path):
     for place in (bop(tmp_path), tmp_path / "models"):
         library = Library(place)
         assert [entry.name for entry in library.entries()] == ["obj_000001", "obj_000005"]
@@ -87,7 +93,7 @@ def test_a_bop_folder_of_others_is_a_library(tmp_path):
         assert not list(library.wrong(library.entries()))
 
 
-def test_an_add_leaves_alone_what_others_say_and_have(tmp_path):
+def test_an_add_keeps_the_documents_and_files_of_others(tmp_path):
     before = json.loads((bop(tmp_path) / "models/models_info.json").read_text())
     (tmp_path / "models/obj_000009.ply").write_text("not listed, and not ours")
     library = Library(tmp_path)
@@ -102,20 +108,20 @@ def test_an_add_leaves_alone_what_others_say_and_have(tmp_path):
     assert library.entry("obj_000010").name == "block"
 
 
-def test_a_bop_folder_with_a_missing_model_says_which_and_has_the_others(tmp_path):
+def test_a_missing_model_of_a_bop_folder_is_named_and_the_others_are_read(tmp_path):
     library = Library(bop(tmp_path))
     (tmp_path / "models/obj_000001.ply").unlink()
     with pytest.raises(InvalidFile, match=r"models/obj_000001\.ply: cannot be read: No such file"):
         library.model("1")
     assert library.model("5").closed
-    (said,) = library.wrong(library.entries())
-    assert "obj_000001.ply: cannot be read: No such file or directory" in said
+    (message,) = library.wrong(library.entries())
+    assert "obj_000001.ply: cannot be read: No such file or directory" in message
 
 
-def test_a_model_in_another_unit_than_its_documents_say_is_wrong(tmp_path):
+def test_a_model_in_another_unit_than_its_documents_is_reported(tmp_path):
     library = Library(bop(tmp_path, diameter=0.177))
-    (said,) = library.wrong(library.entries())
-    assert "obj_000001.ply: expected the diameter 0.177 mm, got 176.9: another unit?" in said
+    (message,) = library.wrong(library.entries())
+    assert "obj_000001.ply: expected the diameter 0.177 mm, got 176.9: another unit?" in message
 
 
 def test_a_model_that_was_changed_or_cut_is_refused(tmp_path):
@@ -135,7 +141,7 @@ def test_a_model_that_was_changed_or_cut_is_refused(tmp_path):
     assert library.model("block").closed
 
 
-def test_a_model_above_the_size_is_refused_unread(tmp_path):
+def test_a_model_above_the_size_limit_is_refused_unread(tmp_path):
     library = Library(bop(tmp_path))
     os.truncate(tmp_path / "models/obj_000001.ply", 600_000_000)  # a hole, which takes no room
     with pytest.raises(
@@ -144,7 +150,7 @@ def test_a_model_above_the_size_is_refused_unread(tmp_path):
         library.model("1")
 
 
-def test_an_unknown_name_is_answered_with_the_nearest(tmp_path):
+def test_the_message_for_an_unknown_name_suggests_the_nearest(tmp_path):
     library = Library(tmp_path)
     library.add(block(tmp_path), Facts(name="mustard"))
     with pytest.raises(
@@ -181,13 +187,13 @@ def test_an_unknown_name_is_answered_with_the_nearest(tmp_path):
         3,
     ],
 )
-def test_what_a_path_or_a_terminal_obeys_is_no_name(name):
+def test_a_name_that_harms_a_path_or_a_terminal_is_refused(name):
     with pytest.raises(InvalidInput, match=r"^name: expected"):
         Facts(name=name)
 
 
 @pytest.mark.parametrize(
-    ("facts", "said"),
+    ("facts", "message"),
     [
         ({"mass": 603.0}, r"mass: expected kilograms, got 603 \(grams\?\)"),
         ({"mass": -1.0}, "mass: expected a number above 0, got -1"),
@@ -198,13 +204,13 @@ def test_what_a_path_or_a_terminal_obeys_is_no_name(name):
         ({"licence": "x" * 501}, "licence: expected a text of up to 500 characters"),
     ],
 )  # fmt: skip
-def test_facts_that_cannot_be_are_refused(tmp_path, facts, said):
-    with pytest.raises(InvalidInput, match=f"^{said}"):
+def test_impossible_facts_are_refused(tmp_path, facts, message):
+    with pytest.raises(InvalidInput, match=f"^{message}"):
         Library(tmp_path / "library").add(block(tmp_path), Facts(name="block", **facts))
     assert not (tmp_path / "library").exists()
 
 
-def test_a_name_is_given_once(tmp_path):
+def test_a_name_that_is_taken_is_refused(tmp_path):
     library = Library(tmp_path)
     library.add(block(tmp_path), Facts(name="block"))
     with pytest.raises(
@@ -226,18 +232,18 @@ def test_a_name_is_given_once(tmp_path):
     ],
 )
 def test_symmetries_are_declared_in_words(words, axes, rotations):
-    # A prism of 24 sides passes for round.
+    # A prism of 24 sides is round within the tolerance.
     sides = 24 if "z" in words else 3
     vertices, faces = prism(sides, 0.04, 0.1)
     model = ObjectModel.from_mesh(np.add(vertices, [0.01, -0.02, 0.03]), faces)
-    of = declared(model, words)
-    assert (len(of.axes), len(of.rotations)) == (axes, rotations)
-    for point, direction in of.axes:
+    found = declared_symmetries(model, words)
+    assert (len(found.axes), len(found.rotations)) == (axes, rotations)
+    for point, direction in found.axes:
         np.testing.assert_allclose(np.cross(point - [0.01, -0.02, 0.03], direction), 0, atol=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["w"], "expected find, an axis .*, got 'w'"),
         (["z/0"], "expected find, an axis"),
@@ -247,9 +253,9 @@ def test_symmetries_are_declared_in_words(words, axes, rotations):
         (["x/3"], "expected turns that leave the surface in place, got x/3"),
     ],
 )
-def test_symmetries_that_the_surface_has_not_are_refused(words, said):
-    with pytest.raises(InvalidInput, match=f"^symmetry: {said}"):
-        declared(ObjectModel.box((0.06, 0.09, 0.14)), words)
+def test_declared_symmetries_that_the_surface_does_not_have_are_refused(words, message):
+    with pytest.raises(InvalidInput, match=f"^symmetry: {message}"):
+        declared_symmetries(ObjectModel.box((0.06, 0.09, 0.14)), words)
 
 
 def test_a_real_object_is_the_same_from_the_library(tmp_path):
@@ -274,7 +280,7 @@ def test_the_library_is_the_one_that_the_environment_names(tmp_path, monkeypatch
     assert Library().place == str(tmp_path / ".local/share/handsight/library")
 
 
-def test_what_is_no_object_is_not_added(tmp_path):
+def test_a_file_without_an_object_is_not_added(tmp_path):
     library = Library(tmp_path / "library")
     (tmp_path / "line.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n2 0 0\n3 0 1 2\n")
     with pytest.raises(InvalidObject, match=r"^line\.off: "):

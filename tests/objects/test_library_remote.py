@@ -1,4 +1,4 @@
-"""A library at a URL is used from its copy: what is asked for is what was added there, or a sentence says why not."""
+"""A library at a URL is used from its copy, which is the library that was added there; otherwise an error says why not."""
 
 import shutil
 
@@ -13,7 +13,7 @@ from objects.libraries import block, bop, served
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
-    """A cache of the test's own: what is in it must not decide what is fetched."""
+    """A cache of the test's own, so that files of other tests are not found in it."""
     monkeypatch.setenv("HANDSIGHT_CACHE", str(tmp_path / "cache"))
     return tmp_path / "cache"
 
@@ -31,7 +31,7 @@ def files(cache):
     return sorted(path for path in cache.glob("library/*/*") if path.is_file())
 
 
-def test_what_is_asked_for_is_fetched_once_and_nothing_else(ours, cache):
+def test_a_requested_object_is_fetched_once_and_nothing_else_is(ours, cache):
     with served(ours) as (url, asked):
         model = Library(url).model("block")
         np.testing.assert_allclose(np.ptp(model.bounds_object, axis=0), [0.06, 0.09, 0.14])
@@ -44,7 +44,7 @@ def test_what_is_asked_for_is_fetched_once_and_nothing_else(ours, cache):
     assert len(files(cache)) == 1
 
 
-def test_what_was_fetched_works_without_the_network(ours, cache):
+def test_a_fetched_library_works_without_the_network(ours, cache):
     with served(ours) as (url, _):
         said = []
         assert Library(url).fetch(lambda share, name="": said.append((share, name))) == []
@@ -54,7 +54,7 @@ def test_what_was_fetched_works_without_the_network(ours, cache):
     assert not list(Library(url).wrong(Library(url).entries()))
 
 
-def test_fetching_again_brings_what_has_changed_and_asks_for_nothing_that_is_there(ours, tmp_path):
+def test_fetching_again_requests_only_changed_files(ours, tmp_path):
     with served(ours) as (url, asked):
         Library(url).fetch()
         Library(ours).add(block(tmp_path, (0.02, 0.03, 0.04)), Facts(name="third"))
@@ -66,7 +66,7 @@ def test_fetching_again_brings_what_has_changed_and_asks_for_nothing_that_is_the
         assert Library(url).model("third").closed
 
 
-def test_a_bop_folder_of_others_is_used_from_a_url_too(tmp_path, cache):
+def test_a_bop_data_set_is_used_from_a_url_too(tmp_path, cache):
     with served(bop(tmp_path / "bop")) as (url, asked):
         assert Library(f"{url}/").model("obj_000005").closed
         assert Library(f"{url}/models").model("5").closed
@@ -92,7 +92,7 @@ def test_a_bop_folder_of_others_is_used_from_a_url_too(tmp_path, cache):
         ),
     ],
 )
-def test_a_model_that_is_not_what_was_added_is_refused_and_the_others_are_there(ours, cache, wrong, said):
+def test_a_model_that_is_not_the_added_one_is_refused_and_the_others_are_read(ours, cache, wrong, said):
     with served(ours, wrong) as (url, _):
         with pytest.raises(InvalidFile, match=said):
             Library(url).model("block")
@@ -114,12 +114,12 @@ def test_a_model_that_is_not_what_was_added_is_refused_and_the_others_are_there(
         ({"handsight.json": 500}, r"handsight\.json: cannot be fetched"),
     ],
 )  # fmt: skip
-def test_documents_that_are_none_are_refused(ours, wrong, said):
+def test_malformed_documents_are_refused(ours, wrong, said):
     with served(ours, wrong) as (url, _), pytest.raises(InvalidFile, match=said):
         Library(url).entries()
 
 
-def test_documents_above_the_size_are_refused(ours, monkeypatch):
+def test_documents_above_the_size_limit_are_refused(ours, monkeypatch):
     monkeypatch.setattr(remote, "LARGEST_DOCUMENT", 100)
     with (
         served(ours) as (url, _),
@@ -128,7 +128,7 @@ def test_documents_above_the_size_are_refused(ours, monkeypatch):
         Library(url).entries()
 
 
-def test_a_model_of_others_above_the_size_is_refused(tmp_path, monkeypatch):
+def test_a_model_of_a_bop_data_set_above_the_size_limit_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(remote, "LARGEST_FILE", 100)
     with (
         served(bop(tmp_path)) as (url, _),
@@ -137,7 +137,7 @@ def test_a_model_of_others_above_the_size_is_refused(tmp_path, monkeypatch):
         Library(url).model("1")
 
 
-def test_what_was_fetched_before_stays_where_fetching_anew_fails(ours):
+def test_a_fetched_library_stays_if_fetching_it_again_fails(ours):
     with served(ours) as (url, _):
         Library(url).fetch()
     with pytest.raises(InvalidFile, match="cannot be fetched: .*refused"):
@@ -145,7 +145,7 @@ def test_what_was_fetched_before_stays_where_fetching_anew_fails(ours):
     assert Library(url).model("block").closed
 
 
-def test_a_file_of_others_is_fetched_anew_and_stays_where_that_fails(tmp_path):
+def test_a_file_without_a_checksum_is_fetched_again_and_stays_if_that_fails(tmp_path):
     theirs = bop(tmp_path / "bop")
     with served(theirs) as (url, _):
         Library(url).fetch()
@@ -161,7 +161,7 @@ def test_a_file_of_others_is_fetched_anew_and_stays_where_that_fails(tmp_path):
 @pytest.mark.parametrize(
     "spoil", [lambda data: data[:-9], lambda data: b"", lambda data: data[:60] + b"x" + data[61:]]
 )
-def test_a_copy_that_was_damaged_is_fetched_again(ours, cache, spoil):
+def test_a_damaged_copy_is_fetched_again(ours, cache, spoil):
     with served(ours) as (url, asked):
         Library(url).fetch()
         for path in [*files(cache), *cache.glob("library/*.msgpack")]:
@@ -171,7 +171,7 @@ def test_a_copy_that_was_damaged_is_fetched_again(ours, cache, spoil):
         assert len(asked) == 3
 
 
-def test_a_cache_that_cannot_be_written_is_said(ours, cache):
+def test_a_cache_that_cannot_be_written_is_reported(ours, cache):
     cache.mkdir(exist_ok=True)
     (cache / "library").write_text("a file where a folder should be")
     with served(ours) as (url, _), pytest.raises(NotWritten, match="library: cannot be written: "):
@@ -184,7 +184,7 @@ def test_a_folder_is_a_url_too(ours):
         Library((ours / "nowhere").as_uri()).entries()
 
 
-def test_other_kinds_of_urls_are_fsspecs(ours, monkeypatch):
+def test_other_kinds_of_urls_are_opened_by_fsspec(ours, monkeypatch):
     fsspec = pytest.importorskip("fsspec", reason="other URLs need fsspec: pip install 'handsight[library]'")
     there = fsspec.filesystem("memory")
     there.put(str(ours), "/shelf", recursive=True)
@@ -224,19 +224,19 @@ def test_a_library_may_be_in_an_archive(tmp_path, inner):
         "http://é/",
     ],
 )
-def test_what_is_no_url_is_refused(url):
+def test_a_malformed_url_is_refused(url):
     with pytest.raises(InvalidFile, match="models_info.json: cannot be fetched: |expected a library"):
         Library(url).entries()
 
 
-def test_what_only_a_url_or_only_a_folder_can_is_said(ours, tmp_path):
+def test_calls_that_only_a_url_or_only_a_folder_allows_are_refused_for_the_other(ours, tmp_path):
     with pytest.raises(InvalidInput, match=r"ours: expected a URL, such as https://\.\.\., got a folder"):
         Library(ours).fetch()
     with pytest.raises(InvalidInput, match="^https://a: expected a folder to add to, got a URL"):
         Library("https://a").add(block(tmp_path), Facts(name="block"))
 
 
-def test_two_that_fetch_at_the_same_time_have_both_whole_files(ours):
+def test_threads_that_fetch_at_the_same_time_have_complete_files(ours):
     import threading
 
     with served(ours) as (url, _):

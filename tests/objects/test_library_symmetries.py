@@ -5,9 +5,8 @@ import pytest
 
 from handsight import se3
 from handsight.errors import InvalidInput
-from handsight.objects import ObjectModel, Symmetries
+from handsight.objects import ObjectModel, Symmetries, about
 from handsight.objects.library.bop import ContinuousAxis, Info, info_of, symmetries_of
-from handsight.objects.symmetry import about
 
 X, Y, Z = np.eye(3)
 GROUPS = {
@@ -22,31 +21,31 @@ GROUPS = {
 
 
 def flat(T, digits):
-    """As files have it [mm], to so many digits behind the point."""
+    """The transform as a file has it, in millimetres with so many decimals."""
     return tuple(np.round(se3.compose(T[:3, :3], 1e3 * T[:3, 3]), digits).reshape(-1).tolist())
 
 
 def farthest(of, expected):
-    """How far a rotation of a group is off the nearest of another."""
+    """The largest distance of a rotation of one group from the nearest of the other."""
     return max(np.abs(of.rotations - T).max(axis=(1, 2)).min() for T in expected.rotations)
 
 
 @pytest.mark.parametrize("digits", [3, 4, 6, 15])
 @pytest.mark.parametrize("name", GROUPS)
-def test_a_group_of_few_digits_is_read_as_a_group(name, digits, rng):
+def test_a_group_of_few_digits_is_read_as_an_exact_group(name, digits, rng):
     turned = se3.rotation_exp(rng.normal(size=3))
     made = Symmetries(rotations=about(rng.normal(size=3) * 0.02, np.array(GROUPS[name]) @ turned.T))
     info = Info(diameter=200.0, symmetries_discrete=[flat(T, digits) for T in made.rotations[1:]])
     found = symmetries_of(info)
     assert len(found.rotations) == len(made.rotations)
-    # A digit behind the point of a millimetre is less than one of a sine.
+    # A decimal of a millimetre is a smaller error than the same decimal of a sine.
     assert farthest(found, made) < 3 * 10.0**-digits
     for one in found.rotations[1:4]:  # closed and rigid to rounding
         for other in found.rotations[:4]:
             assert np.abs(found.rotations - one @ other).max(axis=(1, 2)).min() < 1e-12
 
 
-def test_turns_that_only_generate_a_group_are_read_as_it():
+def test_turns_that_generate_a_group_are_read_as_all_of_it():
     info = Info(
         diameter=200.0,
         symmetries_discrete=[flat(se3.compose(se3.rotation_exp(v), np.zeros(3)), 4) for v in GROUPS["cube"]],
@@ -55,15 +54,15 @@ def test_turns_that_only_generate_a_group_are_read_as_it():
 
 
 @pytest.mark.parametrize("make", [ObjectModel.box, ObjectModel.cylinder, ObjectModel.sphere])
-def test_what_is_written_of_an_object_is_read_as_it_was(make, rng):
+def test_the_written_symmetries_of_an_object_are_read_back(make, rng):
     model = make(*{"box": ([0.06, 0.06, 0.14],), "cylinder": (0.03, 0.1), "sphere": (0.04,)}[make.__name__])
-    said = info_of(model)
+    written = info_of(model)
     info = Info(
-        diameter=said["diameter"],
-        symmetries_discrete=[tuple(row) for row in said["symmetries_discrete"]],
+        diameter=written["diameter"],
+        symmetries_discrete=[tuple(row) for row in written["symmetries_discrete"]],
         symmetries_continuous=[
             ContinuousAxis(axis=tuple(line["axis"]), offset=tuple(line["offset"]))
-            for line in said["symmetries_continuous"]
+            for line in written["symmetries_continuous"]
         ],
     )
     found = symmetries_of(info)
@@ -77,7 +76,7 @@ def test_what_is_written_of_an_object_is_read_as_it_was(make, rng):
         assert farthest(found, model.symmetries) < 1e-12
 
 
-def test_ends_that_are_alike_are_found_beside_an_axis_whatever_turn_says_so(rng):
+def test_any_half_turn_that_swaps_the_ends_of_an_axis_is_read_as_one_about_their_middle(rng):
     for _ in range(20):
         axis, point = rng.normal(size=3), rng.normal(size=3) * 0.05
         axis /= np.linalg.norm(axis)
@@ -96,7 +95,7 @@ def test_ends_that_are_alike_are_found_beside_an_axis_whatever_turn_says_so(rng)
         np.testing.assert_allclose(se3.apply(moved, point[None])[0], point, atol=1e-3)
 
 
-def test_a_ball_is_read_of_two_axes():
+def test_two_axes_that_cross_are_read_as_a_ball():
     axes = [ContinuousAxis(axis=(0, 0, 1.0), offset=(5.0, 0, 0)), ContinuousAxis(axis=(1.0, 0, 0))]
     assert symmetries_of(Info(diameter=80.0, symmetries_continuous=axes)).round
 
@@ -111,7 +110,7 @@ AXIS = [ContinuousAxis(axis=(0, 0, 1.0))]
 
 
 @pytest.mark.parametrize(
-    ("discrete", "continuous", "said"),
+    ("discrete", "continuous", "message"),
     [
         ([MIRROR], [], r"symmetries_discrete\[0\]: expected a rigid transform, got"),
         ([HALF, (2.0, *HALF[1:])], [], r"symmetries_discrete\[1\]: expected a rigid transform"),
@@ -129,6 +128,6 @@ AXIS = [ContinuousAxis(axis=(0, 0, 1.0))]
         ([], [*AXIS, ContinuousAxis(axis=(0, 0, 1.0), offset=(9, 0, 0))], "axes: expected axes that cross"),
     ],
 )  # fmt: skip
-def test_what_is_no_symmetry_is_refused(discrete, continuous, said):
-    with pytest.raises(InvalidInput, match=f"^{said}"):
+def test_entries_that_are_no_symmetry_group_are_refused(discrete, continuous, message):
+    with pytest.raises(InvalidInput, match=f"^{message}"):
         symmetries_of(Info(diameter=100.0, symmetries_discrete=discrete, symmetries_continuous=continuous))

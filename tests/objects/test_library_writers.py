@@ -1,4 +1,4 @@
-"""Two writers lose nothing; an add that was cut short, by whatever, leaves the library as it was."""
+"""Several writers lose nothing, and an add that is interrupted in any way leaves the library as it was."""
 
 import errno
 import json
@@ -16,7 +16,7 @@ from handsight.objects.library.folder import Folder, new_object
 from objects.libraries import block, bop
 
 RENAMES = 3
-"""Of an add: the model, handsight.json, models_info.json."""
+"""The renames of an add: of the model, handsight.json and models_info.json."""
 ADD = """
 import os, signal, sys
 from handsight.objects import Facts, Library
@@ -49,8 +49,8 @@ def test_writers_at_the_same_time_lose_nothing(tmp_path):
     library.add(file, Facts(name="first"))
     writers = {prefix: adding(library.place, file, prefix, count) for prefix in ("one", "two", "three")}
     for writer in writers.values():
-        _, said = writer.communicate(timeout=300)
-        assert writer.returncode == 0, said.decode()
+        _, errors = writer.communicate(timeout=300)
+        assert writer.returncode == 0, errors.decode()
     assert names(library) == sorted(["first", *(f"{prefix}{k}" for prefix in writers for k in range(count))])
     assert [entry.number for entry in library.entries()] == list(range(1, 2 + 3 * count))
     assert not list(library.wrong(library.entries()))
@@ -68,7 +68,7 @@ def test_threads_at_the_same_time_lose_nothing(tmp_path):
     assert len(names(library)) == 8
 
 
-def test_whoever_reads_meanwhile_finds_each_object_with_all_that_is_known_of_it(tmp_path):
+def test_a_reader_finds_each_object_with_all_its_facts_while_another_adds(tmp_path):
     folder, library = Folder(tmp_path / "library"), Library(tmp_path / "library")
     new = new_object(block(tmp_path), Facts(name="block", mass=0.5), 1.0, None)
     folder.add(new)
@@ -79,14 +79,14 @@ def test_whoever_reads_meanwhile_finds_each_object_with_all_that_is_known_of_it(
 
     writer = threading.Thread(target=write)
     writer.start()
-    reads, seen = 0, 0
+    reads, known = 0, 0
     while writer.is_alive():
         entries = library.entries()
         assert all(entry.facts is not None and entry.facts.mass == 0.5 for entry in entries)
-        assert len(entries) >= seen
-        for entry in entries[seen:]:
+        assert len(entries) >= known
+        for entry in entries[known:]:
             assert library.file(entry).exists()
-        reads, seen = reads + 1, len(entries)
+        reads, known = reads + 1, len(entries)
     writer.join()
     assert reads > 10
     assert len(library.entries()) == 61
@@ -94,7 +94,7 @@ def test_whoever_reads_meanwhile_finds_each_object_with_all_that_is_known_of_it(
 
 @pytest.mark.parametrize("there", [False, True], ids=["new", "of others"])
 @pytest.mark.parametrize("dies_at", range(1, RENAMES + 1))
-def test_an_add_that_is_killed_before_it_is_done_is_invisible(tmp_path, dies_at, there):
+def test_an_add_that_is_killed_before_its_end_is_invisible(tmp_path, dies_at, there):
     library, file = Library(tmp_path / "library"), block(tmp_path)
     if there:
         bop(tmp_path / "library")
@@ -105,12 +105,12 @@ def test_an_add_that_is_killed_before_it_is_done_is_invisible(tmp_path, dies_at,
     if there:
         assert names(library) == before
         assert not list(library.wrong(library.entries()))
-    # Its lock died with it, and what it left is in nobody's way.
+    # Its lock ended with it, and the files that it left do no harm.
     entry = library.add(file, Facts(name="killed0", mass=0.1))
     assert entry.facts.mass == 0.1
     assert names(library) == sorted([*before, "killed0"])
     assert not list(library.wrong(library.entries()))
-    # Nor may it be taken for what is known of an object that others number so.
+    # Nor may its facts become those of another object that later gets the same number.
     documents = [
         json.loads((tmp_path / f"library/models/{name}.json").read_text())
         for name in ("handsight", "models_info")
@@ -119,7 +119,7 @@ def test_an_add_that_is_killed_before_it_is_done_is_invisible(tmp_path, dies_at,
 
 
 @pytest.mark.parametrize("fails_at", range(1, RENAMES + 1))
-def test_a_full_disk_is_said_and_leaves_the_library_as_it_was(tmp_path, monkeypatch, fails_at):
+def test_a_full_disk_is_reported_and_leaves_the_library_as_it_was(tmp_path, monkeypatch, fails_at):
     library, file = Library(tmp_path / "library"), block(tmp_path)
     library.add(file, Facts(name="first"))
     documents = ["models_info.json", "handsight.json"]
@@ -144,7 +144,7 @@ def test_a_full_disk_is_said_and_leaves_the_library_as_it_was(tmp_path, monkeypa
     assert library.add(file, Facts(name="second")).name == "second"
 
 
-def test_a_file_that_the_system_refuses_to_grow_is_said(tmp_path, monkeypatch):
+def test_a_limit_on_the_size_of_files_is_reported(tmp_path, monkeypatch):
     resource = pytest.importorskip("resource", reason="no such limits on this system")
     library, file = Library(tmp_path / "library"), block(tmp_path)
     library.add(file, Facts(name="first"))
@@ -159,7 +159,7 @@ def test_a_file_that_the_system_refuses_to_grow_is_said(tmp_path, monkeypatch):
     assert names(library) == ["first"]
 
 
-def test_a_lock_that_is_held_is_waited_for_and_then_told_of(tmp_path, monkeypatch):
+def test_a_lock_of_another_process_is_waited_for_and_then_reported(tmp_path, monkeypatch):
     library, file = Library(tmp_path), block(tmp_path)
     monkeypatch.setattr(folders, "LOCK_SECONDS", 0.2)
     with (
@@ -182,7 +182,7 @@ def test_a_folder_without_locks_is_refused(tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_cannot_be_written_to_is_said(tmp_path):
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path):
     (tmp_path / "library").mkdir(mode=0o500)
     with pytest.raises(NotWritten, match="cannot be written: Permission denied"):
         Library(tmp_path / "library").add(block(tmp_path), Facts(name="block"))

@@ -125,7 +125,7 @@ def test_overlapping_pieces_are_one_solid():
 def like_the_box(model, rng):
     points = rng.uniform(-0.07, 0.07, (500, 3))
     box = ObjectModel.from_mesh(*box_mesh(SIZE))
-    # The nodes at the end of the exact band hang on how the surface was sampled.
+    # The nodes at the end of the exact band depend on how the surface is cut into triangles.
     found, expected = model.evaluate(points).distance, box.evaluate(points).distance
     np.testing.assert_allclose(found, expected, atol=3e-4)
     assert (np.abs(found - expected) < 1e-6).mean() > 0.9
@@ -150,8 +150,8 @@ def test_repeated_and_flat_triangles_are_dropped(rng):
     more = np.vstack([faces, faces[:2], [(0, 0, 1), (3, 5, 3)]])
     with pytest.warns(ObjectWarning) as caught:
         like_the_box(ObjectModel.from_mesh(vertices, more), rng)
-    said = [str(w.message) for w in caught]
-    assert said == ["2 triangles without area were dropped", "2 repeated triangles were dropped"]
+    messages = [str(w.message) for w in caught]
+    assert messages == ["2 triangles without area were dropped", "2 repeated triangles were dropped"]
 
 
 def test_unused_vertices_that_are_not_finite_are_dropped(rng):
@@ -179,7 +179,7 @@ def test_a_small_loose_piece_is_left_in_and_mentioned():
     assert len(model.faces) == 24
 
 
-def test_a_one_sided_surface_is_said_to_be_one():
+def test_a_one_sided_surface_is_open_and_warned_of():
     with pytest.warns(ObjectWarning, match="one side only somewhere"):
         assert not ObjectModel.from_mesh(*moebius(60)).closed
 
@@ -209,6 +209,6 @@ def test_a_one_sided_surface_is_said_to_be_one():
         ("box", BOX_FACES, r"mesh: expected numbers"),
     ],
 )
-def test_what_is_no_surface_is_refused(vertices, faces, message):
+def test_arrays_that_are_no_surface_are_refused(vertices, faces, message):
     with pytest.raises(InvalidObject, match=message):
         ObjectModel.from_mesh(vertices, faces)

@@ -12,10 +12,8 @@ import pytest
 import trimesh
 
 from handsight.cache_folder import cache_folder, write_entry
-from handsight.objects import ObjectModel, ObjectWarning, cache
-from handsight.objects import model as making
-from handsight.objects.fields import FieldError, GridField
-from handsight.objects.geometry import Geometry
+from handsight.objects import FieldError, Geometry, GridField, ObjectModel, ObjectWarning, cache
+from handsight.objects import model as object_models
 from objects.object_shapes import BOX_FACES, box_mesh, triangles
 
 
@@ -27,12 +25,12 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def counted(monkeypatch):
-    """How often an object was built."""
+    """A list with an item for each object that was built."""
     calls = []
     for name in ("_of_mesh", "_of_points"):
-        build_it = getattr(making, name)
+        build_it = getattr(object_models, name)
         monkeypatch.setattr(
-            making, name, lambda *parts, build_it=build_it: calls.append(1) or build_it(*parts)
+            object_models, name, lambda *parts, build_it=build_it: calls.append(1) or build_it(*parts)
         )
     return calls
 
@@ -42,7 +40,7 @@ def box():
 
 
 def same(a, b):
-    """All that was measured of two objects is equal, to the last bit."""
+    """The geometries of two objects are equal to the last bit."""
     for part in dataclasses.fields(Geometry):
         one, other = getattr(a, part.name), getattr(b, part.name)
         if isinstance(one, np.ndarray):
@@ -69,20 +67,20 @@ def test_the_same_mesh_is_built_once(folder, counted):
 def test_a_damaged_file_is_built_again(folder, counted, damage):
     first = box()
     (file,) = folder.iterdir()
-    whole = file.read_bytes()
-    middle = len(whole) // 2
-    flipped = whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :]
-    header = whole.replace(b"(256, 3)", b"(255, 3)")  # it could be read
+    good = file.read_bytes()
+    middle = len(good) // 2
+    flipped = good[:middle] + bytes([good[middle] ^ 255]) + good[middle + 1 :]
+    header = good.replace(b"(256, 3)", b"(255, 3)")  # it could be read
     if damage == "array":
         with file.open("wb") as out:
             np.save(out, np.zeros(3))
     else:
         file.write_bytes(
-            {"empty": b"", "cut": whole[:middle], "text": b"no", "flipped": flipped, "header": header}[damage]
+            {"empty": b"", "cut": good[:middle], "text": b"no", "flipped": flipped, "header": header}[damage]
         )
     same(box(), first)
     assert len(counted) == 2
-    assert file.read_bytes() == whole
+    assert file.read_bytes() == good
 
 
 def test_a_file_of_another_content_or_another_object_is_built_again(folder, counted):
@@ -131,7 +129,7 @@ def test_the_newest_files_are_kept(folder, monkeypatch):
     folder.mkdir()
     (folder / "mine.npz").write_text("the user's own")
     box()
-    geometry = making._of_mesh(triangles(*box_mesh((0.06, 0.09, 0.05))))
+    geometry = object_models._of_mesh(triangles(*box_mesh((0.06, 0.09, 0.05))))
     for file in folder.glob("field-*"):
         os.utime(file, (0, 0))
     for k in range(1, 6):
@@ -142,7 +140,7 @@ def test_the_newest_files_are_kept(folder, monkeypatch):
     ]  # fmt: skip
 
 
-def test_where_the_files_go(monkeypatch, tmp_path):
+def test_the_cache_folder_follows_the_environment(monkeypatch, tmp_path):
     monkeypatch.setenv("HANDSIGHT_CACHE", str(tmp_path / "a"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "b"))
     assert cache_folder() == tmp_path / "a"
@@ -194,10 +192,10 @@ def file(tmp_path):
     return path
 
 
-def test_a_file_is_read_and_measured_once(folder, file, counted, monkeypatch):
+def test_a_file_is_read_and_built_once(folder, file, counted, monkeypatch):
     first = ObjectModel.from_file(file)
     assert len(list(folder.iterdir())) == 1
-    monkeypatch.setattr(making, "shape_of", None)
+    monkeypatch.setattr(object_models, "shape_of", None)
     same(first, ObjectModel.from_file(file))
     assert len(counted) == 1
 
@@ -210,11 +208,11 @@ def test_a_cloud_comes_back_as_it_was(folder, tmp_path, counted):
     assert len(counted) == 3
 
 
-def test_what_was_odd_is_said_again(folder, file):
+def test_a_warning_about_an_object_is_repeated_when_it_comes_from_the_cache(folder, file):
     for _ in range(2):
-        with pytest.warns(ObjectWarning, match="looks like millimetres") as said:
+        with pytest.warns(ObjectWarning, match="looks like millimetres") as caught:
             ObjectModel.from_file(file, scale=1000.0)
-        assert [Path(w.filename).name for w in said] == ["test_object_cache.py"]
+        assert [Path(w.filename).name for w in caught] == ["test_object_cache.py"]
 
 
 def test_another_scale_or_content_is_another_object(folder, file):
@@ -224,7 +222,7 @@ def test_another_scale_or_content_is_another_object(folder, file):
     assert ObjectModel.from_file(file).bounds_object[1, 2] == pytest.approx(0.04)
 
 
-def test_a_file_that_is_known_needs_neither_trimesh_nor_scipy(folder, file):
+def test_a_file_in_the_cache_needs_neither_trimesh_nor_scipy(folder, file):
     ObjectModel.from_file(file)
     program = f"""
 import sys

@@ -6,9 +6,8 @@ import pytest
 import trimesh
 
 from handsight.errors import InvalidFile, InvalidInput, InvalidObject
-from handsight.objects import ObjectModel, ObjectWarning
+from handsight.objects import ObjectModel, ObjectWarning, read_shape
 from handsight.objects.files import read as object_files
-from handsight.objects.files import read_shape
 from handsight.objects.files.pcd import lzf_unpacked
 from handsight.objects.files.shape import BadText
 from objects.object_shapes import box_mesh
@@ -61,7 +60,7 @@ def pcd_rows():
 
 
 def lzf_packed(data):
-    """Literal runs, and back references for runs of one byte: all that LZF has."""
+    """LZF with both of its elements: literal runs, and back references for runs of one byte."""
     out, at = bytearray(), 0
     while at < len(data):
         run = 1
@@ -221,7 +220,7 @@ def test_a_broken_file_is_refused_by_name(tmp_path, name):
 
 @pytest.mark.parametrize("name", [*MESHES, *CLOUDS])
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.9])
-def test_a_file_cut_anywhere_is_refused_or_read_never_more(tmp_path, name, part):
+def test_a_file_cut_anywhere_is_refused_or_read_with_no_more_points(tmp_path, name, part):
     data = {**MESHES, **CLOUDS}[name]
     (tmp_path / name).write_bytes(data[: int(part * len(data))])
     if name.endswith((".xyz", ".obj")):  # formats without counts cannot know
@@ -232,7 +231,7 @@ def test_a_file_cut_anywhere_is_refused_or_read_never_more(tmp_path, name, part)
         read_shape(tmp_path / name)
 
 
-def test_a_file_that_is_none_is_refused_by_name(tmp_path):
+def test_a_path_without_a_readable_file_is_refused_by_name(tmp_path):
     (tmp_path / "folder.stl").mkdir()
     for name, message in (
         ("absent.stl", "cannot be read: No such file or directory"),
@@ -263,7 +262,7 @@ def test_a_mesh_under_a_wrong_extension_is_refused(tmp_path):
             ObjectModel.from_file(tmp_path / name)
 
 
-def test_what_is_no_surface_is_said_with_the_files_name(tmp_path):
+def test_the_message_for_a_file_without_a_surface_begins_with_its_name(tmp_path):
     (tmp_path / "flat.off").write_bytes(b"OFF\n3 1 0\n0 0 0\n1 0 0\n2 0 0\n3 0 1 2\n")
     with pytest.raises(
         InvalidObject, match=r"^flat.off: faces: expected triangles with an area, got 1 without"

@@ -7,8 +7,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
 from handsight.errors import HandsightError, InvalidInput
-from handsight.objects import ObjectModel, ObjectWarning, Symmetries
-from handsight.objects.surface import diameter
+from handsight.objects import ObjectModel, ObjectWarning, Symmetries, diameter
 from objects.object_shapes import box_mesh, divided
 
 SIZE = np.array([0.06, 0.09, 0.14])
@@ -168,7 +167,7 @@ def test_a_model_cannot_be_changed(models):
         models["box"].points_object[0] = 0
 
 
-def test_symmetries_declared_replace_the_shapes_own():
+def test_declared_symmetries_replace_those_of_the_shape():
     none = Symmetries()
     assert ObjectModel.box(SIZE, symmetries=none).symmetries is none
     model = ObjectModel.cylinder(0.03, 0.1)
@@ -222,7 +221,7 @@ def test_a_likely_wrong_unit_warns_with_the_likely_factor(extent, message):
     assert any(remark.startswith("largest extent") for remark in model.remarks)
 
 
-def test_an_ordinary_object_is_made_without_a_warning():
+def test_an_ordinary_object_is_built_without_a_warning():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert ObjectModel.box(SIZE).remarks == ()

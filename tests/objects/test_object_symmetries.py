@@ -6,8 +6,7 @@ from scipy.optimize import minimize_scalar
 
 from handsight import se3
 from handsight.errors import InvalidInput, InvalidTransform
-from handsight.objects import ObjectModel, Symmetries, propose_symmetries
-from handsight.objects.symmetry import about, nearest, tangents
+from handsight.objects import ObjectModel, Symmetries, about, nearest, propose_symmetries, tangents
 from objects.object_shapes import prism
 
 RADIUS = 0.07
@@ -86,7 +85,7 @@ def test_the_nearest_equivalent_is_no_farther_than_any_other(symmetries, rng):
 
 
 @each_group
-def test_the_nearest_equivalent_is_one(symmetries, rng):
+def test_the_nearest_equivalent_of_a_pose_is_equivalent_to_it(symmetries, rng):
     """Its own nearest to T is T itself: the way back is in the group."""
     Ts = se3.random(rng, 40, spread=0.05)
     T_reference = se3.random(rng, spread=0.05)

@@ -1,21 +1,20 @@
-"""What is open has no zero but on its surface; what is closed but for slits has an inside."""
+"""The distance to an open mesh is zero on its surface only; a mesh that is closed except for slits has an inside."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handsight.objects import ObjectModel
+from handsight.objects import ObjectModel, Triangles
 from handsight.objects.meshes.box_tree import Winding
 from handsight.objects.meshes.mesh_geometry import holes_of, rim_of
 from handsight.objects.meshes.repair import repaired
-from handsight.objects.surface import Triangles
 from objects.object_shapes import box_mesh, divided, holed_box, moebius, prism, triangles
 from oracles import meshes as oracle
 
 CELLS = 1.0
-"""A field is that many of its cells off the distance at most: a spline is the mean over a kernel of variance cell²/3 per
-axis, which reaches a cell far, and a distance changes by no more than its place does."""
+"""The largest error of a field [cells]: its spline is a mean over a kernel of variance cell²/3 per axis, which reaches
+about one cell, and a distance changes by no more than its place does."""
 SOLIDS = {
     "box": box_mesh(),
     "divided box": divided(*box_mesh((0.06, 0.05, 0.04)), 2),
@@ -66,7 +65,7 @@ def with_vertices_on_edges(vertices, faces, rng, off=0.0):
 
 
 def with_its_own_vertices(vertices, faces, rng, off=0.0):
-    """Each triangle with three of its own, as in STL; `off` from one another [m]."""
+    """Each triangle with three vertices of its own, as in STL, moved by about `off` [m]."""
     corners = vertices[faces] + off * rng.normal(size=(len(faces), 3, 3))
     return corners.reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
 
@@ -102,7 +101,7 @@ def around(model, rng, count=1500):
 @pytest.mark.filterwarnings("ignore::handsight.objects.ObjectWarning")
 @settings(max_examples=12, deadline=None)
 @given(st.sampled_from(sorted(SOLIDS)), st.sampled_from(sorted(OPENINGS)), st.integers(0, 10**6))
-def test_an_open_mesh_is_as_far_as_its_triangles_and_zero_on_them_only(solid, opening, seed):
+def test_the_distance_to_an_open_mesh_is_that_to_its_triangles_and_zero_on_them_only(solid, opening, seed):
     rng = np.random.default_rng(seed)
     vertices, faces = OPENINGS[opening](*SOLIDS[solid], rng)
     vertices = turned(vertices, rng)
@@ -119,7 +118,9 @@ def test_an_open_mesh_is_as_far_as_its_triangles_and_zero_on_them_only(solid, op
 @settings(max_examples=20, deadline=None)
 @given(st.sampled_from(sorted(SOLIDS)), st.sampled_from(sorted(SLITS)), st.integers(0, 10**6))
 @pytest.mark.filterwarnings("ignore::handsight.objects.ObjectWarning")
-def test_a_mesh_whose_gaps_have_no_area_is_closed_and_its_signs_are_those_of_the_whole(solid, slit, seed):
+def test_a_mesh_whose_gaps_have_no_area_is_closed_and_has_the_signs_of_the_mesh_without_gaps(
+    solid, slit, seed
+):
     rng = np.random.default_rng(seed)
     vertices, faces = SOLIDS[solid]
     model = ObjectModel.from_mesh(*SLITS[slit](vertices, faces, rng))
@@ -128,7 +129,7 @@ def test_a_mesh_whose_gaps_have_no_area_is_closed_and_its_signs_are_those_of_the
     assert not model.fine.sheet
     points = around(whole, rng)
     expected, found = whole.evaluate(points).distance, model.evaluate(points).distance
-    # Where the exact band ends hangs on how the surface is cut into triangles.
+    # Where the exact band ends depends on how the surface is cut into triangles.
     near = np.abs(expected) < 2 * whole.fine.cell
     np.testing.assert_allclose(found[near], expected[near], atol=2e-5)
     np.testing.assert_allclose(found, expected, atol=0.1 * whole.coarse.cell)
@@ -136,8 +137,8 @@ def test_a_mesh_whose_gaps_have_no_area_is_closed_and_its_signs_are_those_of_the
     np.testing.assert_array_equal((found < 0)[clear], (expected < 0)[clear])
 
 
-def test_a_contact_behind_an_open_wall_is_as_far_as_it_is():
-    """33 mm behind a wall 36 mm wide a field that is continuous around the rim read 3 mm."""
+def test_the_distance_behind_an_open_wall_is_that_to_the_wall():
+    """A field that is continuous around the rim is 3 mm at 33 mm behind a wall 36 mm wide."""
     vertices = np.array([(-0.018, -0.05, 0), (0.018, -0.05, 0), (0.018, 0.05, 0), (-0.018, 0.05, 0)])
     model = ObjectModel.from_mesh(vertices, [(0, 1, 2), (0, 2, 3)])
     behind = np.column_stack([np.zeros(50), np.zeros(50), -np.linspace(0, 0.1, 50)])
@@ -157,7 +158,7 @@ def test_around_the_rim_the_sign_jumps_and_the_distance_does_not():
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_near_its_sheet_an_open_mesh_is_what_the_whole_is(side, rng):
+def test_near_its_sheet_an_open_mesh_has_the_field_of_the_closed_one(side, rng):
     """Distance, normal and curvature of a can without lids, three cells from its rims."""
     vertices, faces = prism(96, 0.03, 0.08)
     k = len(vertices) // 2
@@ -182,7 +183,7 @@ def test_a_slit_is_no_rim_and_a_hole_is_one():
     assert len(holes_of(mesh).extents) > 1
 
 
-def test_an_open_mesh_keeps_its_sides_in_a_file_of_the_cache():
+def test_an_open_mesh_is_the_same_when_it_comes_from_the_cache():
     vertices, faces = prism(12, 0.03, 0.08)
     first, again = (ObjectModel.from_mesh(vertices, faces[:24]) for _ in range(2))
     assert first.fine.sheet
@@ -202,7 +203,7 @@ def test_a_moebius_strip_has_sides_nearly_everywhere_and_no_zero_off_it(rng):
     assert (off[expected < 4 * model.fine.cell] < CELLS * model.fine.cell).all()
 
 
-def test_two_shells_one_open_are_open_and_both_are_there(rng):
+def test_a_closed_and_an_open_shell_together_are_open_and_keep_both_surfaces(rng):
     vertices, faces = box_mesh((0.03, 0.03, 0.03))
     flat = np.array([(-0.03, -0.03, 0.05), (0.03, -0.03, 0.05), (0.03, 0.03, 0.05), (-0.03, 0.03, 0.05)])
     both = Triangles(np.vstack([vertices, flat]), np.vstack([faces, [(8, 9, 10), (8, 10, 11)]]))

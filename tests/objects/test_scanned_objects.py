@@ -1,11 +1,10 @@
-"""Objects as other people scanned and drew them."""
+"""Objects that other people scanned or drew, in files of the shared test data."""
 
 import numpy as np
 import pytest
 
-from handsight.objects import ObjectModel, ObjectWarning, propose_symmetries
+from handsight.objects import ObjectModel, ObjectWarning, Triangles, propose_symmetries
 from handsight.objects.meshes.box_tree import Winding
-from handsight.objects.surface import Triangles
 from objects.object_shapes import data_file
 
 SCANS = ["004_sugar_box", "006_mustard_bottle", "007_tuna_fish_can", "011_banana", "019_pitcher_base"]
@@ -43,7 +42,7 @@ def test_signs_around_a_scan_are_those_of_its_winding_number(name, rng):
 
 
 @pytest.mark.parametrize("name", SCANS)
-def test_points_others_drew_from_the_same_object_lie_on_its_field(name):
+def test_surface_points_from_another_source_are_on_the_field(name):
     file = data_file(f"surface_samples/{name}_2000.off")
     rows = np.loadtxt(file, skiprows=2)
     model = scan(name)
@@ -54,7 +53,7 @@ def test_points_others_drew_from_the_same_object_lie_on_its_field(name):
 
 
 @pytest.mark.parametrize("name", ["006_mustard_bottle", "036_wood_block"])
-def test_a_cloud_of_2000_points_is_the_object_to_half_a_millimetre(name):
+def test_the_field_of_a_cloud_of_2000_points_is_right_to_half_a_millimetre(name):
     cloud = ObjectModel.from_file(data_file(f"surface_samples/{name}_2000.off"))
     assert cloud.closed
     points, _ = scan(name).sample(3000)
@@ -75,7 +74,7 @@ def test_a_marker_that_is_not_watertight_is_closed_all_the_same():
 
 
 def test_a_can_whose_lids_do_not_share_its_rims_is_closed():
-    """Their corners are the same to the last bits of 32: 1e-8 m."""
+    """The corners of lid and wall differ in the last bits of 32-bit floats: 1e-8 m."""
     model = ObjectModel.from_file(data_file("soda_can/can.stl"))
     assert model.closed
     assert model.remarks == ()

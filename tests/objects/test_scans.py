@@ -1,4 +1,4 @@
-"""Objects made of noisy points: what noise is read, what surface is found behind it, and how far that says it is off."""
+"""Objects built from noisy points: the noise is estimated, and the surface behind it with its own error."""
 
 import warnings
 
@@ -8,11 +8,10 @@ import trimesh
 
 import handsight as hs
 from handsight._kernels.mesh.patches import blended
-from handsight.objects import ObjectModel
-from handsight.objects.scans.noise import Noise, Points, flat_patches, measured_noise, spacing_of, widened
+from handsight.objects import ObjectModel, Triangles, diameter
+from handsight.objects.scans.noise import Noise, Points, estimated_noise, flat_patches, spacing_of, widened
 from handsight.objects.scans.patches import fitted
 from handsight.objects.scans.scan import scanned, smoothed
-from handsight.objects.surface import Triangles, diameter
 from oracles import fields
 
 CAN, BOX, BALL = (
@@ -45,7 +44,7 @@ def drawn(name, n, seed):
 
 
 def as_points(places, normals=None):
-    """As a scan's points are kept."""
+    """The points as a scan keeps them."""
     unknown = np.full_like(places, np.nan)
     given = unknown if normals is None else normals
     return Points(places, given, spacing_of(places), diameter(places))
@@ -53,11 +52,11 @@ def as_points(places, normals=None):
 
 @pytest.mark.parametrize("name", ["plane", "can", "box", "ball"])
 @pytest.mark.parametrize("seed", range(4))
-def test_noise_is_read_from_the_points(name, seed):
+def test_noise_is_estimated_from_the_points(name, seed):
     rng = np.random.default_rng([seed, 5])
     n, sigma = int(np.exp(rng.uniform(np.log(2000), np.log(20_000)))), 10 ** rng.uniform(-3.8, -2.7)
     points, _, rng = drawn(name, n, seed)
-    _, noise = measured_noise(as_points(points + sigma * rng.normal(size=points.shape)))
+    _, noise = estimated_noise(as_points(points + sigma * rng.normal(size=points.shape)))
     assert not noise.is_shape
     assert noise.together == 1
     # Edges count as a little noise where points are far apart.
@@ -66,25 +65,25 @@ def test_noise_is_read_from_the_points(name, seed):
 
 @pytest.mark.parametrize("name", ["plane", "can", "box", "ball"])
 @pytest.mark.parametrize("n", [2000, 6000])
-def test_points_without_noise_have_next_to_none(name, n):
+def test_the_estimated_noise_of_exact_points_is_next_to_none(name, n):
     points, _, _ = drawn(name, n, 1)
-    given, noise = measured_noise(as_points(points))
+    given, noise = estimated_noise(as_points(points))
     assert noise.sigma < 2e-4 * given.diameter
 
 
-def test_noise_that_neighbours_share_is_told_from_noise_of_their_own():
+def test_noise_that_neighbours_share_is_distinguished_from_independent_noise():
     points, normals, rng = drawn("can", 6000, 2)
     waves, phases = rng.normal(size=(3, 400)) / 3e-3, rng.uniform(0, 2 * np.pi, 400)
     shared = 8e-4 * np.sqrt(2 / 400) * np.cos(points @ waves + phases).sum(axis=1)
     noisy = points + shared[:, None] * normals + 1e-4 * rng.normal(size=points.shape)
-    _, noise = measured_noise(as_points(noisy))
+    _, noise = estimated_noise(as_points(noisy))
     assert not noise.is_shape
     assert noise.together > 2
     assert 4e-4 < noise.sigma < 1.2e-3
 
 
 def fields_of(name, points):
-    """Distance to a plane, a can's side or a ball, and the way outwards."""
+    """Signed distance to a plane, a can's side or a ball, and the direction outwards."""
     if name == "plane":
         return points[:, 2], np.tile([0.0, 0, 1], (len(points), 1))
     away = points * ([1, 1, 0] if name == "can" else [1, 1, 1])
@@ -111,7 +110,7 @@ def test_a_quadric_is_exact_on_a_plane_a_cylinder_and_a_ball(name, window):
     apart = np.hypot((a - c) / 2, b)
     np.testing.assert_allclose((a + c) / 2 + apart, expected[0], atol=1e-4)
     np.testing.assert_allclose((a + c) / 2 - apart, expected[1], atol=1e-4)
-    # So is the distance, however far off the surface.
+    # The distance is exact too, however far from the surface.
     k = 40
     height = rng.uniform(-0.02, 0.05, k)
     nodes = patches["point"][:k] + height[:, None] * patches["normal"][:k]
@@ -134,7 +133,7 @@ def test_missing_normals_of_noisy_points_are_found_and_point_outwards(name, n, s
 
 
 def off_edges(name, rng):
-    """Places on a shape where it has no edge within a tenth of its size."""
+    """Points and normals of a shape, away from its edges."""
     points, normals = SHAPES[name].sample(4000, int(rng.integers(1000)))
     if name == "can":
         keep = (np.abs(points[:, 2]) < 0.045) & (np.abs(normals[:, 2]) < 0.5)
@@ -148,22 +147,22 @@ def off_edges(name, rng):
 @pytest.mark.parametrize("name", ["can", "box", "ball"])
 @pytest.mark.parametrize("sigma", [5e-4, 1e-3, 2e-3])
 @pytest.mark.parametrize("given", [True, False])
-def test_the_surface_is_better_than_its_points_and_says_how_good(name, sigma, given):
+def test_the_surface_is_more_exact_than_its_points_and_its_error_is_right(name, sigma, given):
     points, normals, rng = drawn(name, 4000, 6)
     noisy = points + sigma * rng.normal(size=points.shape)
     scan = ObjectModel.from_points(noisy, normals if given else None)
     places, facing = off_edges(name, rng)
     distance, gradient, _ = scan.fine.evaluate(places)
     angle2 = (np.cross(gradient, facing) ** 2).sum(axis=1) / 2 / (gradient**2).sum(axis=1)
-    said = fields.variances(scan.field_error, places).mean(axis=0)
+    expected = fields.variances(scan.field_error, places).mean(axis=0)
     assert np.sqrt((distance**2).mean()) < 0.3 * sigma
-    assert 0.7 < np.sqrt(said[0] / (distance**2).mean()) < 2.5
-    assert 0.7 < np.sqrt(said[1] / angle2.mean()) < 3
-    assert (said[2:] > 0).all()
+    assert 0.7 < np.sqrt(expected[0] / (distance**2).mean()) < 2.5
+    assert 0.7 < np.sqrt(expected[1] / angle2.mean()) < 3
+    assert (expected[2:] > 0).all()
     assert scan.closed
 
 
-def test_points_with_normals_and_no_noise_are_taken_as_they_are():
+def test_points_with_normals_and_no_noise_are_used_as_they_are():
     points, normals = BOX.sample(3000)
     geometry = ObjectModel.from_points(points, normals)
     np.testing.assert_array_equal(geometry.surface.vertices, points)
@@ -233,7 +232,7 @@ def thread():
 
 
 @pytest.mark.parametrize("name", CLEAN)
-def test_a_mesh_that_was_drawn_is_not_taken_for_a_scan(name):
+def test_a_drawn_mesh_is_not_smoothed_as_a_scan(name):
     mesh = CLEAN[name]()
     given = Triangles(np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces))
     same, roughness = smoothed(given, diameter(given.vertices))
@@ -243,7 +242,7 @@ def test_a_mesh_that_was_drawn_is_not_taken_for_a_scan(name):
 
 @pytest.mark.parametrize("name", ["box of long triangles", "ball", "can of 48 sides", "capsule", "waves"])
 @pytest.mark.parametrize("noise", [1.5e-3, 6e-3])
-def test_a_mesh_with_noisy_vertices_is_brought_to_its_surface(name, noise):
+def test_the_noisy_vertices_of_a_mesh_are_moved_to_its_surface(name, noise):
     mesh = CLEAN[name]()
     clean, size = np.asarray(mesh.vertices, dtype=float), diameter(np.asarray(mesh.vertices))
     rng = np.random.default_rng(7)
@@ -257,7 +256,7 @@ def test_a_mesh_with_noisy_vertices_is_brought_to_its_surface(name, noise):
     assert np.median(after) < 0.6 * np.median(before)
 
 
-def test_a_scanned_mesh_says_of_itself_what_a_scanned_cloud_does():
+def test_a_scanned_mesh_has_the_errors_of_slope_and_curvature_that_a_scanned_cloud_has():
     mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.035)
     rng = np.random.default_rng(0)
     geometry = ObjectModel.from_mesh(mesh.vertices + 5e-4 * rng.normal(size=mesh.vertices.shape), mesh.faces)
@@ -268,7 +267,7 @@ def test_a_scanned_mesh_says_of_itself_what_a_scanned_cloud_does():
 
 
 def hostile():
-    """Clouds that nobody would call a scan, or that few would."""
+    """Clouds that hardly anybody would call a scan."""
     rng = np.random.default_rng(3)
     ball = BALL.sample(3000)[0]
     sheet, _ = plane(3000, rng)
@@ -297,7 +296,7 @@ def test_any_cloud_is_an_object_with_finite_fields(name, points):
     assert (geometry.field_error.values >= 0).all()
 
 
-def test_a_million_points_are_looked_at_as_twenty_thousand_are():
+def test_of_a_million_points_twenty_thousand_are_used():
     rng = np.random.default_rng(1)
     directions = rng.normal(size=(1_000_000, 3))
     points = 0.05 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -306,7 +305,7 @@ def test_a_million_points_are_looked_at_as_twenty_thousand_are():
     assert scan.noise.sigma == pytest.approx(5e-4, rel=0.15)
 
 
-def test_a_patch_that_no_window_could_fit_says_that_it_knows_nothing():
+def test_a_patch_that_no_window_could_fit_has_large_variances():
     points, normals = BALL.sample(300)
     given = as_points(points, normals)
     lonely = Points(
@@ -318,8 +317,8 @@ def test_a_patch_that_no_window_could_fit_says_that_it_knows_nothing():
 
 
 @pytest.mark.parametrize("width", [4e-3, 5e-3])
-def test_detail_that_points_are_too_few_for_is_said_to_be_missing_in_the_normals(width):
-    """A ball with dents hardly wider than its points are apart."""
+def test_the_error_of_normals_includes_detail_that_is_finer_than_the_points(width):
+    """A ball with dents that are hardly wider than the spacing of its points."""
     rng = np.random.default_rng(1)
     waves, phases = rng.normal(size=(3, 400)) / width, rng.uniform(0, 2 * np.pi, 400)
     height = 2e-4 * np.sqrt(2 / 400)
@@ -337,28 +336,28 @@ def test_detail_that_points_are_too_few_for_is_said_to_be_missing_in_the_normals
     sine2 = (np.cross(gradient, facing) ** 2).sum(axis=1) / (
         (gradient**2).sum(axis=1) * (facing**2).sum(axis=1)
     )
-    said = fields.variances(scan.field_error, dented(places))[:, 1]
-    assert 0.7 < np.sqrt(said.mean() / (sine2.mean() / 2)) < 3
+    expected = fields.variances(scan.field_error, dented(places))[:, 1]
+    assert 0.7 < np.sqrt(expected.mean() / (sine2.mean() / 2)) < 3
 
 
 def without_a_base(sigma, seed):
-    """A noisy can of which nobody saw the base, and places on the base."""
+    """A noisy scan of a can without points on its base, and places on the base."""
     points, normals, rng = drawn("can", 4000, seed)
-    seen = normals[:, 2] > -0.5
+    visible = normals[:, 2] > -0.5
     noisy = points + sigma * rng.normal(size=points.shape)
-    return ObjectModel.from_points(noisy[seen], normals[seen]), points[~seen]
+    return ObjectModel.from_points(noisy[visible], normals[visible]), points[~visible]
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_where_a_scan_has_no_points_it_says_that_it_knows_nothing(seed):
+def test_the_error_of_a_scan_is_large_where_it_has_no_points(seed):
     scan, base = without_a_base(1e-3, seed)
     assert not scan.closed
     far = base[np.linalg.norm(base[:, :2], axis=1) < 0.025]
-    said = fields.variances(scan.field_error, far)
+    variances = fields.variances(scan.field_error, far)
     off = scan.fine.evaluate(far).distance
-    assert (np.abs(off) < 2.5 * np.sqrt(said[:, 0])).mean() > 0.95
-    assert (said[:, 1] > 0.5**2).mean() > 0.9
-    # Where there are points all around, it knows what a scan of all of it does.
+    assert (np.abs(off) < 2.5 * np.sqrt(variances[:, 0])).mean() > 0.95
+    assert (variances[:, 1] > 0.5**2).mean() > 0.9
+    # Where there are points all around, the error is that of a scan of the complete can.
     points, normals, rng = drawn("can", 4000, seed)
     closed = ObjectModel.from_points(points + 1e-3 * rng.normal(size=points.shape), normals)
     assert closed.closed

@@ -118,12 +118,19 @@ def of_weight(problem: Problem, T: Array) -> Array:
     return root @ (se3.apply(T, weight.center_object[None])[0] - weight.center_palm)
 
 
+def of_depth(problem: Problem, T: Array) -> Array:
+    """Residuals (n,) of depth points, where there are any."""
+    if problem.depth is None:
+        return np.empty(0)
+    return surface(problem, problem.depth.points_palm, T)[0] / problem.depth.sigma
+
+
 def residuals(problem: Problem, T: Array, T_weights: Array | None = None, used: Array | None = None) -> Array:
     """All of them, whitened as at `T_weights`, which is `T` where not given."""
     weights = T if T_weights is None else T_weights
     touch = of_contacts(problem, T, weights, used).reshape(-1)
     sight = np.empty(0) if problem.vision is None else of_prior(problem, T)
-    return np.concatenate([touch, of_outside(problem, T), sight, of_weight(problem, T)])
+    return np.concatenate([touch, of_outside(problem, T), sight, of_weight(problem, T), of_depth(problem, T)])
 
 
 def posterior_cost(problem: Problem, T: Array, used: Array | None = None) -> float:
@@ -152,8 +159,8 @@ def jacobian(function, T: Array, center: Array) -> Array:
     return np.stack(columns, axis=1)
 
 
-def lent(problem: Problem, T: Array) -> Array:
-    """(6, 6) information by (δp, δθ) that bumps lend to the contacts on the average."""
+def spurious_information(problem: Problem, T: Array) -> Array:
+    """(6, 6) information by (δp, δθ) that bumps add to the contacts, on the average."""
     contacts, F = problem.contacts, np.zeros((6, 6))
     _, _, normals, _ = surface(problem, contacts.points_palm, T)
     bumps = fields.variances(problem.model.field_error, se3.apply(se3.inverse(T), contacts.points_palm))[

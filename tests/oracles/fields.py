@@ -4,7 +4,7 @@ import numpy as np
 from scipy.interpolate import BSpline, RegularGridInterpolator
 
 from handsight.checks import Array
-from handsight.objects.fields import ExactField, Field, FieldError, FieldValues, GridField
+from handsight.objects import ExactField, Field, FieldError, FieldValues, GridField
 
 _EYE = np.eye(3)
 _CUBIC = BSpline.basis_element(np.arange(-2, 3))

@@ -52,12 +52,12 @@ def test_a_file_without_header_and_one_from_a_spreadsheet_are_read(tmp_path):
         (GOOD + ',"', "expected 7 columns|unexpected end"),
     ],
 )
-def test_what_is_wrong_is_told_with_its_line(tmp_path, line, said):
+def test_an_error_names_its_line(tmp_path, line, said):
     with pytest.raises(InvalidFile, match=r"a\.csv: line 3: (" + said + ")"):
         read_bop_results(written(tmp_path / "a.csv", GOOD, line))
 
 
-def test_what_is_no_file_of_text_is_told(tmp_path):
+def test_a_file_that_is_not_text_is_refused_in_a_sentence(tmp_path):
     (tmp_path / "a.csv").write_bytes(bytes(range(256)))
     with pytest.raises(InvalidFile, match="expected text in UTF-8"):
         read_bop_results(tmp_path / "a.csv")

@@ -45,7 +45,7 @@ def whole(folder, kind, count=400, **options):
         (b"\x89MCAP1\r\n", "a file that begins"),
     ],
 )
-def test_what_is_no_recording_is_told(tmp_path, content, came):
+def test_another_file_than_a_recording_is_refused_in_a_sentence(tmp_path, content, came):
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     with pytest.raises(InvalidFile) as error:
@@ -53,14 +53,14 @@ def test_what_is_no_recording_is_told(tmp_path, content, came):
     assert str(error.value).startswith(f"{path}: {EXPECTED}, got {came}")
 
 
-def test_no_file_and_an_empty_folder_are_told(tmp_path):
+def test_a_missing_file_and_an_empty_folder_are_refused_in_a_sentence(tmp_path):
     with pytest.raises(InvalidFile, match="got no file"):
         open_recording(tmp_path / "none.mcap", rig())
     with pytest.raises(InvalidFile, match=r"got a folder without .mcap or .db3 files"):
         open_recording(tmp_path, rig())
 
 
-def test_a_database_of_something_else_is_told(tmp_path):
+def test_another_database_than_a_rosbag_2_is_refused_in_a_sentence(tmp_path):
     path = tmp_path / "a.db3"
     with sqlite3.connect(path) as base:
         base.execute("CREATE TABLE cats (name)")
@@ -109,7 +109,7 @@ def test_a_database_that_was_cut_gives_what_lies_before(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["mcap", "bag"])
-def test_a_file_that_was_never_closed_is_whole_but_for_its_end(tmp_path, kind):
+def test_a_file_that_was_never_closed_lacks_only_its_end(tmp_path, kind):
     path, data = whole(tmp_path, kind)
     if kind == "mcap":  # from DataEnd on there is only the summary
         at = data.rindex(b"\x0f\x04\0\0\0\0\0\0\0")
@@ -142,7 +142,7 @@ def test_a_file_cut_before_its_first_topic_says_so(tmp_path):
         open_recording(path, rig())
 
 
-def test_a_damaged_chunk_is_told_and_the_others_are_read(tmp_path):
+def test_a_damaged_chunk_is_reported_and_the_others_are_read(tmp_path):
     path, data = whole(tmp_path, "mcap", count=1500)
     _, recording = read(path)
     before = recording.report.observations

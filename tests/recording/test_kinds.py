@@ -56,7 +56,7 @@ def test_each_kind_of_recording_gives_what_was_written(tmp_path, kind, compressi
 
 
 @pytest.mark.parametrize(("kind", "ros"), [("mcap", 2), ("db3", 2), ("bag", 1)])
-def test_all_that_a_robot_sees_is_read_of_each_kind(tmp_path, kind, ros):
+def test_images_and_poses_are_read_from_each_kind_of_recording(tmp_path, kind, ros):
     observations, recording = read(save(tmp_path, everything(Messages(ros)), kind))
     assert len(observations) == 10
     for field in ("vision", "color", "depth"):

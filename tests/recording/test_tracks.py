@@ -87,7 +87,7 @@ def test_mcap(tmp_path):
 
 
 @pytest.mark.parametrize("write", [write_track_mcap, write_track_tum, write_track_csv])
-def test_a_folder_that_is_not_there_is_told(tmp_path, write):
+def test_a_missing_folder_is_an_error_in_a_sentence(tmp_path, write):
     with pytest.raises(InvalidFile, match=r"none/a: cannot be written: No such file or directory"):
         write(tmp_path / "none" / "a", ROWS)
 

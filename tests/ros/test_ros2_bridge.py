@@ -84,7 +84,7 @@ def test_what_cannot_be_followed_is_said_in_a_sentence(tmp_path):
     with processes(tmp_path) as running:
         for rig, options, said_of_it in (
             ("nowhere.yaml", (), "nowhere.yaml"),
-            (RIG, ("--object", "spoon"), "object: expected one of the rig (can)"),
+            (RIG, ("--object", "spoon"), "object: expected a name of the rig (can)"),
         ):
             with pytest.raises(AssertionError, match="the bridge ended") as error:
                 running.bridge(rig, *options)

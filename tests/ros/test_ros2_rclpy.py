@@ -96,7 +96,7 @@ def test_the_node_serves_names_a_wrong_type_and_subscribes_to_what_comes_late(tm
             ("set", "object", "can"),
             ("call", "/handsight/set_object"),
             ("say", [("/handsight/object", STRING, 0.0, A)]),
-            ("told", "/handsight/object: object: expected one of the rig (can)"),
+            ("told", "/handsight/object: object: expected a name of the rig (can)"),
             ("say", [("/handsight/reset", "std_msgs/msg/Empty", 0.0, b"\0\1\0\0\0")]),
             ("told", "begun anew: vision's next pose starts"),
             ("say", [("/handsight/start", RosType.POSE_COVARIANCE, 0.0, users_pose())]),
@@ -107,6 +107,6 @@ def test_the_node_serves_names_a_wrong_type_and_subscribes_to_what_comes_late(tm
         reset, spoon, can = (each.data for each in answers if each.type == "std_srvs/srv/Trigger")
         assert reset == (True, "begun anew: vision's next pose starts")
         assert spoon[0] is False
-        assert spoon[1].startswith("object: expected one of the rig (can)")
+        assert spoon[1].startswith("object: expected a name of the rig (can)")
         assert can == (True, "the object is can: vision's next pose starts")
         ended_well(running, node)

@@ -1,17 +1,17 @@
-"""Where an object may stand."""
+"""The prior of a search: placements of an object on a table."""
 
 import numpy as np
 import pytest
 
 import handsight as hs
-from blind_touches import area, box, can
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.rig import Table
 from handsight.search import Area, resting
+from touch_scenes import area, box, can
 
 
-def test_what_stands_on_the_table_reaches_down_to_it_and_is_where_it_is_said_to_be():
+def test_an_object_at_a_placement_stands_on_the_table_at_that_position():
     for model in (box(), can()):
         here = area(Rs=resting(model))
         places = here.draw(50, np.random.default_rng(0))
@@ -45,7 +45,7 @@ def test_a_box_rests_on_three_of_its_sides_and_a_can_on_its_end_or_its_side():
         ({"Rs_world_object": 2 * np.eye(3)[None]}, "area.Rs_world_object[0]: rotation is not orthonormal"),
     ],
 )
-def test_what_is_no_area_is_said(given, message):
+def test_an_invalid_field_of_an_area_is_named(given, message):
     usual = {
         "low": [-0.1, -0.1],
         "high": [0.1, 0.1],
@@ -57,7 +57,7 @@ def test_what_is_no_area_is_said(given, message):
     assert message in str(error.value)
 
 
-def test_a_cloud_rests_on_no_face():
+def test_a_cloud_has_no_stable_poses():
     cloud = hs.ObjectModel.from_points(*can().sample(500, 0))
     with pytest.raises(InvalidInput, match="expected a closed mesh to rest on its faces"):
         resting(cloud)

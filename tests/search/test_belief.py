@@ -1,4 +1,4 @@
-"""What is believed after touches, and which touch tells most."""
+"""The posterior after touches, and the choice of the next one."""
 
 import functools
 
@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import handsight as hs
-from blind_touches import RADIUS, area, box, can, level, touched
 from handsight import se3
-from handsight.correction.modes import pose_distances
+from handsight.correction import pose_distances
 from handsight.errors import InvalidInput
 from handsight.rig import Table
-from handsight.search import Belief, Touch, best_sweep, candidates, expected_information
+from handsight.search import Belief, Touch, best_sweep, candidates, expected_information, resting
 from handsight.search.belief import PARTICLES, contact_log_likelihoods, free_log_likelihood
 from handsight.search.sweep_choice import SWEEPS
+from touch_scenes import RADIUS, area, box, can, level, touched
 
 HEIGHTS = (0.09, 0.11)
 
@@ -43,7 +43,7 @@ def searched(name, seed, touches):
     return belief.after(touched(model, T, best_sweep(belief, HEIGHTS, RADIUS), rng)), T
 
 
-def test_a_sweep_that_no_pose_meets_tells_nothing_and_none_tells_more_than_there_are_poses():
+def test_the_information_of_a_sweep_is_zero_if_no_pose_meets_it_and_bounded_by_the_number_of_poses():
     belief = Belief(can(), area())
     far, high = level((1.0, -0.3), (0, 1.0)), level((-0.3, 0.0), (1.0, 0.0), height=0.2)
     sweeps = [far, high, *candidates(belief, HEIGHTS, np.random.default_rng(0))]
@@ -54,8 +54,8 @@ def test_a_sweep_that_no_pose_meets_tells_nothing_and_none_tells_more_than_there
     assert told[2:].min() > 0
 
 
-def test_a_sweep_whose_outcome_is_sure_tells_little():
-    """Once the can is known, only the steps in which outcomes are told apart are left."""
+def test_a_sweep_with_a_certain_outcome_has_little_information():
+    """Once the can is known, only the width of the bins of the outcome is left."""
     belief, T = searched("can", 0, 5)
     before = expected_information(Belief(can(), area()), [level((-0.4, T[1, 3]), (1.0, 0.0), 0.8)], RADIUS)
     after = expected_information(belief, [level((-0.4, T[1, 3]), (1.0, 0.0), 0.8)], RADIUS)
@@ -64,13 +64,13 @@ def test_a_sweep_whose_outcome_is_sure_tells_little():
 
 
 @pytest.mark.parametrize(("name", "touches"), [("can", 4), ("box", 5)])
-def test_touches_that_tell_most_find_the_object(name, touches):
+def test_the_most_informative_touches_find_the_object(name, touches):
     found = [errors(*searched(name, seed, touches)) for seed in range(3)]
     assert sum(shift < 0.008 and turn < np.deg2rad(8) for shift, turn in found) >= 2
 
 
-def test_a_belief_after_a_touch_holds_the_truth():
-    """Whatever was met: among poses that are equally likely some are near the truth."""
+def test_a_belief_after_touches_contains_the_truth():
+    """Whatever was met: some of the particles are near the truth."""
     for seed in range(3):
         for touches in (1, 2, 3):
             belief, T = searched("can", seed, touches)
@@ -80,8 +80,8 @@ def test_a_belief_after_a_touch_holds_the_truth():
 
 
 @pytest.mark.slow
-def test_the_spread_is_as_large_as_the_error():
-    """Mean of squared errors by the stated covariance, in the plane, of cans that were met."""
+def test_the_covariance_is_as_large_as_the_error():
+    """Mean NEES, in the plane, of cans whose likeliest mode is certain."""
     squared = []
     for seed in range(6):
         belief, T = searched("can", seed, 4)
@@ -92,7 +92,7 @@ def test_the_spread_is_as_large_as_the_error():
     assert 0.2 < np.mean(squared) < 2.0
 
 
-def test_what_was_swept_is_empty():
+def test_the_object_is_not_where_a_sweep_met_nothing():
     """After a miss no pose is left that the tip would have met."""
     belief = Belief(box(), area())
     sweep = level((-0.3, 0.0), (1.0, 0.0), 0.6)
@@ -114,7 +114,7 @@ def test_the_same_touches_make_the_same_belief_and_another_seed_another():
     assert one.length == two.length
 
 
-def test_an_edge_is_no_surprise():
+def test_a_contact_at_an_edge_is_likely_at_the_true_pose():
     """Where a ball touches an edge its normal is neither face's, and the true pose explains it all the same."""
     T = np.eye(4)
     T[2, 3] = 0.07
@@ -129,10 +129,8 @@ def test_an_edge_is_no_surprise():
     assert free_log_likelihood(box(), [touch], T[None])[0] > -0.5
 
 
-def test_another_way_to_stand_is_found():
-    """A box lies on a side; its height is not told, only that it may lie on any."""
-    from handsight.search import resting
-
+def test_a_box_that_lies_on_another_side_is_found():
+    """The search is only given that the box may stand on any of its sides."""
     Rs = resting(box())
     here = area(Rs=Rs)
     lying = int(np.argmin(here.top_heights(box())))
@@ -145,7 +143,7 @@ def test_another_way_to_stand_is_found():
     assert turn < np.deg2rad(8)
 
 
-def test_what_is_wrong_is_said():
+def test_invalid_arguments_are_named():
     belief = Belief(can(), area())
     for call, message in (
         (lambda: Belief("can", area()), "belief: expected an ObjectModel and an Area, got str and Area"),

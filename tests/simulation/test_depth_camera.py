@@ -7,7 +7,7 @@ import pytest
 
 from handsight.errors import InvalidInput
 from handsight.simulation import Scenario, rig_of, simulate
-from handsight.simulation.camera import EDGE, spoil
+from handsight.simulation.camera import EDGE, add_depth_noise
 from handsight.vision import PRESETS, STRUCTURED_LIGHT, DepthNoise
 from simulation.simulated import only
 
@@ -23,7 +23,7 @@ def wall(z, shape=SHAPE):
 def images(depth, noise, count, seed=0, drawn=0):
     """(count, h, w) one camera's."""
     rng = np.random.default_rng(drawn)
-    return np.stack([spoil(depth, noise, rng, seed) for _ in range(count)])
+    return np.stack([add_depth_noise(depth, noise, rng, seed) for _ in range(count)])
 
 
 @KINDS
@@ -37,7 +37,7 @@ def test_from_image_to_image_depth_differs_by_its_sigma(kind, z, amount):
 
 
 @KINDS
-def test_neighbours_share_their_noise_as_far_as_it_says(kind):
+def test_noise_of_neighbouring_pixels_is_correlated_as_stated(kind):
     noise = replace(PRESETS[kind], step=0.0, dropouts=0.0)
     one, other = images(wall(1.0), noise, 2).astype(float)
     off = one - other - (one - other).mean()
@@ -54,7 +54,7 @@ def test_depth_is_rounded_to_steps_of_disparity():
     assert len(steps) > 3
 
 
-def test_a_pixel_looks_beside_itself():
+def test_a_pixel_has_the_depth_of_a_pixel_near_it():
     """On a slope that is its slope's error; by whole pixels, as Gaussians are rounded."""
     noise, slope = replace(BARE, lateral=0.7), 1e-3
     for axis in (0, 1):
@@ -66,7 +66,7 @@ def test_a_pixel_looks_beside_itself():
 
 
 @KINDS
-def test_bias_is_the_same_in_each_image_of_a_camera_and_another_in_another(kind):
+def test_bias_is_the_same_in_all_images_of_a_camera_and_differs_between_cameras(kind):
     noise = replace(PRESETS[kind], dropouts=0.0)
     constant = replace(noise, axial=(0.0, 0.0, 0.0), step=0.0)
     bias, again = images(wall(1.2), constant, 2) - 1.2
@@ -80,12 +80,12 @@ def test_bias_is_the_same_in_each_image_of_a_camera_and_another_in_another(kind)
 
 
 @KINDS
-def test_bias_has_its_size_grows_with_the_square_of_the_depth_and_is_smooth(kind):
+def test_bias_is_smooth_of_the_stated_size_and_grows_with_the_square_of_the_depth(kind):
     noise = replace(PRESETS[kind], axial=(0.0, 0.0, 0.0), step=0.0, edges=0.0, dropouts=0.0, lateral=0.0)
     seeds = range(150)
     shape = (160, 160)
     found = {
-        z: np.stack([spoil(wall(z, shape), noise, np.random.default_rng(0), s) for s in seeds]) - z
+        z: np.stack([add_depth_noise(wall(z, shape), noise, np.random.default_rng(0), s) for s in seeds]) - z
         for z in (0.7, 2.0)
     }
     offsets = found[0.7] - (found[2.0] - found[0.7]) * 0.7**2 / (2.0**2 - 0.7**2)
@@ -116,31 +116,31 @@ def test_depth_is_lost_behind_edges_and_seldom_elsewhere(kind, share):
 
 
 @KINDS
-def test_without_noise_depth_is_exact_in_its_range_and_none_beyond(kind):
+def test_without_noise_depth_is_exact_in_range_and_missing_beyond(kind):
     noise = PRESETS[kind]
     rng = np.random.default_rng(0)
     depth = rng.uniform(noise.nearest + 1e-3, noise.farthest - 1e-3, (30, 40)).astype(np.float32)
     depth[0] = 0.9 * noise.nearest
     depth[1] = 1.1 * noise.farthest
     depth[2], depth[3], depth[4], depth[5] = np.nan, np.inf, 0, -1
-    seen = spoil(depth, noise.times(0), rng, 0)
+    seen = add_depth_noise(depth, noise.times(0), rng, 0)
     assert seen.dtype == np.float32
     assert np.isnan(seen[:6]).all()
     np.testing.assert_array_equal(seen[6:], depth[6:])
-    spoilt = spoil(depth, noise, rng, 0)
+    spoilt = add_depth_noise(depth, noise, rng, 0)
     assert np.isnan(spoilt[:6]).all()
     assert not np.isinf(spoilt).any()
     assert not (spoilt < 0.9 * noise.nearest).any()
 
 
-def test_what_is_drawn_is_the_seeds_and_the_generators():
-    one, same = (spoil(wall(1.0), STRUCTURED_LIGHT, np.random.default_rng(3), 4) for _ in range(2))
+def test_noise_follows_from_the_seed_and_the_generator():
+    one, same = (add_depth_noise(wall(1.0), STRUCTURED_LIGHT, np.random.default_rng(3), 4) for _ in range(2))
     np.testing.assert_array_equal(one, same)
-    assert (one != spoil(wall(1.0), STRUCTURED_LIGHT, np.random.default_rng(4), 4)).mean() > 0.3
+    assert (one != add_depth_noise(wall(1.0), STRUCTURED_LIGHT, np.random.default_rng(4), 4)).mean() > 0.3
 
 
 @KINDS
-def test_a_scenarios_camera_is_of_its_kind_and_the_rig_says_so(kind):
+def test_a_scenarios_camera_is_of_the_kind_that_its_rig_states(kind):
     scenario = Scenario(depth_camera=kind, images=True, nuisances=only(depth_noise=1.0))
     assert rig_of(scenario).camera.depth_camera == kind
     exact = Scenario(images=True, nuisances=only(depth_noise=0.0))
@@ -152,7 +152,7 @@ def test_a_scenarios_camera_is_of_its_kind_and_the_rig_says_so(kind):
     assert 0.6 * noise.sigma(z) < spread < 2 * np.hypot(noise.sigma(z), noise.bias(z))
 
 
-def test_a_kind_that_is_none_is_refused():
+def test_an_unknown_kind_of_camera_is_rejected():
     with pytest.raises(
         InvalidInput, match="^depth_camera: expected one of structured_light, .*, got 'lidar'"
     ):

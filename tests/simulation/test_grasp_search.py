@@ -85,7 +85,7 @@ def test_the_closed_hand_presses_each_tip_on_its_point_about_as_hard_as_it_shoul
     assert others == pytest.approx(thumb, rel=0.3)
 
 
-def test_the_search_is_the_same_for_the_same_seed_and_says_what_holds(block):
+def test_the_search_is_the_same_for_the_same_seed_and_names_the_hold(block):
     told = []
     first, again = (find_grasp(Scenario(object=block, seed=3), told.append) for _ in range(2))
     assert first.succeeded
@@ -96,7 +96,7 @@ def test_the_search_is_the_same_for_the_same_seed_and_says_what_holds(block):
     assert max(told) <= 1.0
 
 
-def test_where_nothing_holds_the_longest_is_taken_and_all_failures_are_counted(block, monkeypatch):
+def test_if_every_trial_fails_the_longest_grasp_is_taken_and_failures_are_counted(block, monkeypatch):
     lasted = iter(
         [(2.0, "slipped on the table"), (6.0, "slipped when lifted")] + [(1.0, "slipped when let go")] * 99
     )
@@ -116,7 +116,7 @@ def test_where_nothing_holds_the_longest_is_taken_and_all_failures_are_counted(b
     assert "slipped on the table: 1, slipped when lifted: 1" in found.failures
 
 
-def test_what_no_hand_spans_is_refused_with_what_was_tried(tmp_path):
+def test_an_object_too_wide_for_the_hand_is_rejected_with_the_reasons(tmp_path):
     path = tmp_path / "wide.stl"
     trimesh.creation.box((0.3, 0.3, 0.3)).export(path)
     message = (
@@ -131,7 +131,7 @@ def test_a_can_and_a_box_have_grasps_of_their_own():
     assert (found.grasp, found.trials, found.succeeded) == (CAN, 0, True)
 
 
-def test_what_flies_is_the_simulators_fault_and_never_recorded(monkeypatch):
+def test_a_simulation_that_throws_the_object_away_raises_an_error(monkeypatch):
     world = World(Scenario(), CAN)
     assert not world.thrown()
     velocity = world.data.joint("object").qvel
@@ -177,7 +177,7 @@ def test_a_grasp_is_the_same_from_its_file(block, fitted, tmp_path):
         ("{", "", ""),
     ],
 )
-def test_what_is_wrong_with_a_grasp_file_is_said(old, new, message, fitted, block, tmp_path):
+def test_a_wrong_grasp_file_is_rejected_with_the_reason(old, new, message, fitted, block, tmp_path):
     path = tmp_path / "spoilt.grasp.json"
     write_grasp(grasp_search.GraspSearchResult(fitted[1], True, 1, "", ""), block, path)
     path.write_text(path.read_text().replace(old, new, 1))
@@ -185,7 +185,7 @@ def test_what_is_wrong_with_a_grasp_file_is_said(old, new, message, fitted, bloc
         read_grasp(path)
 
 
-def test_joints_that_the_hand_has_not_are_told(fitted, block, tmp_path):
+def test_a_grasp_file_with_joints_of_another_hand_is_rejected(fitted, block, tmp_path):
     path = tmp_path / "other.grasp.json"
     other = replace(fitted[1], closed={"thumb": 0.3})
     write_grasp(grasp_search.GraspSearchResult(other, True, 1, "", ""), block, path)
@@ -203,7 +203,7 @@ MESHES = Path(os.environ.get("HANDSIGHT_DATA", Path(__file__).parents[3] / "shar
 @pytest.mark.parametrize(
     ("name", "seed"), [("008_pudding_box", 1), ("011_banana", 1), ("040_large_marker", 1)]
 )
-def test_flat_bent_and_thin_things_are_held_through_lift_and_turn(name, seed):
+def test_flat_bent_and_thin_objects_stay_in_the_hand_through_lift_and_turn(name, seed):
     scenario = Scenario(object=str(MESHES / f"{name}.ply"), seed=seed, motion="manipulate", rate=5.0)
     found = find_grasp(scenario)
     assert found.succeeded, found.failures

@@ -9,7 +9,7 @@ import pytest
 import handsight as hs
 from cli.commands import called
 from handsight import se3
-from handsight.correction.modes import pose_distances
+from handsight.correction import pose_distances
 from handsight.errors import InvalidInput
 from handsight.search import Sweep
 from handsight.simulation import Nuisances, Scenario, model_of, simulate_touch_search, touch_search_rig
@@ -24,7 +24,7 @@ def towards(probe, aside=0.0):
     return Sweep(T[:3, 3] * [1, 1, 0] + [aside, -0.15, height], np.array([0.0, 1.0, 0.0]), 0.25)
 
 
-def test_a_touch_is_on_the_object_and_what_was_swept_before_is_not():
+def test_a_contact_is_on_the_object_and_the_free_positions_are_outside():
     """Without nuisances: within the simulator's own softness, and the object hardly moves."""
     for name, seed in (("can", 0), ("box", 1)):
         scenario = Scenario(object=name, seed=seed, nuisances=NONE)
@@ -49,7 +49,7 @@ def test_a_touch_is_on_the_object_and_what_was_swept_before_is_not():
         assert np.ptp(passed.free_world[:, 2]) < 1e-3
 
 
-def test_the_same_seed_stands_and_feels_the_same():
+def test_the_same_seed_gives_the_same_object_pose_and_touches():
     scenario = Scenario(object="can", seed=3)
     felt = []
     for _ in range(2):
@@ -58,29 +58,29 @@ def test_the_same_seed_stands_and_feels_the_same():
     assert (felt[0] == felt[1]).all()
 
 
-def test_a_table_is_felt_where_it_is_and_what_is_lower_beside_it_does_not_count(monkeypatch):
+def test_the_tables_height_is_measured_without_contacts_at_its_edge(monkeypatch):
     scenario = Scenario(object="can", seed=1, nuisances=NONE)
     probe, _ = start_search(scenario, model_of(scenario))
     # Beside the table's edge the finger's side meets it, the tip being lower.
     T = probe.T_world_object
     at_edge = (T[:3, :3] @ [-0.083, 0.15, 0.0] + T[:3, 3])[:2]
-    assert probe.feel_table(at_edge) < -0.01
+    assert probe.measure_table(at_edge) < -0.01
     monkeypatch.setattr("handsight.simulation.probe.PROBE", PROBE._replace(table_unevenness=0.005))
-    assert probe.feel_table([*TABLE_PROBES, at_edge, *TABLE_PROBES]) == pytest.approx(0.0, abs=1e-3)
+    assert probe.measure_table([*TABLE_PROBES, at_edge, *TABLE_PROBES]) == pytest.approx(0.0, abs=1e-3)
     with pytest.raises(
-        InvalidInput, match=r"^places: expected some over the table, felt nothing at any of 1$"
+        InvalidInput, match=r"^places: expected some over the table, touched nothing at any of 1$"
     ):
-        probe.feel_table([3.0, 3.0])
+        probe.measure_table([3.0, 3.0])
 
 
-def test_what_is_larger_than_its_place_on_the_table_is_said():
+def test_an_object_larger_than_the_searched_area_is_rejected():
     scenario = Scenario(object="can")
     with pytest.raises(InvalidInput, match="object: expected one within 300 mm, got 400 x 400 x 100 mm"):
         start_search(scenario, hs.ObjectModel.box([0.4, 0.4, 0.1]))
 
 
 @pytest.mark.slow
-def test_found_gripped_and_weighed_a_can_is_where_it_is_said_to_be():
+def test_a_can_found_gripped_and_weighed_is_at_its_estimated_pose():
     """Nothing of a camera in any sample but the pose that the search has found, once."""
     scenario = Scenario(object="can", seed=0, motion="weigh")
     rig = touch_search_rig(scenario)

@@ -25,7 +25,7 @@ def pull(motion="ramp", seed=0, **strength):
 
 
 @pytest.mark.parametrize("motion", ["ramp", "steps", "sine"])
-def test_a_pull_grows_to_its_height_and_is_nothing_before_and_after(motion):
+def test_a_pull_grows_to_its_greatest_force_and_is_zero_before_and_after(motion):
     times = np.arange(0, PULL.duration, 0.001)
     heights = np.array([pull_share(motion, t) for t in times])
     assert heights.min() >= 0
@@ -39,12 +39,12 @@ def test_a_pull_grows_to_its_height_and_is_nothing_before_and_after(motion):
     assert not run.wrench(PULL.begin + PULL.duration + 0.01, 0.0, 0.0).any()
 
 
-def test_steps_rest_and_a_sine_comes_back():
+def test_steps_are_constant_in_between_and_a_sine_returns_to_zero():
     assert pull_share("steps", 1.9 * PULL.step) == pull_share("steps", 1.5 * PULL.step)
     assert pull_share("sine", 2 / 1.5) == pytest.approx(0, abs=1e-12)
 
 
-def test_a_pull_lets_go_of_what_has_slipped_and_does_not_follow_what_flies():
+def test_a_pull_ends_when_the_object_has_slipped_and_fades_when_it_is_fast():
     run = pull(pull_force=6.0)
     still = np.linalg.norm(run.wrench(PULL.begin + 1, 0.0, 0.0))
     assert np.linalg.norm(run.wrench(PULL.begin + 1, 0.01, 0.01)) == pytest.approx(still, rel=0.02)
@@ -56,7 +56,7 @@ def test_a_pull_lets_go_of_what_has_slipped_and_does_not_follow_what_flies():
     assert 0.003 < slipped < 0.021
 
 
-def test_it_pulls_along_what_the_tips_press_on():
+def test_a_pull_is_along_the_surfaces_that_the_tips_press_on():
     directions = np.array(
         [
             pull(seed=seed, pull_force=1.0).wrench(PULL.begin + 0.999 * PULL.duration, 0, 0)[:3]
@@ -86,7 +86,7 @@ def test_a_pulled_object_slips_and_then_stays():
 
 
 @pytest.mark.slow
-def test_speeds_are_how_fast_the_object_goes_along_the_tips():
+def test_slip_speeds_are_the_objects_speed_along_the_tips():
     """By the tips' and the object's places themselves: a contact's velocity joins two instants."""
     run = [s for s in pulled() if s.phase == "pull"]
     hand, moved, said = rig_of(Scenario()).hand, [], []
@@ -105,7 +105,7 @@ def test_speeds_are_how_fast_the_object_goes_along_the_tips():
 
 
 @pytest.mark.slow
-def test_what_slips_is_on_the_cone_and_nothing_is_outside():
+def test_slipping_contacts_are_on_the_friction_cone_and_none_is_outside():
     ratios, sliding = [], []
     for sample in pulled()[400:]:
         for finger, contact in sample.touches.items():
@@ -124,7 +124,7 @@ def test_what_slips_is_on_the_cone_and_nothing_is_outside():
 
 
 @pytest.mark.slow
-def test_the_pull_is_felt():
+def test_the_pull_is_measured_by_the_fingertips():
     """The tips carry weight and pull together, as long as the object hardly moves."""
     totals = []
     for sample in pulled():

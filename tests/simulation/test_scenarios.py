@@ -33,7 +33,7 @@ from simulation.simulated import only
         ({"images": "no"}, "images: expected true or false, got 'no'"),
     ],
 )
-def test_what_is_wrong_with_a_scenario_is_said(arguments, message):
+def test_a_wrong_scenario_is_rejected_with_the_reason(arguments, message):
     with pytest.raises(InvalidInput, match=re.escape(message)):
         Scenario(**arguments)
 
@@ -49,12 +49,12 @@ def test_what_is_wrong_with_a_scenario_is_said(arguments, message):
         ({"table_tilt": 1e200}, "table_tilt: expected at most 100, got 1e+200"),
     ],
 )
-def test_what_is_wrong_with_a_nuisance_is_said(arguments, message):
+def test_a_wrong_nuisance_is_rejected_with_the_reason(arguments, message):
     with pytest.raises(InvalidInput, match=re.escape(message)):
         Nuisances(**arguments)
 
 
-def test_without_nuisances_nothing_is_wrong_but_the_size_of_one():
+def test_without_nuisances_all_errors_are_zero_and_the_scale_is_one():
     values = {name: getattr(Nuisances.none(), name) for name in Nuisances.__slots__}
     assert values.pop("object_scale") == values.pop("friction") == 1.0
     assert values.pop("object_mass") == 0.15
@@ -98,7 +98,7 @@ def test_importing_the_room_loads_no_simulator():
     assert done.stdout.strip() == "[]"
 
 
-def test_the_rig_is_the_same_whatever_is_drawn():
+def test_the_rig_is_the_same_for_all_seeds_and_nuisances():
     a, b = rig_of(Scenario(seed=1)), rig_of(Scenario(seed=2, nuisances=Nuisances.none()))
     np.testing.assert_array_equal(a.camera.T_mount_camera, b.camera.T_mount_camera)
     assert a.hand is b.hand
@@ -109,7 +109,7 @@ def test_the_rig_is_the_same_whatever_is_drawn():
     se3.check(a.camera.T_mount_camera, "camera")
 
 
-def test_the_robots_model_is_scaled_dented_or_scanned_as_told():
+def test_the_robots_model_is_scaled_dented_or_scanned_as_the_nuisances_state():
     exact = model_of(Scenario())
     np.testing.assert_allclose(np.ptp(exact.bounds_object, axis=0), [0.066, 0.066, 0.122])
     larger = model_of(Scenario(nuisances=only(object_scale=1.03)))
@@ -123,7 +123,7 @@ def test_the_robots_model_is_scaled_dented_or_scanned_as_told():
         assert depth.min() > -0.001
 
 
-def test_a_scanned_model_is_off_by_what_is_left_of_its_noise():
+def test_a_scanned_model_has_the_rest_of_the_scans_noise():
     scanned = model_of(Scenario(nuisances=only(object_scan=0.001)))
     off = model_of(Scenario()).evaluate(scanned.vertices).distance
     assert 5e-5 < np.std(off) < 5e-4  # a millimetre, smoothed

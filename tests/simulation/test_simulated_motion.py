@@ -56,7 +56,7 @@ def test_the_table_carries_the_object_until_it_is_lifted(kind, height):
         assert sample.T_world_object[2, 2] > np.cos(np.deg2rad(1.5))
 
 
-def test_the_table_is_a_little_off_where_the_robot_has_it():
+def test_the_true_table_is_a_little_off_the_table_of_the_rig():
     """By what it is told, over seeds; the grasp itself stays as it is."""
     heights, tilts = [], []
     for seed in range(12):
@@ -98,7 +98,7 @@ def test_most_grasps_hold_through_a_manipulation(kind):
     assert sum(dropped) <= 1
 
 
-def test_a_mesh_stands_on_the_table_and_is_grasped_until_the_tips_feel_it(bottle):
+def test_a_mesh_stands_on_the_table_and_is_grasped_until_the_tips_touch_it(bottle):
     run = samples(bottle)
     np.testing.assert_allclose(run[0].T_world_object[2, 3], 0.0, atol=1e-3)
     model = model_of(Scenario(object=bottle))
@@ -123,7 +123,7 @@ def slipping(rod):
     return list(simulate(scenario, grasp=replace(CAN, T_palm_middle=above_table, height=0.025)))
 
 
-def test_what_slips_out_of_the_hand_is_said_to_be_dropped(slipping):
+def test_an_object_that_slips_out_of_the_hand_counts_as_dropped(slipping):
     run = slipping
     assert run[-1].dropped
     assert not run[0].dropped
@@ -141,7 +141,7 @@ def test_tips_that_touch_push_each_other_as_hard(slipping):
     assert pushed > 5
 
 
-def test_samples_come_at_their_rate_and_progress_is_told():
+def test_samples_come_at_their_rate_and_progress_is_reported():
     told = []
     run = list(simulate(Scenario(rate=20.0), told.append))
     stamps = [s.observation.stamp for s in run]

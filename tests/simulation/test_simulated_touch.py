@@ -12,7 +12,7 @@ SENSOR = {"force_noise": 0.01, "torque_noise": 5e-5}
 @pytest.mark.parametrize(
     ("kind", "tips", "clean", "noisy"), [("can", 5, 60e-6, 200e-6), ("box", 3, 30e-6, 200e-6)]
 )
-def test_a_wrench_tells_where_the_tip_is_touched(kind, tips, clean, noisy):
+def test_the_contact_point_follows_from_the_wrench(kind, tips, clean, noisy):
     for most, draws, nuisances in ((clean, 8, NONE), (noisy, 5, only(**SENSOR))):
         errors = [location_errors(samples(kind, seed, nuisances=nuisances)[-1]) for seed in range(draws)]
         assert np.mean([len(e) for e in errors]) > tips - 0.5
@@ -20,7 +20,7 @@ def test_a_wrench_tells_where_the_tip_is_touched(kind, tips, clean, noisy):
 
 
 @pytest.mark.parametrize("kind", ["can", "box"])
-def test_at_rest_a_sensor_feels_the_sum_of_the_forces_on_its_tip(kind):
+def test_at_rest_a_sensor_measures_the_sum_of_the_forces_on_its_tip(kind):
     sample = samples(kind)[-1]
     for finger, (_, force_palm) in sensed(sample.observation).items():
         true = sum((t.force_palm for t in sample.contacts_truth if t.finger == finger), np.zeros(3))
@@ -68,7 +68,7 @@ def test_bias_and_drift_add_to_what_a_sensor_reads():
         assert 0.01 < np.abs(drift[-1, :3]).max() < 1
 
 
-def test_sensor_noise_has_the_size_it_is_told():
+def test_sensor_noise_has_the_stated_sigma():
     clean, noisy = (samples(rate=100.0, nuisances=n) for n in (NONE, only(**SENSOR)))
     noise = np.array(
         [
@@ -80,7 +80,7 @@ def test_sensor_noise_has_the_size_it_is_told():
     np.testing.assert_allclose(noise[..., 3:].std(), 5e-5, rtol=0.05)
 
 
-def test_a_tip_gives_way_to_the_force_on_it_and_the_joints_do_not_tell():
+def test_a_tip_deflects_under_force_and_the_joints_do_not_measure_it():
     compliance = 1e-4
     hard, soft = samples("can")[-1], samples("can", nuisances=only(tip_compliance=compliance))[-1]
     rig = rig_of(Scenario())

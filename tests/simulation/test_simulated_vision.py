@@ -12,13 +12,14 @@ from handsight.simulation import (
     rendering,
     rig_of,
     simulate,
+    true_camera,
 )
-from handsight.simulation.camera import TARGET, displacement
+from handsight.simulation.camera import TARGET, calibration_error
 from simulation.simulated import NONE, only, samples
 
 
 def vision_world(sample):
-    """(4, 4) where the robot takes the object to be."""
+    """The object's pose (4, 4) in the world as vision measures it."""
     return rig_of(Scenario()).camera.T_mount_camera @ sample.observation.vision.T_frame_object
 
 
@@ -29,25 +30,25 @@ def test_without_nuisances_vision_is_right():
 
 def test_vision_is_wrong_by_8_cm_on_average_over_the_table_as_in_the_paper():
     moved = np.array(
-        [se3.apply(displacement(Nuisances(), seed), TARGET[None])[0] - TARGET for seed in range(1000)]
+        [se3.apply(calibration_error(Nuisances(), seed), TARGET[None])[0] - TARGET for seed in range(1000)]
     )
     np.testing.assert_allclose(np.linalg.norm(moved[:, :2], axis=1).mean(), 0.08, rtol=0.05)
     np.testing.assert_allclose(moved[:, 2].std(), 0.064, rtol=0.1)
-    turns = [se3.rotation_log(displacement(Nuisances(), seed)[:3, :3]) for seed in range(1000)]
+    turns = [se3.rotation_log(calibration_error(Nuisances(), seed)[:3, :3]) for seed in range(1000)]
     np.testing.assert_allclose(np.std(turns), np.deg2rad(6), rtol=0.05)
 
 
 def test_a_wrong_camera_is_wrong_by_one_rigid_motion_of_the_world():
     nuisances = only(camera_position=0.08, camera_height=0.064, camera_rotation=0.1)
-    T_believed_true = displacement(nuisances, 4)
+    T_measured_true = calibration_error(nuisances, 4)
     for sample in samples("can", 4, "manipulate", 5.0, nuisances):
         if sample.observation.vision is not None:
             np.testing.assert_allclose(
-                vision_world(sample), T_believed_true @ sample.T_world_object, atol=1e-12
+                vision_world(sample), T_measured_true @ sample.T_world_object, atol=1e-12
             )
 
 
-def test_white_noise_of_vision_has_the_size_it_is_told():
+def test_white_noise_of_vision_has_the_stated_sigma():
     run = samples("can", 0, "manipulate", 10.0, only(vision_position=0.005, vision_rotation=0.05))
     camera = se3.inverse(rig_of(Scenario()).camera.T_mount_camera)
     wrong = np.array(
@@ -81,8 +82,7 @@ def test_depth_images_show_the_object_where_it_is():
     scenario = Scenario(object="box", rate=1.0, images=True, nuisances=nuisances)
     sample = list(simulate(scenario))[-1]
     rig, model = rig_of(scenario), model_of(scenario)
-    T_camera_world = se3.inverse(rig.camera.T_mount_camera) @ displacement(nuisances, 0)
-    T_camera_object = T_camera_world @ sample.T_world_object
+    T_camera_object = true_camera(scenario) @ sample.T_world_object
     points, normals = model.sample(4000)
     points_camera, facing = se3.apply(T_camera_object, points), normals @ T_camera_object[:3, :3].T
     pixels = points_camera @ rig.camera.intrinsics.T
@@ -97,7 +97,7 @@ def test_depth_images_show_the_object_where_it_is():
     assert np.mean(greener[:, 1] > greener[:, 0]) > 0.8
 
 
-def test_a_picture_shows_the_object_and_a_second_one_where_it_is_told():
+def test_a_picture_shows_the_object_and_a_second_one_at_the_given_pose():
     scenario, sample = Scenario(nuisances=NONE), samples()[-1]
     view = camera_facing([-0.3, 0.4, 0.3], [0, 0, 0.06])
     plain = render(scenario, sample, T_world_camera=view).astype(int)

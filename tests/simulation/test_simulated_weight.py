@@ -12,7 +12,7 @@ from simulation.simulated import only
 
 
 @pytest.mark.parametrize("name", ["can", "box"])
-def test_an_object_weighs_what_is_asked_and_its_centre_is_off(name):
+def test_an_object_has_the_scenarios_mass_and_centre_of_mass(name):
     usual = Payload.of(Scenario(object=name))
     heavy = Payload.of(Scenario(object=name, nuisances=only(object_mass=0.3, object_off_center=0.02)))
     assert heavy.scene.model.body("object").mass == pytest.approx(0.3)
@@ -29,7 +29,7 @@ def test_a_centre_of_mass_stays_well_within_the_object():
         assert (np.abs(center_of_mass(far.scene)) <= size / 3 + 1e-12).all()
 
 
-def test_nothing_presses_unless_asked_and_the_draws_of_others_stay():
+def test_unsensed_forces_are_off_by_default_and_change_no_other_draws():
     assert not Payload.of(Scenario(nuisances=Nuisances())).force_palm.any()
     one, two = (Payload.of(Scenario(nuisances=only(unsensed_force=f))) for f in (0.2, 0.4))
     assert np.linalg.norm(one.force_palm) == pytest.approx(0.2)
@@ -46,7 +46,7 @@ def test_a_weighing_has_five_orientations_20_degrees_apart():
     assert (angles[np.triu_indices(5, 1)] > 19.9).all()
 
 
-def test_what_bears_an_object_presses_upwards_on_its_underside():
+def test_a_support_presses_upwards_on_the_objects_underside():
     import mujoco
 
     loaded = Payload.of(Scenario(object="box", seed=4, nuisances=only(support_force=0.5)))

@@ -9,24 +9,24 @@ from hypothesis import strategies as st
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.simulation import Scenario
-from handsight.simulation.skin import PALM_SKIN, Solid, sunk, taxel_forces
+from handsight.simulation.skin import PALM_SKIN, Solid, spring_forces, taxel_forces
 
 seeds = st.integers(0, 2**32 - 1)
 
 
 @given(seeds, st.floats(0.01, 10), st.floats(10, 1e4))
-def test_the_springs_hold_the_force_and_no_other_reaches_the_body(seed, force, stiffness):
+def test_compressed_springs_balance_the_force_and_the_others_are_free(seed, force, stiffness):
     gaps = np.random.default_rng(seed).exponential(1e-3, 40)
     gaps[:3] = np.inf
-    forces = sunk(gaps, force, stiffness)
+    forces = spring_forces(gaps, force, stiffness)
     assert forces.sum() == pytest.approx(force)
     depth = (forces / stiffness + gaps)[forces > 0]
     np.testing.assert_allclose(depth, depth[0])
     assert (gaps[forces == 0] >= depth[0] - 1e-12).all()
 
 
-def test_without_a_force_nothing_is_felt():
-    assert not sunk(np.zeros(4), 0.0, 100.0).any()
+def test_without_a_force_no_spring_is_compressed():
+    assert not spring_forces(np.zeros(4), 0.0, 100.0).any()
 
 
 @pytest.mark.parametrize("kind", ["box", "cylinder", "hull"])
@@ -44,7 +44,7 @@ def test_a_solid_begins_where_a_ray_meets_it(kind):
     direction = rng.normal(size=3)
     direction /= np.linalg.norm(direction)
     starts = -2 * size * direction + 0.5 * size * rng.normal(size=(50, 3))
-    ahead = solid.ahead(starts, direction)
+    ahead = solid.distances(starts, direction)
     hits, rays, _ = mesh.ray.intersects_location(starts, np.tile(direction, (50, 1)), multiple_hits=False)
     expected = np.full(50, np.inf)
     expected[rays] = (hits - starts[rays]) @ direction
@@ -55,7 +55,7 @@ def test_a_solid_begins_where_a_ray_meets_it(kind):
     np.testing.assert_allclose(ahead[near], expected[near], atol=2e-3 * size)
 
 
-def test_a_face_is_felt_where_it_lies_and_with_the_force_it_presses_with():
+def test_taxels_under_a_face_measure_its_force():
     T = se3.compose(np.eye(3), np.array([0.018, 0.0, 0.01]))
     readings = taxel_forces(PALM_SKIN, Solid.box(np.array([0.04, 0.03, 0.02])), T, 2.0)
     assert readings.sum() == pytest.approx(2.0)
@@ -64,7 +64,7 @@ def test_a_face_is_felt_where_it_lies_and_with_the_force_it_presses_with():
     np.testing.assert_allclose(places.max(axis=0)[:2], [0.028, 0.014], atol=1e-9)
 
 
-def test_the_can_is_held_on_the_skin(simulated):
+def test_the_power_grasp_presses_the_can_on_the_skin(simulated):
     samples = simulated(Scenario(object="can", seed=1, motion="grasp", rate=50, skin=True))
     last = samples[-1]
     assert not last.dropped

@@ -26,7 +26,7 @@ def imported(folder):
                 yield from ((path.relative_to(ROOT).as_posix(), alias.name) for alias in node.names)
 
 
-def test_experiments_and_benchmarks_do_not_stand_on_the_command_line_nor_on_each_other():
+def test_experiments_and_benchmarks_import_neither_the_command_line_nor_each_other():
     commands = {"benchmarks/golden/commands.py"}  # its subject is the command line
     for folder in ("experiments", "benchmarks", "testbed"):
         wrong = {file for file, module in imported(folder) if module.startswith("handsight.cli")}
@@ -47,7 +47,7 @@ def test_experiments_and_benchmarks_do_not_stand_on_the_command_line_nor_on_each
         (["--output", os.devnull], f"argument --output: {os.devnull}: File exists"),
     ],
 )
-def test_wrong_arguments_of_an_experiment_are_said_in_a_sentence(arguments, message, monkeypatch, capsys):
+def test_wrong_arguments_of_an_experiment_are_rejected_in_a_sentence(arguments, message, monkeypatch, capsys):
     parser = report.parser("An experiment.")
     parser.add_argument("--shift-mm", type=report.amount)
     monkeypatch.setattr("sys.argv", ["experiment.py", *arguments])

@@ -11,7 +11,7 @@ from handsight.simulation import Scenario, model_of, rig_of
 
 
 class Grasp:
-    """A scenario's samples with what the robot believes of itself and the object."""
+    """A scenario's samples, with the robot's rig and the object's model."""
 
     def __init__(self, scenario, samples):
         self.samples = samples

@@ -1,4 +1,4 @@
-"""A camera is found by the hand in its pictures, as far as these agree."""
+"""A camera is calibrated by the hand in its images, if enough of them agree."""
 
 import dataclasses
 import re
@@ -20,7 +20,7 @@ if find_spec("gymnasium_robotics") is None:  # it is not imported: only its file
     pytest.skip("the Shadow hand's files come with handsight[sim]", allow_module_level=True)
 
 from handsight.simulation import Scenario, rig_of
-from handsight.tracking.camera_calibration import HAND_VIEWS, HandViews
+from handsight.tracking import HAND_VIEWS, HandViews
 
 TRUE = se3.compose(se3.rotation_exp(np.array([0.3, 1.2, -0.4])), np.array([0.4, -0.3, 0.5]))
 OFF = se3.compose(se3.rotation_exp(np.deg2rad([2.0, -3.0, 1.5])), np.array([0.02, -0.015, 0.03]))
@@ -52,7 +52,7 @@ def rig_with(T_world_camera, **changes):
 
 
 @pytest.mark.slow
-def test_a_camera_is_where_the_hand_is_seen_from():
+def test_the_calibrated_camera_is_where_images_of_the_hand_were_taken():
     rig = rig_with(OFF @ TRUE)
     views = HandViews(rig)
     passed = list(views.watched(pictures(rig, 7)))
@@ -70,7 +70,7 @@ def test_a_camera_is_where_the_hand_is_seen_from():
     np.testing.assert_allclose(T @ rig.camera.T_mount_camera, found.T_mount_camera, atol=1e-9)
 
 
-def test_the_command_reads_it_off_a_recordings_images(tmp_path, monkeypatch, capsys):
+def test_the_command_calibrates_a_camera_by_a_recordings_images(tmp_path, monkeypatch, capsys):
     rig = rig_with(OFF @ TRUE)
     write_rig(rig, tmp_path / "rig.yaml")
     recorded(tmp_path / "hand.mcap", pictures(rig, HAND_VIEWS.min_views), rig)
@@ -85,7 +85,7 @@ def test_the_command_reads_it_off_a_recordings_images(tmp_path, monkeypatch, cap
     assert np.linalg.norm((OFF @ TRUE)[:3, 3] - TRUE[:3, 3]) > 0.03
 
 
-def test_nothing_is_said_without_pictures_or_intrinsics():
+def test_there_is_no_calibration_without_images_or_intrinsics():
     rig = rig_with(TRUE)
     few = [
         Observation(0.0, joint_positions={}, T_world_palm=np.eye(4), depth=np.ones((480, 640), np.float32)),

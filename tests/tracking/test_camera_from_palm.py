@@ -1,4 +1,4 @@
-"""The hand that is seen says what vision's constant error is, and no more often than it says something new."""
+"""A detected hand measures vision's constant error, once from each side."""
 
 import numpy as np
 import pytest
@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from handsight import se3
 from handsight.gaussian_pose import GaussianPose
-from handsight.tracking.camera_from_palm import IN_A_ROW, CameraFromPalm, HandView
+from handsight.tracking import PoseBiasSmoother
+from handsight.tracking.camera_from_palm import AGREEMENT, CameraFromPalm, HandView
 from handsight.tracking.images import History, Instant
-from handsight.tracking.smoother import PoseBiasSmoother
 from oracles.pose_bias import biased
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -18,7 +18,7 @@ WIDE = np.diag([0.3**2] * 3 + [1.0] * 3)
 
 
 def view(rng, E, noise=0.0, T=None):
-    """The palm, anywhere if not told, as a camera that is off by E sees it."""
+    """Returns the view of a palm at T (random if None) by a camera whose calibration is off by E."""
     T = se3.random(rng, spread=0.3) if T is None else T
     seen = se3.moved(E @ T, noise * SIGMAS * rng.normal(size=6))
     return HandView(T, GaussianPose(seen, np.diag(SIGMAS**2)))
@@ -29,8 +29,8 @@ def wrong(rng, size=1.0):
 
 
 @given(SEEDS)
-def test_a_view_says_how_an_object_will_be_seen(seed):
-    """An object anywhere is seen where the bias about any pivot puts it."""
+def test_a_view_predicts_where_vision_measures_an_object(seed):
+    """An object anywhere is measured where the bias about any pivot puts it."""
     rng = np.random.default_rng(seed)
     E, pivot = wrong(rng), rng.normal(scale=0.3, size=3)
     bias = view(rng, E).bias(pivot).T_a_b
@@ -39,8 +39,8 @@ def test_a_view_says_how_an_object_will_be_seen(seed):
 
 
 @given(SEEDS)
-def test_its_covariance_is_that_of_the_bias(seed):
-    """By differences: what a small error of the seen palm does to the bias."""
+def test_the_covariance_of_the_bias_follows_from_that_of_the_palm(seed):
+    """By differences: the effect on the bias of a small error of the detected palm."""
     rng = np.random.default_rng(seed)
     E, pivot = wrong(rng), rng.normal(scale=0.3, size=3)
     clean = view(rng, E)
@@ -53,39 +53,39 @@ def test_its_covariance_is_that_of_the_bias(seed):
     np.testing.assert_allclose(bias.covariance, J @ seen.covariance @ J.T, rtol=1e-3, atol=1e-9)
 
 
-def test_a_view_is_believed_when_it_has_been_the_same_a_few_times():
+def test_a_view_is_confirmed_when_a_few_in_a_row_agree():
     rng = np.random.default_rng(0)
     E, T, camera = wrong(rng), se3.random(rng, spread=0.3), CameraFromPalm()
-    for _ in range(IN_A_ROW):
-        assert len(camera.believed) == 0
+    for _ in range(AGREEMENT.in_a_row):
+        assert len(camera.confirmed) == 0
         camera = camera.updated(view(rng, E, 1.0, T))
-    assert len(camera.believed) == 1
+    assert len(camera.confirmed) == 1
     for _ in range(50):  # from the same side they err alike
         camera = camera.updated(view(rng, E, 1.0, T))
-    assert len(camera.believed) == 1
+    assert len(camera.confirmed) == 1
 
 
-def test_views_that_jump_about_are_not_believed():
+def test_views_that_contradict_each_other_are_not_confirmed():
     rng = np.random.default_rng(1)
     camera, T = CameraFromPalm(), se3.random(rng, spread=0.3)
     for _ in range(30):
         camera = camera.updated(view(rng, wrong(rng), 1.0, T))
-    assert len(camera.believed) == 0
+    assert len(camera.confirmed) == 0
 
 
 def test_a_camera_that_was_moved_is_noticed():
     rng = np.random.default_rng(2)
     camera, one, other = CameraFromPalm(), wrong(rng), wrong(rng)
     for E in (one, other):
-        for _ in range(IN_A_ROW):
+        for _ in range(AGREEMENT.in_a_row):
             camera = camera.updated(view(rng, E, 0.5))
-    assert len(camera.believed) == 1
+    assert len(camera.confirmed) == 1
     pivot = np.zeros(3)
-    np.testing.assert_allclose(camera.believed[0].bias(pivot).T_a_b, other, atol=0.03)
+    np.testing.assert_allclose(camera.confirmed[0].bias(pivot).T_a_b, other, atol=0.03)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_seen_hand_tells_the_pose_from_the_cameras_error(seed):
+def test_a_detected_hand_separates_the_pose_from_the_cameras_error(seed):
     """Without it one palm's pose measurements leave the camera's error in the pose, with it they do not; and the order
     in which the two come does not matter."""
     rng = np.random.default_rng(seed)
@@ -109,7 +109,7 @@ def test_a_seen_hand_tells_the_pose_from_the_cameras_error(seed):
     np.testing.assert_allclose(first.now.covariance, last.now.covariance, rtol=0.1, atol=1e-6)
 
 
-def test_the_past_is_what_was_nearest_to_a_stamp():
+def test_the_history_returns_the_instant_nearest_to_a_stamp():
     past = History()
     assert past.at(None) is None
     for k in range(300):

@@ -1,4 +1,4 @@
-"""Fingertips feel what their raw wrenches say, in the palm, with what joints and neighbours leave open."""
+"""Contacts in the palm from raw wrenches, with the uncertainty that joints and neighbouring tips add."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def test_one_degree_of_every_joint_is_in_each_contacts_covariance(can):
         assert 0.5e-3 < np.sqrt(np.trace(added) / 3) < 3e-3
 
 
-def test_tips_that_may_touch_each_other_are_trusted_less(can):
+def test_contacts_of_tips_near_each_other_are_less_certain(can):
     sensors, last = FingertipSensors(can.rig), can.held[-1]
     felt = sensors.contacts(last)
     joints = dict(last.joint_positions)
@@ -56,7 +56,7 @@ def test_tips_that_may_touch_each_other_are_trusted_less(can):
             np.testing.assert_allclose(C, alone, rtol=0, atol=1e-3 * np.abs(alone).max())
 
 
-def test_without_joints_nothing_is_touched(can):
+def test_there_is_no_contact_without_joint_positions(can):
     felt = FingertipSensors(can.rig).contacts(replace(can.held[-1], joint_positions=None))
     assert felt.contacts is None
     assert set(felt.reasons.values()) == {"no joint positions"}
@@ -77,7 +77,7 @@ def test_contacts_are_those_of_compensated_wrenches_at_the_tips(can):
         np.testing.assert_allclose(felt.contacts.normals_palm[i], contact.normal, atol=1e-10)
 
 
-def test_where_gravity_is_not_known_the_weight_stays_in_and_a_silent_sensor_says_so(can):
+def test_without_gravity_the_tips_weight_is_not_subtracted_and_a_silent_sensor_is_reported(can):
     sensors, last = FingertipSensors(can.rig), can.held[-1]
     still = replace(can.rig, gravity=np.zeros(3))
     unknown = replace(last, T_world_palm=None)

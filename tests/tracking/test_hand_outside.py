@@ -1,4 +1,4 @@
-"""The hand's links keep the object out, as wrong as their joints; shapes larger than the hand are noticed and give way."""
+"""The hand's links bound the object, within the errors of their joints; shapes larger than the hand are noticed."""
 
 from dataclasses import replace
 
@@ -51,7 +51,7 @@ def reconciled(hand, contacts, vision, margins=None):
 
 
 @pytest.mark.parametrize("larger", [0.0, 0.002, 0.01])
-def test_a_link_is_as_wrong_as_its_joints_and_its_skin(plate, larger):
+def test_a_links_sigma_is_that_of_its_joints_and_its_skin(plate, larger):
     hand = plate(larger)
     outside = hand.at(JOINTS, LinkMargins())
     assert hand.links == ("palm", "far")
@@ -64,7 +64,7 @@ def test_a_link_is_as_wrong_as_its_joints_and_its_skin(plate, larger):
     )
 
 
-def test_how_far_links_move_by_their_joints_is_that_of_joints_drawn(box):
+def test_links_move_with_random_joint_errors_as_their_lever_arms_predict(box):
     surface = box.rig.hand.surface(100)
     joints, rng = dict(box.held[-1].joint_positions), np.random.default_rng(0)
     _, levers = surface.points_and_sensitivities(joints)
@@ -79,7 +79,7 @@ def test_how_far_links_move_by_their_joints_is_that_of_joints_drawn(box):
 
 
 @pytest.mark.parametrize("larger", [0.0, 0.005, 0.01])
-def test_a_shape_larger_than_its_link_does_not_spoil_what_contacts_know(plate, larger):
+def test_a_shape_larger_than_its_link_does_not_bias_the_pose(plate, larger):
     noted, errors = [], []
     for seed in range(12):
         contacts, T = on_plate((scenes.BOX_POINTS, scenes.BOX_NORMALS), seed)
@@ -100,7 +100,7 @@ def test_a_shape_larger_than_its_link_does_not_spoil_what_contacts_know(plate, l
     assert np.median(errors) < 0.001
 
 
-def test_a_margin_once_known_is_taken_off(plate):
+def test_a_known_margin_is_subtracted_from_the_shape(plate):
     hand, margins = plate(0.01), LinkMargins()
     contacts, T = on_plate((scenes.BOX_POINTS, scenes.BOX_NORMALS), 0)
     vision = hs.PosePrior.from_sigmas(T, 0.02, 0.1)
@@ -116,7 +116,7 @@ def test_a_margin_once_known_is_taken_off(plate):
     np.testing.assert_allclose(after.T_palm_object[:3, 3], alone.T_palm_object[:3, 3], atol=5e-4)
 
 
-def test_what_only_the_hand_knows_is_not_taken_for_a_larger_shape(plate):
+def test_a_slide_that_only_the_hand_bounds_makes_no_margin(plate):
     """Along a slide that contacts leave open the palm alone keeps the box out, however deep vision has it.
 
     Likeliest at the palm; the mean is that of a Gaussian 30 mm behind it, of 30 mm, cut off there: 16 mm before it.

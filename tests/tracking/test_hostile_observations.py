@@ -1,4 +1,4 @@
-"""A tracker that lives long among hostile observations: what it has taken, and what it says of itself, stays true."""
+"""A tracker that is given many invalid observations among good ones: its state and its counts stay right."""
 
 import random
 from dataclasses import replace
@@ -41,7 +41,7 @@ class Life:
         rng = self.rng
         if rng.random() < 0.01:
             self.touching = not self.touching
-        seen = observed(stamp, touching=self.touching, seen=rng.random() < 0.05, T_world_palm=self.palm())
+        seen = observed(stamp, touching=self.touching, visible=rng.random() < 0.05, T_world_palm=self.palm())
         kind = rng.random()
         if kind < 0.02:
             return replace(seen, wrenches={"left": np.full(6, np.nan), "of the other hand": "?"})
@@ -168,7 +168,7 @@ class Life:
 
 
 @pytest.mark.slow
-def test_many_updates_with_hostile_ones_among_them():
+def test_a_tracker_stays_right_through_many_updates_with_invalid_ones_among_them():
     life, updates = Life(0), 0
     while updates < UPDATES:
         updates += life.live()

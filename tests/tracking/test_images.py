@@ -1,4 +1,4 @@
-"""A tracker that looks at depth images: pictures alone, a camera that is wrong, and what is no picture of it."""
+"""A tracker with depth images: images alone, a misplaced camera, and images that cannot be the camera's."""
 
 from dataclasses import replace
 
@@ -15,7 +15,6 @@ from handsight.messages.topics import rig_topics
 from handsight.objects.symmetry import nearest
 from handsight.recording import RecordingWriter
 from handsight.recording.mcap import McapSource
-from handsight.simulation.camera import BELIEVED_CAMERA
 from handsight.tracking import TrackerSettings
 from handsight.tracking.replay import Tally, replay
 from sight_scenes import SQUARE, TABLE
@@ -42,7 +41,7 @@ def seen(can):
 def pictures(rig, model, samples, *, every, late=0, wrong=WRONG, way=lambda stamp: np.zeros(3)):
     """Observations with drawn images; `way(stamp)`: where the hand, the object in it, has gone by then [m]."""
     camera, shape = Camera.of(rig.camera), rig.hand.shape()
-    T_camera_world = se3.inverse(BELIEVED_CAMERA) @ wrong
+    T_camera_world = se3.inverse(rig.camera.T_mount_camera) @ wrong
     rng, out, taken = np.random.default_rng(0), [], []
     for k, sample in enumerate(samples):
         observation = sample.observation
@@ -94,7 +93,7 @@ def followed(rig, model, observations, **settings):
     return tracker
 
 
-def test_pictures_alone_say_where_an_object_is_though_the_camera_is_elsewhere(can, seen):
+def test_images_alone_find_an_object_though_the_camera_is_misplaced(can, seen):
     """The camera is wrong by 7 cm and 7 degrees; the hand in the picture says so."""
     rig, observations = seen
     tracker = followed(rig, can.model, observations)
@@ -105,12 +104,13 @@ def test_pictures_alone_say_where_an_object_is_though_the_camera_is_elsewhere(ca
     sigma = tracker.sigma
     assert shift / 3.5 < sigma < 0.01
     counts = tracker.images
+    assert list(counts) == ["looked_at", "object_seen", "hand_sought", "hand_seen"]  # keys of summary.json
     assert counts["looked_at"] == sum(o.depth is not None for o in observations)
     assert counts["object_seen"] > 0.9 * counts["looked_at"]
-    assert counts["palm_detected"] > 0.7 * counts["hand_sought"] > 0
+    assert counts["hand_seen"] > 0.7 * counts["hand_sought"] > 0
 
 
-def test_touch_comes_on_top(can, seen):
+def test_touch_is_fused_with_images(can, seen):
     rig, observations = seen
     felt = [
         replace(o, wrenches=sample.observation.wrenches)
@@ -127,7 +127,7 @@ def test_touch_comes_on_top(can, seen):
     assert np.linalg.norm(off) < 4 * np.sqrt(covariance.diagonal()[:3].sum()) < 0.05
 
 
-def test_images_are_left_where_they_are_not_wanted_or_the_rig_has_no_camera_for_them(can, seen):
+def test_images_are_not_used_if_switched_off_or_without_intrinsics(can, seen):
     rig, observations = seen
     for tracker in (
         followed(rig, can.model, observations[:40], images=False),
@@ -156,13 +156,14 @@ def test_an_image_that_comes_late_is_placed_by_its_stamp(can):
     # The camera is where the rig has it; to one that takes images for new, the palm is seen behind itself.
     pivot = can.T_palm_object[:3, 3]
     off = [
-        np.linalg.norm(t.vision.camera_from_palm.believed[0].bias(pivot).T_a_b[:3, 3]) for t in (right, wrong)
+        np.linalg.norm(t.vision.camera_from_palm.confirmed[0].bias(pivot).T_a_b[:3, 3])
+        for t in (right, wrong)
     ]
     assert off[0] < 0.006
     assert off[1] == pytest.approx(0.02 * LATE / 5, abs=0.006)
 
 
-def test_what_is_no_image_of_the_camera_is_refused_and_leaves_all_as_it_was(can, seen):
+def test_an_image_that_cannot_be_the_cameras_is_refused_and_changes_nothing(can, seen):
     rig, observations = seen
     tracker, spared = (hs.Tracker(rig, can.model) for _ in range(2))
     for k, observation in enumerate(observations[:60]):
@@ -182,7 +183,7 @@ def test_what_is_no_image_of_the_camera_is_refused_and_leaves_all_as_it_was(can,
 
 
 @pytest.mark.parametrize("fill", [np.nan, 0.0, np.inf, -1.0, 0.7])
-def test_pictures_of_nothing_are_no_pose(can, seen, fill):
+def test_empty_images_give_no_pose(can, seen, fill):
     rig, observations = seen
     empty = [
         o if o.depth is None else replace(o, depth=np.full_like(o.depth, fill)) for o in observations[:30]
@@ -191,10 +192,10 @@ def test_pictures_of_nothing_are_no_pose(can, seen, fill):
     assert tracker.estimate is None
     assert tracker.state == "lost"
     assert tracker.images["object_seen"] == 0
-    assert tracker.images["palm_detected"] == 0
+    assert tracker.images["hand_seen"] == 0
 
 
-def test_what_was_seen_is_forgotten_when_a_jump_of_the_clock_is_taken_back(can, seen):
+def test_undoing_a_jump_of_the_clock_undoes_what_its_image_measured(can, seen):
     rig, observations = seen
     tracker, spared = (hs.Tracker(rig, can.model) for _ in range(2))
     for k, observation in enumerate(observations[:60]):
@@ -209,7 +210,7 @@ def test_what_was_seen_is_forgotten_when_a_jump_of_the_clock_is_taken_back(can, 
     assert tracker.undone == 1
 
 
-def test_a_running_tracker_looks_at_images_as_track_does(can, seen, tmp_path):
+def test_a_live_tracker_uses_images_as_a_replay_does(can, seen, tmp_path):
     """The same bytes through a node's worker as through `replay`, images among them."""
     rig, observations = seen
     rig = replace(rig, topics=replace(rig.topics, depth="/camera/depth", camera_info="/camera/info"))

@@ -1,4 +1,4 @@
-"""What joints read too much is learnt from grips, as far as grips tell it and no further."""
+"""The joints' constant errors are learnt from grips, and only as well as the grips measure them."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ import scenes
 from handsight import se3
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
-from handsight.correction.surface_at_contacts import information_by_contact
+from handsight.correction.solve import information_by_contact
 from handsight.errors import InvalidInput
 from handsight.tracking import FingertipSensors, JointOffsets, Tracker
 from handsight.tracking.joint_offsets import CREEP
@@ -51,7 +51,7 @@ def grip(rng, known, read_too_much, name="can"):
 
 
 @given(SEEDS, st.sampled_from(sorted(MODELS)))
-def test_what_a_surface_says_of_contacts_is_the_derivative_of_their_residuals(seed, name):
+def test_a_surfaces_information_on_contacts_is_that_of_their_residuals_derivative(seed, name):
     rng = np.random.default_rng(seed)
     model, T, contacts, *_ = grip(rng, no_knowledge(4), np.zeros(4), name)
     T = se3.moved(T, np.array([0.001, 0, 0, 0, 0.01, 0]))
@@ -74,7 +74,7 @@ def test_what_a_surface_says_of_contacts_is_the_derivative_of_their_residuals(se
 
 @settings(max_examples=20)
 @given(SEEDS)
-def test_pose_and_offsets_are_those_of_least_squares_of_both(seed):
+def test_pose_and_offsets_are_those_of_a_joint_least_squares_fit(seed):
     """Against SciPy's solver on residuals in plain NumPy, where errors are so small that all is linear."""
     rng = np.random.default_rng(seed)
     known = no_knowledge(7, 1e-4)
@@ -104,7 +104,7 @@ def test_pose_and_offsets_are_those_of_least_squares_of_both(seed):
     )
 
 
-def test_offsets_are_known_as_well_after_many_grips_as_is_said():
+def test_errors_of_offsets_after_many_grips_fit_their_covariance():
     """χ² of what is left, over many hands: as many as there are joints; and less is left than there was."""
     squared, left = [], []
     for hand in range(40):
@@ -124,7 +124,7 @@ def test_offsets_are_known_as_well_after_many_grips_as_is_said():
     assert np.mean(left) < 0.5
 
 
-def test_what_one_grip_cannot_tell_stays_as_uncertain_as_it_was():
+def test_offsets_that_one_grip_does_not_measure_stay_as_uncertain_as_before():
     """A joint that moves no contact, and one that moves all of them as moving the object would."""
     rng = np.random.default_rng(3)
     known = no_knowledge(3)
@@ -149,7 +149,7 @@ def test_a_hand_whose_joints_are_exact_has_nothing_to_learn():
 
 
 @given(SEEDS)
-def test_positions_are_corrected_by_what_is_known_of_them(seed):
+def test_joint_positions_are_corrected_by_the_known_offsets(seed):
     rng = np.random.default_rng(seed)
     known = replace(no_knowledge(3), mean=rng.normal(size=3))
     given_positions = {"joint 2": 0.5, "wrist": 1.0, "joint 0": -0.25}
@@ -161,7 +161,7 @@ def test_positions_are_corrected_by_what_is_known_of_them(seed):
     np.testing.assert_allclose(known.root @ known.root.T, known.covariance + READING**2 * np.eye(3))
 
 
-def test_a_tracker_learns_from_its_grip_and_the_next_one_begins_with_that(can):
+def test_a_tracker_learns_offsets_from_its_grip_and_the_next_tracker_starts_with_them(can):
     tracker = Tracker(can.rig, MODELS["can"])
     assert not tracker.joint_offsets.mean.any()
     for observation in can.held:

@@ -1,4 +1,4 @@
-"""A fingertip that senses its contact itself is felt as one whose wrench is read."""
+"""A contact that a fingertip senses directly counts like one from a wrench."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def ready(rig, observation, felt, frame="tip", **said):
 
 
 @pytest.mark.parametrize("frame", ["tip", "body", "palm"])
-def test_a_contact_in_any_frame_is_where_it_is_and_as_wrong_as_its_joints(can, frame):
+def test_a_contact_in_any_frame_has_its_place_in_the_palm_and_the_errors_of_its_joints(can, frame):
     sensors, last = FingertipSensors(can.rig), can.held[-1]
     felt = sensors.contacts(last)
     found = sensors.contacts(ready(can.rig, last, felt, frame))
@@ -52,7 +52,7 @@ def test_a_contact_in_any_frame_is_where_it_is_and_as_wrong_as_its_joints(can, f
         )
 
 
-def test_a_normal_that_says_how_the_tip_pushes_is_turned(can):
+def test_a_normal_along_the_tips_push_is_reversed(can):
     sensors, last = FingertipSensors(can.rig), can.held[-1]
     felt = sensors.contacts(last)
     seen = ready(can.rig, last, felt)
@@ -64,7 +64,7 @@ def test_a_normal_that_says_how_the_tip_pushes_is_turned(can):
     np.testing.assert_allclose(found.contacts.normals_palm, felt.contacts.normals_palm, atol=1e-12)
 
 
-def test_a_contacts_own_covariance_is_turned_with_it(can):
+def test_a_contacts_own_covariance_is_rotated_into_the_palm(can):
     sensors, last = FingertipSensors(can.rig), can.held[-1]
     felt, own = sensors.contacts(last), np.diag([1e-6, 4e-6, 9e-6, 1e-4, 1e-4, 1e-4])
     found = sensors.contacts(ready(can.rig, last, felt, covariance=own))
@@ -74,7 +74,7 @@ def test_a_contacts_own_covariance_is_turned_with_it(can):
         np.testing.assert_allclose(C[:3, :3], R @ own[:3, :3] @ R.T, atol=1e-15)
 
 
-def test_what_is_pressed_too_little_or_not_at_all_is_free(can):
+def test_a_contact_with_too_small_a_force_is_none(can):
     sensors, last = FingertipSensors(can.rig), can.held[-1]
     felt = sensors.contacts(last)
     light = 0.5 * min(finger.tip.min_force for finger in can.rig.fingers.values())
@@ -101,7 +101,7 @@ def test_a_tracker_follows_contacts_as_it_follows_wrenches(can):
         ([], "observation.contacts: expected a mapping from finger to contact"),
     ],
 )
-def test_what_is_no_contact_is_refused(can, contacts, message):
+def test_a_value_that_is_not_a_contact_is_refused(can, contacts, message):
     sensors, last = FingertipSensors(can.rig), can.held[-1]
     if contacts == []:
         contacts = [1]
@@ -109,7 +109,7 @@ def test_what_is_no_contact_is_refused(can, contacts, message):
         sensors.contacts(replace(last, contacts=contacts))
 
 
-def test_an_unknown_frame_is_named_with_those_there_are(can):
+def test_an_unknown_frame_is_refused_with_the_list_of_known_ones(can):
     last = can.held[-1]
     contact = ContactMeasurement(np.zeros(3), np.array([0.0, 0, 1]), "moon")
     with pytest.raises(
@@ -128,6 +128,6 @@ def test_an_unknown_frame_is_named_with_those_there_are(can):
         ({"covariance": -np.eye(6)}, "contact.covariance: expected a positive semidefinite"),
     ],
 )
-def test_what_is_wrong_with_a_contact_is_named(said, message):
+def test_an_invalid_field_of_a_contact_is_named(said, message):
     with pytest.raises(InvalidInput, match=message):
         ContactMeasurement(**({"point": np.zeros(3), "normal": np.array([0.0, 0, 1])} | said))

@@ -1,4 +1,4 @@
-"""A tracker with a tactile array: its taxels join the fingertips' contacts, each above what it read untouched."""
+"""A tracker with a tactile array, whose pressed taxels are contacts beside those of the fingertips."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ import handsight as hs
 from handsight.errors import InvalidInput
 from handsight.recording import RecordingWriter, open_recording
 from handsight.simulation import Scenario, model_of, rig_of
-from handsight.tracking.skin import NOTHING, SkinSensors
+from handsight.tracking import SkinContacts, SkinSensors
 
 SCENARIO = Scenario(object="can", seed=1, motion="grasp", rate=50, skin=True)
 RIG = rig_of(SCENARIO)
@@ -27,8 +27,8 @@ def followed(samples, rig=RIG):
     return tracker
 
 
-def test_the_skin_takes_the_tracker_nearer(grasp):
-    """Not known where the table is, contacts on the can's side leave open where it is along its axis."""
+def test_a_tactile_array_improves_the_trackers_pose(grasp):
+    """Without a table, contacts on the can's side do not measure its position along its axis."""
     rig, axis = replace(RIG, table=None), grasp[-1].T_palm_object[:3, 2]
     without = [replace(sample, observation=replace(sample.observation, skin={})) for sample in grasp]
     errors = []
@@ -42,7 +42,7 @@ def test_the_skin_takes_the_tracker_nearer(grasp):
     assert tracker.skin.pressed
 
 
-def test_a_recording_brings_the_readings_back(grasp, tmp_path):
+def test_readings_are_the_same_after_a_recording(grasp, tmp_path):
     with RecordingWriter(tmp_path / "skin.mcap", RIG) as writer:
         for sample in grasp:
             writer.write(replace(sample.observation, stamp=1000 + sample.observation.stamp))
@@ -57,7 +57,7 @@ def test_a_recording_brings_the_readings_back(grasp, tmp_path):
 def test_offsets_and_dead_taxels_are_learnt_before_the_first_touch():
     array, rng = RIG.skin["palm"], np.random.default_rng(0)
     sensors, offset = SkinSensors(RIG), rng.normal(size=array.shape)
-    observation, skin = hs.Observation(0.0), NOTHING
+    observation, skin = hs.Observation(0.0), SkinContacts()
 
     def observed(reading, *, touched):
         nonlocal skin
@@ -89,9 +89,8 @@ def test_an_array_on_a_finger_moves_with_it_and_is_as_uncertain_as_its_joints():
     T = RIG.hand.link_poses(joints)["robot0:ffmiddle"]
     expected = array.touch(reading).contacts(T)
     np.testing.assert_allclose(observed.contacts().points_palm, expected.points_palm, atol=1e-12)
-    assert (
-        observed.beside(None).skin > SkinSensors(RIG).observed(observation, touched=True).beside(None).skin
-    ).any()
+    fixed = SkinSensors(RIG).observed(observation, touched=True)
+    assert (observed.evidence().sigmas > fixed.evidence().sigmas).any()
     assert not sensors.observed(replace(observation, joint_positions=None), touched=True).touches
 
 
@@ -105,7 +104,7 @@ def test_readings_of_another_shape_are_refused_and_change_nothing(grasp):
     assert tracker.refused == 1
 
 
-def test_what_lies_on_the_skin_is_not_weighed(grasp):
+def test_an_object_that_lies_on_the_skin_is_not_weighed(grasp):
     tracker = followed(grasp)
     assert tracker.weight is None
     assert "skin" in tracker.unweighed

@@ -1,4 +1,4 @@
-"""While the object slips the pose is uncertain along the slip, and the tracker corrects and says so."""
+"""While the object slips, the pose is uncertain along the slip, and the tracker reports it and corrects."""
 
 from dataclasses import replace
 
@@ -10,9 +10,8 @@ from forces.loads import rig as some_rig
 from handsight import se3
 from handsight.contact import Contacts
 from handsight.forces.friction import Friction
-from handsight.tracking import FingertipContacts, Tracker
+from handsight.tracking import FingertipContacts, PoseBiasSmoother, Tracker
 from handsight.tracking.slip_update import SLIP_UPDATE, SlipUpdate
-from handsight.tracking.smoother import PoseBiasSmoother
 
 FINGERS = ("ff", "mf", "th")
 FRICTION, PERIOD = 0.7, 0.004
@@ -47,7 +46,7 @@ def spread(state):
     return state.now.covariance[:6, :6] - 1e-8 * np.eye(6)
 
 
-def test_what_holds_leaves_the_pose_as_it_is():
+def test_a_grip_that_holds_does_not_change_the_pose():
     state, part = smoother(), slipping()
     assert run(part, state, 0.5, 0.9, 0.0) is state
     assert not part.now.slipping
@@ -70,7 +69,7 @@ def test_the_sigma_along_a_slip_grows_with_its_time_whatever_the_rate(period):
     assert np.abs(found[3:, 3:] - np.diag(np.diagonal(found)[3:])).max() < 1e-9
 
 
-def test_it_grows_no_farther_than_objects_slip_in_a_hand():
+def test_the_sigma_along_a_slip_stops_growing_at_the_longest_slip_in_a_hand():
     part = slipping()
     state = run(part, smoother(), 5.0, 1.0, 0.0)
     assert np.sqrt(spread(state)[0, 0]) == pytest.approx(
@@ -87,7 +86,7 @@ def test_each_slip_counts_anew_and_adds_to_those_before():
     assert spread(twice)[0, 0] > 1.7 * spread(once)[0, 0]
 
 
-def test_a_correction_is_asked_for_when_a_slip_begins_while_it_lasts_and_when_it_ends():
+def test_a_correction_is_due_when_a_slip_begins_while_it_lasts_and_when_it_ends():
     part, asked, corrected = slipping(), [], 0.0
     for k in range(200):
         stamp = (k + 1) * PERIOD
@@ -111,7 +110,7 @@ def test_a_reading_without_contacts_is_no_slip():
 
 
 def slippery(tracker, seen, count, friction):
-    """The tracker after more of the same instant, with fingertips of a friction that it takes for known."""
+    """Returns the tracker after `count` copies of an observation, with a known coefficient of friction."""
     known = Friction()
     known.coefficient, known.update = friction, lambda vectors: None
     tracker.track_state.slip.detector.friction = known
@@ -128,7 +127,7 @@ def held(box):
     return tracker
 
 
-def test_a_tracker_says_that_it_slips_and_knows_less_until_it_holds(box, held):
+def test_a_tracker_reports_a_slip_and_is_less_certain_after_it(box, held):
     seen, before, corrections = box.held[-1], held.sigma, held.corrections
     slippery(held, seen, 20, 50.0)
     assert held.state == "tracking", held.reason
@@ -150,7 +149,7 @@ def test_a_tracker_says_that_it_slips_and_knows_less_until_it_holds(box, held):
     assert off @ np.linalg.solve(held.estimate.covariance, off) < 22.5  # 99.9 % of six numbers
 
 
-def test_contacts_of_fingers_that_let_go_are_forgotten(box, held):
+def test_a_slip_ends_the_memory_of_fingers_that_have_let_go(box, held):
     seen = box.held[-1]
     lifted = dict(seen.wrenches)
     finger = next(name for name in ("ff", "mf") if name in held.fingertips.fingers)
@@ -162,7 +161,7 @@ def test_contacts_of_fingers_that_let_go_are_forgotten(box, held):
     assert finger not in held.track_state.memory.last
 
 
-def test_a_jump_that_is_taken_back_takes_the_slip_back(box, held):
+def test_undoing_a_jump_of_the_clock_undoes_the_slip(box, held):
     seen = slippery(held, box.held[-1], 2, 50.0) and box.held[-1]
     now, stamp = held.slip, held.stamp
     held.update(replace(seen, stamp=stamp + 50.0, vision=None))

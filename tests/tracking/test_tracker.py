@@ -1,4 +1,4 @@
-"""A tracker propagates, corrects when there is something new, and says when it does not know."""
+"""A tracker propagates the pose, corrects it when there is new evidence, and reports when it is uncertain."""
 
 import contextlib
 import gc
@@ -35,7 +35,7 @@ def base_error(grasp, T):
     return pose_errors(grasp.model, *(np.array([each]) for each in given)).base[0]
 
 
-def test_a_can_is_where_touch_says_it_is(can):
+def test_a_can_is_nearer_to_the_truth_by_touch_than_by_vision(can):
     tracker = tracked(can)
     with_vision = [o for o in can.observations if o.vision is not None]
     seen = [base_error(can, tracker.vision.in_palm(o, o.T_world_palm)) for o in with_vision]
@@ -43,7 +43,7 @@ def test_a_can_is_where_touch_says_it_is(can):
     assert base_error(can, tracker.estimate.T_palm_object) < min(0.004, np.mean(seen))
 
 
-def test_a_box_between_two_faces_is_said_to_be_uncertain_along_them(box):
+def test_a_box_gripped_by_two_faces_is_uncertain_along_them(box):
     """Its slide along the gripped faces is open; the rest is known."""
     tracker = tracked(box)
     values, vectors = np.linalg.eigh(tracker.estimate.covariance[:3, :3])
@@ -58,7 +58,7 @@ def test_a_box_between_two_faces_is_said_to_be_uncertain_along_them(box):
     assert off @ np.linalg.solve(tracker.estimate.covariance, off) < 22.5  # 99.9 % of six numbers
 
 
-def test_points_of_the_hand_bound_a_slide_and_are_left_out_where_their_joints_are(box):
+def test_points_of_the_hand_bound_a_slide_and_are_left_out_without_their_joints(box):
     tracker = tracked(box)
     inside = se3.apply(
         se3.inverse(tracker.estimate.T_palm_object),
@@ -79,7 +79,7 @@ def test_points_of_the_hand_bound_a_slide_and_are_left_out_where_their_joints_ar
     assert lacking.corrections > 0
 
 
-def test_the_spread_of_a_point_is_that_of_poses_drawn(box):
+def test_the_covariance_of_a_point_is_that_of_random_poses(box):
     """Of an object whose origin is far from it: what counts is the object, not its origin."""
     rng = np.random.default_rng(3)
     estimate = tracked(box).estimate
@@ -94,14 +94,14 @@ def test_the_spread_of_a_point_is_that_of_poses_drawn(box):
     np.testing.assert_allclose(np.cov(places.T), expected, atol=0.05 * np.trace(expected))
 
 
-def test_nothing_is_answered_before_anything_is_known(can):
+def test_there_is_no_pose_before_a_start_or_vision(can):
     tracker = Tracker(can.rig, can.model)
     assert tracker.state == "lost"
     assert tracker.update(replace(can.observations[0], vision=None)) is None
     assert (tracker.state, tracker.reason) == ("lost", "no pose yet: neither a start nor vision")
 
 
-def test_a_start_named_by_the_user_needs_no_vision(can):
+def test_a_start_given_by_the_user_needs_no_vision(can):
     off = se3.moved(can.T_palm_object, np.array([0.02, -0.01, 0.02, 0.1, 0.1, 0]))
     start = hs.PosePrior.from_sigmas(off, 0.03, 0.2)
     tracker = Tracker(can.rig, can.model, start=start)
@@ -168,12 +168,13 @@ def test_a_lifted_finger_is_remembered_for_a_while(can):
 def test_a_remembered_contact_that_does_not_fit_is_dropped(can):
     tracker = tracked(can, memory=100.0)
     last, finger = can.observations[-1], tracker.fingertips.fingers[0]
-    kept, row, stamp = tracker.track_state.memory.last[finger]
+    last_contact = tracker.track_state.memory.last[finger]
+    kept, row = last_contact.contacts, last_contact.row
     points = kept.points_palm.copy()
     points[row] += 0.03 * kept.normals_palm[row]
     wrong = hs.Contacts(points, kept.normals_palm, covariance=kept.covariance)
     silent = {name: value for name, value in last.wrenches.items() if name != finger}
-    tracker.track_state.memory.last[finger] = wrong, row, stamp
+    tracker.track_state.memory.last[finger] = last_contact._replace(contacts=wrong)
     tracker.update(later(last, 0.1, wrenches=silent))
     assert finger not in tracker.track_state.memory.last
 
@@ -203,15 +204,15 @@ def test_a_wrong_object_is_uncertain_and_then_lost(can):
     for seen in can.observations:
         tracker.update(seen)
     assert tracker.state == "uncertain"
-    assert tracker.reason == "the contacts do not fit the object where it is believed to be"
+    assert tracker.reason == "the contacts do not fit the object at its estimated pose"
     for k in range(1, 4):
         tracker.update(later(can.observations[-1], 0.9 * k))
     assert tracker.state == "lost"
     assert "have fitted no pose for" in tracker.reason
 
 
-def test_what_touch_had_wrong_is_forgotten_when_nothing_fits_for_long(can):
-    """A finger that met the table's edge, say: vision has not changed, and is enough to begin with anew."""
+def test_a_pose_that_touch_got_wrong_is_dropped_when_contacts_fit_none_for_long(can):
+    """Such as by a finger that met the table's edge: vision has not changed, and is enough for a new start."""
     tracker, last = tracked(can), can.observations[-1]
     right = tracker.estimate.T_palm_object
     elsewhere = se3.moved(right, np.array([0.06, 0.05, -0.05, 0.2, 0.3, 0.1]))
@@ -227,7 +228,7 @@ def test_what_touch_had_wrong_is_forgotten_when_nothing_fits_for_long(can):
     assert np.linalg.norm((tracker.estimate.T_palm_object - right)[:3, 3]) < 3 * tracker.sigma
 
 
-def test_an_object_neither_touched_nor_seen_for_long_is_lost(can):
+def test_an_object_neither_touched_nor_detected_for_long_is_lost(can):
     tracker = tracked(can, lost_after=3.0, memory=0.0)
     tracker.update(later(can.observations[-1], 4.0, wrenches={}))
     assert tracker.state == "lost"
@@ -255,7 +256,7 @@ def test_vision_without_a_palm_to_place_it_is_counted(can):
     assert tracker.estimate is None
 
 
-def test_an_arm_in_the_hands_file_says_where_the_palm_is(can):
+def test_an_arm_in_the_hands_file_gives_the_palms_pose(can):
     """The simulated hand's file has a wrist: two joints of an arm."""
     rig = replace(can.rig, world_from="joints")
     tracker = Tracker(rig, can.model)
@@ -271,13 +272,13 @@ def test_an_arm_in_the_hands_file_says_where_the_palm_is(can):
         ({"joint_positions": {"robot0:FFJ3": 0.0}}, "joint_positions: expected a position for robot0:FFJ2"),
     ],
 )
-def test_what_is_wrong_with_an_observation_is_said(can, change, message):
+def test_an_invalid_field_of_an_observation_is_named(can, change, message):
     with pytest.raises(InvalidInput) as error:
         Tracker(can.rig, can.model).update(replace(can.observations[0], **change))
     assert message in str(error.value)
 
 
-def test_a_camera_the_rig_does_not_have_is_said(can):
+def test_a_pose_in_the_frame_of_a_missing_camera_is_refused(can):
     tracker = Tracker(replace(can.rig, camera=None), can.model)
     with pytest.raises(InvalidInput, match="the rig has no camera"):
         tracker.update(can.observations[0])
@@ -306,7 +307,7 @@ def test_memory_stays_flat(can):
     assert grown < 25_000
 
 
-def test_a_clock_that_was_set_back_begins_a_new_track_and_says_so(can):
+def test_a_clock_that_was_set_back_starts_a_new_track_with_a_reason(can):
     tracker = tracked(can)
     estimate = tracker.estimate
     again = [replace(seen, stamp=seen.stamp - 100) for seen in can.observations]
@@ -320,7 +321,7 @@ def test_a_clock_that_was_set_back_begins_a_new_track_and_says_so(can):
     assert tracker.late == 1
 
 
-def test_one_stamp_far_ahead_is_taken_back(can):
+def test_one_stamp_far_ahead_is_undone(can):
     tracker, alone = Tracker(can.rig, can.model), tracked(can)
     for k, seen in enumerate(can.observations):
         if k in (30, 60):
@@ -330,7 +331,7 @@ def test_one_stamp_far_ahead_is_taken_back(can):
     assert (tracker.state, tracker.undone, tracker.late) == (alone.state, 2, 0)
 
 
-def test_a_pause_of_the_sensors_is_gone_along_with(can):
+def test_a_pause_of_the_sensors_is_no_jump_of_the_clock(can):
     tracker = tracked(can)
     last = can.observations[-1]
     for k in range(1, 6):
@@ -340,7 +341,7 @@ def test_a_pause_of_the_sensors_is_gone_along_with(can):
 
 
 @pytest.mark.parametrize("bad", [{"T_world_palm": np.full((4, 4), np.nan)}, {"stamp": 1.5}])
-def test_a_tracker_that_is_given_nothing_it_can_take_is_lost_until_it_is(can, bad):
+def test_a_tracker_is_lost_while_all_observations_are_invalid_or_late(can, bad):
     tracker = tracked(can)
     last = can.observations[-1]
     wrong = replace(later(last, 0.01), **bad)
@@ -354,7 +355,7 @@ def test_a_tracker_that_is_given_nothing_it_can_take_is_lost_until_it_is(can, ba
 
 
 def test_a_replay_is_right_over_clocks_that_jump(can):
-    """Each observation's time is counted once, and what is left out has no answer."""
+    """Each observation's time is counted once, and one that is left out has no answer."""
     seen = can.observations
     span = seen[-1].stamp - seen[0].stamp
     looped = [replace(each, stamp=each.stamp - 1000) for each in seen]
@@ -372,7 +373,7 @@ def test_a_replay_is_right_over_clocks_that_jump(can):
     assert track_errors(can.model, steps, truths, vision=False).base[-1] < 0.004
 
 
-def test_a_finger_that_never_touches_is_known_after_a_replay(can):
+def test_a_replay_counts_why_a_finger_never_touched(can):
     finger = "lf"
     seen = [
         replace(o, wrenches={k: v for k, v in o.wrenches.items() if k != finger}) for o in can.observations

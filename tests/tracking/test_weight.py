@@ -1,4 +1,4 @@
-"""A tracker weighs what it holds in the air: where its centre of mass is known it tells the pose, else it is told."""
+"""A tracker weighs the object in the air: a known centre of mass measures the pose, an unknown one is estimated."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ def follow(tracker, observations):
 
 
 @pytest.mark.slow
-def test_where_the_centre_of_mass_is_known_its_weight_tells_the_pose(lifted):
+def test_the_weight_of_an_object_with_a_known_centre_of_mass_measures_its_pose(lifted):
     observations, samples = lifted
     rig, model = rig_of(SCENARIO), model_of(SCENARIO)
     without = follow(hs.Tracker(rig, model), observations)
@@ -50,7 +50,7 @@ def test_where_the_centre_of_mass_is_known_its_weight_tells_the_pose(lifted):
 
 
 @pytest.mark.slow
-def test_where_it_is_not_it_is_estimated_and_told(lifted):
+def test_an_unknown_centre_of_mass_is_estimated(lifted):
     observations, samples = lifted
     tracker = follow(hs.Tracker(rig_of(SCENARIO), model_of(SCENARIO)), observations)
     found, T = tracker.weight, samples[-1].T_palm_object
@@ -64,7 +64,7 @@ def test_where_it_is_not_it_is_estimated_and_told(lifted):
 
 
 @pytest.mark.slow
-def test_a_wrong_mass_is_said_and_the_pose_is_no_worse(lifted):
+def test_a_wrong_mass_is_reported_and_the_pose_is_no_worse(lifted):
     observations, _ = lifted
     rig, model = rig_of(SCENARIO), model_of(SCENARIO)
     wrong = follow(hs.Tracker(rig, model.with_weight(mass=0.3, center_of_mass=np.zeros(3))), observations)
@@ -75,7 +75,7 @@ def test_a_wrong_mass_is_said_and_the_pose_is_no_worse(lifted):
 
 
 @pytest.mark.slow
-def test_a_recording_tells_the_best_of_its_weighings(lifted):
+def test_the_best_weighing_of_a_recording_is_found(lifted):
     observations, _ = lifted
     found, reason = best_weight(iter(observations), hs.Tracker(rig_of(SCENARIO), model_of(SCENARIO)))
     assert reason == ""
@@ -87,7 +87,7 @@ def test_a_recording_tells_the_best_of_its_weighings(lifted):
     assert len(on_table) > 10
 
 
-def test_what_stands_on_the_table_is_not_weighed(can):
+def test_an_object_that_stands_on_the_table_is_not_weighed(can):
     """The palm has not risen since the grasp."""
     tracker = follow(hs.Tracker(can.rig, can.model.with_weight(center_of_mass=np.zeros(3))), can.observations)
     assert tracker.weight is None

@@ -15,8 +15,7 @@ import handsight
 from handsight.evaluation import Truths
 from handsight.recording import open_recording
 from handsight.rig import Rig
-from handsight.tracking import Tracker
-from handsight.tracking.replay import Tally
+from handsight.tracking import Tally, Tracker
 from handsight.viewer.timeline import Timeline, follow
 
 for name, extra in (("mujoco", "robot"), ("rosbags", "robot"), ("gymnasium_robotics", "sim")):

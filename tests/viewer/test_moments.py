@@ -43,7 +43,7 @@ def test_a_recording_is_shown_as_track_gives_it(tracked):
     assert min(np.diff([moment.stamp for moment in moments])) >= TIMELINE.frame - 1e-3
 
 
-def test_what_vision_said_is_shown_for_a_while(tracked):
+def test_the_last_measurement_of_vision_is_shown_for_a_while(tracked):
     one = touched(tracked)
     old = dataclasses.replace(one, vision=Measured(one.stamp, np.eye(4)))
     for later, kept in ((0.5 * VISION_FOR, True), (1.5 * VISION_FOR, False)):
@@ -105,7 +105,7 @@ def test_moments_that_go_back_are_left_out(tracked):
     assert timeline.moments == [second]
 
 
-def test_curves_are_the_sigmas_and_errors_of_the_answers(tracked):
+def test_curves_are_the_sigmas_and_errors_of_the_estimates(tracked):
     moments, model = tracked.timeline.moments, tracked.model
     found = curves(moments, model, tracked.truths)
     steps = replay(tracked.observations, Tracker(tracked.rig, model), Tally())
@@ -124,7 +124,7 @@ def said(tracked, **changes):
     return dataclasses.replace(touched(tracked), **changes).sentence
 
 
-def test_one_sentence_says_why_the_state_is_what_it_is(tracked):
+def test_one_sentence_gives_the_reason_for_the_state(tracked):
     nothing = dataclasses.replace(touched(tracked).fingertips, fingers=(), contacts=None)
     one = dataclasses.replace(nothing, fingers=("th",))
     assert said(tracked).startswith(
@@ -159,7 +159,7 @@ def test_the_sentence_says_that_the_object_slips_or_is_near_to_it(tracked):
     assert "the grip uses" not in slips
 
 
-def test_the_ellipsoid_holds_95_of_100_places_of_the_middle():
+def test_the_ellipsoid_contains_95_of_100_draws_of_the_middle():
     model, rng = ObjectModel.box([0.04, 0.06, 0.1]), np.random.default_rng(5)
     root = rng.normal(size=(6, 6)) * np.repeat([1e-3, 1e-2], 3)[:, None]
     T = se3.random(rng, spread=0.1)
@@ -243,7 +243,7 @@ def test_the_outline_is_around_the_object_and_the_cloud_on_it(tracked):
     assert np.abs(unpacked.astype(int) - found.image).mean() < 4
 
 
-def test_what_vision_saw_is_outlined_where_it_saw_it(page, tracked):
+def test_visions_pose_is_outlined_where_vision_measured_it(page, tracked):
     """Whatever is known of the camera's error since."""
     rig, observation, T_palm_object = seen(tracked)
     off = se3.compose(np.eye(3), np.array([0.02, 0.0, 0.0]))
@@ -291,5 +291,5 @@ def test_a_moment_now_is_the_trackers(tracked):
 @pytest.mark.parametrize(
     ("time", "expected"), [(0, "0.00%"), (5, "50.00%"), (10, "100.00%"), (-1, "0.00%"), (12, "100.00%")]
 )
-def test_times_are_shares_of_the_whole(time, expected):
+def test_times_are_percentages_of_the_range(time, expected):
     assert share(time, 0, 10) == expected

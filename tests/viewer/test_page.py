@@ -97,7 +97,7 @@ def test_nothing_known_shows_nothing_but_the_hand(page, tracked):
     assert all(handle.visible for handle in scene.links.values())
 
 
-def test_what_is_not_wanted_is_not_there(page, tracked):
+def test_layers_that_are_switched_off_are_not_shown(page, tracked):
     page.draw(tracked.timeline.moments[-1])
     for layer in page.scene.layers:
         page.scene.layers[layer] = False
@@ -163,7 +163,7 @@ def test_seek_shows_that_instant(page, tracked, watched):
         player.close()
 
 
-def test_who_comes_while_it_is_paused_sees_the_moment(page, tracked, monkeypatch):
+def test_a_browser_opened_while_paused_shows_the_moment(page, tracked, monkeypatch):
     player = Player(page, tracked.timeline, lambda: None)
     page.draw_curves = lambda curves, now: None
     player.playing = False
@@ -201,7 +201,7 @@ def test_playing_goes_through_all_moments_to_the_end_at_its_speed(page, tracked,
         player.close()
 
 
-def test_nothing_is_done_while_nobody_looks(page, pages, tracked, free_port, monkeypatch):
+def test_nothing_is_drawn_while_no_browser_is_open(page, pages, tracked, free_port, monkeypatch):
     drawn = []
     monkeypatch.setattr(type(page), "draw", lambda *_: drawn.append(1))
     monkeypatch.setattr("handsight.viewer.live_viewer.Moment.now", lambda *_: drawn.append(1))
@@ -246,7 +246,9 @@ def test_the_newest_answer_is_shown_however_fast_they_come(tracked, pages, free_
         assert shown.last.stamp == other.stamp
 
 
-def test_who_comes_while_the_robot_rests_sees_the_last_answer(tracked, pages, free_port, monkeypatch):
+def test_a_browser_opened_while_the_robot_rests_shows_the_last_estimate(
+    tracked, pages, free_port, monkeypatch
+):
     needs_viser()
     from handsight.viewer.page import Page
 
@@ -318,7 +320,7 @@ def test_a_page_that_is_gone_ends_nothing(tracked, monkeypatch):
         until(lambda: not viewer.watched)
 
 
-def test_what_a_node_follows_is_shown_and_its_answers_stay_the_same(pages, free_port, watched):
+def test_a_nodes_tracker_is_shown_and_its_estimates_stay_the_same(pages, free_port, watched):
     messages_of_robot = said()
     alone, shown = live(equal=True), live(equal=True)  # however busy the machine is
     with view(shown.tracker, port=free_port, say=lambda _: None) as viewer:
@@ -383,7 +385,7 @@ def test_without_viser_one_sentence_says_what_to_install(tracked, pages, monkeyp
 
 
 @pytest.mark.parametrize("port", [0, -1, 65536])
-def test_a_port_that_is_none_is_said(tracked, pages, port):
+def test_an_impossible_port_is_rejected(tracked, pages, port):
     with pytest.raises(InvalidInput, match=f"^port: expected a number from 1 to 65535, got {port}$"):
         view(Tracker(tracked.rig, tracked.model), port=port)
 

@@ -86,5 +86,5 @@ def test_where_nothing_can_be_kept_it_is_said_once(folder, monkeypatch):
         raise OSError("No space left on device")
 
     monkeypatch.setattr(cache, "write_entry", full)
-    with pytest.warns(ObjectWarning, match="what objects look like cannot be cached there"):
+    with pytest.warns(ObjectWarning, match="appearances of objects cannot be cached there"):
         looked_at(monkeypatch)

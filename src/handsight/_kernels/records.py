@@ -1,13 +1,15 @@
 """The fixed-size values that kernels take, as NumPy structured types; all in SI units.
 
 Kernels read their fields by name (`model.radius`, `contact.normal`). Python fills them once, where users' values are
-checked. Those in which a kernel keeps numbers of its own are made by `simd.local`, and live until it returns.
+checked. A kernel makes the records of its own intermediate values by `simd.local`; they live until it returns.
 """
 
 import numpy as np
 
 SAMPLES = 256
 """Surface samples of an object, with which phase 1 matches contacts."""
+MOST_DEPTH_POINTS = 48
+"""Most depth points of one correction; more would add little, because neighbouring points share their errors."""
 MOST_ROTATIONS = 121
 """Elements of the largest discrete symmetry group that kernels handle."""
 
@@ -67,10 +69,8 @@ MODEL = record(
     ("edge_curvature2", "f8"),  # squared curvature above which the surface counts as an edge
     ("error", FIELD_ERROR),
     ("symmetry", SYMMETRY),
-    (
-        "normal_weight2",
-        "f8",
-    ),  # in phase 1, of the squared difference of normals against squared distance [m²]
+    # In phase 1, the weight of the squared difference of normals against the squared distance [m²].
+    ("normal_weight2", "f8"),
     ("band", "f8"),  # tangential distance to a sample that costs nothing [m]
     ("tangential_weight", "f8"),  # of the squared distance beyond it [1/m²]
     ("sample_variance_distance", "f8"),  # of a sample's plane [m²] and of its normal, per axis [rad²]
@@ -83,7 +83,7 @@ CONTACT = record(
     ("point", "f8", (3,)),
     ("normal", "f8", (3,)),
     ("has_normal", "i8"),
-    ("used", "i8"),  # whether it counts
+    ("used", "i8"),  # whether it is evidence; 0 for an outlier
     ("of_residual", "i8"),  # whether the covariance is that of its residuals, with the model's error in it
     ("covariance", "f8", (6, 6)),  # of (point, normal)
     ("gain", "f8"),  # written by kernels: by how much χ² falls, to first order, when it is left out
@@ -95,10 +95,15 @@ OBJECT_WEIGHT = record(
     ("center_palm", "f8", (3,)),
     ("information", "f8", (3, 3)),  # of the difference of the two, in the palm [1/m²]
 )
+# Points of one depth image, whose errors are correlated: each has the variance by which all of them together carry as
+# much information about the pose as that image does.
+DEPTH_POINTS = record(("count", "i8"), ("variance", "f8"), ("points", "f8", (MOST_DEPTH_POINTS, 3)))
 # A pose and its covariance before touch is taken into account: vision's, or the last estimate.
 PRIOR = record(("pose", POSE), ("covariance", "f8", (6, 6)))
-# The evidence of which a correction has at most one of each kind, each with a flag that tells whether there is one.
-CONSTRAINTS = record(("prior", PRIOR), ("has_prior", "i8"), ("weight", OBJECT_WEIGHT))
+# Evidence of which a correction has at most one of each kind; `has_prior`, `weight.known` and `depth.count` tell which.
+CONSTRAINTS = record(
+    ("prior", PRIOR), ("has_prior", "i8"), ("weight", OBJECT_WEIGHT), ("depth", DEPTH_POINTS)
+)
 # What cannot be inside the object: a point of the hand, the points of one link following each other; or a plane, given
 # by any of its points, and all behind it.
 OUTSIDE = record(
@@ -176,6 +181,7 @@ PROBLEM = record(
     ("constraints", CONSTRAINTS),
     ("first", "i8"),
     ("last", "i8"),
+    ("pose_only", "i8"),  # whether nothing but the pose is computed, for measuring
     ("follows", "i8"),
     ("start", POSE),
     ("answer", ANSWER),
@@ -213,10 +219,7 @@ FLAT_DIRECTIONS = record(
     ("across", "f8", (6, 6)),
     ("stretch", "f8", (6,)),  # how much wider the mode is across than the curvature at it says
     ("proper", "i8"),  # whether the prior bounds every direction; without vision it may not
-    (
-        "bump_margin",
-        "f8",
-    ),  # by how much the bumps of a scanned model may lower the cost of contacts and walls
+    ("bump_margin", "f8"),  # by how much bumps of a scanned model may lower the cost of contacts and walls
     ("level", "f8"),  # the cost below which lattice points therefore count as equal
 )
 # Sums over lattice points: of weights, relative to the largest, times deviations (δp, δθ) and their products.

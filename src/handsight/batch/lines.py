@@ -1,4 +1,4 @@
-"""The lines of a file or a stream as they come, none of them longer than a problem can be."""
+"""The lines of a file or a stream, as soon as they are there, and none longer than a problem may be."""
 
 import codecs
 import io
@@ -8,16 +8,16 @@ from handsight.errors import InvalidFile
 from handsight.files import stream_name
 
 LONGEST = 32_000_000
-"""Largest size of a line [bytes]; its content takes up to thirty times as much memory."""
+"""Largest size of a line [bytes]; decoded, it takes up to thirty times as much memory."""
 BLOCK_BYTES = 256_000
 Source = io.BufferedIOBase
 
 
 def blocks(source: Source, *, single: bool = False) -> Iterator[list[bytes]]:
-    """Yields the lines that are not blank, without their ends, in lists of those that are there; closes the source.
+    """Yields lists of the lines that are available, without blank ones and line ends; closes the source.
 
-    A byte order mark at the beginning is dropped. A line longer than `LONGEST` is cut to one byte more than that.
-    `single`: the entire source is one line. Raises InvalidFile.
+    A byte order mark at the beginning is dropped. A line longer than `LONGEST` is cut to `LONGEST` + 1 bytes, so that
+    a reader can refuse it. `single`: the entire source is one line. Raises InvalidFile.
     """
     marks = codecs.BOM_UTF8
     with source:
@@ -34,7 +34,7 @@ def blocks(source: Source, *, single: bool = False) -> Iterator[list[bytes]]:
 
 
 def _split(source: Source) -> Iterator[list[bytes]]:
-    """Yields all lines when they are there, at least one at a time, each cut where it is too long."""
+    """Yields lists of the complete lines that are available, at least one in each; lines too long are cut."""
     partial = bytearray()
     while block := source.read1(BLOCK_BYTES):
         *lines, rest = block.split(b"\n")

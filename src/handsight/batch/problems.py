@@ -1,7 +1,7 @@
-"""Correction problems and their answers as JSON, one of each a line: the contract of `handsight correct`.
+"""Correction problems and their answers as lines of JSON: the contract of `handsight correct`.
 
-A line that is wrong becomes `{"error": "contacts[0].point: expected 3 finite numbers, got [nan, 0, 0]"}`:
-the field, what was expected, what came.
+A wrong line is answered with `{"error": "contacts[0].point: expected 3 finite numbers, got [nan, 0, 0]"}`: the field,
+what was expected, and what came.
 """
 
 import json
@@ -17,7 +17,15 @@ from handsight import checks, se3
 from handsight.batch.lines import LONGEST
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import Outside, Plane, PosePrior, WeightEvidence, correct_pose
+from handsight.correction import (
+    DepthPoints,
+    Outside,
+    Plane,
+    PosePrior,
+    SkinEvidence,
+    WeightEvidence,
+    correct_pose,
+)
 from handsight.correction.problem import MOST_CONTACTS, check_number
 from handsight.errors import HandsightError, InvalidInput
 from handsight.msgspec_errors import explain, field_name
@@ -25,7 +33,7 @@ from handsight.objects import ObjectModel, ObjectSpec
 
 
 class _Strict(msgspec.Struct, forbid_unknown_fields=True):
-    """The base class of forms; an unknown key is an error, and numbers (`Any`) are checked when they are used."""
+    """The base class of the JSON objects; an unknown key is an error, and numbers (`Any`) are checked when used."""
 
 
 class CylinderSize(_Strict):
@@ -70,8 +78,19 @@ class WeightFields(_Strict):
     covariance: Any = None
 
 
+class DepthFields(_Strict):
+    points_palm: Any
+    sigma: Any
+
+
+class SkinFields(_Strict):
+    sigmas: Any
+    contacts: list[ContactFields] = []
+    untouched_palm: Any = []
+
+
 class ProblemFields(_Strict):
-    """A `ProblemFields` is one line of a problem file; `handsight correct --help` explains each key."""
+    """A `ProblemFields` is the content of a line; `handsight correct --help` explains each key."""
 
     object: ObjectFields
     contacts: list[ContactFields]
@@ -80,6 +99,8 @@ class ProblemFields(_Strict):
     outside: Any = None
     planes: list[PlaneFields] = []
     weight: WeightFields | None = None
+    depth: DepthFields | None = None
+    skin: SkinFields | None = None
     answer: str = "best"
     samples: Any = 0
     budget: Any = None
@@ -87,23 +108,23 @@ class ProblemFields(_Strict):
 
 
 class Problem(NamedTuple):
-    """A `Problem` is the arguments of `correct_pose`."""
+    """A `Problem` holds the arguments of `correct_pose`."""
 
     model: ObjectModel
     contacts: Contacts
     vision: PosePrior | None
     options: dict[str, Any]
-    """The other ones by name."""
+    """The other arguments, by name."""
 
 
 class Reader:
-    """A `Reader` makes problems from lines of JSON, and keeps the object models that it used last."""
+    """A `Reader` converts lines of JSON to problems, and keeps the object models that it used last."""
 
     def __init__(self, folder: Path) -> None:
-        """`folder`: what mesh paths are relative to."""
+        """`folder`: relative paths of meshes start here."""
         self.folder = folder
         self._models: dict[str, ObjectModel] = {}
-        """By their fields; the one used last at the end."""
+        """Models by the representation of their fields; the one used last is at the end."""
 
     def read(self, line: bytes) -> Problem:
         """Returns the problem of one line; raises a HandsightError that names the field."""
@@ -116,6 +137,11 @@ class Reader:
         contacts = _contacts(fields.contacts, of_residual=fields.contacts_of_residual)
         options = {name: getattr(fields, name) for name in ("answer", "samples", "budget", "method")}
         options |= {"outside": outside, "weight": _weight(fields.weight)}
+        if (depth := fields.depth) is not None:
+            options["depth"] = DepthPoints(depth.points_palm, depth.sigma)
+        if (skin := fields.skin) is not None:
+            pressed = _contacts(skin.contacts, of_residual=False) if skin.contacts else None
+            options["skin"] = SkinEvidence(pressed, skin.untouched_palm, skin.sigmas)
         return Problem(self.model(fields.object), contacts, _vision(fields.vision), options)
 
     def model(self, fields: ObjectFields) -> ObjectModel:
@@ -154,7 +180,7 @@ class Reader:
 
 
 def answer(problem: Problem) -> dict[str, Any]:
-    """Returns the answer to a problem as JSON has it, with arrays for lists of numbers, keys in the contract's order.
+    """Returns the answer to a problem, ready for JSON but for arrays in place of lists.
 
     Raises InvalidInput.
     """
@@ -181,23 +207,23 @@ def answer(problem: Problem) -> dict[str, Any]:
 
 
 def answer_text(reader: Reader, line: bytes) -> str:
-    """Returns the answer to a line as one line of JSON, without its end; `{"error": ...}` where there is none."""
+    """Returns the answer to a line as a line of JSON without its newline; `{"error": ...}` if it cannot be solved."""
     try:
         return json.dumps(answer(reader.read(line)), allow_nan=False, default=np.ndarray.tolist)
     except HandsightError as error:
         message = str(error)
     except MemoryError:
         message = "line: expected a problem that fits into memory, got a larger one"
-    except Exception as error:  # a fault of handsight; the other lines are still answered
+    except Exception as error:  # a bug; the other lines are still answered
         message = f"line: expected an answer, got {type(error).__name__}: {error} (a fault of handsight's)"
     return json.dumps({"error": message})
 
 
 def _fields(line: bytes) -> ProblemFields:
-    """Returns the keys and values of a line, whose numbers are not checked yet; raises InvalidInput."""
+    """Returns the fields of a line, with unchecked numbers; raises InvalidInput."""
     if len(line) > LONGEST:
         raise InvalidInput(f"line: expected at most {LONGEST} bytes, got more")
-    # Python's parser accepts NaN and Infinity, so that a check can name their field.
+    # Python's parser, as it accepts NaN and Infinity: a later check then names their field.
     try:
         raw = json.loads(line.decode("utf-8"), object_pairs_hook=_unique)
     except UnicodeDecodeError:
@@ -220,7 +246,7 @@ def _fields(line: bytes) -> ProblemFields:
 
 
 def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Returns a JSON object as a dictionary; raises InvalidInput for a key that comes twice."""
+    """Returns a JSON object as a dictionary; raises InvalidInput for a repeated key."""
     unique = dict(pairs)
     if len(unique) < len(pairs):
         twice = min(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
@@ -298,7 +324,7 @@ def _weight(fields: WeightFields | None) -> WeightEvidence | None:
 
 
 def _radians(degrees: float, name: str, most: float) -> float:
-    """Returns a standard deviation given in degrees, of at most `most` [rad]; raises InvalidInput with degrees."""
+    """Returns a standard deviation in radians from degrees, checked to be at most `most` [rad]; raises InvalidInput."""
     radians = float(np.deg2rad(checks.positive(degrees, name)))
     if not checks.MIN_SIGMA <= radians <= most:
         lowest, highest = np.rad2deg([checks.MIN_SIGMA, most])

@@ -1,4 +1,4 @@
-"""Many lines answered by many workers: read when they are there, answered in order, never all in memory."""
+"""Lines answered by many workers: read as they come, answered in order, never all in memory."""
 
 import contextlib
 import functools
@@ -17,21 +17,21 @@ from handsight.batch.workers import DEATHS, Answers, Cluster, Processes, WorkerD
 
 
 class BatchLimits(NamedTuple):
-    """`BatchLimits` bound how much of a batch is in memory at once."""
+    """`BatchLimits` bound how much of a batch is in memory at the same time."""
 
     chunk_lines: int = 256
-    """Largest number of lines given to a worker at once."""
+    """Largest number of lines in a worker's chunk."""
     max_pending_bytes: int = 64_000_000
-    """Size of the lines that wait for their own answer, or for that of an earlier line, above which none is added."""
+    """No line is submitted while the lines without a returned answer take more than this."""
     line_overhead: int = 3000
-    """What a line takes besides its characters: its answer, and Python's objects [bytes]."""
+    """Memory of a line besides its characters: its answer, and Python's objects [bytes]."""
 
 
 BATCH = BatchLimits()
 Answered = tuple[list[bytes], Answers]
 """Consecutive lines with their answers."""
 Event = list[bytes] | BaseException | None | Future[Answers]
-"""Lines that were read; the end of the input, None or an error; or a chunk that was answered or failed."""
+"""Lines that were read; or the end of the input, as None or an error; or the future of a chunk that is done."""
 
 
 @contextlib.contextmanager
@@ -44,12 +44,12 @@ def answering(
     cluster: str | None = None,
     first: Callable[[], object] = os.getpid,
 ) -> Iterator[Iterator[Answered]]:
-    """Yields the lines with their answers, in order.
+    """Yields an iterator over the lines with their answers, in order.
 
-    They are answered by this process (`workers` 1), by that many others (0: one for each core), or by the Dask cluster
-    at an address. `source` is closed at its end; `single`: the entire source is one line; `folder`: absolute, what
-    mesh paths are relative to; `first` is called in the first worker process before it works. Raises WorkerFailure,
-    InvalidFile.
+    They are answered by this process (`workers` 1), by that many worker processes (0: one for each core), or by the
+    Dask cluster at an address. `source` is closed at its end. `single`: the entire source is one line. `folder`:
+    absolute; relative paths of meshes start here. `first` is called in the first worker process before it answers
+    anything. Raises WorkerFailure, InvalidFile.
     """
     if workers == 1 and cluster is None:
         from handsight.batch.problems import Reader, answer_text
@@ -68,27 +68,27 @@ def answering(
 
 
 class Batch:
-    """A `Batch` sends lines to workers; iterate over it, once, for the lines and their answers in order.
+    """A `Batch` sends lines to workers; iterating over it, once, gives the lines with their answers in order.
 
-    One thread reads the lines. All else happens in the thread that iterates, when lines are read and chunks end.
+    One thread reads the lines. Everything else happens in the thread that iterates, driven by a queue of events.
     """
 
     def __init__(self, source: Source, workers: Processes | Cluster, *, single: bool = False) -> None:
-        """The batch closes `source`; `single`: the entire source is one line."""
+        """`source` is closed at its end. `single`: the entire source is one line."""
         self._blocks, self._workers = blocks(source, single=single), workers
         self._events: SimpleQueue[Event] = SimpleQueue()
         self._wanted: SimpleQueue[bool] = SimpleQueue()
-        """Whether to read on, put there when all lines that were read are submitted."""
+        """Whether to read on: True is put when all lines that were read have been submitted, False at the end."""
         self._reading = True
         self._failure: BaseException | None = None
         self._lines: list[bytes] = []
         self._submitted: deque[tuple[list[bytes], Future[Answers]]] = deque()
         self._running = self._pending_bytes = 0
-        # Lines in the next chunk; few at first, so that a few slow lines are spread over all workers.
+        # Number of lines in the next chunk; 1 at first, so that a few slow lines are spread over all workers.
         self._size = 1
 
     def __iter__(self) -> Iterator[Answered]:
-        # A daemon thread that is never joined, as nothing can interrupt it while it waits for input.
+        # A daemon thread, never joined, as nothing can interrupt it while it waits for input.
         threading.Thread(target=self._read, name="handsight-reader", daemon=True).start()
         try:
             while self._reading or self._submitted:
@@ -110,19 +110,19 @@ class Batch:
             raise self._failure
 
     def _read(self) -> None:
-        """Puts lines on the queue of events, in the reading thread."""
+        """Puts lines into the queue of events; it runs in the reading thread."""
         end = None
         try:
             for lines in self._blocks:
                 self._events.put(lines)
                 if not self._wanted.get():
                     return
-        except BaseException as error:  # whoever waits for the answers must get it, whatever it is
+        except BaseException as error:  # of any kind: the thread that waits for the answers must get it
             end = error
         self._events.put(end)
 
     def _submit(self) -> None:
-        """Submits lines that were read in chunks, as long as there is room."""
+        """Submits chunks of the lines that were read, while there is room."""
         while (
             self._lines
             and self._running < self._workers.room
@@ -139,7 +139,7 @@ class Batch:
                 self._wanted.put(True)
 
     def _take(self, event: Event) -> None:
-        """Updates the state by an event; adapts the size of chunks to how long the last one took."""
+        """Updates the state by an event, and adapts the size of chunks to the duration of the last one."""
         if isinstance(event, list):
             self._lines = event
         elif not isinstance(event, Future):
@@ -147,14 +147,13 @@ class Batch:
         else:
             self._running -= 1
             if event.exception() is None:
-                # At most doubled or halved at once, as one chunk may be unlike the others.
+                # At most doubled or halved in one step, as a chunk may be unlike the others.
                 answers = event.result()
                 aim = len(answers.texts) * self._workers.chunk_seconds / max(answers.seconds, 1e-9)
                 self._size = int(min(max(aim, self._size / 2, 1), 2 * self._size, BATCH.chunk_lines))
 
     def _one_by_one(self, lines: list[bytes]) -> Iterator[Answered]:
-        """Yields the answers to lines that were lost with a worker; one line at a time, so that it is known which one
-        kills workers."""
+        """Yields the answers to lines whose worker died, submitted one by one to find the line that kills workers."""
         while self._running:
             self._take(self._events.get())
         message = f"line: expected a problem that a worker survives, got {DEATHS} that died (out of memory?)"

@@ -1,4 +1,4 @@
-"""What answers chunks of lines: processes of this machine, or the workers of a Dask cluster."""
+"""Workers that answer chunks of lines: processes of this machine, or a Dask cluster."""
 
 import contextlib
 import functools
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from handsight.batch.problems import Reader
 
 DEATHS = 3
-"""Number of workers that may die on the same lines before the lines are to blame."""
+"""If so many workers die on the same line, the line is to blame."""
 CONNECT_SECONDS = 5
 
 
@@ -34,14 +34,14 @@ class WorkerFailure(HandsightError):
 
 
 class WorkerDied(Exception):
-    """The worker of a chunk died, perhaps of the chunk."""
+    """The worker of a chunk died, perhaps because of the chunk."""
 
 
 class Answers(NamedTuple):
-    """An `Answers` is a worker's answers to a chunk of lines."""
+    """An `Answers` has a worker's answers to a chunk of lines."""
 
     texts: list[str]
-    """A line of JSON for each line, without its end."""
+    """A line of JSON for each line, without its newline."""
     seconds: float
     warnings: list[str]
 
@@ -60,9 +60,9 @@ _one_at_a_time = threading.Lock()  # a reader's models must not be used by sever
 
 
 def answer_lines(folder: str, lines: list[bytes]) -> Answers:
-    """Returns the answers to lines whose mesh paths are relative to `folder`; computes on one thread.
+    """Returns the answers to lines, computed on one thread; relative paths of meshes start at `folder`.
 
-    Models are built once in a process.
+    A process builds each model once.
     """
     from handsight._kernels.runtime.threads import alone
     from handsight.batch.problems import answer_text
@@ -75,10 +75,10 @@ def answer_lines(folder: str, lines: list[bytes]) -> Answers:
 
 
 def _to_file(work: Work, folder: str, lines: list[bytes]) -> str:
-    """Returns the name of the file into which a worker has written its answers.
+    """Returns the name of the file to which a worker has written its answers.
 
-    A name is sent through the pool's pipe completely or not at all. Of a longer message, a worker that dies may have
-    sent a part, and the pool would wait for the rest forever.
+    A name is sent through the pool's pipe completely or not at all. Of a long message, a dying worker may send only a
+    part, and the pool would wait for the rest forever.
     """
     with tempfile.NamedTemporaryFile("w", dir=folder, encoding="utf-8", delete=False) as file:
         json.dump(work(lines), file)
@@ -86,7 +86,7 @@ def _to_file(work: Work, folder: str, lines: list[bytes]) -> str:
 
 
 def _from_file(named: Future[str], answers: Future[Answers]) -> None:
-    """Sets the result of `answers` to what a worker wrote, or its exception to WorkerDied or WorkerFailure."""
+    """Sets the result of `answers` to those in the named file, or its exception to WorkerDied or WorkerFailure."""
     try:
         path = Path(named.result())
         found = Answers(*json.loads(path.read_bytes()))
@@ -94,26 +94,26 @@ def _from_file(named: Future[str], answers: Future[Answers]) -> None:
         answers.set_result(found)
     except (BrokenProcessPool, CancelledError):
         answers.set_exception(WorkerDied())
-    except BaseException as error:  # whatever it is, whoever waits for the answers must get it
+    except BaseException as error:  # of any kind: the thread that waits for the answers must get it
         answers.set_exception(WorkerFailure(f"worker: {type(error).__name__}: {error}"))
 
 
 class Processes(contextlib.AbstractContextManager["Processes"]):
     """`Processes` are worker processes of this machine, to be used in `with`.
 
-    When one of them dies, all are replaced, and the chunks that they had fail.
+    When one dies, all are replaced, and all their chunks fail with WorkerDied.
     """
 
     chunk_seconds = 0.1
     """How long a chunk should keep a worker busy."""
 
     def __init__(self, size: int, work: Work, first: Callable[[], object] = os.getpid) -> None:
-        """`first` is called in the first worker before it works."""
+        """`first` is called in the first worker before it answers anything."""
         self.room = size
         """Number of chunks that can be submitted at the same time: one for each process."""
         self._work, self._first = work, first
         self._folder = tempfile.TemporaryDirectory(prefix="handsight-", ignore_cleanup_errors=True)
-        # New programs rather than forks, which numba's thread pool does not survive.
+        # "spawn", as numba's thread pool does not survive a fork.
         self._context = multiprocessing.get_context("spawn")
         self._pool: ProcessPoolExecutor | None = None
 
@@ -130,8 +130,10 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
             self._pool = None
 
     def submit(self, lines: list[bytes]) -> Future[Answers]:
-        """Returns the future answers to a chunk, or WorkerDied or WorkerFailure; raises the latter where no worker can
-        be started."""
+        """Returns a future of the answers to a chunk, which may end with WorkerDied or WorkerFailure.
+
+        Raises WorkerFailure where no worker can be started.
+        """
         while True:
             pool = self._pool or self._started()
             try:
@@ -157,7 +159,7 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
                 children = multiprocessing.active_children()
                 ready.result()
                 return self._pool
-            except (BrokenProcessPool, OSError) as error:  # it may have died before it read its work
+            except (BrokenProcessPool, OSError) as error:  # the worker may have died before it read its work
                 _check_broken(error)
                 self._end()
         message = ", ".join(str(child.exitcode) for child in children)
@@ -167,19 +169,21 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
 
 
 def _check_broken(error: BrokenProcessPool | OSError) -> None:
-    """Raises WorkerFailure unless it is the error of a pool with a dead worker; its pipes may be closed before it is
-    called broken."""
+    """Raises WorkerFailure unless the error means that a worker died.
+
+    Then the pool's pipes may be closed before the pool itself notices.
+    """
     if not isinstance(error, BrokenProcessPool | BrokenPipeError) and str(error) != "handle is closed":
         raise WorkerFailure(f"worker processes cannot begin ({error}); --workers 1 needs none") from None
 
 
 @contextlib.contextmanager
 def _spawning() -> Iterator[None]:
-    """Processes that are started inside have one thread each, ignore modules of the current folder, and no Ctrl-C."""
+    """Processes started inside have one thread each, no modules of the current folder, and Ctrl-C blocked."""
     names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     environment = {**dict.fromkeys(names, "1"), "PYTHONSAFEPATH": "1"}
     before = {name: os.environ[name] for name in environment if name in os.environ}
-    masks = hasattr(signal, "pthread_sigmask")  # a mask is inherited, and no signal is lost meanwhile
+    masks = hasattr(signal, "pthread_sigmask")  # processes inherit the mask, and a blocked signal is not lost
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
     os.environ.update(environment)
     try:
@@ -193,45 +197,47 @@ def _spawning() -> Iterator[None]:
 
 
 def _begin(lifeline: Connection) -> None:
-    """Prepares a worker: it ignores Ctrl-C, prints to stderr, and ends when its parent does."""
+    """Prepares a worker: it ignores Ctrl-C, prints on stderr, and ends when its parent ends."""
 
     def end_with_parent() -> None:
         with contextlib.suppress(EOFError, OSError):
-            lifeline.recv_bytes()  # until the other end is closed, which only the parent has
+            lifeline.recv_bytes()  # returns when the other end is closed, and only the parent has it
         os._exit(1)
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.dup2(2, 1)  # what a library prints must not come between the answers
+    os.dup2(2, 1)  # a library's prints must not get between the answers
     threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 class Cluster(contextlib.AbstractContextManager["Cluster"]):
-    """A `Cluster` is the workers of a Dask cluster, to be used in `with`.
+    """A `Cluster` has the workers of a Dask cluster, to be used in `with`.
 
-    If a worker dies, Dask runs its chunk again; that changes no answer.
+    If a worker dies, Dask repeats its chunk, which gives the same answers.
     """
 
     chunk_seconds = 0.5
     room = 128
-    """Dask spreads the chunks over its workers, whose number may change."""
+    """Number of chunks that can be submitted at the same time; Dask spreads them over its workers."""
 
     def __init__(self, address: str, work: Work) -> None:
         """Raises WorkerFailure where no scheduler answers, MissingExtra without Dask."""
         self._address, self._work = address, work
         self._client = _connected(address)
         self._ended: SimpleQueue[tuple[Any, Future[Answers]]] = SimpleQueue()
-        # In a daemon thread, as fetching results from a cluster that was lost may never end.
+        # In a daemon thread, as fetching results from a lost cluster may never end.
         threading.Thread(target=self._fetch, name="handsight-fetcher", daemon=True).start()
 
     def __exit__(self, *_: object) -> None:
-        """Drops what is not yet answered."""
+        """Drops all chunks that are not answered yet."""
         with contextlib.suppress(Exception):  # the scheduler may be gone
             self._client.close(timeout=CONNECT_SECONDS)
 
     def submit(self, lines: list[bytes]) -> Future[Answers]:
-        """Returns the future answers to a chunk, or WorkerDied where several workers died, or WorkerFailure; raises the
-        latter where the cluster was lost."""
-        # Not by Client.get_executor(), whose futures never end when the scheduler is lost.
+        """Returns a future of a chunk's answers, which may end with WorkerDied (of several workers) or WorkerFailure.
+
+        Raises WorkerFailure if the cluster was lost.
+        """
+        # Not Client.get_executor(), whose futures never end if the scheduler is lost.
         try:
             submitted = self._client.submit(self._work, lines, pure=False)
         except Exception as error:
@@ -241,7 +247,7 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
         return answers
 
     def _fetch(self) -> None:
-        """Sets the results of futures, in a thread of its own."""
+        """Sets the results of the futures; it runs in its own thread."""
         from distributed.scheduler import KilledWorker
 
         while True:
@@ -267,12 +273,12 @@ def _connected(address: str) -> Any:
         from distributed.comm.addressing import resolve_address
     except ImportError:
         raise MissingExtra("--cluster needs Dask: pip install 'handsight[cluster]'") from None
-    # Dask logs each lost connection with a traceback, by loggers with their own level; what matters is raised.
+    # Dask logs a traceback for each lost connection, from loggers with their own levels; what matters is raised.
     for name in ["distributed", *logging.root.manager.loggerDict]:
         if name.partition(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
-        # Checked first, as a client with a malformed address hangs when it is closed.
+        # Checked first, as a client with a malformed address hangs on closing.
         resolve_address(address)
         connect: Any = Client
         return connect(address, timeout=CONNECT_SECONDS, set_as_default=False)

@@ -1,7 +1,7 @@
-"""ROS 2 without ROS: its messages over DDS, for machines whose ROS has another Python, or none.
+"""ROS 2 without ROS: its messages over DDS, for machines without ROS or with a ROS for another Python.
 
-`Network` joins the domain that ROS 2's environment variables name, `Bridge` carries a `LiveTracker`'s messages. There
-are no services, no parameters and no node's name: users make requests by topics.
+`Network` joins the DDS domain that ROS 2's environment variables specify; `Bridge` carries the messages of a
+`LiveTracker`. There are no services, no parameters and no node name: users make requests on topics.
 """
 
 from handsight.errors import MissingExtra

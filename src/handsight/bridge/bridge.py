@@ -1,4 +1,4 @@
-"""A tracker's messages over DDS, as ROS 2 publishes and subscribes to them: bytes in, bytes out."""
+"""Transport of a live tracker's messages over DDS, compatible with the nodes of ROS 2."""
 
 import time
 from collections.abc import Callable
@@ -12,6 +12,7 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
+from handsight._deprecated import renamed_members
 from handsight.bridge.message_types import message_type, ros_name
 from handsight.bridge.network import Network
 from handsight.live import LiveTracker
@@ -23,25 +24,25 @@ from handsight.messages.topics import OwnTopic
 from handsight.tracking import Tracker
 
 MAX_TAKEN = 100
-"""Messages that are taken from DDS at once."""
+"""Number of messages that are taken from DDS in one call."""
 
 
 def carried(topic: str) -> str:
-    """Returns the name that a topic of ROS 2 has on DDS."""
+    """Returns the DDS name of a ROS 2 topic."""
     return f"rt/{topic.lstrip('/')}"
 
 
+@renamed_members(look="check_network")
 class Bridge:
-    """A `Bridge` receives the messages that a tracker listens to, and publishes its answers."""
+    """A `Bridge` receives the messages for a live tracker, and publishes its answers."""
 
     def __init__(self, live: LiveTracker, network: Network, say: Callable[[str], None]) -> None:
-        """`say`: is called with what cannot be published, once for each topic. Raises InvalidInput."""
+        """`say`: called with a sentence when something cannot be published, once per topic. Raises InvalidInput."""
         self._live, self._network, self._say = live, network, say
         self._types, self._mute = PublishedTypes(live), set[str]()
         self._received = time.monotonic()
-        reliable = Policy.Reliability.Reliable(
-            10_000_000
-        )  # the longest that a slow subscriber blocks an answer [ns]
+        max_blocking = 10_000_000  # how long a slow subscriber may block an answer [ns]
+        reliable = Policy.Reliability.Reliable(max_blocking)
         max_messages, max_answers = queue_lengths(live)
         answers = Qos(reliable, Policy.History.KeepLast(max_answers))
         self._writers: dict[str, Any] = {
@@ -50,9 +51,9 @@ class Bridge:
         }
         live.markers_wanted = lambda: bool(self._writers[OwnTopic.MARKERS].get_matched_subscriptions())
         passing = Qos(
-            Policy.Reliability.BestEffort,  # which every publisher can give
+            Policy.Reliability.BestEffort,  # compatible with every publisher
             Policy.History.KeepLast(max_messages),
-            Policy.IgnoreLocal.Participant,  # its own /tf
+            Policy.IgnoreLocal.Participant,  # to not receive its own /tf
         )
         lasting = Qos(reliable, Policy.Durability.TransientLocal, Policy.History.KeepLast(100))
         known = typestore("cdr").fielddefs
@@ -61,7 +62,7 @@ class Bridge:
         for topic, kinds in live.subscriptions.items():
             quality = lasting if topic.endswith("/tf_static") else passing
             for kind in kinds:
-                if kind in known:  # others are ROS 1's
+                if kind in known:  # not a type of ROS 1
                     reader: Any = DataReader(network.participant, self._topic(topic, kind), qos=quality)
                     reader.set_status_mask(DDSStatus.DataAvailable)
                     self._filled.attach(reader)
@@ -70,14 +71,14 @@ class Bridge:
 
     @property
     def tracker(self) -> Tracker:
-        """The tracker of the present object."""
+        """The tracker of the current object."""
         return self._live.tracker
 
     def step(self, timeout: float) -> list[Answer]:
-        """Returns what is to be published now; waits at most `timeout` [s] for something to come. From one thread.
+        """Returns the messages to publish now; waits at most `timeout` [s] for a message. For one thread only.
 
-        One thread receives and works: two would wait for each other's hold on Python, and a thread of DDS that called
-        into Python would wait for it with a lock of DDS held.
+        The same thread receives and computes. Two would wait for each other's hold on Python's interpreter lock, and a
+        callback in a thread of DDS would wait for that lock while holding one of DDS.
         """
         self._filled.wait(round(1e9 * time_to_wait(timeout, self._received)))
         if self._take():
@@ -85,7 +86,7 @@ class Bridge:
         return self._live.step(0.0)
 
     def _take(self) -> bool:
-        """Hands over all that has come in the order in which it was sent, and returns whether there was any."""
+        """Passes all received messages on, in the order in which they were sent; returns whether there were any."""
         taken = list[tuple[int, RawMessage]]()
         now = time.time()
         for topic, kind, reader in self._readers:
@@ -95,14 +96,14 @@ class Bridge:
                 taken += [
                     (sample.sample_info.source_timestamp, RawMessage(topic, kind, "cdr", now, sample.data))
                     for sample in samples
-                    if isinstance(sample, dds_type)  # others say that a publisher is gone
+                    if isinstance(sample, dds_type)  # other samples tell that a publisher has gone
                 ]
         for _, message in sorted(taken, key=itemgetter(0)):
             self._live.put(message)
         return bool(taken)
 
     def publish(self, answer: Answer) -> None:
-        """Writes an answer; where that cannot be done, it says so once."""
+        """Publishes an answer; a failure is reported, once per topic."""
         writer = self._writers[answer.topic]
         try:
             writer.write(message_type(answer.type)(answer.data))
@@ -112,7 +113,7 @@ class Bridge:
                 self._say(f"{answer.topic}: an answer could not be published: {error}")
 
     def check_network(self) -> None:
-        """Reports publishers of unexpected types; to be called about once a second."""
+        """Reports topics that are published with an unexpected type; to be called about once a second."""
         for each in self._published.take(MAX_TAKEN):
             name = getattr(each, "topic_name", "") or ""
             if name.startswith("rt/"):

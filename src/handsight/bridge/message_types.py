@@ -1,4 +1,4 @@
-"""Messages of ROS 2 as types of DDS: described to others field by field, but handed over as the bytes they are."""
+"""DDS types of ROS 2 messages: they describe every field to other participants, but carry serialised bytes."""
 
 from functools import cache
 from types import new_class
@@ -12,7 +12,7 @@ from handsight.messages.decode import rosbags_module, typestore
 
 
 class Sample:
-    """A `Sample` is a message that a reader takes or a writer writes: the bytes are not decoded."""
+    """A `Sample` is a serialised message that a reader takes or a writer writes; it is not decoded."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data
@@ -30,13 +30,13 @@ class Sample:
 
 
 def dds_name(kind: str) -> str:
-    """Returns the name that the type `package/msg/Name` of ROS 2 has on DDS."""
+    """Returns the DDS name of the ROS 2 type `package/msg/Name`."""
     package, _, name = kind.split("/")
     return f"{package}::msg::dds_::{name}_"
 
 
 def ros_name(dds: str) -> str:
-    """Returns `package/msg/Name` of a type on DDS; a type that is not ROS 2's keeps its own name."""
+    """Returns `package/msg/Name` for the DDS name of a ROS 2 type; any other name is returned unchanged."""
     parts = dds.split("::")
     if len(parts) == 4 and parts[2] == "dds_" and parts[3].endswith("_"):
         return f"{parts[0]}/{parts[1]}/{parts[3][:-1]}"
@@ -45,10 +45,10 @@ def ros_name(dds: str) -> str:
 
 @cache
 def message_type(kind: str) -> Any:
-    """Returns the class of DDS for messages of the type `package/msg/Name` of ROS 2.
+    """Returns the DDS class for messages of the ROS 2 type `package/msg/Name`.
 
-    Its fields only describe the type to others, which may compare them with their own before they communicate. Raises
-    InvalidInput, MissingExtra.
+    Its fields only describe the type to other participants, which may compare it with their own before they connect.
+    Raises InvalidInput, MissingExtra.
     """
     known = typestore("cdr").fielddefs
     if kind not in known:
@@ -60,13 +60,13 @@ def message_type(kind: str) -> Any:
         methods = ("__init__", "serialize", "deserialize", "deserialize_key")
         namespace.update({name: vars(Sample)[name] for name in methods})
 
-    # A plain `type(...)` call would lose the name that the metaclass is given.
+    # A plain `type(...)` call would lose the `typename` for the metaclass.
     name = kind.rsplit("/", 1)[1]
     return new_class(name, (idl.IdlStruct,), {"typename": dds_name(kind).replace("::", ".")}, fill)
 
 
 def _field(node: Any) -> Any:
-    """Returns the type of DDS for a field as rosbags describes it."""
+    """Returns the DDS type of a field, from the description in rosbags."""
     nodes = rosbags_module("rosbags.interfaces").Nodetype
     kind, what = node
     if kind == nodes.NAME:

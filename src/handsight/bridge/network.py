@@ -1,4 +1,4 @@
-"""The domain that ROS 2's nodes talk in, joined as its environment variables say."""
+"""The DDS domain of the ROS 2 nodes, joined as ROS 2's environment variables specify."""
 
 import os
 from collections.abc import Mapping
@@ -11,17 +11,17 @@ from handsight import checks
 from handsight.errors import InvalidInput
 
 FAST_DDS_3 = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
-"""Does not compare types with the descriptions by eProsima's Fast DDS 3 (ROS 2 Kilted), where equal ones may differ."""
+"""Turns type comparison off with Fast DDS 3 (ROS 2 Kilted), whose descriptions of equal types may differ."""
 LOOPBACK = (
     '<General><Interfaces><NetworkInterface name="lo"/></Interfaces><AllowMulticast>false</AllowMulticast></General>'
     "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
     '<Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
 )
-"""Stays on this machine, as ROS 2 does for LOCALHOST."""
+"""Restricts communication to this machine, as ROS 2 does for LOCALHOST."""
 
 
 def domain_id(environment: Mapping[str, str]) -> int:
-    """Returns ROS_DOMAIN_ID, 0 where it is not set; raises InvalidInput."""
+    """Returns ROS_DOMAIN_ID, or 0 if it is not set; raises InvalidInput."""
     declared, largest = environment.get("ROS_DOMAIN_ID", "").strip() or "0", 232
     if not (declared.isascii() and declared.isdigit() and int(declared[:9]) <= largest):
         came = checks.brief(repr(declared))
@@ -30,7 +30,7 @@ def domain_id(environment: Mapping[str, str]) -> int:
 
 
 def configuration(environment: Mapping[str, str]) -> str:
-    """Returns Cyclone DDS' configuration: for Fast DDS 3, for this machine alone if ROS 2 is set so, and the user's."""
+    """Returns Cyclone DDS' configuration: that for Fast DDS 3, for LOCALHOST if ROS 2 is set so, and the user's own."""
     alone = (
         environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
         or environment.get("ROS_LOCALHOST_ONLY") == "1"
@@ -41,7 +41,7 @@ def configuration(environment: Mapping[str, str]) -> str:
 
 
 class Network:
-    """A `Network` is a participant in a domain of DDS; one for each domain in a process."""
+    """A `Network` is a participant in a DDS domain; a process can have one for each domain."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         """Joins the domain; raises InvalidInput where its number or the configuration does not allow that."""

@@ -11,7 +11,7 @@ from handsight.cli.terminal import announce_compiling, say
 
 
 class WithColumns(TyperCommand):
-    """A `WithColumns` is a command whose help ends with the columns of its tables, laid out as they stand."""
+    """A `WithColumns` is a command whose help ends with the columns of its tables, in their own layout."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Prints the help."""
@@ -31,7 +31,7 @@ def contact(
         typer.Option(
             "--output",
             "-o",
-            help="File for the contacts: CSV, or JSON lines by its name. Default: stdout, CSV.",
+            help="File for the contacts: CSV, or JSON lines for a name in .jsonl. Default: stdout, as CSV.",
         ),
     ] = None,
     sigma_force: Annotated[float, typer.Option(help="Standard deviation of the force, per axis [N].")] = 0.01,
@@ -41,8 +41,8 @@ def contact(
 ) -> None:
     """Compute where an object touches a fingertip, from what its force/torque sensor reads (eq. 7 of the paper).
 
-    A wrench is what the object exerts on the fingertip, without the sensor's bias and the weight of what it carries;
-    in Python, `handsight.calibrate_wrench` and `handsight.contact.compensate` remove those.
+    A wrench is the force and torque of the object on the fingertip. The sensor's bias and the weight that it carries
+    must be removed before; in Python, `handsight.calibrate_wrench` and `handsight.contact.compensate` do that.
 
     ```
     handsight contact wrenches.csv --fingertip ellipsoid:8,8,12mm,cap=-2mm --output contacts.csv

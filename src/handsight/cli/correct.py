@@ -1,4 +1,4 @@
-"""`handsight correct`: a file of problems, each answered in a line."""
+"""`handsight correct`: a file of problems, each answered with a line of JSON."""
 
 import json
 import os
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from handsight.batch.workers import Answers
 
 MOST_PANELS = 6
-"""Number of problems in a picture."""
+"""Number of problems in the picture."""
 
 
 def correct(
@@ -39,7 +39,7 @@ def correct(
     ],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="File for the answers, a line each. Default: stdout."),
+        typer.Option("--output", "-o", help="File for the answers, one per line. Default: stdout."),
     ] = None,
     plot: Annotated[
         Path | None,
@@ -57,15 +57,15 @@ def correct(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Address of a Dask scheduler whose workers answer, such as tcp://127.0.0.1:8786. They read meshes "
-            "from the problem file's folder under its absolute path, so share it, and names from the library of "
-            "their own environment. One thread per worker is best.",
+            help="Address of a Dask scheduler whose workers answer, such as tcp://127.0.0.1:8786. They read meshes at "
+            "the same absolute path, so the problem file's folder must be shared, and look names up in the library "
+            "of their own environment. One thread per worker is best.",
         ),
     ] = None,
 ) -> None:
-    """Correct an object's pose by what the fingertips touch.
+    """Correct an object's pose by the contacts of the fingertips.
 
-    A line has one problem; lengths are in metres, and positions in the palm's frame:
+    Each line is a problem. Lengths are in metres, positions in the palm's frame:
 
     ```
     {"object": {"box": [0.06, 0.09, 0.14]},
@@ -75,30 +75,34 @@ def correct(
     ```
 
     * **object**: `{"box": [x, y, z]}`, `{"cylinder": {"radius": r, "height": h}}`,
-      `{"mesh": "file.ply", "scale": 0.001}`, a path relative to the problem file, or `{"name": "mustard"}`, of the
+      `{"mesh": "file.ply", "scale": 0.001}` with a path relative to the problem file, or `{"name": "mustard"}` of the
       library (`handsight objects --help`).
-    * **contacts**: `normal` is the object's outward normal. Sigmas are one standard deviation per axis
-      (default 1 mm, 0.1 rad); or `covariance`, 6x6 of point and normal.
-    * **contacts_of_residual**: `true` if the sigmas contain all that separates contacts from the model, as measured at
-      known poses; by default they are the fingertip's, and the model's own error is added.
-    * **vision** (optional): sigmas per axis, or `covariance`, 6x6 of position and rotation.
+    * **contacts**: `normal` is the object's outward normal. Sigmas are standard deviations per axis (default 1 mm,
+      0.1 rad); or give `covariance`, 6x6 of point and normal.
+    * **contacts_of_residual**: `true` if the sigmas are those of the residuals between contacts and model, as measured
+      at known poses. By default they are the sensor's, and the model's own error is added.
+    * **vision** (optional): a pose with sigmas per axis, or with `covariance`, 6x6 of position and rotation.
     * **outside**: points on the hand, `[[x, y, z], ...]`, that cannot be inside the object.
     * **planes**: `[{"point": [x, y, z], "normal": [x, y, z], "sigma": 0.003}]`, which the object cannot cross; the
       normal points to the object's side.
     * **weight**: `{"center_object": [x, y, z], "center_palm": [x, y, z], "sigma": 0.003}`: where the object's centre of
       mass is, in the object's and in the palm's frame; or `"covariance"`, 3x3.
-    * **answer**: `maximum` and `mean` of the posterior's best mode, or `best` (default): the mean where the contacts
-      bound a slide and do not fix it, else the maximum.
-    * **samples**: above 0, answer with the mean of this many samples of the posterior instead (at most 1000000), a slow
-      check.
-    * **budget**: seconds after which neither a better pose nor a wrong contact is searched for; where that cuts the
-      search short, "converged" is false.
-    * **method**: `handsight`, or the paper's: `paper-lm`, `paper-gd`, `paper-lm-distance`, `paper-gd-distance`.
+    * **depth**: `points_palm`, up to 48 points of a depth image that are on the object, and their common `sigma` [m].
+    * **skin**: of tactile arrays, `contacts`, the pressed taxels; `untouched_palm`, points above the other taxels; and
+      `sigmas`, six standard deviations of the pose of an entire array [m, rad].
+    * **answer**: `maximum` or `mean` of the posterior's best mode, or `best` (default): the mean where the contacts
+      bound a slide but do not fix it, else the maximum.
+    * **samples**: above 0, the answer is the mean of this many samples of the posterior instead (at most 1000000), as a
+      slow check.
+    * **budget**: seconds after which the search for better poses and wrong contacts stops; "converged" is false if it
+      stopped early.
+    * **method**: `handsight` (default), or one of the paper's: `paper-lm`, `paper-gd`, `paper-lm-distance`,
+      `paper-gd-distance`.
 
-    Each answer has the pose, its covariance and information, residuals, the directions that touch leaves open, wrong
-    contacts, and other hypotheses. A wrong line is answered with `{"error": ...}` in its place, and the exit code is
-    then 1; it is 2 where problems cannot be read, and 74 where answers cannot be written. Lines are answered as they
-    are read, so there may be any number of them. A byte order mark at the beginning is ignored.
+    Each answer has the pose, its covariance and information, the residuals, the directions that are unobservable by
+    touch, the outliers among the contacts, and other hypotheses. A wrong line is answered with `{"error": ...}` in its
+    place, and the exit code is then 1; it is 2 if problems cannot be read, and 74 if answers cannot be written. Lines
+    are answered as they are read, so there may be any number of them. A byte order mark at the beginning is ignored.
 
     ```
     handsight correct grasps.jsonl --output answers.jsonl --plot first.png
@@ -108,7 +112,7 @@ def correct(
     ```
     """
     if workers is not None and cluster is not None:
-        raise InvalidInput("--workers: expected without --cluster, whose workers are its own, got both")
+        raise InvalidInput("--workers: expected without --cluster, which has its own workers, got both")
     workers = 1 if workers is None else workers
     folder = Path.cwd() if problems == "-" else Path(problems).parent.absolute()
     written = Written()
@@ -139,21 +143,21 @@ def correct(
 
 @dataclass(slots=True)
 class Written:
-    """A `Written` counts the answers that were written, also where the command ends early."""
+    """A `Written` counts the answers that were written, even if the command ends early."""
 
     done: int = 0
     failed: int = 0
     first: list[tuple[bytes, str]] = field(default_factory=list)
-    """Lines and their answers, for a picture."""
+    """The first lines and their answers, for the picture."""
 
     def write(self, lines: list[bytes], answers: "Answers", sink: IO[str]) -> None:
-        """Writes answers to a stream, and prints the warnings of workers."""
+        """Writes answers to a stream, and prints the workers' warnings."""
         for warning in answers.warnings:
             warn(warning)
         good = [pair for pair in zip(lines, answers.texts, strict=True) if not pair[1].startswith('{"error"')]
         with write_errors(stream_name(sink)):
             sink.write("".join(f"{text}\n" for text in answers.texts))
-            # Counted before the flush: once in the buffer, answers are written even if Ctrl-C comes now.
+            # Counted before the flush: answers in the buffer are written even if Ctrl-C comes now.
             self.done += len(lines)
             self.failed += len(lines) - len(good)
             sink.flush()
@@ -192,17 +196,17 @@ def _answer(
 
 
 def _open(problems: str) -> "Source":
-    """Returns the stream that problems come from; raises InvalidFile."""
+    """Returns the stream of the problems; raises InvalidFile."""
     name = "stdin" if problems == "-" else problems
     try:
-        # Stdin is opened a second time, as the thread that reads must not hold Python's own when the program ends.
+        # Stdin is opened again, as the reading thread must not hold Python's own when the program ends.
         place = sys.stdin.fileno() if problems == "-" else problems
         source = open(place, "rb", closefd=problems != "-")  # noqa: SIM115
         found, nothing = os.fstat(source.fileno()), os.stat(os.devnull)
     except OSError as error:
         raise InvalidFile(f"{name}: {error.strerror or error}") from None
     if stat.S_ISCHR(found.st_mode) and not source.isatty() and found.st_rdev != nothing.st_rdev:
-        source.close()  # such as /dev/zero, one line without an end
+        source.close()  # such as /dev/zero, a line without an end
         raise InvalidFile(f"{stream_name(source)}: expected a file, a pipe or a terminal, got a device")
     return source
 

@@ -1,4 +1,4 @@
-"""`handsight demo`: a can and a box in a five-fingered hand, corrected, located and tracked; all of it synthetic."""
+"""`handsight demo`: a can and a box in a five-fingered hand, corrected, located and tracked (all synthetic)."""
 
 import json
 import math
@@ -32,14 +32,16 @@ DATA = Path(__file__).parents[1] / "data"
 def demo(
     plot: Annotated[
         Path,
-        typer.Option(help="File for the picture: PNG, PDF or SVG by its name; others are put beside it."),
+        typer.Option(
+            help="File for the first picture: PNG, PDF or SVG by its name. The others are written beside it."
+        ),
     ] = Path("handsight-demo.png"),
 ) -> None:
     """Correct a can and a box held by five fingers, find the can in an image, and replay recordings (all synthetic).
 
-    In the image the hand is in front of the can, and nothing is known about where the can is. The recordings, one of
-    each object, are of the simulated Shadow hand of `handsight simulate`: vision has a constant error of centimetres,
-    and the object is grasped, pushed over the table, lifted and turned.
+    In the image the hand is in front of the can, and the can's pose is unknown. The recordings, one for each object,
+    are of the simulated Shadow hand of `handsight simulate`: vision has a constant error of centimetres, and the object
+    is grasped, pushed over the table, lifted and turned.
 
     ```
     handsight demo --plot demo.png
@@ -52,7 +54,7 @@ def demo(
     found = list(examples())
     out.print(_corrections(found))
     out.print(
-        "open: directions that these contacts cannot see (a can slides along its axis and spins about it);\n"
+        "open: directions that these contacts do not determine (a can slides along its axis and turns about it);\n"
         "there the answer is vision's, and the estimate says so."
     )
     try:
@@ -77,18 +79,18 @@ def demo(
 
 
 class Comparison(NamedTuple):
-    """A `Comparison` is the errors of one example's poses against its truth."""
+    """A `Comparison` has the errors of an example's poses against the truth."""
 
     name: str
     problem: "Problem"
     answer: dict[str, Any]
-    """As `handsight correct` writes it."""
+    """In the form of `handsight correct`."""
     vision: "CorrectionErrors"
     corrected: "CorrectionErrors"
 
 
 def examples() -> Iterator[Comparison]:
-    """Solves the problems of `data/demo.jsonl` and compares them with `data/demo_truth.jsonl`."""
+    """Yields the problems of `data/demo.jsonl`, solved and compared with `data/demo_truth.jsonl`."""
     import numpy as np
 
     from handsight import se3
@@ -124,12 +126,12 @@ def _corrections(found: list[Comparison]) -> "Table":
         )
         for row in found
     ]
-    columns = ("object", "position", "of it, seen by touch", "rotation", "contacts off the surface", "open")
+    columns = ("object", "position", "of it, by touch", "rotation", "contacts off the surface", "open")
     return table(columns, rows, title="Error against the truth, vision → corrected (synthetic example)")
 
 
 def find_can(plot: Path) -> str:
-    """Returns sentences about how well the can is located in the built-in image, which is drawn if matplotlib is there.
+    """Returns sentences about how well the can is located in the built-in image; draws it if matplotlib is installed.
 
     Raises MissingExtra.
     """
@@ -155,7 +157,7 @@ def find_can(plot: Path) -> str:
 
 
 def picture(rig: "Rig", known: dict[str, Any]) -> "Frame":
-    """Returns the built-in image of the can in the hand, with the hand masked where the robot knows it to be.
+    """Returns the built-in image of the can in the hand, with the hand's mask by joints and calibration.
 
     Raises MissingExtra.
     """
@@ -177,7 +179,7 @@ def picture(rig: "Rig", known: dict[str, Any]) -> "Frame":
 def replayed(name: str, plot: Path) -> "tuple[TrackResult, str]":
     """Returns the result of tracking a built-in recording, and a sentence about its picture.
 
-    Raises MissingExtra; ends the command where tracking ends early, as a part of it would be no demonstration.
+    Raises MissingExtra; ends the command if tracking ends early.
     """
     from handsight.cli.track import draw, progress, tracked
     from handsight.rig import Rig

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 
 class Images(NamedTuple):
-    """`Images` are the depth images that a user names, and what describes their pixels."""
+    """`Images` are the depth images that a user names, with their camera, colour and unit."""
 
     path: Path
     rig: Path | None
-    """Of a recording; None: the one beside it."""
+    """Rig file of a recording; None: the one beside it."""
     camera: Path | None
     color: Path | None
     depth_scale: float
@@ -39,7 +39,7 @@ class Objects(NamedTuple):
     """`Objects` are the objects that may be in the images."""
 
     names: list[str]
-    """Empty: all of the rig or of the library."""
+    """Empty: all of the rig, else of the library."""
     library: str | None
     scale: float
     """Metres per unit of a mesh file."""
@@ -65,8 +65,8 @@ def locate(
         typer.Option(
             "--object",
             metavar="NAME|FILE",
-            help="A name of the library or, for a recording, of its rig, or a mesh file. Given several times, "
-            "handsight says which of these objects is in the image; not given, which of all in the library or the rig.",
+            help="Name of an object of the library or, for a recording, of its rig; or a mesh file. Given several "
+            "times: recognise which of these is in the image. Not given: which of all in the rig or the library.",
         ),
     ] = None,
     output: Annotated[
@@ -74,7 +74,7 @@ def locate(
         typer.Option(
             "--output",
             "-o",
-            help="File for the answers: a line of JSON for each image, or BOP's results if its name ends in .csv. "
+            help="File for the answers: a line of JSON for each image, or BOP results if its name ends in .csv. "
             "Default: stdout.",
         ),
     ] = None,
@@ -87,7 +87,7 @@ def locate(
     camera: Annotated[
         Path | None,
         typer.Option(
-            help="File of the camera's intrinsics, as below. Default: camera.json beside the images."
+            help="File of the camera's intrinsics, as above. Default: camera.json beside the images."
         ),
     ] = None,
     color: Annotated[
@@ -103,14 +103,14 @@ def locate(
     mask: Annotated[
         Path | None,
         typer.Option(
-            help="Search only where this image is not 0; or a folder of such images, named like the depth images."
+            help="Search only where this image is not 0; or a folder of such images with the names of the depth images."
         ),
     ] = None,
     depth_camera: Annotated[
         str | None,
         typer.Option(
             metavar=DEPTH_CAMERAS,
-            help="How the camera measures depth. Default: structured_light; for a recording, what the rig says.",
+            help="How the camera measures depth. Default: structured_light; for a recording, as in the rig.",
         ),
     ] = None,
     scale: Annotated[
@@ -119,20 +119,20 @@ def locate(
     library: LibraryPlace = None,
     rig: RigPath = None,
 ) -> None:
-    """Locate an object in depth images, without a guess of its pose, and say which of several objects it is.
+    """Locate an object in depth images, without a guess of its pose, and recognise which of several objects it is.
 
     Only depth is used. The table and, in a recording, the robot's hand are removed; the remaining points vote for
     poses.
 
-    * **One image or a folder of them**: PNGs of 16 bits, in millimetres or as `--depth-scale` says, 0 where there is
-      no depth. Their camera is `camera.json`:
-      `{"fx": 615, "fy": 615, "cx": 320, "cy": 240, "width": 640, "height": 480}` [pixels], with
-      `"lens": [k1, k2, p1, p2, k3]` where the images are not rectified. In a folder, depth is in `depth/`, with colour
-      under the same names in `rgb/` or `color/`; or the images lie side by side with "depth" in their names.
+    * **One image or a folder of them**: PNGs of 16 bits, in millimetres or in the unit of `--depth-scale`, 0 where
+      depth is unknown. Their camera is in `camera.json`: `{"fx": 615, "fy": 615, "cx": 320, "cy": 240, "width":
+      640, "height": 480}` [pixels], with `"lens": [k1, k2, p1, p2, k3]` where the images are not rectified. In a
+      folder, depth is in `depth/`, with colour under the same names in `rgb/` or `color/`; or all images are in the
+      folder itself, with "depth" in their names.
     * **A BOP scene** (`scene_camera.json`, `depth/000000.png`, `rgb/`), or a split with scenes in it; the objects are
-      those of its data set, if `--library` names no others.
-    * **A recording** with depth images, as `handsight track` reads it: the rig names the topics. Its hand is masked
-      where it is found in the image, else where joints and camera say that it is.
+      those of its data set, unless `--library` names others.
+    * **A recording** with depth images, as for `handsight track`: the rig names the topics. The hand is masked where it
+      is detected in the image, else where it is by the joints and the camera's calibration.
 
     ```
     handsight locate depth.png --camera d435.json --object mustard --plot found.png
@@ -143,14 +143,15 @@ def locate(
     handsight locate depth.png --library lab/
     ```
 
-    The last two say which object is in the image: of the two named, and of all in the library.
+    The last two recognise which object is in the image: one of the two, or one of all in the library.
 
     An answer has position [m] and quaternion_xyzw of the object in the camera's frame (x right, y down, z forward),
     covariance (6x6, position then rotation along the camera's axes), the probability that the pose is right, other
     hypotheses with weights, and seconds; or `"found": false` and the reason. With several objects it also has the
-    probability of each (`scores`) and of `none` of them; the pose is that of the likeliest, and `"object"` is null if
-    `none` is likelier. An image that cannot be read is answered with `{"error": ...}`, and the exit code is then 1; it
-    is 2 where no image can be read, and 74 where answers cannot be written. Ctrl-C keeps the answers until then.
+    probability of each (`scores`) and of `none` of them; the pose is that of the most probable one, and `"object"` is
+    null if `none` is more probable. An image that cannot be read is answered with `{"error": ...}`, and the exit code
+    is then 1; it is 2 if no image can be read, and 74 if answers cannot be written. After Ctrl-C, the answers until
+    then are kept.
     """
     announce_compiling()
     for place, what in ((output, "the answers"), (plot, "the picture")):
@@ -220,7 +221,7 @@ def _opened(images: Images, objects: Objects, region: Region, *, csv: bool) -> "
 
 
 def _noise(kind: str | None) -> "DepthNoise":
-    """Returns the depth noise of a kind of camera (None: structured light); raises InvalidInput for unknown ones."""
+    """Returns the depth noise of a kind of camera (None: structured light); raises InvalidInput for an unknown kind."""
     from handsight.checks import suggestion
     from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 

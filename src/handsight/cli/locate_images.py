@@ -1,4 +1,4 @@
-"""How `handsight locate` goes through images: it locates an object in each, writes the answer, and may show a table."""
+"""The loop of `handsight locate` over images: locate an object in each, write the answer, or show a table."""
 
 import math
 import sys
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from handsight.vision import DepthNoise
 
 MOST_PANELS = 6
-"""Number of images in a picture."""
+"""Number of images in the picture."""
 MAX_MESSAGES = 5
-"""Number of messages about images that cannot be read, or that do not have the object."""
+"""Number of messages about unreadable images, and about images without the object."""
 
 
 class Targets(NamedTuple):
-    """`Targets` are the objects to locate, in depth of a kind of camera."""
+    """`Targets` are the objects to locate, and the noise of the camera."""
 
     models: "Mapping[str, ObjectModel]"
-    """By name; of several, the answer says which one an image has."""
+    """By name; if there are several, the answer says which one an image shows."""
     noise: "DepthNoise"
     numbers: Mapping[str, int] | None = None
     """BOP's numbers of the objects, by name, for BOP's results; None: the answers are lines of JSON."""
@@ -36,7 +36,7 @@ class Targets(NamedTuple):
 
 @dataclass(slots=True)
 class LocateResult:
-    """A `LocateResult` is what locating an object in many images came to."""
+    """A `LocateResult` has the counts and messages after locating an object in many images."""
 
     done: int = 0
     found: int = 0
@@ -45,13 +45,13 @@ class LocateResult:
     missed: list[str] = field(default_factory=list)
     """Messages about images without the object."""
     panels: "list[Located]" = field(default_factory=list)
-    """The first answers, for a picture."""
+    """The first answers, for the picture."""
     cells: list[list[str]] = field(default_factory=list)
-    """All answers in words, where they are shown as a table; images are too large to keep."""
+    """The rows of the table, if the answers are shown as one; images would be too large to keep."""
     messages: list[str] = field(default_factory=list)
-    """What else to print."""
+    """Other sentences to print."""
     ended: int = 0
-    """Exit code of what ended it early."""
+    """Exit code of the Ctrl-C or the error that ended it early; 0: nothing did."""
 
     @property
     def exit_code(self) -> int:
@@ -86,9 +86,9 @@ class LocateResult:
 
 
 def locate_all(frames: "Frames", targets: Targets, output: Path | None) -> LocateResult:
-    """Locates an object in each image, and writes the answers to a file, or to stdout: as a table on a terminal.
+    """Locates an object in each image, and writes the answers to a file or stdout; on a terminal, as a table.
 
-    Ctrl-C or an error ends it early with the answers until then; an error before the first answer is raised.
+    After Ctrl-C or an error it returns the answers until then; an error before the first answer is raised.
     """
     from handsight.recording.detections import BOP_COLUMNS, bop_line, json_line
     from handsight.recording.frames import Unread
@@ -98,7 +98,7 @@ def locate_all(frames: "Frames", targets: Targets, output: Path | None) -> Locat
     with output_stream(output) as sink, kept_going() as end, bar("locating") as move:
 
         def write(line: str | None) -> None:
-            """Writes an answer at once; None: it has no line."""
+            """Writes the line of an answer at once; None: it has none."""
             if line is not None:
                 with write_errors(stream_name(sink)):
                     sink.write(f"{line}\n")
@@ -148,9 +148,9 @@ def locate_all(frames: "Frames", targets: Targets, output: Path | None) -> Locat
 
 
 def locator(targets: Targets) -> "Callable[[Frame], Located]":
-    """Returns a function that locates an object in an image; of several objects, the likeliest.
+    """Returns a function that locates the object in an image; if there are several, the most probable one.
 
-    What is compiled or computed once is done here, so that it is not part of the seconds of an image.
+    Everything that is compiled or computed once is done here, so that the seconds of an image do not contain it.
     """
     from handsight.recording.detections import Located
     from handsight.tracking.warm import find_object
@@ -164,7 +164,7 @@ def locator(targets: Targets) -> "Callable[[Frame], Located]":
         appearance_of(model)
 
     def locate_in(frame: "Frame") -> "Located":
-        """Returns the object's pose in an image, and how long that took."""
+        """Returns the object's pose in an image, and how long the search took."""
         model, recognition, started = first, None, time.perf_counter()
         camera, depth, wanted, hand = frame.camera, frame.depth, frame.wanted, frame.hand
         if len(models) == 1:
@@ -180,7 +180,7 @@ def locator(targets: Targets) -> "Callable[[Frame], Located]":
 
 
 def draw(panels: "list[Located]", path: Path) -> str:
-    """Draws images with the poses found in them, and returns a sentence that says where."""
+    """Draws images with the poses found in them to a file, and returns a sentence that names it."""
     from handsight.viewer.detection_figures import draw_located
 
     draw_located(panels, path)
@@ -188,7 +188,7 @@ def draw(panels: "list[Located]", path: Path) -> str:
 
 
 def _cells(row: "Located | Unread", *, several: bool) -> list[str]:
-    """Returns an answer as a row of the table; `several` objects need a column for which one it is."""
+    """Returns an answer as a row of the table; `several`: whether it has a column of the object."""
     from handsight.recording.frames import Unread
 
     if isinstance(row, Unread):

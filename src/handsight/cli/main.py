@@ -1,4 +1,4 @@
-"""The command `handsight`: its subcommands, and how it reports wrong input."""
+"""The command `handsight`: its subcommands, and how it reports errors."""
 
 import sys
 import time
@@ -42,10 +42,10 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Runs the command; what goes wrong is one sentence on stderr and an exit code, never a traceback.
+    """Runs the command; a user's error gives one sentence on stderr and an exit code, not a traceback.
 
-    Exit code 2: wrong input, or more of it than memory holds. 74: something cannot be written, as on a full disk.
-    141: whoever read stdout has closed it.
+    Exit codes: 2 for wrong input, or for more input than fits into memory; 74 if something cannot be written, as on a
+    full disk; 141 if the reader of stdout has closed it.
     """
     reopen_closed_streams()
     warnings.showwarning = lambda message, *_: warn(str(message))
@@ -53,7 +53,7 @@ def main() -> None:
         try:
             app()
         finally:
-            # A failure can be reported now, but not when Python exits.
+            # Flushed now, as a failure could not be reported when Python exits.
             try:
                 with write_errors("stdout"):
                     sys.stdout.flush()
@@ -67,7 +67,7 @@ def main() -> None:
     except OSError as error:
         message, code = f"{error.filename or 'output'}: {error.strerror or error}", CANNOT_WRITE
     except MemoryError:
-        message, code = "expected what fits into memory, got more", WRONG_INPUT
+        message, code = "expected input that fits into memory, got more", WRONG_INPUT
     say(f"handsight: {message}")
     sys.exit(code)
 
@@ -90,10 +90,10 @@ def _handsight(
 
 
 def warmup() -> None:
-    """Compile everything now rather than at the first problem; once for each version and machine, some minutes.
+    """Compile all kernels now, which takes some minutes; needed once for each version and machine.
 
-    Without it, the first command that computes something compiles it. The result is kept in the user's cache folder,
-    or where HANDSIGHT_CACHE says.
+    Without it, the first command that needs a kernel compiles it. Compiled kernels are kept in the user's cache folder,
+    or in the folder that HANDSIGHT_CACHE names.
 
     ```
     handsight warmup

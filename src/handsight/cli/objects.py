@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from handsight.objects.symmetry import Symmetries
 
 objects_app = typer.Typer(
-    help="A library of objects by name: a folder in the form of the BOP benchmark, or a URL. It is the one that "
-    "--library or HANDSIGHT_LIBRARY names, else ~/.local/share/handsight/library.",
+    help="Manage a library of objects: a folder in the format of the BOP benchmark, or a URL. Default: "
+    "$HANDSIGHT_LIBRARY, else ~/.local/share/handsight/library.",
     no_args_is_help=True,
 )
 
@@ -46,7 +46,7 @@ def list_(library: LibraryPlace = None) -> None:
 
 @objects_app.command()
 def show(name: Name, library: LibraryPlace = None) -> None:
-    """Print what is known of an object; the exit code is 1 where its file is missing or was changed.
+    """Print the facts about an object; the exit code is 1 if its file is missing or was changed.
 
     ```
     handsight objects show mustard
@@ -77,25 +77,24 @@ def add(
         list[str] | None,
         typer.Option(
             metavar="z|z/N|find",
-            help="Rotations that change neither shape nor print: by any angle about an axis (x, y, z) through the "
-            "middle of the surface, or by an N-th of a turn; find: those that the shape suggests. May be repeated.",
+            help="Symmetry of shape and print: rotation by any angle about an axis (x, y, z) through the middle of the "
+            "surface, or by an N-th of a turn; find: the symmetries of the shape. May be given several times.",
         ),
     ] = None,
     licence: Annotated[str, typer.Option(help="Licence of the model.")] = "",
     source: Annotated[str, typer.Option(help="Where the model is from.")] = "",
     library: LibraryPlace = None,
 ) -> None:
-    """Add an object to a library in a folder, where it is kept as PLY in millimetres.
+    """Add an object to a library in a folder; its model is stored as PLY in millimetres.
 
-    Either all that belongs to it is added, or nothing; several commands may add at the same time.
+    An object is added completely or not at all, and several commands may add at the same time.
 
     ```
     handsight objects add mustard.obj --name mustard --mass 0.603 --symmetry z/2 --licence "CC BY 4.0"
     handsight objects add can.stl --name can --scale 0.001 --symmetry z --symmetry x/2
     ```
     """
-    from handsight.objects import Facts, ObjectModel, Symmetries
-    from handsight.objects.symmetry_search import declared
+    from handsight.objects import Facts, ObjectModel, Symmetries, declared_symmetries
 
     facts = Facts(
         name=name,
@@ -109,7 +108,7 @@ def add(
     symmetries = Symmetries()
     if symmetry:
         try:
-            symmetries = declared(ObjectModel.from_file(file, scale), symmetry)
+            symmetries = declared_symmetries(ObjectModel.from_file(file, scale), symmetry)
         except InvalidInput as error:
             raise InvalidInput(f"--symmetry: {str(error).removeprefix('symmetry: ')}") from None
     opened = _opened(library)
@@ -122,7 +121,7 @@ def add(
 def verify(library: LibraryPlace = None) -> None:
     """Read every model again, and print a sentence for each that is missing, damaged or changed.
 
-    The exit code is then 1.
+    The exit code is 1 if there is one.
 
     ```
     handsight objects verify --library lab/
@@ -138,8 +137,8 @@ def verify(library: LibraryPlace = None) -> None:
 def fetch(url: Annotated[str, typer.Argument(help="URL of a library, such as https://host/ycbv.")]) -> None:
     """Copy a library and all its models to this machine's cache, or update the copy.
 
-    A library at a URL is used from its copy, and only what that lacks is asked from the network. URLs are http, https
-    and file; others (s3, gs, hf, github) by fsspec, `pip install 'handsight[library]'`.
+    A library at a URL is read from its copy, and the network is used only for what the copy lacks. URLs may be http,
+    https and file; others (s3, gs, hf, github) need fsspec: `pip install 'handsight[library]'`.
 
     ```
     handsight objects fetch https://host/ycbv
@@ -163,11 +162,11 @@ def weigh(
     rig: RigPath = None,
     library: LibraryPlace = None,
 ) -> None:
-    """Find an object's mass and centre of mass in a recording, and write both to the library.
+    """Estimate an object's mass and centre of mass from a recording, and write both to the library.
 
-    In the recording, the hand lifts the object and tilts it by 20° about two axes, and holds still for half a second
-    each time. The uncertainty of the object's pose in the hand is part of the uncertainty of the centre, which is
-    written only if it is known to 10 mm (one standard deviation per axis).
+    In the recording, the hand must lift the object, tilt it by 20° about two axes, and hold still for half a second
+    each time. The uncertainty of the object's pose in the hand is part of the uncertainty of the centre. Both are
+    written only if the centre is known to 10 mm (one standard deviation per axis).
 
     ```
     handsight objects weigh lifted.mcap --object mustard
@@ -179,7 +178,7 @@ def weigh(
     opened = _opened(library)
     robot, _ = find_rig(recording, rig)
     model = opened.model(name)
-    # What is known already must not come out again as if it had been measured.
+    # The known weight is removed, so that it is not found again as if it had been measured.
     run = Run(recording, robot, replace(model, mass=None, center_of_mass=None))
     with run.opened() as (recorded, tracker):
         found, reason = best_weight(recorded.observations(), tracker)
@@ -191,7 +190,7 @@ def weigh(
     place = ", ".join(f"{1e3 * x:.1f}" for x in center)
     text = f"{1e3 * found.mass:.4g} ± {1e3 * found.sigma_mass:.2g} g, centre [{place}] ± {1e3 * sigma:.1f} mm per axis"
     say(f"{model.name}: {text}, by {found.directions} directions of gravity")
-    max_sigma = 0.01  # [m] per axis; a centre that is known worse is of no use
+    max_sigma = 0.01  # [m] per axis; a less certain centre is of no use
     if sigma > max_sigma:
         raise InvalidInput(
             f"{recording.name}: expected a centre of mass known to {1e3 * max_sigma:g} mm, got {1e3 * sigma:.1f} mm: "
@@ -208,7 +207,7 @@ def _opened(place: str | None) -> "Library":
 
 
 def _print_wrong(sentences: "Iterable[str]") -> None:
-    """Prints what is wrong with objects, and then ends the command with exit code 1."""
+    """Prints the sentences about wrong objects; if there are any, ends the command with exit code 1."""
     wrong = False
     for sentence in sentences:
         typer.echo(printable(f"- {sentence}"))
@@ -218,7 +217,7 @@ def _print_wrong(sentences: "Iterable[str]") -> None:
 
 
 def _known(entry: "Entry") -> Iterator[tuple[str, str]]:
-    """Yields names and values of what is known of an object, in units for a person."""
+    """Yields names and values of the facts about an object, in units for a person."""
     yield "name", entry.name
     yield "file", f"{entry.file} of {entry.place}"
     yield "diameter", f"{1e3 * entry.diameter:.1f} mm"
@@ -241,7 +240,7 @@ def _known(entry: "Entry") -> Iterator[tuple[str, str]]:
 
 
 def _symmetries(of: "Symmetries") -> str:
-    """Returns a few words for an object's symmetries."""
+    """Returns an object's symmetries in a few words."""
     if of.trivial:
         return "none"
     if of.round:

@@ -1,9 +1,9 @@
-"""Options that several commands have, and the values they stand for: a rig, objects, and a `Run` of a recording."""
+"""Options that several commands share, and the values that they name: a rig, objects, and a `Run` of a recording."""
 
 import contextlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -13,7 +13,7 @@ from handsight.cli.terminal import announce_compiling, say
 from handsight.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from handsight.objects import Library, ObjectModel, ObjectSpec
+    from handsight.objects import ObjectModel
     from handsight.recording import Recording
     from handsight.rig import Rig
     from handsight.tracking import Tracker, TrackerSettings
@@ -32,8 +32,8 @@ ObjectName = Annotated[
     typer.Option(
         "--object",
         metavar="NAME|FILE",
-        help="A name of the rig's objects or of the library, or a mesh file in metres. Default: the rig's object, if "
-        "it has one only.",
+        help="Name of an object of the rig or of the library, or a mesh file in metres. Default: the rig's object, "
+        "if it has only one.",
     ),
 ]
 LibraryPlace = Annotated[
@@ -41,7 +41,7 @@ LibraryPlace = Annotated[
     typer.Option(
         "--library",
         metavar="FOLDER|URL",
-        help="Library of objects. Default: what HANDSIGHT_LIBRARY names, else ~/.local/share/handsight/library.",
+        help="Library of objects. Default: $HANDSIGHT_LIBRARY, else ~/.local/share/handsight/library.",
     ),
 ]
 Rate = Annotated[
@@ -59,7 +59,8 @@ Answer = Annotated[
 Samples = Annotated[
     int,
     typer.Option(
-        min=0, help="Above 0: report the mean of this many samples of the posterior instead, a slow check."
+        min=0,
+        help="Report the mean of this many samples of the posterior instead, as a slow check. 0: do not sample.",
     ),
 ]
 OutsidePoints = Annotated[
@@ -75,21 +76,21 @@ WithImages = Annotated[
     ),
 ]
 DEPTH_CAMERAS = "structured_light|time_of_flight|stereo"
-"""How a camera measures depth, and so which errors it has: the names of `handsight.vision.depth_noise`."""
+"""Kinds of depth cameras, each with its own errors: the names in `handsight.vision.depth_noise`."""
 
 
 Value = TypeVar("Value")
 
 
 def renamed(new: Value, old: Value, names: tuple[str, str]) -> Value:
-    """Returns an option's value under its new name, else under its former one, which gives a warning on stderr."""
+    """Returns an option's value under its new name, else under its former one, which causes a warning on stderr."""
     if old:
         say(f"handsight: {names[1]} is now {names[0]}; the old name goes with the next release")
     return new or old
 
 
 def tracker_settings(**given: Any) -> "TrackerSettings":
-    """Returns the settings of a tracker that options give; raises an InvalidInput that names the option."""
+    """Returns a tracker's settings from the values of options; raises an InvalidInput that names the option."""
     from handsight.tracking import TrackerSettings
 
     try:
@@ -100,7 +101,7 @@ def tracker_settings(**given: Any) -> "TrackerSettings":
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A `Run` is what a command works on: a recording, the robot that was recorded, and the object in its hand."""
+    """A `Run` is the input of a command: a recording, the rig of the robot in it, and the object in the hand."""
 
     recording: Path
     rig: "Rig"
@@ -111,12 +112,12 @@ class Run:
     def of(
         cls, recording: Path, rig: Path | None, name: str | None, settings: "TrackerSettings | None" = None
     ) -> "Run":
-        """Returns the run that a command's options describe; raises InvalidInput."""
+        """Returns the run that a command's options name; raises InvalidInput, InvalidFile."""
         announce_compiling()
         found, path = find_rig(recording, rig)
         if name is None and len(found.objects) != 1:
             known = ", ".join(found.objects) or "none"
-            raise InvalidInput(f"--object: expected, got nothing; {path} knows {known}")
+            raise InvalidInput(f"--object: expected, got nothing; {path} has {known}")
         (model,) = find_models(() if name is None else (name,), found, path).values()
         return cls(recording, found, model, settings)
 
@@ -124,7 +125,8 @@ class Run:
     def opened(self) -> "Iterator[tuple[Recording, Tracker]]":
         """Yields the open recording and a new tracker for it.
 
-        A camera without intrinsics gets them from the recording's first CameraInfo. Raises InvalidFile, MissingExtra.
+        If the rig's camera has no intrinsics, the recording's first CameraInfo gives them. Raises InvalidFile,
+        MissingExtra.
         """
         from handsight.recording import open_recording
         from handsight.tracking import Tracker
@@ -134,12 +136,12 @@ class Run:
 
 
 def rig_beside(recording: Path) -> Path:
-    """Returns the path of the rig that belongs to this one recording."""
+    """Returns the path of a recording's own rig file, which `handsight simulate` writes."""
     return recording.with_suffix(".rig.yaml")
 
 
 def find_rig(recording: Path, rig: Path | None) -> "tuple[Rig, Path]":
-    """Returns the rig in the file given, else beside the recording, and its path; raises InvalidInput, InvalidFile."""
+    """Returns the rig in a file (None: in the file beside the recording), and its path; raises InvalidInput."""
     from handsight.rig import Rig
 
     own = rig_beside(recording)
@@ -159,21 +161,23 @@ def find_models(
     library: str | None = None,
     scale: float = 1.0,
 ) -> "dict[str, ObjectModel]":
-    """Returns the models of the named objects by name; without names, those of all objects of the rig or library.
+    """Returns the models of objects, by name; without names, those of all objects in the rig, else in the library.
 
-    `library` None: the default one; `scale`: metres per unit of a mesh file. Raises InvalidInput.
+    `rig_path`: the rig's file, for messages; `library`: None for the default one; `scale`: metres per unit of a mesh
+    file. Raises InvalidInput, InvalidFile.
     """
     from handsight.objects import Library
-    from handsight.objects.library import NoLibrary
+    from handsight.objects.library import NoLibrary, find_model
 
     objects, opened = {} if rig is None else rig.objects, Library(library)
     if wanted := tuple(names) or tuple(objects):
         place = "" if rig is None else str(rig_path)
         models = [
-            object_named(name, objects=objects, place=place, library=opened, scale=scale) for name in wanted
+            find_model(name, objects, place, library=opened, scale=scale, argument="--object")
+            for name in wanted
         ]
     elif rig is not None:
-        raise InvalidInput(f"--object: expected, got nothing; {rig_path} knows none")
+        raise InvalidInput(f"--object: expected, got nothing; {rig_path} has none")
     else:
         message = "--object: expected a name of the library or a mesh file, got nothing"
         try:
@@ -188,34 +192,3 @@ def find_models(
         twice = next(name for name, count in Counter(model.name for model in models).items() if count > 1)
         raise InvalidInput(f"--object: expected objects of different names, got {twice!r} twice")
     return by_name
-
-
-def object_named(
-    name: str, *, objects: "Mapping[str, ObjectSpec]", place: str, library: "Library", scale: float
-) -> "ObjectModel":
-    """Returns the model of that name among a rig's `objects` or in the library, or of a mesh file of that path.
-
-    `place`: the rig's path, for the message, or empty. Raises InvalidInput where there is none.
-    """
-    from handsight.checks import suggestion
-    from handsight.objects import ObjectModel
-    from handsight.objects.library import NoLibrary
-
-    if name in objects:
-        return replace(objects[name].model(), name=name)
-    if Path(name).is_file():
-        return ObjectModel.from_file(name, scale=scale)
-    try:
-        entries = library.entries()
-    except NoLibrary:  # there need not be one
-        entries = ()
-    for entry in entries:
-        if name in (entry.name, str(entry.number), entry.file.removesuffix(".ply")):
-            return library.model(entry.name)
-    in_library = (
-        f"the library {library.place}" if entries else f"a library (there is none at {library.place})"
-    )
-    known = suggestion(name, {*objects, *(entry.name for entry in entries)})
-    raise InvalidInput(
-        f"--object: expected a name of {place or in_library} or a mesh file, got {name!r}{known}"
-    )

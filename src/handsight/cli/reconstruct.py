@@ -30,31 +30,31 @@ def reconstruct(
         bool,
         typer.Option(
             "--robot-poses",
-            help="Use the camera's poses as the robot has them. Default: they are where aligning each view to the "
-            "surface starts.",
+            help="Use the robot's poses of the camera without aligning the views. Default: align each view to the "
+            "surface, starting from the robot's pose.",
         ),
     ] = False,
     in_hand: Annotated[
         bool,
         typer.Option(
             "--in-hand",
-            help="The hand holds the object and turns it before the camera. Default: the object stands on a table.",
+            help="The hand holds the object and turns it in front of the camera. Default: the object is on a table.",
         ),
     ] = False,
     former_robot_poses: Annotated[bool, typer.Option("--given", hidden=True)] = False,
     former_in_hand: Annotated[bool, typer.Option("--held", hidden=True)] = False,
 ) -> None:
-    """Make a model of an object from a recording with depth images of many sides of it.
+    """Reconstruct a model of an object from a recording with depth images of many of its sides.
 
-    Move the camera around an object on a table, which must be the nearest to the middle of the first image; a hand in
-    the image is left out. Or hold the object in the hand and turn it before the camera, clear of everything else
-    (`--in-hand`): its pose follows the hand in the images, so do not change the grip; what is near the hand, as under
-    its fingers, stays unmeasured. A few degrees from view to view are enough; the more sides they show, the less is
-    guessed.
+    Either move the camera around an object on a table. The object must be the one nearest to the middle of the first
+    image; a hand in the image is left out. Or let the hand turn the object in front of the camera, away from everything
+    else (`--in-hand`). The object's pose then follows the hand in the images, so the grip must not change; the surface
+    near the hand, as under its fingers, stays unmeasured. Turn by a few degrees from view to view, and show as many
+    sides as possible.
 
-    What no view shows is guessed: by a symmetry that contradicts no measurement, and from the lowest points straight
-    down to the table, if there is one. In the file, `measured` is 1 for measured points and 0 for guesses, and `sigma`
-    is the standard deviation [m].
+    The sides that no view shows are guessed: by a symmetry that contradicts no measurement, and by extending the lowest
+    points straight down to the table, if there is one. In the file, `measured` is 1 for measured points and 0 for
+    guesses, and `sigma` is the standard deviation [m].
 
     ```
     handsight reconstruct around.mcap --rig robot.yaml --output mustard.ply
@@ -62,7 +62,7 @@ def reconstruct(
     handsight objects add mustard.ply --name mustard
     ```
 
-    If an error or Ctrl-C ends it early, the model from the views until then is written.
+    After an error or Ctrl-C, the model from the views until then is written.
     """
     from handsight.recording import open_recording
 
@@ -97,17 +97,17 @@ class Fusion:
     """A `Fusion` turns a recording's depth images into one surface."""
 
     align: bool
-    """Whether views are aligned to the surface, or placed as the robot has them."""
+    """Whether views are aligned to the surface, or placed at the robot's poses."""
     in_hand: bool
     """Whether the object is in the hand, or on a table."""
     reconstruction: "Reconstruction | None" = None
     """None before the object was found."""
     images: int = 0
-    """Depth images until now."""
+    """Number of depth images until now."""
     skipped: int = 0
-    """Those of them before the object was found."""
+    """Number of depth images before the object was found."""
     fitted: int = 0
-    """Those of them that fitted the surface."""
+    """Number of depth images that fitted the surface."""
 
     def add_recording(self, recording: "Recording", rig: "Rig", watch: "Callable[[Fusion], None]") -> None:
         """Fuses the depth images of a recording; raises InvalidInput where there are none."""
@@ -165,7 +165,7 @@ class Fusion:
         return closed(surface, volume, table=not self.in_hand)
 
     def progress(self) -> list[tuple[str, str]]:
-        """Returns names and values that show how it is going."""
+        """Returns names and values that show the progress."""
         views = self.reconstruction.volume.views if self.reconstruction else 0
         return [("images", str(self.images)), ("fitted", str(self.fitted)), ("fused", str(views))]
 

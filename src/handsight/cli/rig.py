@@ -1,4 +1,4 @@
-"""`handsight rig check` and `handsight calibrate camera`: a robot's description against what it recorded."""
+"""`handsight rig check` and `handsight calibrate camera`: a rig file compared with a recording."""
 
 import contextlib
 import math
@@ -34,15 +34,15 @@ def check(
 ) -> None:
     """Print a rig as tables, and what a recording lacks for it.
 
-    With a recording it also lists the fingers that never touched anything, and the links of the hand whose shapes in
-    the hand's file are too large: they would be inside the object although the contacts of the fingertips fit.
+    For a recording it also lists the fingers that never touched anything, and by how much the shapes of the hand's
+    links are too large: those that would be inside the object although the contacts of the fingertips fit.
 
     ```
     handsight rig check robot.yaml
     handsight rig check robot.yaml grasp.mcap --object mustard
     ```
 
-    The exit code is 1 where the recording lacks something that tracking needs, or no finger ever touched.
+    The exit code is 1 if the recording lacks something that tracking needs, or if no finger ever touched anything.
     """
     from handsight.rig import Rig
 
@@ -69,7 +69,7 @@ def check(
 
 
 def _print_links(run: Run) -> None:
-    """Tracks a recording, and prints by how much the shape of each link is larger than the link [mm]."""
+    """Tracks a recording, and prints by how much the shape of each link is too large [mm]; `-`: it is not."""
     from handsight.recording import open_recording
     from handsight.tracking import Tracker
     from handsight.tracking.replay import Tally, replay
@@ -84,11 +84,11 @@ def _print_links(run: Run) -> None:
             pass
     margins = tracker.link_margins
     rows = [(link, f"{1e3 * margins[link]:.1f}" if link in margins else "-") for link in tracker.links]
-    print_out("", plain_table(("link", "larger than it is by [mm]"), rows, texts=1))
+    print_out("", plain_table(("link", "shape too large by [mm]"), rows, texts=1))
 
 
 def _untouched(observations: "Iterable[Observation]", rig: "Rig") -> list[str]:
-    """Returns a sentence for each finger whose wrenches came but showed no contact, with its largest force."""
+    """Returns a sentence for each finger whose wrenches never showed a contact, with its largest force."""
     from handsight.tracking.fingertips import FingertipSensors
 
     sensors, largest, touched = FingertipSensors(rig), dict[str, float](), set[str]()
@@ -96,7 +96,7 @@ def _untouched(observations: "Iterable[Observation]", rig: "Rig") -> list[str]:
         for finger, wrench in observation.wrenches.items():
             force = math.dist(wrench[:3], rig.fingers[finger].calibration.bias_force)
             largest[finger] = max(force, largest.get(finger, 0.0))
-        with contextlib.suppress(HandsightError):  # missing joints are reported as what the recording lacks
+        with contextlib.suppress(HandsightError):  # missing joints are reported elsewhere
             touched |= set(sensors.contacts(observation).fingers)
     return [
         f"finger {finger}: never touched; a contact takes {rig.fingers[finger].tip.min_force:g} N on its tip, and the "
@@ -108,12 +108,12 @@ def _untouched(observations: "Iterable[Observation]", rig: "Rig") -> list[str]:
 
 @calibrate_app.command("camera")
 def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = None) -> None:
-    """Estimate where the camera really is, from the hand in its images, or from an object that the hand turned.
+    """Estimate the camera's true pose, from the hand in its images, or from an object that the hand turned.
 
-    Where the recording has depth images and the rig has the camera's intrinsics, the hand in the images shows the
-    camera's pose. Otherwise touch does: when the palm turns with the object, the error of vision stays the same in the
-    world, so that it can be separated from the object's pose. Printed are the corrected pose for the rig file, its
-    standard deviation [mm, degrees], what it was estimated from, and, where both were possible, how they differ.
+    If the recording has depth images and the rig has the camera's intrinsics, the pose is estimated from the hand in
+    the images. Otherwise it is estimated by touch: when the palm turns with the object, the error of vision stays the
+    same in the world, and can be separated from the object's pose. Printed are the corrected pose for the rig file, its
+    standard deviation [mm, degrees], the source of the estimate, and, if both ways were possible, their difference.
 
     ```
     handsight calibrate camera turned.mcap --rig robot.yaml
@@ -147,7 +147,7 @@ def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = N
 
 
 def _print_calibrated(by_vision: "HandCalibration | None", touched: "CameraCalibration | None") -> None:
-    """Prints a camera's pose as the rig file has it, with comments on how well it is known, and from what."""
+    """Prints a camera's pose in the rig file's format, with comments on its uncertainty and its source."""
     from handsight.rig.save import pose_text
     from handsight.tracking.camera_calibration import LITTLE_TURN
 
@@ -174,9 +174,7 @@ def _print_calibrated(by_vision: "HandCalibration | None", touched: "CameraCalib
         shift, turn = touched.away_from(by_vision.T_mount_camera)
         difference = f"{1e3 * shift:.1f} mm, {math.degrees(turn):.2f}°"
         known = touched.covariance.diagonal() ** 0.5
-        typer.echo(
-            f"# touch says {difference} from that, at the object, and knows it to ± {_mm(known)}, {_degrees(known)}"
-        )
+        typer.echo(f"# by touch it differs by {difference} at the object, ± {_mm(known)}, {_degrees(known)}")
 
 
 def _mm(values: "Array") -> str:
@@ -188,7 +186,7 @@ def _degrees(values: "Array") -> str:
 
 
 def _print_rig(rig: "Rig", name: str) -> None:
-    """Prints a rig in millimetres and degrees, 80 columns wide where names are short."""
+    """Prints a rig in millimetres and degrees, at most 80 columns wide if names are short."""
     from handsight.contact import Sphere
 
     hand = rig.hand
@@ -224,7 +222,7 @@ def _print_rig(rig: "Rig", name: str) -> None:
 
 
 def _other_rows(rig: "Rig") -> list[tuple[str, str]]:
-    """Returns names and values of all but the fingertips."""
+    """Returns names and values of everything but the fingertips."""
     offset, noise = math.degrees(rig.sigma_joint_offset), math.degrees(rig.sigma_joint)
     places = {"tf": f"from {rig.topics.tf}", "joints": "from the joints", None: "not known"}
     rows = [

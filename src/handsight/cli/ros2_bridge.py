@@ -1,4 +1,4 @@
-"""`handsight ros2-bridge`: a live tracker on ROS 2's network, for a Python into which ROS is not installed."""
+"""`handsight ros2-bridge`: a live tracker on ROS 2's network, for a Python without ROS."""
 
 import signal
 import threading
@@ -12,30 +12,33 @@ from handsight.cli.terminal import announce_compiling, say
 
 
 def ros2_bridge(
-    rig: Annotated[Path, typer.Argument(help="Rig file of the robot, as for `handsight track --rig`.")],
+    rig: Annotated[Path, typer.Argument(help="Rig file of the robot.")],
     object: ObjectName = None,
     rate: Rate = None,
     images: Annotated[
-        bool, typer.Option(help="Find the object in the depth images that the rig names a topic for.")
+        bool, typer.Option(help="Find the object in the depth images, if the rig names their topic.")
     ] = True,
     as_recorded: Annotated[
         bool,
         typer.Option(
             "--as-recorded",
-            help="Wait 0.2 s for late messages, so that the poses equal those from a recording of them.",
+            help="Wait 0.2 s for late messages, so that the poses equal those of `handsight track` for a recording.",
         ),
     ] = False,
-    former_as_recorded: Annotated[bool, typer.Option("--equal", hidden=True)] = False,
+    former_as_recorded: Annotated[bool, typer.Option("--equal/--no-equal", hidden=True)] = False,
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port of a page that shows it in the browser. 0: no page.")
+        int,
+        typer.Option(
+            min=0, max=65535, help="Port of a page that shows the tracker in the browser. 0: no page."
+        ),
     ] = 0,
     former_port: Annotated[int, typer.Option("--view", min=0, max=65535, hidden=True)] = 0,
 ) -> None:
-    """Follow an object in a robot's hand over ROS 2, without ROS installed here.
+    """Track an object in a robot's hand over ROS 2; ROS need not be installed on this machine.
 
     It subscribes to the rig's topics and publishes /handsight/pose, /tf, /handsight/markers and /diagnostics until
-    Ctrl-C. ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST and CYCLONEDDS_URI have their usual meaning. Another
-    object, and a new start, are requested on topics:
+    Ctrl-C. ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST and CYCLONEDDS_URI have their usual meaning. Messages
+    on topics request another object, or a new track:
 
     ```
     handsight ros2-bridge robot.yaml --object can

@@ -1,4 +1,4 @@
-"""`handsight simulate`: a scenario simulated into a recording, with its rig beside it."""
+"""`handsight simulate`: a simulated scenario as a recording, with its rig beside it."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from handsight.simulation import Grasp, Nuisances, Sample, Scenario
 
 BEGINS = 1000.0
-"""Stamp of a recording's first observation [s]; a stamp of 0 is what robots send that do not know the time."""
+"""Stamp of a recording's first observation [s]; not 0, as a stamp of 0 means that a robot does not know the time."""
 
 
 def simulate(
@@ -32,8 +32,8 @@ def simulate(
         str,
         typer.Option(
             metavar="grasp|manipulate|weigh|ramp|steps|sine",
-            help="grasp: close the hand and hold; manipulate: then move, lift and turn the object; weigh: then lift "
-            "and tilt it; ramp, steps, sine: then lift it, and pull it by a force of that shape until it slips.",
+            help="grasp: close the hand and hold the object; manipulate: then also move, lift and turn it; weigh: lift "
+            "and tilt it; ramp, steps, sine: lift it, and pull it with a force of that shape until it slips.",
         ),
     ] = "manipulate",
     images: Annotated[
@@ -42,7 +42,7 @@ def simulate(
     skin: Annotated[
         bool,
         typer.Option(
-            "--skin", help="Give the palm a tactile array, and hold the can against it: a power grasp."
+            "--skin", help="Add a tactile array to the palm, and hold the can against it in a power grasp."
         ),
     ] = False,
     depth_camera: Annotated[
@@ -52,30 +52,29 @@ def simulate(
         list[str] | None,
         typer.Option(
             metavar="NAME=VALUE",
-            help="Another value for one of the nuisances, in SI units; `none` switches all off. May be given several "
-            "times.",
+            help="Value of a nuisance, in SI units; `none` switches all off. May be given several times.",
         ),
     ] = None,
     blind: Annotated[
         bool,
         typer.Option(
             "--blind",
-            help="Without a camera: a finger searches the object on the table, where it is then grasped.",
+            help="No camera: a finger searches for the object on the table, and the hand then grasps it.",
         ),
     ] = False,
     grasp: Annotated[
         Path | None,
         typer.Option(
-            help="Grasp to use: the OUTPUT.grasp.json of an earlier recording. Default: search for one."
+            help="File of the grasp to use, the OUTPUT.grasp.json of an earlier recording. Default: search for a grasp."
         ),
     ] = None,
 ) -> None:
     """Record a simulated Shadow hand that grasps an object, with the truth on a topic of its own.
 
-    The recording's rig is written beside it, OUTPUT.rig.yaml, and for a mesh its grasp, OUTPUT.grasp.json: grasps are
-    tried in the simulator until one holds. All of it is synthetic (MuJoCo). What spoils the measurements is set by
-    nuisances, such as joint_offset [rad] and force_noise [N]; and so is how the object is pulled: friction, pull_force
-    [N] and pull_torque [N m]. With `--blind`, the pose that the search found is in the recording, in the world, and
+    The rig is written beside the recording as OUTPUT.rig.yaml, and the grasp of a mesh as OUTPUT.grasp.json: grasps are
+    tried in the simulator until one holds. Everything is synthetic (MuJoCo). Errors of the measurements are set by
+    nuisances, such as joint_offset [rad] and force_noise [N]; the pull is set by friction, pull_force [N] and
+    pull_torque [N m]. With `--blind`, the recording has the pose that the search found, in the world, and
     `handsight track` starts from it.
 
     ```
@@ -105,7 +104,7 @@ def simulate(
 
 
 def nuisances(settings: Iterable[str]) -> "Nuisances":
-    """Returns the default nuisances with the given changes, `name=value`; `none` switches off all before it.
+    """Returns the default nuisances with changes `name=value`, applied in order; `none` switches all off.
 
     Raises InvalidInput.
     """
@@ -141,10 +140,10 @@ def nuisances(settings: Iterable[str]) -> "Nuisances":
 def record(
     scenario: "Scenario", path: Path, grasp: "Grasp | None" = None, *, blind: bool = False
 ) -> tuple[int, bool]:
-    """Returns how many observations were simulated into `path`, and whether the hand dropped the object in the end.
+    """Simulates a recording; returns its number of observations, and whether the object was dropped at the end.
 
-    `grasp` None: the object's own, or one that is searched for. `blind`: a finger searches the object first. The rig
-    is written beside it. Ctrl-C or an error leaves what was simulated until then.
+    `grasp`: None for the built-in one of the object, or one that is searched for. `blind`: a finger searches for the
+    object first. The rig is written beside the recording. After Ctrl-C or an error, the part until then is kept.
     """
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
@@ -191,7 +190,7 @@ def _check_suffix(path: Path) -> None:
 
 
 def _search_grasp(scenario: "Scenario", path: Path) -> "Grasp":
-    """Returns the scenario's grasp; one that had to be searched for is written beside the recording."""
+    """Returns the scenario's grasp; if it had to be searched for, it is also written beside the recording."""
     from handsight.simulation import find_grasp, write_grasp
 
     with bar("searching a grasp") as advance:
@@ -206,13 +205,15 @@ def _search_grasp(scenario: "Scenario", path: Path) -> "Grasp":
 
 
 def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
-    """Returns the object with the size that the robot takes it to have."""
+    """Returns the object as the robot describes it, with the size error `object_scale`."""
     from handsight.objects import ObjectSpec
 
     spec = rig.objects.get(scenario.object) or ObjectSpec(mesh=Path(scenario.object))
     k = scenario.nuisances.object_scale
     if scenario.nuisances.object_off_center:
-        spec = dataclasses.replace(spec, center_of_mass=None, sigma_center_of_mass=None)  # it is not known
+        spec = dataclasses.replace(
+            spec, center_of_mass=None, sigma_center_of_mass=None
+        )  # the robot does not know it
     if spec.box is not None:
         x, y, z = spec.box
         return dataclasses.replace(spec, box=(k * x, k * y, k * z))

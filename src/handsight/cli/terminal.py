@@ -1,4 +1,4 @@
-"""What a person at the terminal sees: messages, progress and tables; and how a command ends."""
+"""Output for a person at a terminal (messages, progress, tables), and exit codes."""
 
 import contextlib
 import math
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 FAILED, WRONG_INPUT, CANNOT_WRITE, INTERRUPTED, NOBODY_READS = 1, 2, 74, 130, 141
-"""Exit codes; the last two are what a shell reports for SIGINT and SIGPIPE."""
+"""Exit codes; the last two are those that a shell reports for SIGINT and SIGPIPE."""
 
 
 @cache
@@ -31,7 +31,7 @@ def _messages() -> "Console":
 
 
 def say(message: str) -> None:
-    """Prints one line on stderr, with escapes for what the terminal would obey."""
+    """Prints one line on stderr, with control characters escaped."""
     try:
         _messages().print(printable(message), markup=False)
     except OSError:  # stderr is closed or full; there is no other place for a message
@@ -40,30 +40,30 @@ def say(message: str) -> None:
 
 @cache
 def warn(message: str) -> None:
-    """Prints a warning in one line; a second time, such as from another worker, it is not repeated."""
+    """Prints a warning on one line; the same warning again, such as from another worker, is not repeated."""
     say(f"handsight: {message}")
 
 
 def reopen_closed_streams() -> None:
-    """Opens the standard streams that the caller has closed, so that no file gets the number of one of them.
+    """Opens the standard streams that the calling process has closed, so that no other file gets their numbers.
 
     Reading from or writing to such a stream is then an ordinary error.
     """
     for number, name in enumerate(STREAMS):
         if getattr(sys, name) is None:
-            # The system gives the lowest free number, which is this one; stdin is not readable, stdout not writable.
+            # The lowest free number is this one. Stdin is opened unreadable, stdout unwritable.
             os.open(os.devnull, (os.O_WRONLY, os.O_RDONLY, os.O_RDWR)[number])
             stream = open(number, "w" if number else "r", encoding="utf-8", closefd=False)  # noqa: SIM115
             setattr(sys, name, stream)
 
 
 def discard(stream: IO[str]) -> None:
-    """Discards what a stream still holds, which would otherwise be an error when Python exits."""
+    """Discards the content of a stream's buffer, which would otherwise cause an error when Python exits."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def announce_compiling() -> None:
-    """On a terminal, has a message printed before the first kernel is compiled, which takes minutes."""
+    """Makes a terminal show a message before the first kernel is compiled, which takes minutes."""
     if sys.stderr.isatty():
         from handsight._kernels.runtime.kernel_cache import on_compile
 
@@ -74,7 +74,7 @@ def announce_compiling() -> None:
 def bar(what: str, *, show: bool = True) -> Iterator[Callable[..., None]]:
     """Yields a function `(share, message="")` that moves a progress bar; without a terminal it does nothing.
 
-    `share`: of the work, from 0 to 1, or None where the total is not known; `message`: the progress in words.
+    `share`: the share of the work that is done, 0 to 1; None: unknown. `message`: the progress in words.
     """
     if not show or not _messages().is_terminal:
         yield lambda share, message="": None
@@ -91,9 +91,9 @@ def bar(what: str, *, show: bool = True) -> Iterator[Callable[..., None]]:
 
 @contextlib.contextmanager
 def live_rows(title: str, rows: Callable[..., list[tuple[str, str]]]) -> Iterator[Callable[..., None]]:
-    """Yields a function that shows `rows` of its arguments, names and values, five times a second at most.
+    """Yields a function that shows the names and values that `rows` returns for its arguments.
 
-    Without a terminal it does nothing.
+    It refreshes them at most five times a second; without a terminal it does nothing.
     """
     if not _messages().is_terminal:
         yield lambda *_: None
@@ -104,7 +104,7 @@ def live_rows(title: str, rows: Callable[..., list[tuple[str, str]]]) -> Iterato
     with Live(console=_messages(), auto_refresh=False, transient=True) as live:
 
         def show(*now: Any) -> None:
-            """Replaces the rows, unless they were shown a moment ago."""
+            """Replaces the rows, unless that happened less than `refresh_seconds` ago."""
             nonlocal shown_at
             if time.monotonic() - shown_at >= refresh_seconds:
                 shown_at = time.monotonic()
@@ -115,7 +115,7 @@ def live_rows(title: str, rows: Callable[..., list[tuple[str, str]]]) -> Iterato
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]], *, texts: int = 1, **style: Any) -> "Table":
-    """Returns a table whose first `texts` columns are texts, on the left, and whose others are numbers, on the right.
+    """Returns a table whose first `texts` columns are left-aligned, as texts, and whose others are right-aligned.
 
     `style`: keyword arguments of rich's `Table`.
     """
@@ -132,12 +132,12 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]], *, texts: int =
 def plain_table(
     columns: Sequence[str], rows: Iterable[Sequence[str]], *, texts: int, **style: Any
 ) -> "Table":
-    """Returns a `table` without lines, for output that a program may read."""
+    """Returns a `table` without borders, for output that a program may read."""
     return table(columns, rows, texts=texts, box=None, pad_edge=False, padding=(0, 2, 0, 0), **style)
 
 
 def print_out(*parts: "str | Table", **options: Any) -> None:
-    """Prints texts and tables on stdout as they stand: [mm] is no markup, and numbers have no colour."""
+    """Prints texts and tables on stdout literally: [mm] is not markup, and numbers are not coloured."""
     from rich.console import Console
 
     Console(markup=False, highlight=False).print(*parts, **options)
@@ -155,19 +155,19 @@ def output_stream(path: Path | None) -> Iterator[IO[str]]:
 
 @dataclass(slots=True)
 class End:
-    """An `End` says how a part of a command ended: normally, unless it has an exit code."""
+    """An `End` says how a part of a command ended: normally if the exit code is 0."""
 
     exit_code: int = 0
     error: Exception | None = None
     message: str = ""
-    """What to print about the error; empty after Ctrl-C."""
+    """The message about the error for the user; empty after Ctrl-C."""
 
 
 @contextlib.contextmanager
 def kept_going() -> Iterator[End]:
-    """Ctrl-C or any error ends the block, but not the command, so that results up to there can be written.
+    """Yields an `End`, and ends the block, but not the command, at Ctrl-C or any error.
 
-    The command prints the message of the yielded `End` and finally exits with its code.
+    So the command can still write its results. It prints the message of the `End`, and finally exits with its code.
     """
     end = End()
     try:

@@ -1,4 +1,4 @@
-"""`handsight track`: an object followed through a recording, with results in files and a report on stderr."""
+"""`handsight track`: an object tracked through a recording, with results in files and a report on stderr."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -38,10 +38,10 @@ def track(
 ) -> None:
     """Track an object in the hand through a recording.
 
-    It reads joint states, one wrench topic for each finger, and depth images or a camera's poses of the object where
-    there are any, from the topics that the rig names. For each joint state it gives the object's pose in the palm.
+    It reads joint states, the wrenches of each finger, and depth images or a camera's poses of the object, if any, from
+    the topics that the rig names. For each joint state it estimates the object's pose in the palm's frame.
 
-    The folder then has `track.mcap` (PoseWithCovarianceStamped), `track.tum`, `track.csv`, `summary.json`, and
+    The results are `track.mcap` (PoseWithCovarianceStamped), `track.tum`, `track.csv`, `summary.json`, and
     `track.png` where matplotlib is installed. Positions are in metres.
 
     ```
@@ -51,8 +51,8 @@ def track(
     handsight track grasp.bag --rig robot.yaml --object mustard.ply --rate 100 --output-folder results
     ```
 
-    If an error or Ctrl-C ends it early, what was tracked until then is written. The exit code is 0 only if nothing
-    ended it early and there is at least one pose.
+    After an error or Ctrl-C, the track until then is written. The exit code is 0 only if the recording was tracked to
+    its end and there is at least one pose.
     """
     settings = tracker_settings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
     run = Run.of(recording, rig, object, settings)
@@ -62,7 +62,7 @@ def track(
         result = tracked(run, watch)
     wrote = list[str]()
     try:
-        # Before anything is printed: Ctrl-C while the terminal is written to must not cost the results.
+        # Before anything is printed, so that Ctrl-C while printing does not cost the results.
         wrote.extend(write(result, run, folder))
     finally:
         for sentence in (*result.messages, *result.sentences(), *wrote):
@@ -72,9 +72,10 @@ def track(
 
 
 def progress(tally: "Tally", step: "Step", tracker: "Tracker") -> list[tuple[str, str]]:
-    """Returns names and values that show how the tracker is doing."""
+    """Returns names and values that show the state of the tracker."""
     x, y, z = 1e3 * step.estimate.T_palm_object[:3, 3]
-    rate, speed = (tally.answered / max(tally.recorded, 1e-9), tally.recorded / max(tally.wall, 1e-9))
+    rate = tally.answered / tally.recorded if tally.recorded else 0.0  # at the first step no time has passed
+    speed = tally.recorded / max(tally.wall, 1e-9)
     return [
         ("state", step.state + (f": {step.reason}" if step.reason else "")),
         ("time", f"{tally.recorded:.1f} s, {speed:.1f}x real time"),
@@ -88,7 +89,7 @@ def progress(tally: "Tally", step: "Step", tracker: "Tracker") -> list[tuple[str
 
 
 def grip(slip: "Slip") -> str:
-    """Returns how near the object is to slipping."""
+    """Returns in words how near the object is to slipping."""
     if slip.least is None:
         return "friction is not known yet" if slip.friction is None else "no finger holds the object"
     used = f"the finger that holds best uses {slip.least:.0%} of what friction {slip.friction:.2f} allows"
@@ -98,8 +99,7 @@ def grip(slip: "Slip") -> str:
 def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> TrackResult:
     """Returns the result of tracking a recording; `watch` is called with every step.
 
-    An error or Ctrl-C ends it early, with the steps until then. An error about the recording before the first step is
-    raised.
+    After an error or Ctrl-C, the result has the steps until then. A HandsightError before the first step is raised.
     """
     from handsight.evaluation import Truths, track_errors
     from handsight.tracking.replay import Tally, replay
@@ -111,7 +111,7 @@ def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> TrackR
                 result.steps.append(step)
                 result.weight = tracker.weight or result.weight
                 watch(result.tally, step, tracker)
-        # Ctrl-C may come between the count of an answer and the answer.
+        # Ctrl-C may have come between counting an answer and storing it.
         tally = result.tally
         tally.answered = len(result.steps)
         if isinstance(end.error, HandsightError) and not result.steps:
@@ -180,7 +180,7 @@ def write(result: TrackResult, run: Run, folder: Path) -> Iterator[str]:
 
 
 def draw(result: TrackResult, model: "ObjectModel", path: Path) -> str:
-    """Draws a result, and returns a sentence that says where, or why not."""
+    """Draws a result to a file, and returns a sentence that names it, or says why there is none."""
     try:
         from handsight.viewer.track_figure import draw_track
 

@@ -1,4 +1,4 @@
-"""The result of `handsight track`: a recording's way through a tracker, in sentences and as numbers."""
+"""The result of `handsight track`, in sentences and in numbers."""
 
 import contextlib
 import json
@@ -20,30 +20,30 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class TrackResult:
-    """A `TrackResult` is what tracking a recording came to."""
+    """A `TrackResult` is the result of tracking a recording."""
 
     name: str
-    """Of the recording."""
+    """Name of the recording."""
     tally: "Tally"
     truths: "Truths"
     steps: "list[Step]" = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
-    """What is wrong with the recording."""
+    """Sentences about what is wrong with the recording."""
     corrections: int = 0
     reason: str = ""
-    """Why the tracker's last state was no better, or why there is no pose."""
+    """The reason for the tracker's last state, or why there is no pose."""
     errors: "dict[str, TrackErrors]" = field(default_factory=dict)
-    """Errors of "vision" and "tracked" against the truth, where the recording has one."""
+    """Errors of "vision" and "tracked" against the truth, if the recording has it."""
     untouched: dict[str, dict[str, int]] = field(default_factory=dict)
-    """By finger that never touched anything: how many of its observations had no contact, by the reason."""
+    """For each finger that never touched anything: the number of observations without a contact, by reason."""
     margins: dict[str, float] = field(default_factory=dict)
-    """By link of the hand whose shape in the hand's file is too large: by how much [m]."""
+    """For each link of the hand whose shape in the hand's file is too large: by how much [m]."""
     images: dict[str, int] = field(default_factory=dict)
-    """Counts of depth images, if any were used: searched, with the object, searched for the hand, with the hand."""
+    """Counts of depth images, if any were used: searched, object found, searched for the hand, hand found."""
     weight: "ObjectWeight | None" = None
-    """The object's weight as last measured in the air."""
+    """The object's weight, as measured last in the air."""
     ends: list[End] = field(default_factory=list)
-    """Of the parts that ended early."""
+    """The ends of the parts of the command that ended early."""
 
     @property
     def exit_code(self) -> int:
@@ -65,7 +65,7 @@ class TrackResult:
 
     @property
     def slips(self) -> list[tuple[float, float]]:
-        """Returns when the object slipped, and how long, each time [s]."""
+        """Returns the stamp and the duration of each slip [s]."""
         found: dict[float, float] = {}
         for step in self.steps:
             if step.slip.slipping:
@@ -74,13 +74,13 @@ class TrackResult:
 
     @property
     def rejected(self) -> dict[str, float]:
-        """Returns by finger in which part of the poses with its contact the contact was an outlier."""
+        """Returns, by finger, the share of the poses with its contact in which the contact was an outlier."""
         touching = Counter(finger for step in self.steps for finger in step.fingers)
         wrong = Counter(finger for step in self.steps for finger in step.rejected)
         return {finger: wrong[finger] / count for finger, count in touching.items()}
 
     def summary(self) -> dict[str, object]:
-        """Returns the result in numbers, as JSON has them."""
+        """Returns the result in numbers, ready for JSON."""
         tally = self.tally
         return {
             "recording": self.name,
@@ -112,7 +112,7 @@ class TrackResult:
             path.write_text(text + "\n", encoding="utf-8")
 
     def sentences(self) -> list[str]:
-        """Returns the result for a person."""
+        """Returns the result as sentences for a person."""
         tally = self.tally
         factor = f"{tally.recorded / tally.wall:.0f}x real time" if tally.wall else "nothing to time"
         lines = [
@@ -133,7 +133,7 @@ class TrackResult:
         if self.margins:
             by = ", ".join(f"{link} by {1e3 * margin:.1f} mm" for link, margin in self.margins.items())
             lines.append(
-                "these shapes of the hand's file are larger than the hand, as they would be inside the object though "
+                "these shapes in the hand's file are too large, as they would be inside the object although the "
                 f"contacts fit, and were shrunk: {by}"
             )
         if self.weight is not None:
@@ -162,26 +162,27 @@ class TrackResult:
             yield f"tactile arrays: pressed in {pressed} of {len(self.steps)} poses"
         if slips := self.slips:
             first = slips[0][0] - self.steps[0].stamp
+            times = "once" if len(slips) == 1 else f"{len(slips)} times"
             yield (
-                f"the object slipped {len(slips)} times, {sum(seconds for _, seconds in slips):.2f} s in all, first at "
+                f"the object slipped {times}, {sum(seconds for _, seconds in slips):.2f} s in all, first at "
                 f"{first:.2f} s; friction {self.friction:.2f}"
             )
 
 
 def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:
-    """Returns in a line what an object weighs, and where its centre of mass is, or `why` it was not weighed."""
+    """Returns a line about an object's mass and centre of mass, or `why` it was not weighed."""
     if weight is None:
         return f"not weighed: {why or 'not in the air'}"
-    place = ", ".join(f"{1e3 * x:.0f}" for x in weight.center_object)
+    place = ", ".join(str(round(1e3 * x)) for x in weight.center_object)  # round: no -0
     sigma = 1e3 * math.sqrt(weight.covariance.trace() / 3)
     text = f"{1e3 * weight.mass:.0f} ± {1e3 * weight.sigma_mass:.0f} g, centre [{place}] ± {sigma:.0f} mm in the object"
     if weight.biased:
-        text += f"; the excess that {', '.join(weight.biased)} read in the air is subtracted"
+        text += f"; the excess force of {', '.join(weight.biased)} in the air is subtracted"
     return f"not believed: {weight.reason} ({text})" if weight.reason else text
 
 
 def weight_numbers(weight: "ObjectWeight") -> dict[str, object]:
-    """Returns the same as JSON's values."""
+    """Returns an object's weight in numbers, ready for JSON."""
     return {
         "mass_kg": weight.mass,
         "sigma_mass_kg": weight.sigma_mass,

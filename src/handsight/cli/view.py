@@ -1,4 +1,4 @@
-"""`handsight view`: a recording on a page in the browser, tracked while it is shown."""
+"""`handsight view`: a recording on a page in the browser, tracked while the page shows it."""
 
 import contextlib
 import threading
@@ -30,11 +30,11 @@ def view(
         int, typer.Option(min=1, max=65535, help="Port of the page; the next free one if it is taken.")
     ] = 8080,
 ) -> None:
-    """Show a recording in the browser: where the object is at each moment, and why handsight thinks so.
+    """Show a recording in the browser: the object's pose at each moment, and the evidence for it.
 
-    It is tracked as `handsight track` does. The page has the hand and the object in the palm's frame, contacts,
-    forces, other likely poses, the directions that touch leaves open, and the camera's image; play, pause and seek.
-    Only browsers on this machine reach it. Ctrl-C ends it.
+    The recording is tracked as by `handsight track`. The page shows the hand and the object in the palm's frame,
+    contacts, forces, other likely poses, the directions that are unobservable by touch, and the camera's image; it can
+    play, pause and seek. Only browsers on this machine can open it. Ctrl-C ends it.
 
     ```
     handsight simulate can --output can.mcap
@@ -56,7 +56,7 @@ def view(
 
 
 def _refuse_track(path: Path) -> None:
-    """Raises InvalidInput for a `track.mcap`, which has poses, but not what moved the hand and what it touched."""
+    """Raises InvalidInput for a `track.mcap`, which has only poses: it is a result, not a recording."""
     from handsight.messages import OwnTopic
     from handsight.recording.open import open_files
 

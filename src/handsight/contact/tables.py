@@ -12,7 +12,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterator
-from itertools import chain, islice
+from itertools import chain, count, islice
 from pathlib import Path
 from typing import Literal, TextIO
 
@@ -81,11 +81,12 @@ def read_wrenches(source: Place) -> Iterator[tuple[list[Labels], Array]]:
         with contextlib.ExitStack() as stack:
             if isinstance(source, str | os.PathLike):
                 source = stack.enter_context(Path(source).open(encoding="utf-8", newline=""))
-            head = [source.readline().removeprefix("\ufeff")]
+            lines = _lines(source, name)
+            head = [next(lines, "").removeprefix("\ufeff")]
             while head[-1].isspace():
-                head.append(source.readline())
+                head.append(next(lines, ""))
             parse = _json_rows if head[-1].lstrip().startswith("{") else _csv_rows
-            rows = parse(chain(head, source), name)
+            rows = parse(chain(head, lines), name)
             while some := list(islice(rows, 8192)):
                 empty = False
                 labels, numbers = zip(*some, strict=True)
@@ -96,6 +97,18 @@ def read_wrenches(source: Place) -> Iterator[tuple[list[Labels], Array]]:
         raise InvalidFile(f"{name}: expected UTF-8 text, got byte {error.object[error.start]:#04x}") from None
     if empty:
         raise InvalidFile(f"{name}: expected at least one wrench, got an empty table")
+
+
+def _lines(file: TextIO, name: str) -> Iterator[str]:
+    """Yields the lines of a file that may have no line breaks, such as a device; raises InvalidFile for a long line."""
+    longest = 100_000
+    for number in count(1):
+        line = file.readline(longest + 1)
+        if len(line) > longest:
+            raise InvalidFile(f"{name}: line {number}: expected at most {longest} characters, got more")
+        if not line:
+            return
+        yield line
 
 
 def _csv_rows(lines: Iterator[str], name: str) -> Iterator[tuple[Labels, list[float]]]:

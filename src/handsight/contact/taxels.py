@@ -146,7 +146,7 @@ class SkinTouch:
         """Returns the pressed taxels as contacts in the palm, at most `MAX_CONTACTS`; None without a pressed one.
 
         `T_palm_frame` (4, 4): the pose of the link. Their covariances are without the array's common error
-        `sigma_mount`, which `handsight.correction.Outside.of_skin` adds.
+        `sigma_mount`, which `handsight.SkinEvidence.of` adds.
         """
         array, T_palm_grid = self.array, self._T_palm_grid(T_palm_frame)
         places = array.places_grid[self.pressed]

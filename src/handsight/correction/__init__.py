@@ -1,18 +1,24 @@
-"""Correction: contacts and vision to a pose with its uncertainty."""
+"""Correction: from contacts and vision to a pose with its uncertainty."""
 
-from handsight.correction.batch import correct_poses
-from handsight.correction.correct import METHODS, MOST_SAMPLES, correct_pose, refine_pose
-from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior, Residuals
+from handsight.correction.correct import METHODS, MOST_SAMPLES, correct_pose, correct_poses, refine_pose
+from handsight.correction.depth import DepthPoints
+from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior, Residuals, bounded_covariance
 from handsight.correction.mean import ANSWERS
-from handsight.correction.outside import Outside, Plane
+from handsight.correction.modes import pose_distances
+from handsight.correction.outside import MOST_PLANES, MOST_POINTS, Outside, Plane
 from handsight.correction.paper import PaperMethod
-from handsight.correction.problem import TwoPhase
+from handsight.correction.problem import MOST_CONTACTS, TwoPhase
+from handsight.correction.skin import SkinEvidence
 from handsight.correction.weight import WeightEvidence
 
 __all__ = [
     "ANSWERS",
     "METHODS",
+    "MOST_CONTACTS",
+    "MOST_PLANES",
+    "MOST_POINTS",
     "MOST_SAMPLES",
+    "DepthPoints",
     "Hypothesis",
     "Outside",
     "PaperMethod",
@@ -20,9 +26,12 @@ __all__ = [
     "PoseEstimate",
     "PosePrior",
     "Residuals",
+    "SkinEvidence",
     "TwoPhase",
     "WeightEvidence",
+    "bounded_covariance",
     "correct_pose",
     "correct_poses",
+    "pose_distances",
     "refine_pose",
 ]

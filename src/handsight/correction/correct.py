@@ -1,10 +1,16 @@
-"""The public door of correction: one function for every method."""
+"""The functions that correct a pose: `correct_pose`, `correct_poses` for many problems, and `refine_pose` for tracking.
+
+They check their arguments, choose how a problem is solved, and take the weight and the skin into account. The search
+itself is in `solve.py` (from one start or many) and `outliers.py` (wrong contacts).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import inspect
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,23 +18,22 @@ from numpy.typing import ArrayLike
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import outliers, paper
-from handsight.correction.budget import Budget
+from handsight.correction import outliers, paper, starts
+from handsight.correction.depth import DepthPoints
 from handsight.correction.estimate import PoseEstimate, PosePrior, Vision, checked_prior
-from handsight.correction.footprint import less_certain, likely_starts
-from handsight.correction.mean import checked_answer, with_means
+from handsight.correction.mean import checked_answer, mean_by_sampling, with_means
 from handsight.correction.outside import NO_OUTSIDE, Outside, outside_records
 from handsight.correction.paper import PaperMethod
-from handsight.correction.problem import Problem, TwoPhase, descents_at
-from handsight.correction.sampling import mean_by_sampling
-from handsight.correction.solve import solve_single_start, summarize, summarize_pose
+from handsight.correction.problem import MOST_CONTACTS, Budget, Problem, TwoPhase, check_number, descents_at
+from handsight.correction.skin import SkinEvidence
+from handsight.correction.solve import solve_batch, solve_single_start, summarize, summarize_pose
 from handsight.correction.weight import WeightEvidence
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
 USUAL = TwoPhase()
 MOST_SAMPLES = 1_000_000
-"""They take ten seconds and a hundred megabytes."""
+"""Posterior samples of one correction: so many take ten seconds and a hundred megabytes."""
 METHODS: dict[str, TwoPhase | PaperMethod] = {
     "handsight": USUAL,
     "paper-lm": PaperMethod(optimizer="lm"),
@@ -48,21 +53,53 @@ def correct_pose(
     samples: int = 0,
     budget: float | None = None,
     weight: WeightEvidence | None = None,
+    depth: DepthPoints | None = None,
+    skin: SkinEvidence | None = None,
     method: str | TwoPhase | PaperMethod = "handsight",
 ) -> PoseEstimate:
     """Returns the object's pose in the palm that best explains the contacts and vision, with its uncertainty.
 
-    contacts: fingertip contacts in the palm frame. vision: the object's pose in the palm with its covariance, as a
-    `PosePrior`, a `PoseMeasurement` in the palm or a `GaussianPose`; None: without vision.
-    outside: (m, 3) points [m] of the hand's surface in the palm frame, none of which can be inside the object; or an
-    `Outside` of such points and of planes that the object cannot cross.
-    answer: "best" is the mean of a mode that is no Gaussian, such as a slide that contacts bound and do not fix, and
-    else the maximum; or "maximum", or "mean". samples: above 0, the best mode's mean and covariance from that many
-    posterior samples instead, up to `MOST_SAMPLES`: slow, and an independent check. budget: seconds after which no
-    search for a better mode or a wrong contact goes on; `converged` is False where one was cut short. weight: where
-    the object's centre of mass is; left out where all else contradicts it, and then `weight_fits` is False. method: a
-    name of `METHODS`, or its options as a value. Raises InvalidInput where an input is wrong; a solver that does not
-    converge says so in `converged`.
+    All lengths are in metres and all times in seconds. A wrong argument raises InvalidInput, which names it. A solver
+    that does not converge returns an estimate whose `converged` is False.
+
+    model: the object's surface and its symmetries, an `ObjectModel`.
+
+    contacts: from 1 to 256 `Contacts` of fingertips in the palm frame: points, the object's outward normals where they
+    are known, and their covariances.
+
+    vision: the object's pose in the palm with its covariance, as a `PosePrior`, a `PoseMeasurement` in the palm frame
+    or a `GaussianPose`. Along directions that the contacts leave open the answer is this pose's. Default None: there is
+    no such pose, and the whole surface is tried at the contacts, which takes longer; several `hypotheses` may remain.
+
+    outside: what cannot be inside the object: points (m, 3) of the hand's surface in the palm frame, or an `Outside`,
+    which also takes planes, such as the table, and each point's standard deviation (else 1.5 times that of the median
+    contact). Use it where poses that fit the contacts would cut through the hand or the table. Points have no effect on
+    a model without an inside. Default None.
+
+    answer: "best" (default) is the maximum of the posterior density, or the mean of a mode that is not Gaussian, such
+    as a slide that ends at edges but is not fixed between them. "maximum" and "mean" always give the one or the other.
+
+    samples: 0 (default): a mean is integrated numerically. A number above 0, up to 1 000 000: pose and covariance are
+    the mean and the covariance of so many Monte Carlo samples of the best mode (at least 64), whatever `answer` is. Use
+    it as an independent check: 1 000 000 take ten seconds.
+
+    budget: time after which the search for better modes and for wrong contacts stops; `converged` is False where it
+    was cut short. Use it where an answer must come in time. Default None: no limit.
+
+    weight: the centre of mass in the object, and in the palm as measured by the loads on the fingertips, as
+    `WeightEvidence`. Use it while the hand alone carries the object. If all other evidence contradicts it, it is left
+    out and `weight_fits` is False. Default None.
+
+    depth: points of a depth image on the object's surface, as `DepthPoints`. Use them in place of the pose that was
+    estimated from the same image: `vision` must not be that pose too. Default None.
+
+    skin: pressed and untouched taxels of tactile arrays, as `SkinEvidence`. Pressed taxels are contacts, and follow
+    `contacts` in `residuals` and `outliers`. The array's common error is added to the covariance. Default None.
+
+    method: "handsight" (default), or a `TwoPhase` with its options. For comparison, the methods of the IROS 2013 paper:
+    "paper-lm", "paper-gd", "paper-lm-distance" and "paper-gd-distance" (the latter two without normals), or a
+    `PaperMethod`. They start from `vision`, which they need, take neither `weight` nor `depth`, and do not use
+    `answer`, `samples` and `budget`.
     """
     options = _method(method)
     if not isinstance(model, ObjectModel) or not isinstance(contacts, Contacts):
@@ -73,21 +110,56 @@ def correct_pose(
     prior = checked_prior(vision)
     samples, answer = checks.integer(samples, "samples", MOST_SAMPLES), checked_answer(answer)
     limit = Budget.of(budget)
-    problem = Problem(
-        model, contacts, prior, outside_records(model, contacts, outside), _weight(weight, model)
-    )
+    problem, skin = _problem(model, contacts, prior, outside, weight, depth, skin)
     if isinstance(options, PaperMethod):
-        return _by_paper(problem, options)
-    solved = partial(_solved, options=options, limit=limit, answer=answer, samples=samples)
-    if prior is not None and isinstance(outside, Outside) and outside.skin is not None:
-        problem = replace(problem, starts=_array_starts(problem, options, limit))
-    estimate = solved(problem)
-    estimate = estimate if problem.weight is None else _weighed(problem, estimate, solved)
-    return less_certain(estimate, outside)
+        estimate = _by_paper(problem, options)
+    else:
+        solved = partial(_solved, options=options, limit=limit, answer=answer, samples=samples)
+        if skin is not None and prior is not None:
+            by_contacts = replace(problem, outside=NO_OUTSIDE, weight=None)
+            around = _solved(by_contacts, options=options, limit=limit, answer="maximum", samples=0)
+            problem = replace(problem, starts=starts.within_footprint(problem, around))
+        estimate = solved(problem)
+        if problem.weight is not None:
+            estimate = _weighed(problem, problem.weight, estimate, solved)
+    return estimate if skin is None else estimate.inflated(skin.sigmas**2)
+
+
+KEYS = tuple(inspect.signature(correct_pose).parameters)[1:]
+"""The arguments that a problem of `correct_poses` may have: all of `correct_pose` but the model."""
+
+
+def _problem(
+    model: ObjectModel,
+    contacts: Contacts,
+    prior: PosePrior | None,
+    outside: ArrayLike | Outside | None,
+    weight: WeightEvidence | None,
+    depth: DepthPoints | None,
+    skin: SkinEvidence | None,
+) -> tuple[Problem, SkinEvidence | None]:
+    """Returns the problem of checked inputs, and its skin; raises InvalidInput.
+
+    The skin's pressed taxels are among the problem's contacts, its untouched ones among the points outside.
+    """
+    for name, value, kind in (
+        ("weight", weight, WeightEvidence),
+        ("depth", depth, DepthPoints),
+        ("skin", skin, SkinEvidence),
+    ):
+        if value is not None and not isinstance(value, kind):
+            raise InvalidInput(f"{name}: expected {kind.__name__} or None, got {type(value).__name__}")
+    if skin is None and isinstance(outside, Outside) and outside.skin is not None:  # deprecated
+        skin = SkinEvidence(None, np.empty((0, 3)), np.asarray(outside.skin))
+    if skin is not None and skin.contacts is not None:
+        contacts = contacts.joined(skin.contacts)
+    weight = None if weight is None else weight.of(model)
+    rows = outside_records(model, contacts, outside, skin)
+    return Problem(model, contacts, prior, rows, weight, depth), skin
 
 
 def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, samples: int) -> PoseEstimate:
-    """Returns the answer to a problem: from one start where that does, else from many."""
+    """Returns the answer to a problem, from one start where that is enough, else from many."""
     if options is USUAL and not samples and problem.starts is None:
         estimate = solve_single_start(problem)
         if estimate is not None:
@@ -110,50 +182,44 @@ def refine_pose(
     outside: Outside | None = None,
     answer: str = "best",
     weight: WeightEvidence | None = None,
+    depth: DepthPoints | None = None,
+    skin: SkinEvidence | None = None,
 ) -> PoseEstimate | None:
-    """Returns what `correct_pose` answers where it descends from a pose that was right a moment ago, and from there
-    alone.
+    """Returns the answer of a descent from one pose that was right a moment ago; None where the evidence does not fit
+    there, and `correct_pose` has to search.
 
-    None where the evidence does not fit there: then search anew. `T_start` (4, 4): the maximum of a moment ago, not a
-    mean, which may fit nowhere.
+    `T_start` (4, 4): the last estimate's `T_palm_object_maximum`, not its mean, at which the evidence may not fit. The
+    other arguments are those of `correct_pose`. Raises InvalidInput.
     """
-    problem = Problem(
-        model, contacts, vision, outside_records(model, contacts, outside), _weight(weight, model)
-    )
+    problem, skin = _problem(model, contacts, vision, outside, weight, depth, skin)
     estimate = solve_single_start(problem, T_start)
     if estimate is None or (problem.weight is not None and problem.weight.contradicts(estimate)):
         return None
-    estimate = less_certain(with_means(problem, estimate, checked_answer(answer)), outside)
+    estimate = with_means(problem, estimate, checked_answer(answer))
+    estimate = estimate if skin is None else estimate.inflated(skin.sigmas**2)
     return estimate if weight is None else replace(estimate, weight_fits=True)
 
 
-def _array_starts(problem: Problem, options: TwoPhase, limit: Budget) -> Array:
-    """Returns (K, 4, 4) poses to begin from where an array of taxels says how far faces reach."""
-    alone = replace(problem, outside=NO_OUTSIDE, weight=None)
-    by_contacts = _solved(alone, options=options, limit=limit, answer="maximum", samples=0)
-    return likely_starts(problem, by_contacts)
-
-
-def _weight(weight: WeightEvidence | None, model: ObjectModel) -> WeightEvidence | None:
-    if not isinstance(weight, WeightEvidence | None):
-        raise InvalidInput(f"weight: expected WeightEvidence or None, got {type(weight).__name__}")
-    return None if weight is None else weight.of(model)
-
-
 def _weighed(
-    problem: Problem, estimate: PoseEstimate, solved: Callable[[Problem], PoseEstimate]
+    problem: Problem,
+    weight: WeightEvidence,
+    estimate: PoseEstimate,
+    solved: Callable[[Problem], PoseEstimate],
 ) -> PoseEstimate:
-    """Returns the estimate with its weight, or, where all else contradicts that, without."""
-    weight = problem.weight
-    if weight is None or (estimate.consistent and not weight.contradicts(estimate)):
+    """Returns the estimate, or, where all other evidence contradicts the weight, the answer without it."""
+    contradicted = weight.contradicts(estimate)
+    if estimate.consistent and not contradicted:
         return replace(estimate, weight_fits=True)
     without = solved(replace(problem, weight=None))
-    if not estimate.consistent and not without.consistent and not weight.contradicts(estimate):
-        return replace(estimate, weight_fits=True)  # it is not the weight that does not fit
+    if not estimate.consistent and not without.consistent and not contradicted:
+        return replace(
+            estimate, weight_fits=True
+        )  # something else is inconsistent, with the weight and without
     return replace(without, weight_fits=False)
 
 
 def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
+    """Returns a method's options by its name; raises InvalidInput."""
     if isinstance(method, TwoPhase | PaperMethod):
         return method
     if not isinstance(method, str) or method not in METHODS:
@@ -162,21 +228,23 @@ def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:
 
 
 def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
-    """Returns the published method's pose; the uncertainty beside it is ours, taken at that pose."""
+    """Returns the pose by the paper's method, with the uncertainty of handsight's own evidence at it."""
     model, contacts = problem.model, problem.contacts
-    if problem.weight is not None:
-        raise InvalidInput("weight: expected None, for the paper's method knows of none, got WeightEvidence")
+    for name, value in (("weight", problem.weight), ("depth", problem.depth)):
+        if value is not None:
+            came = f"got {type(value).__name__}"
+            raise InvalidInput(f"{name}: expected None, as the paper's method does not use it, {came}")
     if problem.vision is None:
         raise InvalidInput("vision: the paper's method starts from a pose, got None")
     if options.normals and not contacts.has_normal.all():
         raise InvalidInput(
-            "contacts: the paper's method with normals needs one for each, got contacts without "
-            "(paper-lm-distance and paper-gd-distance need none)"
+            "contacts: the paper's method with normals needs one for each contact, got contacts without "
+            "(paper-lm-distance and paper-gd-distance need no normals)"
         )
     T = problem.vision.T_palm_object
     points_object, normals_object = model.sample(options.cloud_size)
-    # The paper turns about the frame's origin; laid in the object's middle, its step sizes do not depend on
-    # where the palm's frame happens to be.
+    # The paper turns about the frame's origin. With the origin in the middle of the object, its step sizes do not
+    # depend on where the palm's frame is.
     T_palm_middle = se3.compose(np.eye(3), se3.apply(T, model.center_object[None])[0])
     middle = T_palm_middle[:3, 3]
     answer = paper.correct(
@@ -190,3 +258,56 @@ def _by_paper(problem: Problem, options: PaperMethod) -> PoseEstimate:
     minimum = descents_at(T[None])
     minimum["converged"], minimum["iterations"] = answer.converged, answer.iterations
     return summarize_pose(problem, minimum)
+
+
+def correct_poses(model: ObjectModel, problems: Iterable[object]) -> list[PoseEstimate]:
+    """Returns the estimates of `correct_pose` for many problems of one object, in their order, computed on all cores.
+
+    A problem is a mapping of `correct_pose`'s arguments by name (`contacts`, `vision`, `outside`, `answer`, `samples`,
+    `budget`, `weight`, `depth`, `skin`, `method`), a pair `(contacts, vision)`, or contacts alone, without vision.
+    Problems of nothing but contacts and vision are the fastest. Raises InvalidInput that names the problem, such as
+    `problems[3].vision: ...`; wrong contacts and vision are found before any problem is solved.
+    """
+    if not isinstance(model, ObjectModel):
+        raise InvalidInput(f"model: expected an ObjectModel, got {type(model).__name__}")
+    if isinstance(problems, Contacts | Mapping) or not isinstance(problems, Iterable):
+        raise InvalidInput(f"problems: expected a sequence of problems, got {type(problems).__name__}")
+    each = [_arguments(problem, f"problems[{i}]") for i, problem in enumerate(problems)]
+    found: list[PoseEstimate | None] = [None] * len(each)
+    usual = [i for i, problem in enumerate(each) if set(problem) == {"contacts", "vision"}]
+    at_once = 4096  # problems in one call of the kernels
+    for begin in range(0, len(usual), at_once):
+        rows = usual[begin : begin + at_once]
+        pairs = [(each[i]["contacts"], each[i]["vision"]) for i in rows]
+        for i, pair, estimate in zip(rows, pairs, solve_batch(model, pairs), strict=True):
+            if estimate is not None:
+                found[i] = with_means(Problem(model, *pair, NO_OUTSIDE), estimate, "best")
+    answers = []
+    for i, (problem, estimate) in enumerate(zip(each, found, strict=True)):
+        try:
+            answers.append(correct_pose(model, **problem) if estimate is None else estimate)
+        except InvalidInput as error:
+            raise InvalidInput(f"problems[{i}]: {error}") from None
+    return answers
+
+
+def _arguments(problem: object, name: str) -> dict[str, Any]:
+    """Returns the arguments of `correct_pose` by name, without those that are None; raises InvalidInput."""
+    if isinstance(problem, Contacts):
+        given: dict[str, Any] = {"contacts": problem}
+    elif isinstance(problem, Mapping):
+        given = dict(problem)
+    elif isinstance(problem, tuple | list) and len(problem) == 2:
+        given = {"contacts": problem[0], "vision": problem[1]}
+    else:
+        expected = "expected a mapping, (contacts, vision) or Contacts"
+        raise InvalidInput(f"{name}: {expected}, got {type(problem).__name__}")
+    for key in given:
+        if key not in KEYS:
+            raise InvalidInput(f"{name}: expected {', '.join(KEYS)}, got {key!r}")
+    contacts = given.get("contacts")
+    if not isinstance(contacts, Contacts):
+        raise InvalidInput(f"{name}.contacts: expected Contacts, got {type(contacts).__name__}")
+    check_number(len(contacts), MOST_CONTACTS, f"{name}.contacts", "contacts")
+    given["vision"] = checked_prior(given.get("vision"), f"{name}.vision")
+    return {key: value for key, value in given.items() if value is not None}

@@ -1,7 +1,7 @@
-"""What goes into a correction and what comes out: PosePrior, PoseEstimate.
+"""The pose before a correction, `PosePrior`, and after it, `PoseEstimate`.
 
-Covariances and informations are 6 x 6, for the perturbation (δp [m], δθ [rad]) along the palm's axes, `p` the
-object's origin (`handsight.se3.moved`).
+Covariances and informations are (6, 6), of the perturbation (δp [m], δθ [rad]) along the palm's axes, where `p` is the
+position of the object's origin (`handsight.se3.moved`).
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from handsight.observation import PoseMeasurement
 from handsight.representation import short_repr
 
 OPEN_VARIANCES = np.repeat([1.0, np.pi**2 / 3], 3)
-"""(6,) of what nothing is known of (δp [m²], δθ [rad²]): a metre, and a whole turn, whose every angle is as likely."""
+"""(6,) variances of an unknown pose (δp [m²], δθ [rad²]): one metre, and an angle that is uniform over a full turn."""
 OPEN_INFORMATION = np.diag(1 / OPEN_VARIANCES)
 
 
 @dataclass(frozen=True, slots=True)
 class PosePrior:
-    """A `PosePrior` says where vision, or the last estimate, says the object is, and how far that may be wrong."""
+    """A `PosePrior` is the object's pose in the palm before touch, with its covariance: vision's, or the last one."""
 
     T_palm_object: Array
-    """(4, 4)."""
+    """(4, 4) pose of the object in the palm."""
     covariance: Array
     """(6, 6), positive semidefinite: of (δp [m], δθ [rad]) along the palm's axes."""
     record: NDArray[np.void] = field(init=False, repr=False, compare=False)
-    """(1,) CONSTRAINTS: the same as kernels take it, without the object's weight."""
+    """(1,) CONSTRAINTS: the same values as a record for the kernels, without other evidence."""
 
     __repr__ = short_repr
 
@@ -50,8 +50,7 @@ class PosePrior:
 
     @classmethod
     def trusted(cls, T_palm_object: Array, covariance: Array) -> PosePrior:
-        """Returns a prior of arrays that are known to be a pose and a covariance: checking takes longer than
-        correcting."""
+        """Returns a prior of arrays that are not checked, as this takes longer than a correction; for control loops."""
         prior = object.__new__(cls)
         object.__setattr__(prior, "T_palm_object", T_palm_object)
         object.__setattr__(prior, "covariance", covariance)
@@ -68,17 +67,17 @@ class PosePrior:
 
 
 Vision = PosePrior | PoseMeasurement | GaussianPose
-"""A pose from vision as corrections take it: of the object in the palm, with its covariance."""
+"""The types in which corrections take the pose from vision: of the object in the palm, with its covariance."""
 
 
 def checked_prior(vision: Vision | None, name: str = "vision") -> PosePrior | None:
-    """Returns the prior of a pose from vision, whatever its type; raises InvalidInput, which begins with `name`."""
+    """Returns a pose from vision as a prior, None for None; raises InvalidInput, which begins with `name`."""
     if vision is None or isinstance(vision, PosePrior):
         return vision
     if isinstance(vision, GaussianPose):
         return PosePrior(vision.T_a_b, vision.covariance)
     if not isinstance(vision, PoseMeasurement):
-        expected = "expected a PosePrior, a PoseMeasurement or None"
+        expected = "expected a PosePrior, a PoseMeasurement, a GaussianPose or None"
         raise InvalidInput(f"{name}: {expected}, got {type(vision).__name__}")
     if vision.frame != "palm":
         raise InvalidInput(
@@ -90,7 +89,8 @@ def checked_prior(vision: Vision | None, name: str = "vision") -> PosePrior | No
 
 
 def _prior_record(T: Array, covariance: Array) -> NDArray[np.void]:
-    # Numbers of CONSTRAINTS, one after another: by their names they take three times as long.
+    """Returns (1,) CONSTRAINTS with a pose (4, 4) and its covariance (6, 6)."""
+    # Set as numbers in the order of the record's fields: by field names it takes three times as long.
     numbers = np.zeros(CONSTRAINTS.itemsize // 8)
     numbers[:9], numbers[9:12], numbers[12:48] = T[:3, :3].ravel(), T[:3, 3], covariance.ravel()
     record = numbers.view(CONSTRAINTS)
@@ -100,7 +100,7 @@ def _prior_record(T: Array, covariance: Array) -> NDArray[np.void]:
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """A `Residuals` says how far each contact is from the answer's surface; rejected contacts included."""
+    """`Residuals` are the distance and the angle of each contact to the surface at the answer, outliers included."""
 
     distance: Array
     """(n,) signed distance of the contact point to the surface [m], positive outside."""
@@ -115,41 +115,47 @@ class Hypothesis:
     """A `Hypothesis` is one mode of the posterior."""
 
     T_palm_object: Array
-    """(4, 4)."""
+    """(4, 4) pose of the object in the palm."""
     information: Array
     """(6, 6), of touch and prior together; may be singular."""
     covariance: Array | None
     """(6, 6), the information's inverse; None where that is singular."""
     weight: float
-    """Posterior probability among the reported modes; they sum to 1."""
+    """Posterior probability among the reported modes, which sum to 1."""
     cost: float
-    """Minus two log of the density at the mode, up to a constant: the χ² of all evidence in use."""
+    """Minus two log of the posterior density at the mode, up to a constant: the χ² of all evidence in use, plus the log
+    determinants of the contacts' covariances. It may be negative."""
 
     __repr__ = short_repr
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PoseEstimate:
-    """A `PoseEstimate` is the object's pose in the palm, and how much of it to believe: a view of what a kernel has
-    answered."""
+    """A `PoseEstimate` is the object's pose in the palm with its uncertainty.
+
+    Its properties read the record that the kernel has written, `answer`.
+    """
 
     answer: np.void
-    """ANSWER, of the best mode, or of its mean."""
+    """ANSWER of the best mode, or of its mean."""
     modes: Sequence[np.void]
-    """ANSWER, of each mode that is reported, best first."""
+    """ANSWER of each mode that is reported, best first."""
     residual_rows: Array
     """(n, 2) distance [m] and angle [rad] of each contact."""
     consistent: bool
-    """False: the evidence in use does not fit this object here (χ² beyond its 99.9 % quantile)."""
+    """Whether the evidence in use fits this object at this pose: χ² is below its 99.9 % quantile."""
     outliers: tuple[int, ...] = ()
     """Indices of contacts that were rejected as wrong."""
     weight_fits: bool | None = None
-    """Whether the object's weight had a say: False where all else contradicts it, and it was left out; None where it
-    was not given."""
+    """Whether the object's weight was used; False: all other evidence contradicts it, and it was left out; None: no
+    weight was given."""
 
     @classmethod
     def from_gaussian(cls, T_palm_object: Array, covariance: Array, unobservable: Array) -> PoseEstimate:
-        """Returns the estimate of a pose that is known without touch: one mode, no residuals."""
+        """Returns the estimate of a pose (4, 4) without touch: one mode, no residuals.
+
+        `covariance` (6, 6); `unobservable` (k, 6): the directions that it reports.
+        """
         answer = np.zeros(1, dtype=ANSWER)[0]
         answer["information"], answer["weight"], answer["converged"] = np.linalg.inv(covariance), 1.0, 1
         answer["T_palm_object"], answer["covariance"], answer["complete"] = T_palm_object, covariance, 1
@@ -159,7 +165,7 @@ class PoseEstimate:
         return cls(answer, (answer,), np.empty((0, 2)), True)
 
     def inflated(self, variance: Array) -> PoseEstimate:
-        """Returns the estimate where the pose may be off by `variance` (6,) more, along the palm's axes [m², rad²]."""
+        """Returns the estimate with `variance` (6,) [m², rad²], along the palm's axes, added to its covariance."""
         if not variance.any():
             return self
         covariance = None if self.covariance is None else self.covariance + np.diag(variance)
@@ -173,8 +179,10 @@ class PoseEstimate:
         information: Array,
         residuals: Array | None = None,
     ) -> PoseEstimate:
-        """Returns the same estimate with another pose, covariance and information; other modes stay. `residuals` (n,
-        2)."""
+        """Returns the estimate with another pose (4, 4), covariance and information (6, 6) of its best mode.
+
+        `residuals` (n, 2): distance [m] and angle [rad] of each contact; None: as they are.
+        """
         answer = self.answer.copy()
         answer["T_palm_object"], answer["information"] = T_palm_object, information
         answer["complete"] = covariance is not None
@@ -187,13 +195,13 @@ class PoseEstimate:
 
     @property
     def T_palm_object(self) -> Array:
-        """(4, 4): the best mode; its mean where that is no Gaussian, or where a mean was asked for."""
+        """(4, 4) pose of the object in the palm: of the best mode the maximum or the mean, by the argument `answer`."""
         T: Array = self.answer["T_palm_object"]
         return T
 
     @property
     def T_palm_object_maximum(self) -> Array:
-        """(4, 4): where the density of the best mode is largest, from which its neighbours can be followed."""
+        """(4, 4) pose at which the density of the best mode is largest, from which `refine_pose` starts next."""
         pose = self.answer["pose"]
         return se3.compose(pose["rotation"], pose["position"])
 
@@ -210,38 +218,50 @@ class PoseEstimate:
 
     @property
     def bounded_covariance(self) -> Array:
-        """(6, 6): `covariance`, or where that is None one whose open directions have a stated large variance."""
+        """(6, 6): `covariance`, or, where that is None, one with a stated large variance in open directions."""
         return bounded_covariance(self.information) if self.covariance is None else self.covariance
 
     @property
     def converged(self) -> bool:
-        """Whether the solver ended on a step too small to matter."""
+        """Whether the last step of the solver was smaller than its tolerance, and no search was cut short."""
         return bool(self.answer["converged"])
 
     @property
     def iterations(self) -> int:
-        """Steps of both phases that led to the answer."""
+        """The number of steps of both phases that led to the answer."""
         return int(self.answer["iterations"])
 
     @property
     def residuals(self) -> Residuals:
-        """What remains between each contact and the surface."""
+        """The distance and the angle between each contact and the surface."""
         return Residuals(self.residual_rows[:, 0], self.residual_rows[:, 1])
 
     @property
     def unobservable(self) -> Array:
-        """(k, 6) directions, (δp [m], δθ scaled by the object's radius [m]) of unit length, about the object's
-        origin, in which the contacts leave the pose open: there the answer is the prior's."""
+        """(k, 6) directions in which the contacts leave the pose open, so that the answer is the prior's.
+
+        Each is (δp, radius · δθ), of unit length, along the palm's axes: δp of the object's origin, and the object's
+        radius.
+        """
         rows: Array = self.answer["unobservable"][: self.answer["open_count"]]
         return rows
 
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """Distinct modes modulo the declared symmetries, best first; the first is the answer's."""
-        return tuple(_hypothesis(mode) for mode in self.modes)
+        """The distinct modes, modulo the declared symmetries, best first: the first is the answer."""
+        return tuple(
+            Hypothesis(
+                mode["T_palm_object"],
+                mode["information"],
+                mode["covariance"] if mode["complete"] else None,
+                float(mode["weight"]),
+                float(mode["posterior_cost"]),
+            )
+            for mode in self.modes
+        )
 
     def __repr__(self) -> str:
-        """Says where, and how it ended, in a line."""
+        """Returns the position, and how the search ended, in one line."""
         place = " ".join(f"{1000 * x:.1f}" for x in self.T_palm_object[:3, 3])
         ended = "converged" if self.converged else "not converged"
         fits = "consistent" if self.consistent else "inconsistent"
@@ -250,7 +270,7 @@ class PoseEstimate:
 
 
 def inflated_information(information: Array, variance: Array) -> Array:
-    """Returns an information (6, 6), which may be singular, after noise of `variance` (6,): (I⁻¹ + Q)⁻¹ without I⁻¹."""
+    """Returns an information (6, 6) after process noise of `variance` (6,): (I⁻¹ + Q)⁻¹, also where I is singular."""
     after = np.array(information)
     inflate(after, variance)
     return after
@@ -259,19 +279,8 @@ def inflated_information(information: Array, variance: Array) -> Array:
 def bounded_covariance(information: Array) -> Array:
     """Returns (6, 6) of (δp [m], δθ [rad]): the inverse of an information (6, 6) that may be singular.
 
-    The information is taken together with a prior that knows nothing, `OPEN_VARIANCES`. So where a direction is open,
-    the largest eigenvalue is at least 1, about a spin through the origin π²/3; no pose that is known has one near it.
-    For those that take covariances alone: a filter reads zeros as certainty.
+    The information of an unknown pose, with `OPEN_VARIANCES`, is added. So with an open direction the largest
+    eigenvalue is at least 1, for a spin about the origin π²/3, which no known pose comes near. It is for programs
+    that take nothing but a covariance: a filter would read zeros as certainty.
     """
     return np.asarray(np.linalg.inv(information + OPEN_INFORMATION))
-
-
-def _hypothesis(mode: np.void) -> Hypothesis:
-    covariance = mode["covariance"] if mode["complete"] else None
-    return Hypothesis(
-        mode["T_palm_object"],
-        mode["information"],
-        covariance,
-        float(mode["weight"]),
-        float(mode["posterior_cost"]),
-    )

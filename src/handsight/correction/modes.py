@@ -1,4 +1,4 @@
-"""When modes are distinct, and when contacts fit."""
+"""Tests on modes: whether two are distinct, whether the evidence fits at one, and whether a better one may exist."""
 
 import math
 from functools import lru_cache
@@ -12,37 +12,37 @@ from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 
 SAME_MODE = (0.015, float(np.deg2rad(20.0)))
-"""Two modes are distinct when further apart than this [m] or turned by more than this [rad]."""
+"""Two modes are distinct when they differ by more than this shift [m] or by more than this turn [rad]."""
 
 
 class ModeOptions(NamedTuple):
-    """`ModeOptions` say when modes are distinct, and when an answer is doubted."""
+    """`ModeOptions` are the number of modes that are reported, and the levels of the tests on a mode."""
 
     max_modes: int = 8  # modes that are reported
-    alarm: float = 1e-3  # probability that evidence which fits is called inconsistent
+    alarm: float = 1e-3  # level of the χ² test by which evidence is called inconsistent
     recheck_p: float = 0.003
-    """Probability that contacts which fit are searched for a wrong one all the same: it costs time, nothing else."""
+    """Level of the χ² test by which a wrong contact is searched for; a false alarm costs nothing but time."""
     doubt_p: float = 0.2
-    """The answer of one start from the widest prior that one may do for is doubted where what is right fits worse with
-    at most this probability. Two of three problems on an L-shaped mesh, with a prior of 0.22 diameters, raise no
-    doubt.
+    """Level of the χ² test by which the answer from one start is doubted, where the prior is the widest for which one
+    start may be enough. Two of three problems on an L-shaped mesh, with a prior of 0.22 diameters, raise no doubt.
     """
-    doubt_coarse: float = 5.0  # how many times worse it may fit on the coarse field
+    doubt_coarse: float = 5.0  # factor by which the limit of the cost on the coarse field is larger
     decisive: float = 16.27
-    """A contact is wrong when the cost falls by more than this without it: a right one's does once in 1000."""
+    """A contact is wrong when the cost falls by more than this without it: for a right one once in 1000 times."""
 
 
 MODES = ModeOptions()
 
 
 def in_metres(information: Array, radius: float) -> Array:
-    """Returns information (..., 6, 6) by (δp, radius δθ) [1/m²]."""
+    """Returns information (..., 6, 6) about (δp, δθ) as information about (δp, radius · δθ) [1/m²]."""
     scale = np.array([1.0] * 3 + [1 / radius] * 3)
     return np.asarray(information * scale[:, None] * scale)
 
 
 def pose_distances(model: ObjectModel, Ts: Array, T: Array) -> tuple[Array, Array]:
-    """Returns shift of the object's center [m] and turn [rad] from `T` to each of `Ts`, modulo symmetry."""
+    """Returns the shift of the object's center [m] and the turn [rad] from a pose `T` (4, 4) to each of `Ts` (n, 4, 4),
+    modulo symmetry: both (n,)."""
     equivalent = nearest(model.symmetries, Ts, T, model.radius)
     center = model.center_object[None]
     shift = se3.apply(equivalent, center)[:, 0] - se3.apply(T, center)
@@ -53,9 +53,10 @@ def pose_distances(model: ObjectModel, Ts: Array, T: Array) -> tuple[Array, Arra
 def distinct(
     model: ObjectModel, Ts: Array, order: Indices, most: int, limits: tuple[float, float] = SAME_MODE
 ) -> list[int]:
-    """Returns indices of `Ts`, in the given order, that are no repeat of an earlier one; at most `most`.
+    """Returns the indices of at most `most` poses `Ts` (n, 4, 4), in the given order, each distinct from those before.
 
-    Modulo any symmetry; kernels do it for those that they know.
+    `limits`: the shift [m] and the turn [rad] up to which two poses are the same, modulo any symmetry. `solve.distinct`
+    uses a kernel instead for the symmetries that kernels know.
     """
     chosen: list[int] = []
     rest = order
@@ -69,33 +70,33 @@ def distinct(
 
 
 def beyond_doubt(cost: float, coarse_cost: float, freedom: int, wide: float) -> bool:
-    """Returns whether what one start led to fits so well that another mode is hardly better.
+    """Returns whether the minimum that one start led to fits so well that no other mode is likely to be better.
 
-    `wide`: how wide the prior is, of the widest that one start may do for. What could be missed grows with its square.
+    `wide`: the prior's width, divided by the widest for which one start may be enough. The probability of a missed mode
+    grows with its square.
     """
-    doubt = round(wide * wide, 2)  # few different ones, for each has its limits worked out
+    doubt = round(wide * wide, 2)  # rounded, as the χ² limit of each value is computed once and cached
     if coarse_cost * doubt > MODES.doubt_coarse * chi2_limit(max(freedom, 1), 0.1):
         return False
     return fits(cost, freedom, max(MODES.doubt_p * doubt, MODES.recheck_p))
 
 
 def unsuspicious(cost: float, freedom: int, gain: float) -> bool:
-    """Returns whether contacts raise no suspicion: not all together, nor one of them against the others."""
+    """Returns whether contacts raise no suspicion: neither their cost, nor the gain of leaving one of them out."""
     return fits(cost, freedom, MODES.recheck_p) and bool(gain < MODES.decisive)
 
 
 def fits(chi2: float, freedom: int, alarm: float = MODES.alarm) -> bool:
-    """Returns whether a sum of squares with that many degrees of freedom is below its 1 - alarm quantile."""
+    """Returns whether a sum of squares passes the χ² test of level `alarm`, with `freedom` degrees of freedom."""
     return bool(chi2 <= chi2_limit(max(freedom, 1), alarm))
 
 
 @lru_cache(maxsize=1024)
 def chi2_limit(freedom: int, alarm: float) -> float:
-    """Returns the 1 - alarm quantile of χ² with that many degrees of freedom.
+    """Returns the 1 - alarm quantile of χ² with `freedom` degrees of freedom.
 
-    SciPy has it too, and takes a third of a second to load; the first correction should not wait for that. Found by
-    bisection of the survival function, which is a finite sum for a whole number of degrees of freedom (Abramowitz and
-    Stegun, 26.4.4 and 26.4.5).
+    SciPy's would add a third of a second of import to the first correction. This one bisects the survival function,
+    which is a finite sum for whole degrees of freedom (Abramowitz and Stegun, 26.4.4 and 26.4.5).
     """
 
     odd = freedom % 2

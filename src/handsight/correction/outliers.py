@@ -1,72 +1,69 @@
-"""A contact that does not fit the others is found by solving without it, and named."""
+"""The search for wrong contacts: each suspect is left out in turn, and is wrong if the others then fit much better."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from handsight._kernels.records import DESCENT
-from handsight.checks import Indices
 from handsight.correction import modes, starts
-from handsight.correction.budget import Budget
 from handsight.correction.modes import MODES
-from handsight.correction.problem import Problem, Records, TwoPhase, descents_at, plain
+from handsight.correction.problem import Budget, Problem, Records, TwoPhase, descents_at, plain
 from handsight.correction.solve import Candidates, gains, solve
 
 
 class OutlierOptions(NamedTuple):
-    """`OutlierOptions` say how wrong contacts are searched for."""
+    """`OutlierOptions` are the limits of the search for wrong contacts."""
 
-    more_starts: int = 2  # times as many starts are drawn when none of the usual ones fits
-    min_gain: float = 1.0  # how much better these must fit to go on with
-    fewer_starts: int = 14  # starts for each contact left out in turn: so many fewer than the usual ones
-    max_starts: int = 16  # and at most so many
-    blind_starts: int = 64  # the same without vision
-    kept_minima: int = 4  # minima of all contacts that are starts for each contact left out as well
+    more_starts: int = 2  # factor on the number of starts when none of the usual ones fits
+    min_gain: float = 1.0  # least fall of the cost by these starts after which the search goes on
+    fewer_starts: int = 14  # with a contact left out: how many starts fewer than usual are drawn
+    max_starts: int = 16  # with a contact left out: most starts that are drawn
+    blind_starts: int = 64  # with a contact left out, without vision: number of starts
+    kept_minima: int = 4  # with a contact left out: minima of all contacts that are starts too
     max_suspects: int = 10
-    """Contacts that are left out in turn, the most promising ones, so that the work grows no faster than the number of
-    contacts.
+    """Most contacts that are left out in turn, those of the largest gain, so that the work grows no faster than the
+    number of contacts.
     """
-    max_outliers: int = 10  # contacts that may be called wrong
+    max_outliers: int = 10  # most contacts that may be called wrong
     accept_p: float = 0.05
-    """Without the wrong one, contacts fit better than this part of those that are right."""
+    """Level of the χ² test that the others must pass without the wrong contact."""
 
 
 OUTLIERS = OutlierOptions()
 
 
 def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candidates:
-    """Returns the minima of a correction, after more starts and after leaving out wrong contacts where nothing fits.
+    """Returns the minima of a correction; where none fits, after more starts and with wrong contacts left out.
 
-    When the budget is spent, what has been found until then.
+    When the budget is spent, those found until then are returned.
     """
     everyone = np.ones((1, len(problem.contacts)), dtype=bool)
     number = starts.usual(problem) if problem.blind or options.starts is None else options.starts
     found = solve(problem, _starts(problem, number)[None], everyone, budget)
-    if found.converged and not _suspicious(problem, found):
+    suspicious = _suspicious(problem, found)
+    if found.converged and not suspicious:
         return found
     may_draw = not problem.blind and options.starts is None and problem.starts is None
-    suspicious = _suspicious(problem, found)
     while not budget.spent():
         without = _leave_one_out(problem, found, budget) if options.reject_outliers and suspicious else None
-        if without is not None and _is_decisive(found, without):
-            # The pose without it may be the one that fits it too, and was only hard to reach.
+        gain = 0.0 if without is None else found.cost - without.cost
+        if (
+            without is not None
+            and gain >= MODES.decisive
+            and (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost)
+        ):
+            # The pose that was found without this contact may fit it too, and only have been hard to reach.
             again = solve(problem, without.minima[None], found.used, budget)
             if again.fits(OUTLIERS.accept_p):
                 return again
-            # One wrong contact is rare, a second one rarer.
+            # A second wrong contact is rare: it is searched for only where the contacts left do not fit.
             found, suspicious = without, not without.fits()
             if not suspicious:
                 return found
         elif may_draw:
             cost, may_draw = found.cost, False
-            found = found.with_more(
-                solve(
-                    problem,
-                    _starts(problem, OUTLIERS.more_starts * number)[None, number:],
-                    found.used,
-                    budget,
-                )
-            )
+            drawn = _starts(problem, OUTLIERS.more_starts * number)[None, number:]
+            found = found.with_more(solve(problem, drawn, found.used, budget))
             suspicious = _suspicious(problem, found)
             if found.cost > cost - OUTLIERS.min_gain or not suspicious:
                 return found
@@ -75,23 +72,18 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candi
     return found
 
 
-def _is_decisive(found: Candidates, without: Candidates) -> bool:
-    """Returns whether the contact that is left out is wrong."""
-    gain = found.cost - without.cost
-    return gain >= MODES.decisive and (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost)
-
-
 def _suspicious(problem: Problem, found: Candidates) -> bool:
-    # Blind, the others may not fix the pose, and what one gains says nothing.
+    """Returns whether one of the contacts may be wrong."""
+    # Without vision the other contacts may not fix the pose, and then any contact has a gain.
     gain = 0.0 if problem.blind else float(found.minima["gain"][0])
     return not modes.unsuspicious(found.cost, found.freedom, gain)
 
 
 def _starts(problem: Problem, number: int) -> Records:
-    """Returns (number,) of all contacts; or those that the problem has."""
+    """Returns (number,) DESCENT at starts for all contacts, or (K,) at the starts that the problem has itself."""
     if problem.starts is not None:
         near = descents_at(problem.starts)
-        near["iterations"] = 1  # as a minimum of other evidence has them
+        near["iterations"] = 1  # a descent with steps behind it skips phase 1
         return near
     if problem.vision is not None:
         return starts.from_prior(problem.vision, number)
@@ -100,21 +92,27 @@ def _starts(problem: Problem, number: int) -> Records:
 
 
 def most_outliers(n: int, *, blind: bool) -> int:
-    """Returns how many of n contacts may be called wrong: the rest must still outvote them."""
+    """Returns how many of n contacts may be called wrong: fewer than the rest."""
     return min(max((n - 2) // 2 if blind else (n - 1) // 2, 0), OUTLIERS.max_outliers)
 
 
 def _leave_one_out(problem: Problem, found: Candidates, budget: Budget) -> Candidates | None:
-    """Returns the cheapest minima with one more contact left out, whichever it is; None where no more may be.
+    """Returns the minima with one more contact left out, the one without which the cheapest minimum is cheapest; None
+    where no more may be left out.
 
-    Without it the search goes on from where it was, and from a few starts that are shared, or, blind, from those that
-    the others fit best: all are scored once.
+    The descents without each suspect start at the minima found so far and at a few draws from the prior, the same for
+    all suspects; without vision, at the starts that the other contacts fit best, out of one set that is scored once.
     """
-    suspects = _suspects(problem, found)
-    if not len(suspects):
+    contacts, n = np.flatnonzero(found.used[0]), found.used.size
+    if n - len(contacts) >= most_outliers(n, blind=problem.blind):
         return None
-    masks = np.repeat(found.used, len(suspects), axis=0)
-    masks[np.arange(len(suspects)), suspects] = False
+    if (
+        len(contacts) > OUTLIERS.max_suspects
+    ):  # those of the largest gain, to first order, at the best minimum
+        gain = gains(problem, found.minima[:1], found.used)
+        contacts = np.sort(contacts[np.argsort(-gain[contacts], kind="stable")[: OUTLIERS.max_suspects]])
+    masks = np.repeat(found.used, len(contacts), axis=0)
+    masks[np.arange(len(contacts)), contacts] = False
     here, number = found.minima[: OUTLIERS.kept_minima], OUTLIERS.blind_starts
     if problem.vision is not None:
         number = max(min(starts.usual(problem) - OUTLIERS.fewer_starts, OUTLIERS.max_starts), 1)
@@ -127,14 +125,3 @@ def _leave_one_out(problem: Problem, found: Candidates, budget: Budget) -> Candi
         for row, mask in zip(begin, masks, strict=True):
             plain(row)[len(here) :] = plain(scored.best(mask, number))
     return solve(problem, begin, masks, budget)
-
-
-def _suspects(problem: Problem, found: Candidates) -> Indices:
-    """Returns the contacts in use that promise most, to first order, when they are left out where all were cheapest."""
-    contacts, n = np.flatnonzero(found.used[0]), found.used.size
-    if n - len(contacts) >= most_outliers(n, blind=problem.blind):
-        return contacts[:0]
-    if len(contacts) > OUTLIERS.max_suspects:
-        gain = gains(problem, found.minima[:1], found.used)
-        contacts = np.sort(contacts[np.argsort(-gain[contacts], kind="stable")[: OUTLIERS.max_suspects]])
-    return contacts

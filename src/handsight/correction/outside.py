@@ -1,8 +1,9 @@
-"""What cannot be inside the object, checked, as kernels take it: points of the hand, and planes such as a table."""
+"""Evidence of what is outside the object: points of the hand, and planes such as a table; checked, and as records."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,15 +17,13 @@ from handsight.checks import Array, Indices
 from handsight.contact import Contacts
 from handsight.contact.taxels import SIGMA_CLEARANCE, SkinTouch
 from handsight.correction.problem import check_number
+from handsight.correction.skin import SkinEvidence
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.representation import short_repr
 
-POINT_SIGMA = (1.5, 1e-3)
-"""Of a point of the hand that has none of its own: in sigmas of the contacts' points, and at least this [diameters]. It
-is as uncertain as the contacts, through the same kinematics, and others beside it are wrong with it, hence more."""
 MOST_POINTS, MOST_PLANES = 10_000, 100
-"""Of one correction."""
+"""Points and planes of one correction."""
 NO_OUTSIDE = np.empty(0, dtype=OUTSIDE)
 _EACH = np.arange(MOST_POINTS)
 
@@ -34,11 +33,11 @@ class Plane:
     """A `Plane` is a plane that the object cannot cross."""
 
     point_palm: Array
-    """(3,) any point of it [m]."""
+    """(3,) any point of the plane [m]."""
     normal_palm: Array
-    """(3,) to the side where the object is; of any length."""
+    """(3,) normal of any length, to the side of the plane on which the object is."""
     sigma: float
-    """One standard deviation of where it is along its normal [m]."""
+    """One standard deviation of the plane's position along its normal [m]."""
 
     __repr__ = short_repr
 
@@ -50,81 +49,72 @@ class Plane:
 
 @dataclass(frozen=True)
 class Outside:
-    """An `Outside` is what cannot be inside the object."""
+    """An `Outside` has points and planes of which the object cannot contain any point."""
 
     points_palm: ArrayLike = ()
-    """(m, 3) of the hand's surface [m]."""
+    """(m, 3) points of the hand's surface in the palm frame [m]."""
     planes: Sequence[Plane] = ()
-    """With all that is behind them."""
+    """Planes that the object cannot cross: it is on the side to which each normal leads."""
     sigmas: ArrayLike | None = None
-    """One for all points or (m,): one standard deviation per axis [m]; None: 1.5 times the median contact's."""
+    """One standard deviation per axis of a point [m], one for all points or (m,); None: 1.5 times that of the median
+    contact."""
     links: ArrayLike | None = None
-    """(m,) whole numbers: points of one link are wrong together, and count as the deepest of them does; None: each
-    point by itself."""
+    """(m,) whole numbers, the link of each point: the points of a link have one common error, so together they count
+    about as the deepest of them; None: each point counts by itself."""
     slacks: ArrayLike | None = None
-    """One for all points or (m,): how deep inside a point may be, where a link is smaller than its shape [m]."""
+    """How deep in the object a point may be at no cost [m], as a link may be smaller than its shape; one for all points
+    or (m,). None: 0."""
 
     skin: ArrayLike | None = None
-    """(6,) of a tactile array whose untouched taxels are among the points: how far wrong it is as a whole, one standard
-    deviation per axis of its shift [m] and turn [rad]. A face that lies on it ends where they begin, which is searched;
-    and the answer is as uncertain as the array."""
+    """Deprecated: the `sigmas` (6,) of a tactile array, which is now `correct_pose(skin=SkinEvidence(...))`."""
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if not isinstance(self.planes, list | tuple) or not all(isinstance(p, Plane) for p in self.planes):
             raise InvalidInput(f"outside.planes: expected a list of Planes, got {checks.brief(self.planes)}")
-        points = np.array(_points(self.points_palm))  # the caller may change its own
+        points = np.array(_points(self.points_palm))  # a copy, as the caller may change its own array
         check_number(len(self.planes), MOST_PLANES, "outside.planes", "planes")
         object.__setattr__(self, "points_palm", points)
-        if self.sigmas is not None:
-            sigmas = _each(
-                self.sigmas, "outside.sigmas", len(points), (checks.MIN_SIGMA, checks.MAX_DISTANCE)
-            )
-            object.__setattr__(self, "sigmas", sigmas)
         if self.links is not None:
             object.__setattr__(self, "links", _links(self.links, len(points)))
-        if self.slacks is not None:
-            slacks = _each(self.slacks, "outside.slacks", len(points), (0.0, checks.MAX_DISTANCE))
-            object.__setattr__(self, "slacks", slacks)
+        for name, least in (("sigmas", checks.MIN_SIGMA), ("slacks", 0.0)):
+            if getattr(self, name) is not None:
+                limits = least, checks.MAX_DISTANCE
+                numbers = _each(getattr(self, name), f"outside.{name}", len(points), limits)
+                object.__setattr__(self, name, numbers)
         if self.skin is not None:
+            warnings.warn("Outside.skin is now SkinEvidence, for correct_pose(skin=)", DeprecationWarning, 3)
             object.__setattr__(self, "skin", checks.finite(self.skin, "outside.skin", (6,)))
 
     @classmethod
     def of_skin(cls, touch: SkinTouch, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None) -> Outside:
-        """Returns what an array's untouched taxels say; beside it, `touch.contacts` are what the pressed ones do.
-
-        `T_palm_frame` (4, 4): where its link is. `by_error` (6, j): how that moves [m] and turns [rad] in the palm for
-        one standard deviation of each of j errors of its joints; None: it is fixed in the palm.
-        """
-        array, points = touch.array, touch.outside(T_palm_frame)
-        # Its height is as wrong at one side as at the other: what is soft gives way more where it is pressed more.
-        turn = 2 * array.sigma_mount / (array.pitch * min(array.shape))
-        variance = np.repeat([array.sigma_mount**2, turn**2], 3)
-        if by_error is not None:
-            variance = variance + (np.asarray(by_error) ** 2).sum(axis=1)
-        return cls(points, sigmas=SIGMA_CLEARANCE, skin=np.sqrt(variance))
+        """Returns the untouched taxels of an array. Deprecated: `SkinEvidence.of` has the pressed taxels as well."""
+        skin = SkinEvidence.of(touch, T_palm_frame, by_error)
+        return cls(skin.untouched_palm, sigmas=SIGMA_CLEARANCE, skin=skin.sigmas)
 
     def joined(self, other: Outside) -> Outside:
-        """Returns what both say; each must have sigmas of its own."""
-        parts = [(each, np.asarray(each.points_palm).reshape(-1, 3)) for each in (self, other)]
+        """Returns the points and planes of both; points that have no sigmas get NaN, so each must have its own."""
+        counts = [len(np.asarray(each.points_palm)) for each in (self, other)]
 
-        def filled(name: str, usual: float) -> Array:
-            """Returns the values of all points, where one number stands for all or none."""
-            given = ((getattr(each, name), points) for each, points in parts)
+        def both(name: str, usual: float) -> Array:
+            """Returns a field of all points (m,), with the usual value where one of the two does not state it."""
+            given = [getattr(each, name) for each in (self, other)]
             return np.concatenate(
-                [np.full(len(p), usual) if v is None else np.broadcast_to(v, len(p)) for v, p in given]
+                [np.broadcast_to(usual if v is None else v, n) for v, n in zip(given, counts, strict=True)]
             )
 
-        links = [np.arange(len(p)) if each.links is None else np.asarray(each.links) for each, p in parts]
-        beyond = links[0].max(initial=-1) + 1 - links[1].min(initial=0)
-        skins = [np.asarray(each.skin) for each, _ in parts if each.skin is not None]
+        mine, theirs = (
+            np.arange(n) if each.links is None else np.asarray(each.links)
+            for each, n in zip((self, other), counts, strict=True)
+        )
+        skins = [np.asarray(each.skin) for each in (self, other) if each.skin is not None]
         return Outside(
-            np.concatenate([points for _, points in parts]),
+            np.concatenate([np.reshape(each.points_palm, (-1, 3)) for each in (self, other)]),
             [*self.planes, *other.planes],
-            sigmas=filled("sigmas", np.nan),
-            links=np.concatenate([links[0], links[1] + beyond]),
-            slacks=filled("slacks", 0.0),
+            sigmas=both("sigmas", np.nan),
+            links=np.concatenate([mine, theirs + (mine.max(initial=-1) + 1 - theirs.min(initial=0))]),
+            slacks=both("slacks", 0.0),
             skin=np.max(skins, axis=0) if skins else None,
         )
 
@@ -132,8 +122,7 @@ class Outside:
     def trusted(
         cls, points_palm: Array, sigmas: Array, links: Indices, slacks: Array | None = None
     ) -> Outside:
-        """Returns points of links, (m,) for each what is said of them, that are clean already: not checked, and
-        kept."""
+        """Returns points of links, whose arrays are neither checked nor copied; for control loops."""
         outside = object.__new__(cls)
         given: dict[str, Any] = {"points_palm": points_palm, "planes": (), "sigmas": sigmas, "links": links}
         given |= {"slacks": slacks, "skin": None}
@@ -143,11 +132,11 @@ class Outside:
 
 
 def _points(value: ArrayLike) -> Array:
-    """Returns (m, 3), or none; raises InvalidInput."""
+    """Returns points (m, 3) [m], of which there may be none; raises InvalidInput."""
     if isinstance(value, np.ndarray | list | tuple) and not len(value):
         return np.empty((0, 3))
     usual = isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape[1:] == (3,)
-    # What is wrong with any of them takes longer to tell; NaN is smaller than nothing.
+    # This test is quick, and fails for NaN too; only then is the full check made.
     if not (usual and value.min() >= -checks.MAX_DISTANCE and value.max() <= checks.MAX_DISTANCE):  # type: ignore[union-attr]
         value = checks.position(value, "outside", (None, 3))
     check_number(len(value), MOST_POINTS, "outside", "points")  # type: ignore[arg-type]
@@ -155,7 +144,7 @@ def _points(value: ArrayLike) -> Array:
 
 
 def _each(value: ArrayLike, name: str, n: int, limits: tuple[float, float]) -> Array:
-    """Returns () or (n,) between limits; raises InvalidInput."""
+    """Returns one number () or n numbers (n,) between limits; raises InvalidInput."""
     numbers = checks.finite(value, name, (n,) if checks.ndim(value) else ())
     if numbers.size and not limits[0] <= numbers.min() <= numbers.max() <= limits[1]:
         low, high = limits
@@ -164,7 +153,7 @@ def _each(value: ArrayLike, name: str, n: int, limits: tuple[float, float]) -> A
 
 
 def _links(value: ArrayLike, n: int) -> Indices:
-    """Returns (n,) whole; raises InvalidInput."""
+    """Returns the links' numbers (n,) as integers; raises InvalidInput."""
     numbers = checks.finite(value, "outside.links", (n,))
     if (numbers != np.rint(numbers)).any() or np.abs(numbers).max(initial=0.0) > 2**31:
         raise InvalidInput(f"outside.links: expected whole numbers, got {checks.brief(value)}")
@@ -172,43 +161,57 @@ def _links(value: ArrayLike, n: int) -> Indices:
 
 
 def outside_records(
-    model: ObjectModel, contacts: Contacts, outside: ArrayLike | Outside | None
+    model: ObjectModel,
+    contacts: Contacts,
+    outside: ArrayLike | Outside | None,
+    skin: SkinEvidence | None = None,
 ) -> NDArray[np.void]:
-    """Returns (m,) OUTSIDE, the points of each link in a row. Points say nothing of an object that has no inside."""
-    if outside is None:
+    """Returns OUTSIDE records (m,): first points, sorted by link, then untouched taxels, each a link by itself, then
+    planes; raises InvalidInput.
+
+    Points and taxels are left out for an object that has no inside.
+    """
+    if outside is None and skin is None:
         return NO_OUTSIDE
     given: Any = outside if isinstance(outside, Outside) else None
-    places: Any = outside.points_palm if isinstance(outside, Outside) else _points(outside)
-    n = len(places) if model.closed else 0
-    rows = np.zeros(n + (0 if given is None else len(given.planes)), dtype=OUTSIDE)
+    places: Any = (
+        outside.points_palm if isinstance(outside, Outside) else _points(() if outside is None else outside)
+    )
+    planes: Sequence[Plane] = () if given is None else given.planes
+    untouched = np.empty((0, 3)) if skin is None else skin.untouched_palm
+    n, m = (len(places), len(untouched)) if model.closed else (0, 0)
+    rows = np.zeros(n + m + len(planes), dtype=OUTSIDE)
     if n:
         points = rows[:n] if len(rows) > n else rows
         points["point"], points["link"] = places, _EACH[:n]
         if given is None or given.sigmas is None:
             points["sigma"] = _usual_sigma(model, contacts)
         if given is not None:
-            _fill(points, given)
-    if given is not None:
-        for row, plane in zip(rows[n:], given.planes, strict=True):
-            row["is_plane"], row["sigma"] = True, plane.sigma
-            row["point"], row["normal"] = plane.point_palm, plane.normal_palm
+            for name, values in (("sigma", given.sigmas), ("slack", given.slacks), ("link", given.links)):
+                if values is not None:
+                    points[name] = values
+            if given.links is not None and (given.links[1:] < given.links[:-1]).any():
+                points[:] = points[np.argsort(given.links, kind="stable")]
+    if m:
+        taxels = rows[n : n + m]
+        taxels["point"], taxels["sigma"] = untouched, SIGMA_CLEARANCE
+        taxels["link"] = np.arange(m) + (rows["link"][:n].max() + 1 if n else 0)
+    for row, plane in zip(rows[n + m :], planes, strict=True):
+        row["is_plane"], row["sigma"] = True, plane.sigma
+        row["point"], row["normal"] = plane.point_palm, plane.normal_palm
     return rows
 
 
-def _fill(points: NDArray[np.void], given: Any) -> None:
-    """Writes what is said of the points beside where they are; those of a link then stand together."""
-    for name, values in (("sigma", given.sigmas), ("slack", given.slacks), ("link", given.links)):
-        if values is not None:
-            points[name] = values
-    if given.links is not None and (given.links[1:] < given.links[:-1]).any():
-        points[:] = points[np.argsort(given.links, kind="stable")]
-
-
 def _usual_sigma(model: ObjectModel, contacts: Contacts) -> float:
-    """Returns sigma of a point that says none of its own [m]."""
+    """Returns the sigma of points for which none is given [m]: 1.5 times that of the median contact or a thousandth of
+    the object's diameter, whichever is larger.
+
+    Points are as uncertain as contacts, because of the same kinematics; the factor is for the common error of points
+    near each other.
+    """
     covariance = contacts.covariance
     variances = sorted((covariance[:, 0, 0] + covariance[:, 1, 1] + covariance[:, 2, 2]).tolist())
-    # np.median takes longer than all the rest.
+    # This is much faster than np.median.
     middle = variances[(len(variances) - 1) // 2], variances[len(variances) // 2]
     median = (math.sqrt(middle[0] / 3) + math.sqrt(middle[1] / 3)) / 2
-    return POINT_SIGMA[0] * max(median, POINT_SIGMA[1] * model.diameter)
+    return 1.5 * max(median, 1e-3 * model.diameter)

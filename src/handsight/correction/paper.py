@@ -1,13 +1,11 @@
-"""The founding paper's pose correction, as published: equations 1 to 6 and Algorithm 1.
+"""The pose correction of the paper that handsight starts from (IROS 2013), as published: eq. 1 to 6 and Algorithm 1.
 
-Contacts, not the object, are moved: `x = [q_w, q_x, q_y, q_z, t_x, t_y, t_z]` (eq. 1) carries the contact
-points and normals, in the palm frame, onto the object where vision saw it; the inverse of the transform
-found is then applied to the object.
+The contacts are moved, not the object: `x = [q_w, q_x, q_y, q_z, t_x, t_y, t_z]` (eq. 1) moves the contact points and
+normals, in the palm frame, onto the object at vision's pose; the inverse of that transform then moves the object.
 
-The equations do not care about the unit of length, but their constants do: the damping of the quaternion
-against the translation, the gradient's step and the finite difference all depend on it. So `correct` takes
-and answers metres and works in centimetres inside, the unit in which the published constants were tuned.
-What the paper leaves open, and what was chosen here, is said where it is chosen.
+The constants depend on the unit of length: the damping of the quaternion against the translation, the gradient's step
+and the finite difference. So `correct` takes and returns metres, and computes in centimetres, for which the published
+constants were tuned. Where the paper leaves something open, a comment states the choice that was made here.
 """
 
 from collections.abc import Callable
@@ -23,26 +21,26 @@ from handsight.se3 import compose, inverse
 
 CM_PER_M = 100.0
 MOST = 20_000
-"""Points or steps."""
+"""Largest number of points or of steps."""
 
 Cost = Callable[[Array], Array]
-"""`G`: one x (7,) to (n,) residuals, or a stack (k, 7) to (k, n)."""
+"""`G` of eq. 3: one x (7,) to its residuals (n,), or a stack (k, 7) to (k, n)."""
 
 
 @dataclass(frozen=True, slots=True)
 class PaperMethod:
-    """A `PaperMethod` says which of the paper's four methods, and its constants."""
+    """A `PaperMethod` is one of the paper's four methods, with its constants."""
 
     optimizer: Literal["lm", "gd"] = "lm"
     """Levenberg-Marquardt (eq. 6) or gradient descent (eq. 5)."""
     normals: bool = True
-    """Whether eq. 3 has its second term; without it only distances count."""
+    """Whether eq. 3 has its second term, the angle between normals; without it only distances count."""
     w_n: float = 0.10
     """Weight of `1 - <û, n>` [m]."""
     cloud_size: int = 2000
-    """Points to sample on the object's surface; read by whoever makes the cloud, not by `correct`."""
+    """Number of points that `correct_pose` samples on the object's surface; `correct` takes the cloud as it is."""
     epsilon: float = 0.02
-    """Radius of a contact's region (eq. 2) before it grows [m]."""
+    """Least radius of a contact's region (eq. 2) [m]."""
     min_points: int = 200
     """Least number of cloud points in a region."""
     step: float = 1e-3
@@ -52,7 +50,7 @@ class PaperMethod:
     learning_rate: float = 2e-3
     """`λ` of gradient descent (eq. 5), for residuals in centimetres."""
     max_iterations: int = 200
-    """Steps after which the search gives up; the best iterate is still the answer."""
+    """Most steps of the search; after them the best iterate is the answer, with `converged` False."""
     tolerance: float = 1e-6
     """An iterate that lowers ‖G‖ by less than this is no improvement [m]."""
     patience: int = 10
@@ -77,42 +75,41 @@ class PaperMethod:
 
 @dataclass(frozen=True, slots=True)
 class PaperResult:
-    """A `PaperResult` is the correction, and how the search for it ended."""
+    """A `PaperResult` is a correction by the paper's method, and how its search ended."""
 
     T_new_old: Array
     """(4, 4), palm frame: `T_palm_object_new = T_new_old @ T_palm_object_old`."""
     iterations: int
-    """Steps taken."""
+    """Number of steps."""
     converged: bool
-    """The search ended because it stopped improving, not at the limit of steps."""
+    """Whether the search ended because it stopped improving, and not at the limit of steps."""
     residuals: Array
-    """G (eq. 3) at the answer, (n,) [m]; with normals it holds their weighted term too."""
+    """(n,) G of eq. 3 at the answer [m], with the weighted term of the normals if they are used."""
     regions: list[NDArray[np.intp]]
     """Each contact's region (eq. 2): indices into the cloud, nearest first."""
 
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """A `Matching` is what eq. 3 compares: contacts, and each contact's region of the object. All lengths in one
-    unit."""
+    """A `Matching` has what eq. 3 compares: contacts, and each one's region of the surface, in one unit of length."""
 
     points: Array
-    """`f`, (n, 3)."""
+    """`f` of eq. 3, the contact points (n, 3)."""
     surface_points: Array
-    """`s` of each region, (n, K, 3); shorter regions are filled up with infinity."""
+    """`s` of eq. 3, the points of each region (n, K, 3); shorter regions are filled up with infinity."""
     normals: Array | None = None
-    """`û`, (n, 3), unit: the object's outward normal as it was felt; None: distances alone."""
+    """`û` of eq. 3, the measured outward unit normals (n, 3); None: only distances count."""
     surface_normals: Array | None = None
-    """`n` of each `s`, (n, K, 3), unit; needed with `normals`."""
+    """`n` of eq. 3, the unit normal of each `surface_points` (n, K, 3); needed with `normals`."""
     w_n: float = 0.0
     """Weight of the normals' term, in the unit of length."""
 
 
 def regions(points: Array, cloud: Array, epsilon: float, min_points: int) -> list[NDArray[np.intp]]:
-    """Returns (eq. 2) for each contact the indices of cloud points within `epsilon`, nearest first.
+    """Returns each contact's region (eq. 2): the indices of the cloud's points within `epsilon`, nearest first.
 
-    The paper sets the neighbourhood "dynamically so that a minimum number of points" is selected: a contact
-    with fewer takes its `min_points` nearest, which is `epsilon` grown just so far; others keep theirs.
+    `points` (n, 3), `cloud` (m, 3). The paper sets the neighbourhood "dynamically so that a minimum number of points"
+    is selected: here a contact with fewer points within `epsilon` has its `min_points` nearest ones as its region.
     """
     found = []
     for point in points:
@@ -123,7 +120,7 @@ def regions(points: Array, cloud: Array, epsilon: float, min_points: int) -> lis
 
 
 def residuals(x: Array, matching: Matching) -> Array:
-    """Returns G(x) of eq. 3, (n,); a stack of x (k, 7) gives (k, n). The minimum is over the sum of both terms."""
+    """Returns G(x) of eq. 3 (n,), or (k, n) for a stack of x (k, 7); the minimum is over the sum of both terms."""
     M = rotation(x[..., :4])
     moved = matching.points @ np.swapaxes(M, -1, -2) + x[..., None, 4:]
     gap = moved[..., None, :] - matching.surface_points
@@ -136,7 +133,7 @@ def residuals(x: Array, matching: Matching) -> Array:
 
 
 def rotation(q: Array) -> Array:
-    """Returns the matrices of `v -> q v q*` for quaternions (..., 4), w first. Literal: they scale by |q|² too."""
+    """Returns the matrices (..., 3, 3) of `v -> q v q*` for quaternions (..., 4), w first, which scale by |q|² too."""
     w, v = q[..., :1, None], q[..., 1:]
     outer = v[..., :, None] * v[..., None, :]
     cross = np.zeros_like(outer)
@@ -147,19 +144,19 @@ def rotation(q: Array) -> Array:
 
 
 def forward_difference_jacobian(G: Cost, x: Array, step: float) -> tuple[Array, Array]:
-    """Returns (eq. 4) `G(x)` (n,) and its forward differences (n, 7) over `step · ‖x‖`, in one call of G."""
+    """Returns `G(x)` (n,) and its forward differences (n, 7) of step `step · ‖x‖` (eq. 4), in one call of G."""
     h = step * float(np.linalg.norm(x))
     values = G(np.vstack([x, x + h * np.eye(len(x))]))
     return values[0], (values[1:] - values[0]).T / h
 
 
 def gradient_step(x: Array, value: Array, jacobian: Array, learning_rate: float) -> Array:
-    """Returns (eq. 5) x after one step against the gradient of ½‖G‖²."""
+    """Returns x after one step against the gradient of ½‖G‖² (eq. 5)."""
     return np.asarray(x - learning_rate * (jacobian.T @ value), dtype=np.float64)
 
 
 def levenberg_marquardt_step(x: Array, value: Array, jacobian: Array, damping: float) -> Array:
-    """Returns (eq. 6) x after one damped Gauss-Newton step; a parameter without influence stays where it is."""
+    """Returns x after one damped Gauss-Newton step (eq. 6); a parameter without influence is not changed."""
     hessian = jacobian.T @ jacobian
     damped = hessian + damping * np.diag(np.diag(hessian))
     if not np.isfinite(damped).all():
@@ -169,15 +166,15 @@ def levenberg_marquardt_step(x: Array, value: Array, jacobian: Array, damping: f
 
 
 def normalised(x: Array) -> Array:
-    """Returns `x` with a unit quaternion; without this the scale |q|² is one more, wrong, way to shrink the cost."""
+    """Returns x (7,) with a unit quaternion; otherwise its scale |q|² could lower the cost too, which is wrong."""
     return np.concatenate([x[:4] / np.linalg.norm(x[:4]), x[4:]])
 
 
 def minimise(G: Cost, method: PaperMethod) -> tuple[Array, Array, int, bool]:
-    """Returns the best x met from the identity on, G there, steps taken, and whether the search came to rest.
+    """Returns the best iterate x, G at it, the number of steps from the identity, and whether the search converged.
 
-    The paper names no stopping rule. Eq. 5 and 6 reject no step, so the cost may rise, and the best iterate
-    is kept.
+    The paper has no stopping rule; here the search stops after `patience` steps without improvement. Eq. 5 and 6 reject
+    no step, so the cost may rise, and the best iterate is kept.
     """
     x = np.array([1.0, 0, 0, 0, 0, 0, 0])
     best, best_value, lowest, mark, stalled = x, np.empty(0), np.inf, np.inf, 0
@@ -195,15 +192,12 @@ def minimise(G: Cost, method: PaperMethod) -> tuple[Array, Array, int, bool]:
         if stalled >= method.patience or cost == 0:
             return best, best_value, iteration, True
         if iteration < method.max_iterations:
-            x = normalised(taken(x, value, jacobian, method))
+            if method.optimizer == "gd":
+                x = gradient_step(x, value, jacobian, method.learning_rate)
+            else:
+                x = levenberg_marquardt_step(x, value, jacobian, method.damping)
+            x = normalised(x)
     return best, best_value, method.max_iterations, False
-
-
-def taken(x: Array, value: Array, jacobian: Array, method: PaperMethod) -> Array:
-    """Returns x after the step of the chosen optimizer."""
-    if method.optimizer == "gd":
-        return gradient_step(x, value, jacobian, method.learning_rate)
-    return levenberg_marquardt_step(x, value, jacobian, method.damping)
 
 
 def correct(
@@ -213,11 +207,12 @@ def correct(
     cloud_normals_palm: Array,
     method: PaperMethod,
 ) -> PaperResult:
-    """Returns (algorithm 1) the transform that brings the object, seen at `cloud_palm`, to the contacts.
+    """Returns the transform that moves the object from vision's pose to the contacts (Algorithm 1).
 
-    `points_palm` (n, 3) [m] and `normals_palm` (n, 3, the object's outward normals; None only where
-    `method.normals` is False) are the contacts; `cloud_palm` (m, 3) [m] and `cloud_normals_palm` (m, 3) the
-    object's surface at its first pose, all in the palm frame. Fewer than two contacts raise InvalidInput.
+    All arguments are in the palm frame. `points_palm` (n, 3) [m] and `normals_palm` (n, 3) are the contacts and the
+    object's outward normals, which may be None where `method.normals` is False. `cloud_palm` (m, 3) [m] and
+    `cloud_normals_palm` (m, 3) sample the object's surface at vision's pose. Raises InvalidInput, also for fewer than
+    two contacts.
     """
     points = finite(points_palm, "points_palm", (None, 3))
     if len(points) < 2:
@@ -246,7 +241,7 @@ def correct(
 
 
 def padded(values: Array, found: list[NDArray[np.intp]], fill: float) -> Array:
-    """Returns the rows of `values` of each region, (n, K, 3), shorter regions filled up."""
+    """Returns the rows of `values` (m, 3) of each region, (n, K, 3); shorter regions are filled up with `fill`."""
     rows = np.full((len(found), max(len(indices) for indices in found), 3), fill)
     for row, indices in zip(rows, found, strict=True):
         row[: len(indices)] = values[indices]

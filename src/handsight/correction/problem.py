@@ -1,7 +1,9 @@
-"""One correction, its inputs checked, as kernels take it."""
+"""One correction as a `Problem`, with its inputs checked and as records for the kernels; its options and its budget."""
 
+import time
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,27 +12,29 @@ from handsight import checks
 from handsight._kernels.records import CONSTRAINTS, CONTACT, DESCENT
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
+from handsight.correction.depth import DepthPoints
 from handsight.correction.estimate import PosePrior
 from handsight.correction.weight import WeightEvidence
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 
 Records = NDArray[np.void]
+"""NumPy structured values of a type in `_kernels/records.py`."""
 
 MOST_CONTACTS = 256
-"""Contacts of one correction. A hand has a few dozen at most; up to here time and memory grow as their number does."""
+"""Contacts of one correction: more than any hand has, and time and memory grow with their number."""
 MOST_STARTS = 1_000_000
-NO_CONSTRAINTS = np.zeros(1, dtype=CONSTRAINTS)
 
 
 @dataclass(frozen=True, slots=True)
 class TwoPhase:
-    """A `TwoPhase` says how handsight's own method runs; the defaults choose themselves from the problem."""
+    """A `TwoPhase` has the options of handsight's own method."""
 
     starts: int | None = None
-    """Descents begun from draws of the prior; None: from the prior's width, and more if none fits."""
+    """Number of descents, from draws of the prior; None: as many as the prior's width requires, and more if none fits.
+    Without vision it has no effect."""
     reject_outliers: bool = True
-    """Look for a contact that is wrong when the contacts do not fit together."""
+    """Whether a wrong contact is searched for when the contacts do not fit together."""
 
     def __post_init__(self) -> None:
         given = self.starts
@@ -41,9 +45,28 @@ class TwoPhase:
             )
 
 
+@dataclass(slots=True)
+class Budget:
+    """A `Budget` is the time at which a search has to end, and whether it was cut short by that."""
+
+    ends: float = np.inf
+    """The end of the search, by `time.perf_counter` [s]."""
+    cut_short: bool = False
+
+    @classmethod
+    def of(cls, seconds: float | None) -> "Budget":
+        """Returns a budget of so many seconds from now; None: without an end. Raises InvalidInput."""
+        return cls() if seconds is None else cls(time.perf_counter() + checks.positive(seconds, "budget"))
+
+    def spent(self) -> bool:
+        """Returns whether the time is over; then it sets `cut_short`, as the caller skips the rest of the search."""
+        self.cut_short = self.cut_short or time.perf_counter() >= self.ends
+        return self.cut_short
+
+
 @dataclass(frozen=True)
 class Problem:
-    """A `Problem` is one correction."""
+    """A `Problem` is the evidence of one correction."""
 
     model: ObjectModel
     contacts: Contacts
@@ -51,8 +74,9 @@ class Problem:
     outside: Records
     """(m,) OUTSIDE."""
     weight: WeightEvidence | None = None
+    depth: DepthPoints | None = None
     starts: Array | None = None
-    """(K, 4, 4) to descend from on the fine field; None: from the prior, in two phases."""
+    """(K, 4, 4) poses to descend from on the fine field; None: draws from the prior, in two phases."""
 
     def __post_init__(self) -> None:
         check_number(len(self.contacts), MOST_CONTACTS, "contacts", "contacts")
@@ -64,9 +88,16 @@ class Problem:
 
     @cached_property
     def constraints(self) -> Records:
-        """(1,) CONSTRAINTS: the prior and the object's weight, each if it is given."""
-        record = NO_CONSTRAINTS if self.vision is None else self.vision.record
-        return record if self.weight is None else self.weight.added_to(record)
+        """(1,) CONSTRAINTS: the prior, the object's weight and depth points, each if it is given."""
+        record = np.zeros(1, dtype=CONSTRAINTS) if self.vision is None else self.vision.record
+        for evidence in (self.weight, self.depth):
+            record = record if evidence is None else evidence.added_to(record)
+        return record
+
+    def arguments(self, used: Mask) -> tuple[Records, Any, Records, Records, Records]:
+        """Returns model, nodes, contacts, constraints and outside rows as kernels take them, the contacts once for each
+        row of `used` (K, n)."""
+        return *self.model.record[:2], self.sets(used), self.constraints, self.outside
 
     def sets(self, used: Mask) -> Records:
         """Returns (K, n) CONTACT: the contacts once for each row of `used` (K, n)."""
@@ -76,29 +107,31 @@ class Problem:
         return contacts
 
     def freedom(self, used: Mask) -> int:
-        """Returns the degrees of freedom of the χ² at a mode: rows of evidence less what the pose can take up."""
+        """Returns the degrees of freedom of the χ² at a mode: the rows of evidence, less six if there is no prior."""
         rows = int((used * (1 + 2 * self.contacts.has_normal)).sum()) + (0 if self.weight is None else 3)
+        if self.depth is not None:
+            rows += min(len(self.depth), 6)  # all of them together count as the one pose of their image
         return max(rows - 6, 1) if self.blind else rows
 
 
 def check_number(n: int, most: int, name: str, what: str) -> None:
-    """Raises InvalidInput where there are more than `most` of them."""
+    """Raises InvalidInput, which begins with `name`, where `n` is more than `most`; `what` is what is counted."""
     if n > most:
         raise InvalidInput(f"{name}: expected at most {most} {what}, got {n}")
 
 
 def plain(records: Records) -> Array:
-    """Returns (..., w) the numbers of records (...), for NumPy copies structured rows ten times slower than these."""
+    """Returns records (...) as a view of their numbers (..., w), which NumPy copies ten times faster."""
     return records.view(np.float64).reshape(*records.shape, -1)
 
 
 def taken(descents: Records, rows: Indices) -> Records:
-    """Returns (K,) those of descents (n,) that are at K indices."""
+    """Returns `descents[rows]`, a copy, in a tenth of the time."""
     return np.asarray(plain(descents)[rows].view(DESCENT)[:, 0])
 
 
 def descents_at(Ts_palm_object: Array) -> Records:
-    """Returns (K,) DESCENT that begin at poses (K, 4, 4)."""
+    """Returns (K,) DESCENT whose poses are the given ones (K, 4, 4), and the rest zero."""
     descents = np.zeros(len(Ts_palm_object), dtype=DESCENT)
     descents["pose"]["rotation"] = Ts_palm_object[:, :3, :3]
     descents["pose"]["position"] = Ts_palm_object[:, :3, 3]
@@ -106,7 +139,7 @@ def descents_at(Ts_palm_object: Array) -> Records:
 
 
 def poses_of(descents: Records) -> Array:
-    """Returns (K, 4, 4) of descents, or whatever has a POSE."""
+    """Returns the poses (K, 4, 4) of descents, or of other records with a POSE."""
     Ts = np.zeros((len(descents), 4, 4))
     Ts[:, :3, :3], Ts[:, :3, 3] = descents["pose"]["rotation"], descents["pose"]["position"]
     Ts[:, 3, 3] = 1.0

@@ -1,4 +1,4 @@
-"""Corrections by the compiled solver: from one start, from many, and what is said of the minima."""
+"""Calls of the compiled solver: from one start, from many, and for the answer at a minimum."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,41 +11,41 @@ from handsight._kernels import records
 from handsight._kernels.runtime.threads import in_parts
 from handsight._kernels.solve import batch, search
 from handsight._kernels.solve.options import SEARCH
+from handsight._kernels.touch import surface_at_contacts
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import modes
-from handsight.correction.budget import Budget
 from handsight.correction.estimate import PoseEstimate, PosePrior
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import Problem, Records, descents_at, plain, poses_of, taken
+from handsight.correction.problem import Budget, Problem, Records, descents_at, plain, poses_of, taken
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 
 
 class SolveOptions(NamedTuple):
-    """`SolveOptions` say how many starts are descended from at once, and how many minima are weighed."""
+    """`SolveOptions` are the numbers of descents that go together, and of minima that are weighed."""
 
-    serial: int = 128  # descents that are not worth another thread
-    block: int = 64  # starts among which repeats are found before they are finished
-    kept: int = 32  # minima that go on to be weighed, where there were more starts than a block
+    serial: int = 128  # descents that are too few to be shared with another thread
+    block: int = (
+        64  # starts that one call of the kernel descends from; it removes repeats among them on the way
+    )
+    kept: int = 32  # most minima that are weighed
     kept_blind: int = 64  # the same without vision
 
 
 SOLVE = SolveOptions()
 
-ENDED = ["width", "converged", "cost", "coarse_cost", "chi2", "gain", "rows"]
-"""What of an answer says whether it can stand."""
-
 
 def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEstimate | None:
-    """Returns the answer from vision's own pose; None where one start may not do, or the contacts do not fit there.
+    """Returns the answer of one descent from vision's own pose; None where one start may not be enough, or where the
+    evidence does not fit at its end.
 
-    `T_start` (4, 4): a pose that was right a moment ago, followed however little vision knows.
+    `T_start` (4, 4): a pose that was right a moment ago, at which the descent starts instead, however wide the prior.
     """
     model, contacts, vision = problem.model, problem.contacts.record, problem.vision
     if vision is None or not model.record.symmetry_known:
         return None
-    # Zeros, in a fifth of the time that np.zeros takes.
+    # These zeros take a fifth of the time of np.zeros.
     rows = np.frombuffer(bytearray(records.PROBLEM.itemsize), dtype=records.PROBLEM)
     residuals, row = np.empty((len(contacts), 2)), rows[0]
     row["constraints"], row["last"] = problem.constraints[0], len(contacts)
@@ -59,18 +59,20 @@ def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEs
 def solve_batch(
     model: ObjectModel, problems: Sequence[tuple[Contacts, PosePrior]]
 ) -> list[PoseEstimate | None]:
-    """Solves as `solve_single_start`, of many problems at once."""
+    """Returns the answer of `solve_single_start` to each of many problems of one object, or None."""
     if not model.record.symmetry_known:
         return [None] * len(problems)
     counts = np.array([len(contacts) for contacts, _ in problems])
     contacts = np.concatenate([contacts.record for contacts, _ in problems])
     rows, residuals = np.zeros(len(problems), dtype=records.PROBLEM), np.empty((len(contacts), 2))
-    rows["constraints"] = np.concatenate([vision.record for _, vision in problems])
+    # CONSTRAINTS are the first field of a PROBLEM; copied as plain numbers they take a hundredth of the time.
+    constraints = np.concatenate([plain(vision.record) for _, vision in problems])
+    plain(rows)[:, : constraints.shape[1]] = constraints
     rows["last"] = np.cumsum(counts)
     rows["first"] = rows["last"] - counts
     given = (*model.record[:2], contacts, NO_OUTSIDE)
     in_parts(lambda part: batch.correct_all(*given, part, residuals), (rows,), SOLVE.serial // 4)
-    # Each estimate keeps its own numbers alive, not those of all.
+    # Copied, so that an estimate does not keep the arrays of all problems in memory.
     return [
         _accepted(row["answer"].copy(), residuals[row["first"] : row["last"]].copy(), searched=False)
         for row in rows
@@ -78,95 +80,92 @@ def solve_batch(
 
 
 def _accepted(answer: np.void, residuals: Array, *, searched: bool) -> PoseEstimate | None:
-    """Returns the answer of one start, or None where it cannot stand.
+    """Returns the estimate of an ANSWER that one start led to, or None where a search might find a better one.
 
-    `searched`: whether a wrong contact has been looked for; what fits then stands, though one may look suspicious.
+    `searched`: whether a search has led to this mode already; then it is enough that the evidence fits.
     """
-    # One by one takes twice as long.
-    width, converged, cost, coarse_cost, chi2, gain, freedom = answer[ENDED].item()
+    fields = ["width", "converged", "cost", "coarse_cost", "chi2", "gain", "rows"]
+    # One by one they would take twice as long.
+    width, converged, cost, coarse_cost, chi2, gain, freedom = answer[fields].item()
     if not width < SEARCH.single_start_width or not converged:
         return None
     if searched:
-        stands = modes.fits(cost, freedom)
+        accepted = modes.fits(cost, freedom)
     else:
-        stands = modes.beyond_doubt(cost, coarse_cost, freedom, width / SEARCH.single_start_width)
-        stands = stands and modes.unsuspicious(cost, freedom, gain)
-    if not stands:
+        accepted = modes.beyond_doubt(cost, coarse_cost, freedom, width / SEARCH.single_start_width)
+        accepted = accepted and modes.unsuspicious(cost, freedom, gain)
+    if not accepted:
         return None
     return PoseEstimate(answer, (answer,), residuals, modes.fits(chi2, freedom))
 
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """Minima that use one and the same set of contacts."""
+    """`Candidates` are the minima that were found with one set of contacts in use."""
 
     minima: Records
     """(K,) DESCENT, weighed, cheapest first."""
     used: Mask
-    """(1, n) bool."""
+    """(1, n) whether each contact is in use."""
     freedom: int
     """Degrees of freedom of the χ² at a minimum."""
 
     @property
     def cost(self) -> float:
-        """The least."""
+        """The cost of the cheapest minimum."""
         return float(self.minima["cost"][0])
 
     @property
     def converged(self) -> bool:
-        """Whether the cheapest is a minimum."""
+        """Whether the descent to the cheapest minimum converged."""
         return bool(self.minima["converged"][0])
 
     def fits(self, alarm: float = modes.MODES.alarm) -> bool:
-        """Returns whether the cheapest has squares below their 1 - alarm quantile."""
+        """Returns whether the cheapest minimum passes the χ² test of level `alarm`."""
         return modes.fits(self.cost, self.freedom, alarm)
 
     def with_more(self, other: "Candidates") -> "Candidates":
-        """Returns the minima of both, which use the same contacts."""
+        """Returns the minima of both, which must use the same contacts."""
         minima = np.concatenate([plain(self.minima), plain(other.minima)]).view(records.DESCENT)[:, 0]
         minima = taken(minima, np.argsort(minima["cost"], kind="stable"))
         return Candidates(minima, self.used, self.freedom)
 
 
 def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None = None) -> Candidates:
-    """Returns the minima of the set of contacts, of those in `used` (S, n), whose cheapest is the cheapest of all.
+    """Returns the minima of one set of contacts: of the sets in `used` (S, n), the one with the cheapest minimum.
 
-    Starts (S, M) of each set → phase 1 (nearest samples) and the coarse field → the fine field. When the budget is
-    spent, the starts that are left are not looked at; the first always are.
+    `starts` (S, M): DESCENT, those of each set. All go through phase 1 (nearest samples) and the coarse distance field;
+    those that do not repeat another one go on to the fine field. When the budget is spent, the remaining starts are
+    skipped, but never the first ones.
     """
-    return _cheapest(problem, *_descended(problem, starts, used, budget), used)
-
-
-def _descended(
-    problem: Problem, starts: Records, used: Mask, budget: Budget | None
-) -> tuple[Records, Indices]:
-    """Returns descents (K,), and the places among them of those that ended at a minimum of their own."""
-    blocks = _blocks(starts, 2 if problem.blind else 1)
-    given = (*problem.model.record[:2], problem.sets(used), problem.constraints, problem.outside)
-    blocks = _searched(partial(search.search, *given), blocks, budget)
+    model = problem.model
+    work = partial(search.search, *problem.arguments(used))
+    blocks = _searched(work, _blocks(starts, 2 if problem.blind else 1), budget)
     descents, ends = blocks.reshape(-1), blocks.shape[2]
-    return descents, ends * np.flatnonzero(descents["cost"][::ends] < np.inf)
-
-
-def _cheapest(problem: Problem, descents: Records, ended: Indices, used: Mask) -> Candidates:
-    """Returns the minima of the set of contacts whose cheapest is the cheapest, from where descents of all sets
-    ended."""
+    # The indices of the descents that ended at a minimum of their own; of these, the ones of the best set.
+    ended = ends * np.flatnonzero(descents["cost"][::ends] < np.inf)
     best = descents["set"][ended[descents["cost"][ended].argmin()]]
     if len(used) > 1:
         ended = ended[descents["set"][ended] == best]
     if len(ended) > SOLVE.block // 2:
-        ended = _survivors(problem, descents, ended)
+        order = ended[np.argsort(descents["cost"][ended], kind="stable")]
+        most = SOLVE.kept_blind if problem.blind else SOLVE.kept
+        ended = distinct(model, descents, order, most, SEARCH.same_after_coarse)
     if problem.blind:
-        # Along a slide any place is a minimum: beside where each ended, the most likely one; of equals that wins.
+        # Along a flat direction every place is a minimum. The kernel has put the most likely one beside each minimum;
+        # it comes first, so that the stable sort prefers it among equal costs.
         ended = np.concatenate([ended + 1, ended])
     minima = taken(descents, ended[np.argsort(descents["cost"][ended], kind="stable")])
-    chosen = used[best : best + 1]
-    _weigh(problem, minima, chosen)
+    minima["set"], chosen = 0, used[best : best + 1]
+    if problem.vision is not None and not model.record.symmetry_known:
+        Ts = nearest(model.symmetries, poses_of(minima), problem.vision.T_palm_object, model.radius)
+        minima["pose"] = descents_at(Ts)["pose"]
+    batch.weigh(*problem.arguments(chosen), minima)
     return Candidates(minima, chosen, problem.freedom(chosen))
 
 
 def _searched(work: Callable[[Records], None], blocks: Records, budget: Budget | None) -> Records:
-    """Returns the blocks that the budget allows to be worked on, and at least the first."""
+    """Returns the blocks after the work on them, in threads; when the budget is spent, only those that were reached."""
     least = -(-SOLVE.serial // blocks.shape[1])
     if budget is None or budget.ends == np.inf:
         in_parts(work, (blocks,), least)
@@ -179,8 +178,11 @@ def _searched(work: Callable[[Records], None], blocks: Records, budget: Budget |
 
 
 def _blocks(starts: Records, ends: int) -> Records:
-    """Returns (B, m, ends) DESCENT: starts (S, M), those of one set dealt out evenly to blocks; of infinite cost:
-    none."""
+    """Returns starts (S, M) as blocks (B, m, ends) of DESCENT, each with starts of one set, dealt out evenly.
+
+    A block that is not full is filled up with descents of infinite cost. With two `ends` each start has a second
+    record, for the most likely pose along a flat direction of its minimum.
+    """
     sets, count = starts.shape
     number = -(-count // SOLVE.block)
     each = -(-count // number)
@@ -192,28 +194,13 @@ def _blocks(starts: Records, ends: int) -> Records:
     return blocks if ends == 1 else np.repeat(blocks, ends, axis=2)
 
 
-def _survivors(problem: Problem, descents: Records, ended: Indices) -> Indices:
-    """Returns those of some descents that are no repeats of cheaper ones, cheapest first."""
-    order = ended[np.argsort(descents["cost"][ended], kind="stable")]
-    most = SOLVE.kept_blind if problem.blind else SOLVE.kept
-    return distinct(problem.model, descents, order, most, SEARCH.same_after_coarse)
-
-
-def _weigh(problem: Problem, minima: Records, used: Mask) -> None:
-    """Weighs minima (K,) of contacts `used` (1, n), at their equivalents nearest to vision."""
-    model = problem.model
-    minima["set"] = 0
-    if problem.vision is not None and not model.record.symmetry_known:
-        T_vision = problem.vision.T_palm_object
-        Ts = nearest(model.symmetries, poses_of(minima), T_vision, model.radius)
-        minima["pose"] = descents_at(Ts)["pose"]
-    batch.weigh(*model.record[:2], problem.sets(used), problem.constraints, problem.outside, minima)
-
-
 def distinct(
     model: ObjectModel, descents: Records, order: Indices, most: int, limits: tuple[float, float]
 ) -> Indices:
-    """Returns indices, in the given order, of descents that are no repeat of an earlier one; at most `most`."""
+    """Returns the indices of at most `most` descents, in the given order, each distinct from those before.
+
+    `limits`: the shift [m] and the turn [rad] up to which two poses are the same.
+    """
     if not model.record.symmetry_known:
         chosen = modes.distinct(model, poses_of(descents), order, most, limits)
         return np.array(chosen, dtype=np.int64)
@@ -222,31 +209,35 @@ def distinct(
 
 
 def gains(problem: Problem, minimum: Records, used: Mask) -> Array:
-    """Returns (n,) how much χ² falls, to first order, when each contact is left out at a minimum (1,); `used` (1,
-    n)."""
-    contacts, answers = problem.sets(used), np.zeros(1, dtype=records.ANSWER)
+    """Returns by how much χ² falls, to first order, when each contact is left out (n,), at a minimum (1,).
+
+    `used` (1, n): the contacts in use; the others have no gain.
+    """
+    arguments, answers = problem.arguments(used), np.zeros(1, dtype=records.ANSWER)
     answers["pose"], answers["first_order"] = minimum["pose"], True
-    batch.summarize_all(*problem.model.record[:2], contacts, problem.constraints, problem.outside, answers)
-    return np.where(used[0], contacts[0]["gain"], 0.0)
+    batch.summarize_all(*arguments, answers)
+    return np.where(used[0], arguments[2][0]["gain"], 0.0)
 
 
-def _summaries(problem: Problem, descents: Records, used: Mask, *, first_order: bool = False) -> Records:
-    """Returns (K,) ANSWER where descents (K,) ended; `used` (1, n)."""
+def summaries(problem: Problem, descents: Records, used: Mask, *, first_order: bool = False) -> Records:
+    """Returns (K,) ANSWER at the poses of descents (K,), with the contacts `used` (1, n).
+
+    `first_order`: the uncertainty is from the Jacobian alone, for a pose that is no minimum.
+    """
     answers = np.zeros(len(descents), dtype=records.ANSWER)
     answers["pose"], answers["first_order"] = descents["pose"], first_order
     answers["iterations"], answers["converged"] = descents["iterations"], descents["converged"]
-    given = (*problem.model.record[:2], problem.sets(used), problem.constraints, problem.outside)
-    batch.summarize_all(*given, answers)
+    batch.summarize_all(*problem.arguments(used), answers)
     return answers
 
 
 def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
-    """Returns the answer to a problem from its minima."""
+    """Returns the estimate of a problem from its minima: the distinct ones and their probabilities, likeliest first."""
     minima, used = found.minima, found.used
     order, chosen = np.argsort(-minima["log_weight"], kind="stable"), minima
     if len(minima) > 1:
         chosen = taken(minima, distinct(problem.model, minima, order, modes.MODES.max_modes, modes.SAME_MODE))
-    answers = _summaries(problem, chosen, used)
+    answers = summaries(problem, chosen, used)
     share = np.exp(chosen["log_weight"] - chosen["log_weight"][0])
     answers["weight"], answers["log_weight"] = share / share.sum(), chosen["log_weight"]
     answers["posterior_cost"] = chosen["posterior_cost"]
@@ -256,32 +247,48 @@ def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
 
 
 def summarize_pose(problem: Problem, descent: Records) -> PoseEstimate:
-    """Returns the answer (1,) of another method: its pose as it is, with the uncertainty that our evidence has
-    there."""
+    """Returns the estimate at the pose of another method's descent (1,), with the uncertainty of all evidence there."""
     used = np.ones((1, len(problem.contacts)), dtype=bool)
-    answer = _summaries(problem, descent, used, first_order=True)[0]
+    answer = summaries(problem, descent, used, first_order=True)[0]
     answer["weight"] = 1.0
     consistent = modes.fits(answer["chi2"], problem.freedom(used))
     return PoseEstimate(answer, (answer,), residuals(problem, descent), consistent)
 
 
 def residuals(problem: Problem, minimum: Records) -> Array:
-    """Returns (n, 2) distance [m] and angle [rad] between each contact and the surface, at a minimum (1,)."""
+    """Returns the distance [m] and the angle [rad] between each contact and the surface (n, 2), at a minimum (1,)."""
     rows = np.empty((len(problem.contacts), 2))
     batch.residuals_at(*problem.model.record[:2], problem.contacts.record, minimum, rows)
     return rows
 
 
 def cost(problem: Problem, Ts_palm_object: Array, used: Mask) -> Array:
-    """Returns minus two log of the posterior density (K,) at poses (K, 4, 4), up to a constant; `used` (1, n)."""
+    """Returns minus two log of the posterior density (K,) at poses (K, 4, 4), up to a constant.
+
+    `used` (1, n): the contacts in use.
+    """
     descents = descents_at(Ts_palm_object)
-    given = (*problem.model.record[:2], problem.sets(used), problem.constraints, problem.outside)
-    batch.cost_all(*given, descents)
+    batch.cost_all(*problem.arguments(used), descents)
     return np.asarray(descents["posterior_cost"])
 
 
+def information_by_contact(
+    model: ObjectModel, contacts: Contacts, T_palm_object: Array
+) -> tuple[Array, Array]:
+    """Returns the information (n, 6, 6) that the surface gives about each contact's own (point, normal), and the
+    gradient (n, 6) of half its squared residuals, with the object at `T_palm_object` (4, 4).
+
+    Both are along the palm's axes, by the point [m] and by the change of the unit normal.
+    """
+    information, gradient = np.empty((len(contacts), 6, 6)), np.empty((len(contacts), 6))
+    given = (*model.record[:2], contacts.record, descents_at(T_palm_object[None]))
+    surface_at_contacts.information_by_contact(*given, information, gradient)
+    return information, gradient
+
+
 def kernel_call(model: ObjectModel, contacts: Contacts, vision: PosePrior) -> Callable[[], None]:
-    """Returns a call without arguments that runs the two phases of one problem, and nothing else, for measuring."""
+    """Returns a function that runs the two phases of one problem, and nothing else, for benchmarks."""
     rows = np.zeros(1, dtype=records.PROBLEM)
-    rows["constraints"], rows["last"] = vision.record, len(contacts)
-    return partial(batch.two_phases, *model.record[:2], contacts.record, NO_OUTSIDE, rows)
+    rows["constraints"], rows["last"], rows["pose_only"] = vision.record, len(contacts), True
+    given = (*model.record[:2], contacts.record, NO_OUTSIDE)
+    return partial(batch.correct_all, *given, rows, np.empty((len(contacts), 2)))

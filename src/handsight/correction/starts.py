@@ -1,46 +1,51 @@
-"""Where descents begin: draws from the prior, or, blind, poses whose surface reaches a contact.
+"""The poses at which descents start: draws from the prior; without vision, poses whose surface meets a contact; on a
+tactile array, poses that cover the right taxels.
 
-Draws are made along the object's own axes and ordered by lengths alone, so that another palm frame or another
-order of the contacts gives the same starts.
+Draws are along the object's own axes, and contacts are ordered by distances, so that neither another palm frame nor
+another order of the contacts changes the starts.
 """
 
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.records import DESCENT, POSE, SAMPLES
+from handsight._kernels.records import DESCENT, SAMPLES
 from handsight._kernels.runtime.threads import in_parts
 from handsight._kernels.solve import batch, search
 from handsight.checks import Array, Indices, Mask
-from handsight.correction.estimate import PosePrior
+from handsight.correction import solve
+from handsight.correction.estimate import PoseEstimate, PosePrior
 from handsight.correction.problem import Problem, Records, taken
 from handsight.objects import ObjectModel
 
 
 class StartOptions(NamedTuple):
-    """`StartOptions` say where searches start."""
+    """`StartOptions` are the numbers of starts of each kind."""
 
-    min_starts: int = 16  # starts from a prior
-    max_starts: int = 32  # starts from a wide prior
-    draws: int = 1024  # draws that are kept: the same for every problem, along its own axes
-    blind_spins: int = 18  # turns about a contact's normal that are tried without vision
-    max_anchors: int = 3  # contacts that these are laid on
-    blind_kept: int = 384  # starts without vision that are descended from
+    min_starts: int = 16  # with vision: starts from the narrowest prior
+    max_starts: int = 32  # with vision: starts from the widest prior
+    blind_spins: int = 18  # without vision: turns about a contact's normal that are tried
+    max_anchors: int = 3  # without vision: contacts on which the surface is laid
+    blind_kept: int = 384  # without vision: starts that are descended from
     max_scoring: int = 20
-    """Contacts by which starts without vision are scored: more of them tell no more of poses that are so far off."""
-    first_scoring: int = 3  # the farthest contacts, which score every start
-    promising: int = 4  # times as many of the best go on to be scored by the others as well
-    serial: int = 512  # starts whose scores are not worth another thread
+    """Without vision: most contacts by which starts are scored; more would not rank such coarse poses any better."""
+    first_scoring: int = 3  # without vision: the outermost contacts, by which every start is scored first
+    promising: int = 4  # one start in so many, of the lowest costs, is then scored by the other contacts too
+    serial: int = 512  # starts whose scores are too few to be shared with another thread
+    footprint_draws: int = 384  # on a tactile array: poses that are drawn in a round
+    footprint_rounds: int = 3  # rounds, each around the likeliest poses of the round before
+    footprint_kept: int = 12  # likeliest poses that are kept of a round
+    footprint_shrink: float = 0.3  # factor on the spread from round to round
 
 
 STARTS = StartOptions()
 
 
 def usual(problem: Problem) -> int:
-    """Returns how many starts a problem needs, where one does not do: as the prior is wide, or those of a blind one."""
+    """Returns the number of starts of a problem for which one is not enough; with vision, by the prior's width."""
     if problem.vision is None:
         return STARTS.blind_kept
     w = batch.width(problem.model.record.model, problem.vision.record)
@@ -48,115 +53,127 @@ def usual(problem: Problem) -> int:
 
 
 def from_prior(vision: PosePrior, number: int) -> Records:
-    """Returns (number,) DESCENT: the prior's own pose, then draws from it."""
-    descents = np.zeros(number, dtype=DESCENT)
-    draws = _few()[:number] if number <= STARTS.draws else _drawn(number)
-    in_parts(partial(search.draw, vision.record), (draws, descents), STARTS.draws)
+    """Returns (number,) DESCENT: the prior's own pose, then draws from it along the object's own axes."""
+    kept = 1024  # draws that are cached; every problem takes the first ones of them
+    descents, draws = np.zeros(number, dtype=DESCENT), _draws(max(number, kept))[:number]
+    in_parts(partial(search.draw, vision.record), (draws, descents), kept)
     return descents
 
 
-def _drawn(number: int) -> Array:
-    """Returns (number, 6) standard normal, the first at zero."""
+@lru_cache(maxsize=1)
+def _draws(number: int) -> Array:
+    """Returns standard normal draws (number, 6), the first of them zero."""
     draws = np.random.default_rng(0).normal(size=(number, 6))
     draws[0] = 0.0
     return draws
 
 
-@cache
-def _few() -> Array:
-    return _drawn(STARTS.draws)
+def within_footprint(problem: Problem, estimate: PoseEstimate) -> Array:
+    """Returns the poses (K, 4, 4) of lowest cost by all evidence, drawn around an estimate by the contacts alone.
+
+    They are for a face of the object that lies on a tactile array. An untouched taxel under the face pushes it away
+    from the array, but not sideways to where it would end: along the array the cost has no slope, and a descent would
+    stay where vision was. So poses are drawn along the directions that the contacts leave open.
+    """
+    used = np.ones((1, len(problem.contacts)), dtype=bool)
+    rng = np.random.default_rng(5)
+    values, vectors = np.linalg.eigh(estimate.bounded_covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    best, count = estimate.T_palm_object_maximum[None], STARTS.footprint_draws
+    for k in range(STARTS.footprint_rounds):
+        around = best[np.arange(count) % len(best)]
+        steps = STARTS.footprint_shrink**k * rng.normal(size=(count, 6)) @ root.T
+        poses = np.concatenate([best, se3.moved(around, steps)])
+        cost = solve.cost(problem, poses, used)
+        best = poses[np.argsort(cost, kind="stable")[: STARTS.footprint_kept]]
+    return best
 
 
 @dataclass(frozen=True)
-class Scored:
-    """Starts without vision, and what each contact says of each: once, for every set of contacts."""
+class ScoredStarts:
+    """A `ScoredStarts` has starts without vision and the cost of each contact at each, for any set of contacts."""
 
     descents: Records
     """(K,) DESCENT."""
     costs: Array
-    """(K, m)"""
+    """(K, m) squared residuals of each contact at each start."""
     contacts: Indices
-    """(m,) which contacts they are of."""
+    """(m,) indices of the contacts by which the starts are scored."""
 
     def best(self, used: Mask, number: int) -> Records:
-        """Returns (number,) those that the contacts in use (n,) fit best, best first."""
+        """Returns the starts (number,) of the lowest cost by the contacts in use (n,), best first."""
         total = self.costs[:, used[self.contacts]].sum(axis=1)
         return taken(self.descents, np.argsort(total, kind="stable")[:number])
 
 
-def blind(problem: Problem, used: Mask, *, prune: bool) -> Scored:
-    """Returns poses in which a sample of the surface meets one of the contacts in use (n,).
+def blind(problem: Problem, used: Mask, *, prune: bool) -> ScoredStarts:
+    """Returns poses at which a sample of the surface meets one of the contacts in use (n,).
 
-    Each of three contacts serves as anchor in turn; where it has a normal the sample's is laid on it and the object
-    spun about it, else it is turned at random. `prune`: only those that a few contacts find promising.
+    Each of the outermost contacts is the anchor in turn. If contacts have normals, only these are anchors: the sample's
+    normal is laid on the anchor's and the object is spun about it; else the object is turned at random. `prune`: only
+    the best by the first few contacts are scored by all, and returned.
     """
     contacts, chosen = problem.contacts, np.flatnonzero(used)
     points = contacts.points_palm[chosen]
+    # The contacts farthest from their centroid come first.
     order = np.argsort(np.linalg.norm(points - points.mean(axis=0), axis=1), kind="stable")[::-1]
     normalled = [i for i in order if contacts.has_normal[chosen[i]]]
     anchors = np.array((normalled or list(order))[: STARTS.max_anchors])
-    descents = (_spun if normalled else _turned)(
-        problem.model, points, contacts.normals_palm[chosen], anchors
+    normals = contacts.normals_palm[chosen]
+    descents = (
+        _spun(problem.model, points, normals, anchors)
+        if normalled
+        else _turned(problem.model, points[anchors])
     )
     if len(order) > STARTS.max_scoring:
-        # Near the middle and far from it.
+        # Evenly from the outermost to the innermost.
         order = order[np.linspace(0, len(order) - 1, STARTS.max_scoring).astype(int)]
-    heard, sigmas = chosen[order], _sigmas(points, descents)
-    if prune and len(heard) > STARTS.first_scoring:
-        first = _scores(problem, heard[: STARTS.first_scoring], sigmas, descents).sum(axis=1)
+    scoring, sigmas = chosen[order], _sigmas(points, descents)
+    if prune and len(scoring) > STARTS.first_scoring:
+        first = _scores(problem, scoring[: STARTS.first_scoring], sigmas, descents).sum(axis=1)
         descents = taken(descents, np.argsort(first, kind="stable")[: len(first) // STARTS.promising])
-    return Scored(descents, _scores(problem, heard, sigmas, descents), heard)
+    return ScoredStarts(descents, _scores(problem, scoring, sigmas, descents), scoring)
 
 
 def _spun(model: ObjectModel, points: Array, normals: Array, anchors: Indices) -> Records:
-    """Returns (K,) DESCENT: every surface sample on the anchors, spun about their normals in even steps from other
-    contacts."""
-    frames, center = np.zeros(len(anchors), dtype=POSE), points.mean(axis=0)
-    for row, a in zip(frames, anchors, strict=True):
-        hint = center - points[a] + 1e-6 * (points[a] - points[a - 1])
-        row["rotation"], row["position"] = _frame(normals[a], hint), points[a]
+    """Returns (K,) DESCENT: every surface sample on every anchor, spun about its normal in even steps.
+
+    The steps are counted from the direction of the centroid of the contacts, plus a little towards another contact in
+    case that the centroid is on the normal.
+    """
+    hints = points.mean(axis=0) - points[anchors] + 1e-6 * (points[anchors] - points[anchors - 1])
     descents = np.zeros((len(anchors), STARTS.blind_spins, SAMPLES), dtype=DESCENT)
-    search.spin(model.record.model, frames, descents)
+    search.spin(model.record.model, np.stack([points[anchors], normals[anchors], hints], axis=1), descents)
     return descents.reshape(-1)
 
 
-def _turned(model: ObjectModel, points: Array, _: Array, anchors: Indices) -> Records:
-    """Returns (K,) DESCENT: every surface sample on the anchors, turned at random."""
+def _turned(model: ObjectModel, points: Array) -> Records:
+    """Returns (K,) DESCENT: every surface sample on every anchor's point (a, 3), with the object turned at random."""
     turns = _turns()
-    arms = (turns.reshape(STARTS.blind_spins, SAMPLES, 3, 3) @ model.points_object[:, :, None])[
-        ..., 0
-    ].reshape(-1, 3)
-    descents = np.zeros((len(anchors), len(turns)), dtype=DESCENT)
+    arms = turns.reshape(STARTS.blind_spins, SAMPLES, 3, 3) @ model.points_object[:, :, None]
+    descents = np.zeros((len(points), len(turns)), dtype=DESCENT)
     descents["pose"]["rotation"] = turns
-    descents["pose"]["position"] = points[anchors][:, None] - arms
+    descents["pose"]["position"] = points[:, None] - arms.reshape(-1, 3)
     return descents.reshape(-1)
 
 
 @cache
 def _turns() -> Array:
+    """Returns random rotations (m, 3, 3), `blind_spins` for each surface sample."""
     return se3.random(np.random.default_rng(0), STARTS.blind_spins * SAMPLES)[:, :3, :3]
 
 
-def _frame(z: Array, hint: Array) -> Array:
-    """Returns a rotation whose third column is `z` and whose first points as far along `hint` as it can."""
-    x = hint - (hint @ z) * z
-    if np.linalg.norm(x) < 1e-9 * (np.linalg.norm(hint) + 1e-300) or not x.any():
-        x = np.eye(3)[np.argmin(np.abs(z))]
-        x = x - (x @ z) * z
-    x = x / np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
-
-
 def _sigmas(points: Array, descents: Records) -> Array:
-    """Returns sigmas of distance [m] and normal [rad]: half a step of the spin, seen from the object's origin."""
+    """Returns the sigmas of scoring, of distance [m] and of normal [rad]: half a step of the spin at the contacts' mean
+    distance from the object's origin, and a step."""
     step = 2 * np.pi / STARTS.blind_spins
-    origins = descents["pose"]["position"][::16]  # their mean distance from the contacts, of some of them
+    origins = descents["pose"]["position"][::16]  # every 16th is enough for a mean
     reach = np.linalg.norm(points - origins[:, None], axis=-1).mean() * step / 2
     return np.array([reach, step])
 
 
 def _scores(problem: Problem, chosen: Indices, sigmas: Array, descents: Records) -> Array:
-    """Returns (K, m) what contacts (m,) say of each start."""
+    """Returns the cost of each chosen contact (m,) at each start, (K, m)."""
     costs, contacts = np.empty((len(descents), len(chosen))), problem.contacts.record[chosen]
     given = (*problem.model.record[:2], contacts, sigmas)
     in_parts(partial(search.score, *given), (descents, costs), STARTS.serial)

@@ -1,9 +1,8 @@
-"""The object's weight as evidence of its pose: where its centre of mass is, in the object and in the palm."""
+"""The object's weight as evidence of its pose: its centre of mass in the object, and as measured in the palm."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,28 +16,20 @@ from handsight.objects import ObjectModel
 from handsight.objects.symmetry import check_kept, kept_center
 from handsight.representation import short_repr
 
-if TYPE_CHECKING:
-    Records = NDArray[np.void]
-
-LEFT_IN_PLACE = 2.0
-"""In sigmas: a symmetry that moves the centre of mass farther is none of what weighs so."""
 CONTRADICTS = chi2_limit(3, 0.01)
-"""χ² of three numbers that one in a hundred exceeds: such a centre of mass is another's."""
-PAID = 0.02
-"""Of the weight's variance: where less than that is left to compare, the weight alone has told the pose."""
+"""The 99 % quantile of χ² with three degrees of freedom."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightEvidence:
-    """A `WeightEvidence` says where an object's centre of mass is: in the object, and in the palm by what hangs on
-    the fingertips."""
+    """A `WeightEvidence` is an object's centre of mass in the object, and in the palm by the fingertips' loads."""
 
     center_object: Array
-    """(3,) [m]"""
+    """(3,) position of the centre of mass in the object's frame [m]."""
     center_palm: Array
-    """(3,) [m]"""
+    """(3,) position of the centre of mass in the palm frame [m]."""
     covariance: Array
-    """(3, 3) of both together, along the palm's axes, positive definite [m²]."""
+    """(3, 3) covariance of the difference of the two, along the palm's axes, positive definite [m²]."""
 
     __repr__ = short_repr
 
@@ -51,7 +42,7 @@ class WeightEvidence:
             raise InvalidInput("weight.covariance: expected a positive definite one, got a singular one")
         object.__setattr__(self, "covariance", covariance)
 
-    def added_to(self, constraints: Records) -> Records:
+    def added_to(self, constraints: NDArray[np.void]) -> NDArray[np.void]:
         """Returns a copy of CONSTRAINTS (1,) with this evidence in it."""
         record = constraints.copy()
         weight = record[0]["weight"]
@@ -60,18 +51,19 @@ class WeightEvidence:
         return record
 
     def of(self, model: ObjectModel) -> WeightEvidence:
-        """Returns the same of an object whose symmetries leave the centre of mass in place; raises InvalidInput where
-        they do not."""
+        """Returns the evidence with the centre of mass moved to the nearest point that the object's symmetries leave in
+        place; raises InvalidInput where that is more than two standard deviations and 1 mm away."""
         center = kept_center(model.symmetries, self.center_object)
-        limit = LEFT_IN_PLACE * float(np.sqrt(np.trace(self.covariance) / 3))
+        limit = 2.0 * float(np.sqrt(np.trace(self.covariance) / 3))
         check_kept(center, self.center_object, limit, "weight.center_object")
         return WeightEvidence(center, self.center_palm, self.covariance)
 
     def contradicts(self, estimate: PoseEstimate) -> bool:
-        """Returns whether a pose that was found with it lies where all else would not have it.
+        """Returns whether all other evidence contradicts the weight, at the estimate that was found with it.
 
-        With J the rows' derivative, Σ their covariance and C that of the pose, what is left over has the covariance
-        Σ - J C Jᵀ: the less, the more the weight itself has told the pose.
+        It is a χ² test of the residuals. With J their derivative by the pose, Σ their covariance and C that of the
+        pose, their covariance at the estimate is Σ - J C Jᵀ: the more the weight itself has determined the pose, the
+        smaller it is. It is taken to be at least Σ / 50 in every direction.
         """
         T, C = estimate.T_palm_object, estimate.bounded_covariance
         arm = T[:3, :3] @ self.center_object
@@ -81,4 +73,4 @@ class WeightEvidence:
         whitened = np.linalg.solve(root, J)
         values, vectors = np.linalg.eigh(np.eye(3) - whitened @ C @ whitened.T)
         along = (vectors.T @ off) ** 2
-        return bool((along / np.maximum(values, PAID)).sum() > CONTRADICTS)
+        return bool((along / np.maximum(values, 0.02)).sum() > CONTRADICTS)

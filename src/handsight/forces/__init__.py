@@ -1,12 +1,19 @@
 """Forces: weight, centre of mass and slip of the object in the hand, from the loads on the fingertips."""
 
-from handsight.forces.object_motion import slip_twist
-from handsight.forces.slip import Slip, SlipDetector
-from handsight.forces.weigher import ObjectWeight, Weigher, WeightSensor
+from handsight.forces.friction import FRICTION
+from handsight.forces.loads import LOADS, LoadSum, load_sum, read_in_air
+from handsight.forces.object_motion import moved_with_tips, slip_twist
+from handsight.forces.slip import SLIP, Slip, SlipDetector
+from handsight.forces.weigher import WEIGHER, ObjectWeight, Weigher, WeightSensor
 from handsight.forces.weight import Carried, Unknowns, Weighing, weigh
 
 __all__ = [
+    "FRICTION",
+    "LOADS",
+    "SLIP",
+    "WEIGHER",
     "Carried",
+    "LoadSum",
     "ObjectWeight",
     "Slip",
     "SlipDetector",
@@ -14,6 +21,9 @@ __all__ = [
     "Weigher",
     "Weighing",
     "WeightSensor",
+    "load_sum",
+    "moved_with_tips",
+    "read_in_air",
     "slip_twist",
     "weigh",
 ]

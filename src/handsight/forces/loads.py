@@ -1,11 +1,11 @@
-"""The loads on the fingertips over a short while: their sum with its uncertainty, and what they are in the air.
+"""The loads on the fingertips over a short time: their sum with its uncertainty, and the sensors' biases.
 
-A tip's load (f, t), of the object on it at its sensor's origin s, adds up to F = Σ f and T = Σ (t + s × f) about the
+The object's load (f, t) on each tip, at its sensor's origin s, adds up to F = Σ f and T = Σ (t + s × f) about the
 palm's origin. Where the joints read δq too much, with J the tip's Jacobian at s, the tip seems turned by J_ω δq and
 displaced by J_p δq, so F is wrong by -Σ [f]x J_ω δq and T by Σ (-[f]x J_p - [s]x [f]x J_ω - [t]x J_ω) δq.
 
-A tip that goes through the air bears only itself. What it reads beyond that, constant in its own axes wherever it
-goes, is its sensor's bias; what it touched would change on the way.
+A tip that moves through the air bears only its own weight. If the rest of its reading is constant in the tip's axes on
+the way, it is the sensor's bias: the load of a touched object would change.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,14 +28,14 @@ class LoadOptions(NamedTuple):
     """`LoadOptions` say how loads and accelerations are read, and when a tip is in the air."""
 
     order: int = 3  # of the polynomials that accelerations are read from (Savitzky and Golay 1964)
-    span: float = 0.1  # their length [s]
-    min_instants: int = 5  # instants of one at least
-    saturated: float = 0.99  # parts of a sensor's full scale from which on a reading is none
+    span: float = 0.1  # length of a polynomial [s]
+    min_instants: int = 5  # fewest instants of a polynomial
+    saturated: float = 0.99  # a reading beyond this share of the sensor's full scale is not used
     min_travel: float = 0.005
-    """A tip that has moved this far in the palm over a window is not pushed along by something [m]."""
-    max_bias: float = 0.5  # more than this is a load, or a broken sensor [N]
+    """A tip that moves this far in the palm during a window is in the air, not pressed against something [m]."""
+    max_bias: float = 0.5  # a larger reading in the air is a load, or a broken sensor [N]
     unsteady_p: float = 0.001
-    """Readings whose spread noise exceeds with less than this probability do not change by noise alone."""
+    """Readings vary by more than noise where noise would exceed their spread with less than this probability."""
 
 
 LOADS = LoadOptions()
@@ -43,32 +43,35 @@ LOADS = LoadOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadSum:
-    """A `LoadSum` is all fingertips' loads together, mean of a short while; in the palm's axes, about its origin."""
+    """A `LoadSum` is the sum of the loads on all t fingertips, averaged over a short time.
+
+    It is along the palm's axes, about the palm's origin.
+    """
 
     stamp: float
-    """In the middle of it [s]."""
+    """The middle of that time [s]."""
     wrench: Array
     """(6,) force [N] and torque [N m] of the object on the tips."""
     gravity: Array
-    """(3,) less the acceleration [m/s²]: what each kilogram weighs."""
+    """(3,) gravity less the palm's acceleration [m/s²]: the weight of each kilogram."""
     R_palm_world: Array
-    """(3, 3)"""
+    """(3, 3) rotation of the world in the palm."""
     by_joint: Array
     """(6, j) derivative of the wrench by the error of each joint."""
     by_bias: Array
-    """(6, 6 t) derivative of the wrench by each tip's bias, its force and its torque."""
+    """(6, 6 t) derivative of the wrench by the force and torque of each tip's bias."""
     noise: Array
-    """(6, 6) covariance of the wrench by what changes from reading to reading."""
+    """(6, 6) covariance of the wrench due to errors that change from reading to reading."""
     acceleration: float
-    """Root mean square, per axis [m/s²]."""
+    """Root mean square of the palm's acceleration, per axis [m/s²]."""
     turning: float
     """Root mean square of the palm's angular acceleration, per axis [rad/s²]."""
     Ts_palm_tip: Array
-    """(t, 4, 4)"""
+    """(t, 4, 4) poses of the tips."""
     forces: Array
-    """(t, 3) of the object on each tip [N]."""
+    """(t, 3) force of the object on each tip [N]."""
     touched: Mapping[int, tuple[Array, Array]]
-    """By tip that is touched: the contact's point (3,) in the palm [m], and its normal (3,)."""
+    """By index of a tip that touches: the contact's point (3,) in the palm [m], and its normal (3,)."""
 
     @property
     def middle_palm(self) -> Array:
@@ -77,13 +80,13 @@ class LoadSum:
         return np.asarray(pressed @ self.Ts_palm_tip[:, :3, 3] / pressed.sum())
 
     def tangential(self, tip: int) -> Array:
-        """Returns (3,) the force on a tip that is touched, along the surface [N]."""
+        """Returns (3,) the tangential force on a tip that touches [N]."""
         force, normal = self.forces[tip], self.touched[tip][1]
         return np.asarray(force - (force @ normal) * normal)
 
 
 def lacking(rig: Rig, observations: Sequence[Observation]) -> str:
-    """Returns why the observations do not measure what all fingertips bear; empty where they do."""
+    """Returns why the observations do not measure the loads on all fingertips; empty where they do."""
     alike = []
     for name, finger in rig.fingers.items():
         readings = np.array([o.wrenches.get(name, np.full(6, np.nan)) for o in observations])
@@ -94,17 +97,17 @@ def lacking(rig: Rig, observations: Sequence[Observation]) -> str:
             ends = np.repeat(LOADS.saturated * np.array(finger.full_scale), 3)
             if (np.abs(readings) >= ends).any():
                 return f"{name} is at the end of its sensor's scale"
-    # Where all of them do, it is a simulation without noise.
-    return f"{alike[0]} reads the same for ever" if 0 < len(alike) < len(rig.fingers) else ""
+    # If all of them read the same all the time, it is a simulation without noise.
+    return f"{alike[0]} always reads the same" if 0 < len(alike) < len(rig.fingers) else ""
 
 
 def load_sum(
     rig: Rig, observations: Sequence[Observation], touched: Mapping[str, tuple[Array, Array]], joints: Array
 ) -> LoadSum:
-    """Returns the mean of n observations in which nothing is `lacking`, evenly spaced, of a grip that hardly changes.
+    """Returns the mean sum of loads over n observations, evenly spaced, of a grip that hardly changes.
 
-    `touched`: by finger that is touched, the contact's point in the palm [m], and its normal. `joints` (j,): by how
-    much the hand's moving joints read too much, as far as that is known [rad].
+    Nothing may be `lacking` in them. `touched`: by finger that touches, the contact's point in the palm [m], and its
+    normal. `joints` (j,): the estimated offsets of the hand's moving joints, reading less true position [rad].
     """
     n, names = len(observations), tuple(rig.fingers)
     rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]
@@ -142,8 +145,8 @@ def load_sum(
 def accelerations(Ts_world_palm: Array, point_palm: Array, step: float) -> tuple[Array, Array]:
     """Returns the acceleration (n, 3) of a point of the palm [m/s²] and the angular acceleration (n, 3) [rad/s²].
 
-    Both are along the world's axes, by polynomials over `LOADS.span` through poses (n, 4, 4) that are `step` apart [s];
-    zeros of fewer than `LOADS.min_instants`.
+    Both are along the world's axes, from polynomials over `LOADS.span` through poses (n, 4, 4) that are `step` apart
+    [s]. They are zero if there are fewer than `LOADS.min_instants` poses.
     """
     n = len(Ts_world_palm)
     if n < LOADS.min_instants or step <= 0:
@@ -158,7 +161,7 @@ def accelerations(Ts_world_palm: Array, point_palm: Array, step: float) -> tuple
 
 @lru_cache(maxsize=32)
 def _second_derivative(n: int, length: int) -> Array:
-    """Returns (n, n) the map from n numbers, one apart, to their second derivatives by polynomials over `length`."""
+    """Returns (n, n) the map from n samples at unit steps to their second derivatives, over windows of `length`."""
     return np.asarray(savgol_filter(np.eye(n), length, LOADS.order, deriv=2, axis=0))
 
 
@@ -167,7 +170,8 @@ def _summed(
 ) -> tuple[Array, Array, Array, Array]:
     """Returns the sum of mean loads (6,), its derivatives by joints (6, j) and biases (6, 6 t), and the forces (t, 3).
 
-    `sensors` (t, 4, 4) are the sensors in the palm, `J` (t, 6, j) the Jacobians there.
+    `gravity` is that of a `LoadSum`, `sensors` (t, 4, 4) are the sensors' poses in the palm, and `J` (t, 6, j) the
+    Jacobians at their origins.
     """
     t = len(sensors)
     wrench, by_joint = np.zeros(6), np.zeros((6, J.shape[2]))
@@ -176,7 +180,7 @@ def _summed(
         reading = np.mean([o.wrenches[name] for o in observations], axis=0)
         R, s = sensors[i, :3, :3], sensors[i, :3, 3]
         f, m = (R @ part for part in compensate(reading[:3], reading[3:], R.T @ gravity, finger.calibration))
-        # What is read turns with the tip, the tip's own weight does not.
+        # The reading turns with the tip, the tip's own weight does not.
         F, S, M = se3.skew(f + finger.calibration.mass * gravity), se3.skew(s), se3.skew(m)
         wrench += np.concatenate([f, m + S @ f])
         by_joint[:3] -= F @ J[i, 3:]
@@ -188,10 +192,10 @@ def _summed(
 
 
 def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
-    """Returns (t, 6) the mean load of each tip by its sensor, in the sensor's frame [N], [N m]: its bias.
+    """Returns (t, 6) the bias of each tip's sensor: its mean load in the air, in the sensor's frame [N, N m].
 
-    It is NaN for a tip that may touch something: that has hardly moved, or whose load has changed or is too large.
-    `observations` are of a short while, with joints and T_world_palm; nothing may be `lacking` in them.
+    It is NaN for a tip that may touch something: one that has hardly moved, or whose load has changed or is too large.
+    `observations` are those of a short time, with joints and T_world_palm; nothing may be `lacking` in them.
     """
     tips, Ts_tip_sensor = _tips(rig), _Ts_tip_sensor(rig)
     first, last = (
@@ -216,12 +220,12 @@ def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
 
 
 def _tips(rig: Rig) -> list[int]:
-    """Returns which of the hand's tips the fingers are."""
+    """Returns the index of each finger's tip among the hand's tips."""
     return [tuple(rig.hand.tips).index(name) for name in rig.fingers]
 
 
 def _Ts_tip_sensor(rig: Rig) -> Array:
-    """Returns (t, 4, 4) each sensor's frame in that of the body that its tip moves with."""
+    """Returns (t, 4, 4) the pose of each sensor in the body to which its tip is fixed."""
     fingers = rig.fingers.values()
     at = ((f.T_frame_surface, f.tip.T_surface_sensor) for f in fingers)
     return np.stack([T if T_sensor is None else T @ T_sensor for T, T_sensor in at])

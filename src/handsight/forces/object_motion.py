@@ -1,8 +1,8 @@
-"""How a held object moves in the palm, by its contacts: carried along by the fingertips, or slipping along them.
+"""How an object in the hand moves in the palm, by its contacts: carried along by the fingertips, or slipping.
 
-Where a tip neither slips nor lifts off, the object moves with the tip's surface at the contact, however it rolls. It
-also creeps: slowly, along the tangential force of the object on the tip, as rubber lets it and as MuJoCo's friction
-does. The speed for each newton is unknown beforehand, and the same for all tips.
+Where a tip neither slips nor lifts off, the object moves with the tip's surface at the contact, even while it rolls. It
+also creeps slowly along the tangential force of the object on the tip, as on rubber and with MuJoCo's friction. The
+speed for each newton is unknown, and assumed to be the same for all tips.
 """
 
 import numpy as np
@@ -14,14 +14,14 @@ from handsight.forces.friction import FRICTION
 from handsight.forces.loads import LoadSum
 
 LENGTH = 0.03
-"""A turn by a radian counts as a motion of this length where both are compared [m]."""
+"""A rotation by a radian counts as a translation by this length [m]."""
 
 
 def moved_with_tips(then: LoadSum, now: LoadSum) -> tuple[Array, Array] | None:
-    """Returns T_now_then (4, 4), which takes what was at p in the palm then to T p, and the creep (6,) since then.
+    """Returns T_now_then (4, 4), the motion of the object with the tips, and its creep (6,) since then.
 
-    The creep, for each m/(N s), is a small motion (v, ω): p creeps by v + ω × p. None where fewer than two tips touch
-    at both instants, for one contact does not hold an object.
+    A point of the object that was at p in the palm is now at T p. The creep is a small motion (v, ω) for each m/(N s):
+    p creeps by v + ω × p. None where fewer than two tips touch at both instants: one contact does not hold an object.
     """
     gripping = [tip for tip in then.touched if tip in now.touched]
     if len(gripping) < 2:
@@ -38,8 +38,8 @@ def moved_with_tips(then: LoadSum, now: LoadSum) -> tuple[Array, Array] | None:
 def small_motion(points: Array, displacements: Array) -> tuple[Array, Array]:
     """Returns v, ω (3,) with v + ω × p nearest to the displacements (n, 3) of points p (n, 3), by least squares.
 
-    A turn that the points hardly determine, such as about the line through two of them, stays small: they count as
-    2 mm away from any axis, or more.
+    A rotation that the points hardly determine, such as that about the line through two of them, stays small, because
+    every axis is taken to be at least 2 mm away from them.
     """
     middle = points.mean(axis=0)
     arms, shift = points - middle, displacements.mean(axis=0)
@@ -50,16 +50,16 @@ def small_motion(points: Array, displacements: Array) -> tuple[Array, Array]:
 
 
 def slip_twist(contacts: Contacts, loads: Array, origin: Array) -> Array | None:
-    """Returns (6,) the motion of a slipping object: of its point `origin` (3,) and its turn, along the palm's axes.
+    """Returns (6,) the direction in which an object slips: translation of its point `origin` (3,), and rotation.
 
-    It is for one metre of motion, that is the root mean square of the slip along the contacts together with `LENGTH`
-    times the turn; unitless and [rad/m]. None where the loads do not agree on a motion. `loads` (n, 5) are those of
-    `FingertipContacts`.
+    It is along the palm's axes, unitless and [rad/m], scaled to one metre of motion: the root mean square of the slip
+    at the contacts, together with `LENGTH` times the rotation. None where the loads do not agree on a motion. `loads`
+    (n, 5) are those of `FingertipContacts`.
 
-    What slips dissipates as much energy as it can, so it moves along the normal of the limit surface: with the
-    tangential force on the tip, and with a turn about the contact's normal of τ / e² to f_t (Goyal, Ruina and
+    A slip dissipates as much energy as possible, so it is along the normal of the limit surface: along the tangential
+    force on the tip, with a rotation about the contact's normal in the ratio of τ / e² to f_t (Goyal, Ruina and
     Papadopoulos 1991). That is a velocity (v, e ω_n) along (f_t, τ / e), and none along the normal. The twist is fitted
-    to these by least squares.
+    to these velocities by least squares.
     """
     towards = np.column_stack([loads[:, :3], loads[:, 4] / FRICTION.torsion])
     sizes = np.linalg.norm(towards, axis=1)
@@ -67,7 +67,7 @@ def slip_twist(contacts: Contacts, loads: Array, origin: Array) -> Array | None:
     if not usable.any():
         return None
     directions = towards[usable] / sizes[usable, None]
-    # Each contact's velocity (3), and e times the turn about its normal, by the twist.
+    # Derivative, by the twist, of each contact's velocity (3) and of e times the rotation about its normal.
     rows = np.zeros((usable.sum(), 4, 6))
     rows[:, :3, :3] = np.eye(3)
     rows[:, :3, 3:] = -se3.skew(contacts.points_palm[usable] - origin)
@@ -75,5 +75,5 @@ def slip_twist(contacts: Contacts, loads: Array, origin: Array) -> Array | None:
     scale = np.repeat([1.0, 1.0 / LENGTH], 3)
     twist = scale * np.linalg.lstsq(rows.reshape(-1, 6) * scale, directions.ravel(), rcond=1e-3)[0]
     speed = float(np.sqrt(np.mean(np.sum((rows @ twist) ** 2, axis=1))))
-    # Directions that contradict each other leave a slow twist, which is no motion.
+    # Directions that contradict each other leave only a slow twist, which is not a slip.
     return twist / np.hypot(speed, LENGTH * np.linalg.norm(twist[3:])) if speed > 0.1 else None

@@ -1,7 +1,7 @@
-"""Whether the object slips: the share of friction's limit that each finger's load takes, over time.
+"""Whether the object slips, over time: how near each finger's load is to the limit of friction.
 
-A finger's ratio is √(f_t² + (τ / e)²) / (μ f_n), 1 on its limit surface. One finger at its limit is no slip: fingers
-rest there, and one that sticks holds the object in all six directions. So the object slips where the *least* ratio is
+A finger's ratio is √(f_t² + (τ / e)²) / (μ f_n), which is 1 on its limit surface. One finger at its limit does not make
+the object slip: one that sticks holds the object in all six directions. So the object slips when the *least* ratio is
 at the limit.
 """
 
@@ -18,16 +18,16 @@ from handsight.rig import Rig
 class SlipOptions(NamedTuple):
     """`SlipOptions` say when contacts slip, as thresholds on a finger's ratio."""
 
-    begin_ratio: float = 0.95  # share of the least ratio at which a slip begins
-    end_ratio: float = 0.93  # it ends where the ratio has been below this share for `min_hold`
-    stick_ratio: float = 0.4  # or is below this share
-    min_hold: float = 0.03  # on the brink of slipping, ratios go to and fro [s]
-    time_constant: float = 0.01  # of the mean of a load [s]: of steady readings as good as the mean of 20 ms
-    max_gap: float = 0.1  # between two readings: after more the mean starts anew [s]
+    begin_ratio: float = 0.95  # a slip begins when the least ratio is above this
+    end_ratio: float = 0.93  # and ends when it has been below this for `min_hold`
+    stick_ratio: float = 0.4  # or at once when it is below this
+    min_hold: float = 0.03  # at the limit of slipping, ratios fluctuate [s]
+    time_constant: float = 0.01  # of a load's running mean [s]: its noise is that of a mean over 20 ms
+    max_gap: float = 0.1  # between two readings: after a longer one the mean starts anew [s]
     min_force: float = 0.2  # normal force above which a finger's ratio counts [N]
-    sure_force: float = 0.5  # normal force above which friction is learnt from it [N]
-    min_force_sigmas: float = 10.0  # `min_force` is at least so many standard deviations of a reading
-    sure_force_sigmas: float = 40.0  # `sure_force` is at least so many
+    sure_force: float = 0.5  # normal force above which friction is learnt from the ratio [N]
+    min_force_sigmas: float = 10.0  # the first is at least so many standard deviations of a reading
+    sure_force_sigmas: float = 40.0  # the second is at least so many
 
 
 SLIP = SlipOptions()
@@ -39,12 +39,12 @@ Load = list[float]
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """A `Slip` says how the object is held at one instant."""
+    """A `Slip` says whether the object slips at one instant, and how near each finger is to slipping."""
 
     slipping: bool = False
-    """Whether it slips."""
+    """Whether the object slips."""
     ratios: Mapping[str, float] = field(default_factory=dict)
-    """By finger that holds it, its ratio; empty before friction is known."""
+    """By finger that holds the object, its ratio; empty before friction is known."""
     friction: float | None = None
     """Coefficient of friction; None before it was learnt."""
     began: float = -math.inf
@@ -54,7 +54,7 @@ class Slip:
 
     @property
     def least(self) -> float | None:
-        """The ratio of the finger that holds it best."""
+        """The least ratio, that of the finger that holds the object best; None where no ratio is known."""
         return min(self.ratios.values(), default=None)
 
 
@@ -67,10 +67,10 @@ class SlipDetector:
     def __init__(self, rig: Rig) -> None:
         """Starts without loads, and with friction unknown."""
         self.now = Slip()
-        """After the last update."""
+        """The value after the last update."""
         self.friction = Friction()
         self.stamp = self._at_limit = -math.inf
-        """Of the last update, and of the last one at the limit [s]."""
+        """Stamps of the last update, and of the last one at the limit [s]."""
         self._min_forces = {
             name: (
                 max(SLIP.min_force, SLIP.min_force_sigmas * finger.sigma_force),
@@ -78,13 +78,15 @@ class SlipDetector:
             )
             for name, finger in rig.fingers.items()
         }
+        """By finger, the normal forces above which its ratio counts, and friction is learnt from it [N]."""
         self._means: Mapping[str, Load] = {}
-        """By finger."""
+        """By finger, the running mean of its load."""
 
     def update(self, stamp: float, fingers: tuple[str, ...], loads: Array | None) -> Slip:
-        """Returns how the object is held at `stamp` [s]; an update that is not newer than the last one changes nothing.
+        """Returns whether the object slips at `stamp` [s]; an update not newer than the last one changes nothing.
 
-        `loads` (n, 5): of each of `fingers`, as `FingertipContacts` has them; NaN where a finger does not measure it.
+        `loads` (n, 5) are those on `fingers`, see `FingertipContacts.loads`; NaN where a finger does not measure its
+        load.
         """
         if not stamp > self.stamp:
             return self.now
@@ -109,7 +111,7 @@ class SlipDetector:
         mu = self.friction.coefficient
         ratios = {} if mu is None else {name: math.hypot(*vector) / mu for name, vector in vectors.items()}
 
-        # With hysteresis, in the ratio and in time.
+        # Hysteresis, in the ratio and in time.
         was, least = self.now, min(ratios.values(), default=0.0)
         if least >= (SLIP.end_ratio if was.slipping else SLIP.begin_ratio):
             self._at_limit = stamp

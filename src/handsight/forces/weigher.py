@@ -1,7 +1,7 @@
 """The weight of the object in a hand over time, and as a sensor of its pose.
 
-Instants with different directions of gravity are kept, carried through the grip, and weighed together; a weighing that
-something contradicts is not believed. A believed one measures where the centre of mass is.
+Instants with different directions of gravity are kept, carried along as the object moves in the grip, and weighed
+together. A weighing that something contradicts is not trusted; a trusted one measures the centre of mass in the palm.
 """
 
 from dataclasses import dataclass, replace
@@ -29,29 +29,32 @@ class WeigherOptions(NamedTuple):
 
     window: float = 0.2  # over which loads are averaged [s]
     max_gap: float = 0.1  # between two observations: after a longer one averaging starts anew [s]
-    min_observations: int = 3  # observations of a mean
-    min_weight: float = 0.25  # less than this is no weight [N]
+    min_observations: int = 3  # fewest observations of a mean
+    min_weight: float = 0.25  # a smaller force is not weighed [N]
     new_direction: float = np.deg2rad(3.0)
     """Angle by which gravity must have turned in the palm for another instant to be kept [rad]."""
     same_direction: float = np.deg2rad(1.5)
-    """A kept instant is renewed where gravity is within this angle of where it was [rad]."""
-    max_kept: int = 8  # instants that are kept
+    """A kept instant is replaced when gravity is within this angle of its direction [rad]."""
+    max_kept: int = 8  # most instants that are kept
     max_acceleration: float = 0.3
-    """Only instants below this [m/s²] and `max_turning` are kept: errors of others would have a common cause."""
+    """Only instants with less acceleration [m/s²], and less than `max_turning`, are kept: the errors of others would be
+    correlated."""
     max_turning: float = 0.5  # angular acceleration [rad/s²]
-    creep: float = 5e-4  # how fast contacts creep: sigma [m/(N s)]
+    creep: float = 5e-4  # standard deviation of the speed at which contacts creep [m/(N s)]
     object_creep: float = 1.5e-4
-    """Motion of the object that neither the tips' motion nor creep explains, per axis after a second [m], where two
-    or more tips hold it; it grows with the root of time.
+    """Sigma of the object's motion in addition to that of the tips and of creep, per axis after a second, where two or
+    more tips hold it [m]; it grows with the root of time.
     """
-    loose_object_creep: float = 2e-3  # the same where fewer do
-    sigma_gravity: float = float(np.deg2rad(1.0))  # how far a world is off plumb, about each axis [rad]
-    wrong_mass: float = 3.3  # in sigmas: a mass that is farther off is another one
-    biased: float = 5.0  # in sigmas of a reading: by a larger bias a sensor is not as it was calibrated
+    loose_object_creep: float = 2e-3  # the same where fewer tips hold it
+    sigma_gravity: float = float(
+        np.deg2rad(1.0)
+    )  # error of gravity's direction in the world, about each axis [rad]
+    wrong_mass: float = 3.3  # a mass that is farther off than so many sigmas contradicts the declared one
+    biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
     restart_after: float = 3.0
-    """How long loads may contradict what was kept before all of that is dropped [s]."""
+    """How long loads may contradict the kept instants before these are dropped [s]."""
     trusted_directions: int = 3
-    """Directions that must fit then before any is believed: a single one fits whatever presses."""
+    """After that, so many directions must fit before a weighing is trusted: with one direction any load fits."""
 
 
 WEIGHER = WeigherOptions()
@@ -59,11 +62,11 @@ WEIGHER = WeigherOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kept:
-    """A `Kept` is an earlier instant with a direction of gravity of its own."""
+    """A `Kept` is an earlier instant, kept because gravity had another direction in the palm."""
 
     carried: Carried
     direction: Array
-    """(3,) unit, of gravity in the palm when this direction was first kept."""
+    """(3,) unit vector of gravity in the palm when this direction was first kept."""
 
 
 class Weigher:
@@ -73,45 +76,45 @@ class Weigher:
     """
 
     def __init__(self, rig: Rig, mass: float | None = None, sigma_mass: float = 0.0) -> None:
-        """`mass`: that of the object [kg], where it is known, with its standard deviation."""
+        """`mass`: the object's declared mass with its standard deviation [kg]; None: unknown."""
         self.rig, self.mass, self.sigma_mass = rig, mass, sigma_mass
         self.weighing: Weighing | None = None
-        """The last one; None before the first, and after the object was released."""
+        """The last weighing; None before the first one since the object was grasped."""
         self.reason = "nothing is lifted"
-        """Why there is no weighing, or why it is not believed; empty where it is."""
+        """Why there is no weighing, or why it is not trusted; empty where it is trusted."""
         sensors = [[finger.sigma_force] * 3 + [finger.sigma_torque] * 3 for finger in rig.fingers.values()]
         self._biases = np.array(sensors).reshape(-1)
-        """(6 t,) sigmas: a calibration leaves about as much as a reading's noise."""
+        """(6 t,) sigmas of the biases that calibration leaves: about as large as a reading's noise [N, N m]."""
         self.tare = np.zeros((len(rig.fingers), 6))
-        """(t, 6) what the tips read while they touch nothing, in their sensors' frames [N], [N m]."""
+        """(t, 6) the biases, read while the tips touched nothing, in their sensors' frames [N, N m]."""
         self._lifted = False
         self._window: tuple[Observation, ...] = ()
         self._kept: tuple[Kept, ...] = ()
         self._last: LoadSum | None = None
         self._fits_at = -np.inf
         self._doubted = False
-        """Whether all that was kept was dropped because loads contradicted it, and no weight was believed since."""
+        """Whether the kept instants were dropped because loads contradicted them, and no weighing was trusted since."""
 
     @property
     def believed(self) -> Weighing | None:
-        """The last weighing, where nothing speaks against it."""
+        """The last weighing if it is trusted, else None."""
         return None if self.reason else self.weighing
 
     def forget(self, reason: str) -> None:
-        """Drops all weighings, because the object was released, put down or has slipped: it may be elsewhere."""
+        """Drops all weighings and kept instants, for a reason such as that the object was released or has slipped."""
         if self._last is not None or self.reason != reason:
             self._window, self._kept, self._last, self.weighing, self.reason = (), (), None, None, reason
             self._doubted = False
 
     @property
     def biased(self) -> tuple[str, ...]:
-        """Fingers whose sensors read more than their calibration leaves, which is subtracted."""
+        """Fingers whose sensors have larger biases than calibration leaves; these are subtracted."""
         sizes = np.linalg.norm(self.tare[:, :3], axis=1)
         named = zip(self.rig.fingers.items(), sizes, strict=True)
         return tuple(name for (name, finger), size in named if size > WEIGHER.biased * finger.sigma_force)
 
     def listen(self, observation: Observation) -> None:
-        """Measures the tips' biases in the air, while nothing is lifted."""
+        """Measures the sensors' biases while nothing is lifted, if their tips are in the air."""
         self._lifted = False
         window = self._full_window(observation)
         if window and not lacking(self.rig, window):
@@ -127,16 +130,16 @@ class Weigher:
     ) -> bool:
         """Returns whether there is a new weighing, after an observation of an object in the air.
 
-        `fingers` touch it, and `contacts` are theirs in the palm, in the same order. `joints`: what is known of the
-        joints' constant errors, their mean (j,) and L (j, j), L Lᵀ their covariance [rad].
+        `fingers` touch it, and `contacts` are theirs in the palm, in the same order. `joints`: the estimated constant
+        errors of the joints, their mean (j,) and L (j, j), where L Lᵀ is their covariance [rad].
         """
         if not self._lifted:
             self._lifted, self._window = True, ()
         window = self._full_window(observation)
         if not window:
             return False
-        if why := lacking(self.rig, window):
-            self.reason = why
+        if reason := lacking(self.rig, window):
+            self.reason = reason
             return False
         places = [] if contacts is None else zip(contacts.points_palm, contacts.normals_palm, strict=True)
         load = load_sum(self.rig, window, dict(zip(fingers, places, strict=False)), joints[0])
@@ -153,7 +156,7 @@ class Weigher:
         return True
 
     def _full_window(self, observation: Observation) -> tuple[Observation, ...]:
-        """Returns the observations of a window that this one completes, else an empty tuple."""
+        """Returns the observations of the window that this one completes, or an empty tuple."""
         if observation.joint_positions is None or observation.T_world_palm is None or not self.rig.fingers:
             return ()
         window = self._window
@@ -167,7 +170,7 @@ class Weigher:
         return window
 
     def _weigh(self, load: LoadSum, root: Array) -> None:
-        """Weighs by the kept instants and a new one, and decides whether the result is believed."""
+        """Weighs with the kept instants and a new one, and decides whether the result is trusted."""
         direction = load.gravity / np.linalg.norm(load.gravity)
         others = [
             k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > WEIGHER.new_direction
@@ -212,7 +215,7 @@ class Weigher:
 
 
 def _carried_on(kept: tuple[Kept, ...], last: LoadSum, load: LoadSum) -> tuple[Kept, ...]:
-    """Returns the kept instants after what the grip has done between two loads."""
+    """Returns the kept instants after the object's motion in the grip between two loads."""
     if not kept:
         return kept
     motion = moved_with_tips(last, load)
@@ -229,28 +232,29 @@ def _angle(gravity: Array, direction: Array) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectWeight:
-    """An `ObjectWeight` is what the object in the hand weighs, by the fingertips' loads."""
+    """An `ObjectWeight` is the mass and the centre of mass of the object in the hand, from the fingertips' loads."""
 
     mass: float
     """[kg]"""
     sigma_mass: float
+    """[kg]"""
     center_object: Array
-    """(3,) its centre of mass in the object's frame [m]."""
+    """(3,) the centre of mass in the object's frame [m]."""
     covariance: Array
-    """(3, 3) of that, along the object's axes, with the pose's uncertainty [m²]."""
+    """(3, 3) of `center_object`, along the object's axes, with the pose's uncertainty [m²]."""
     center_palm: Array
-    """(3,) its centre of mass in the palm [m]."""
+    """(3,) the centre of mass in the palm [m]."""
     covariance_palm: Array
-    """(3, 3) of that, along the palm's axes [m²]."""
+    """(3, 3) of `center_palm`, along the palm's axes [m²]."""
     directions: int
-    """In how many directions of gravity it was weighed: after one, the centre's height along that is open."""
+    """The number of directions of gravity in which it was weighed; one leaves the centre's height along it unknown."""
     reason: str
-    """Why it is not believed; empty where it is."""
+    """Why the weight is not trusted; empty where it is trusted."""
     biased: tuple[str, ...]
-    """Fingers whose sensors read more in the air than their calibration leaves, which is subtracted."""
+    """Fingers whose sensors have larger biases in the air than calibration leaves; these are subtracted."""
 
     def kept_by_symmetries(self, model: ObjectModel) -> tuple[Array, float]:
-        """Returns the centre of mass (3,) that the object's symmetries allow [m], and its largest sigma."""
+        """Returns the centre of mass (3,) that the object's symmetries allow, and its largest sigma [m]."""
         zero = kept_center(model.symmetries, np.zeros(3))
         kept = np.column_stack([kept_center(model.symmetries, axis) - zero for axis in np.eye(3)])
         variances = np.linalg.eigvalsh(kept @ self.covariance @ kept.T)
@@ -261,8 +265,8 @@ class WeightSensor:
     """A `WeightSensor` weighs the object in the air, and measures where its centre of mass is in the palm."""
 
     def __init__(self, rig: Rig, model: ObjectModel) -> None:
-        """A model without a centre of mass is weighed too, but its weight says nothing of its pose."""
-        mass, sigma_declared = model.mass, 0.03  # one standard deviation, as a part of the mass
+        """An object without a declared centre of mass is weighed too, but that is no evidence of its pose."""
+        mass, sigma_declared = model.mass, 0.03  # one standard deviation, as a share of the mass
         self.weigher = Weigher(rig, mass, sigma_declared * (mass or 0.0))
         self.model = model
         self._used: Weighing | None = None
@@ -284,9 +288,9 @@ class WeightSensor:
         lifted: bool,
         finger_on_table: bool,
     ) -> None:
-        """Weighs an object that is grasped and in the air; of one that is not, measures the tips' biases.
+        """Weighs the object if it is grasped and in the air; else measures the sensors' biases.
 
-        `touch` (fingers and their contacts) and `joints` are as `Weigher.update` takes them.
+        `touch` (fingers and their contacts) and `joints` are those of `Weigher.update`.
         """
         reason = ""
         if not grasped:
@@ -303,7 +307,7 @@ class WeightSensor:
 
     @property
     def news(self) -> bool:
-        """Whether the weight says something else of the pose than at the last correction."""
+        """Whether the weight is other evidence of the pose than at the last correction."""
         found, used = self.weigher.believed, self._used
         if found is used or self.model.center_of_mass is None:
             return False
@@ -312,7 +316,7 @@ class WeightSensor:
         return bool(np.abs(found.center_palm - used.center_palm).max() > 1e-3)  # [m]
 
     def evidence(self) -> WeightEvidence | None:
-        """Returns where the object's centre of mass is; None where the model has none, or no weighing is believed."""
+        """Returns the centre of mass as evidence of the pose; None without a declared centre or a trusted weighing."""
         found, center = self.weigher.believed, self.model.center_of_mass
         if found is None or center is None:
             return None
@@ -320,12 +324,12 @@ class WeightSensor:
         return WeightEvidence(center, found.center_palm, found.covariance_center + own)
 
     def used(self) -> Weighing | None:
-        """Returns the weighing that is believed, with which later ones are compared by `news`: a correction uses it."""
+        """Returns the trusted weighing, which a correction uses; `news` compares later ones with it."""
         self._used = self.weigher.believed
         return self._used
 
     def of(self, estimate: PoseEstimate | None) -> ObjectWeight | None:
-        """Returns the weight of an object at a pose; None where it was not weighed since it was grasped."""
+        """Returns the weight of the object at an estimated pose; None where it was not weighed since the grasp."""
         found = self.weigher.weighing
         if found is None or estimate is None:
             return None

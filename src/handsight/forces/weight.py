@@ -1,17 +1,18 @@
-"""Mass and centre of mass of what a hand holds, from the sum of its fingertips' loads: one linear estimate.
+"""Mass and centre of mass of the object in a hand, from the sum of its fingertips' loads: one linear estimate.
 
-In the air the tips' loads (f, t), of the object on each tip at its sensor's origin s, add up to the object's weight.
-With g = R_wpᵀ (gravity - acceleration), in the palm's axes and about its origin,
+In the air the object's loads (f, t) on the tips, each at its sensor's origin s, add up to the object's weight.
+With g = R_wpᵀ (gravity - acceleration), along the palm's axes and about its origin,
 
     F = Σ f = m g + ε_F,    T = Σ (t + s × f) = m c × g + ε_T.
 
-Both are linear in (m, m c) and, to first order, in the unknowns that all instants share: joint offsets δq, gravity's
-direction φ (in a world that is off plumb, g turns by φ × g), and the tips' biases b. What is constant is one unknown,
-however many instants there are: taken for noise, five orientations would be worth less than three, and seem worth more.
+Both are linear in (m, m c) and, to first order, in the unknowns that all instants have in common: joint offsets δq,
+gravity's direction φ (where the world's z is not vertical, g turns by φ × g), and the tips' biases b. Each constant is
+one unknown, however many instants there are: treated as noise, it would make the estimate from five orientations worse
+than that from three, with a smaller covariance.
 
-An earlier instant is carried through the grip (`object_motion`): T_now_then takes what was at p then to where the tips
-have taken it, and c creeps by κ d in addition, so c = T_now_then c_then + κ d, which keeps the torque linear in
-(m, m c, κ) to first order. The speed of creep, κ, is one more unknown that all instants share.
+An earlier instant is carried along as the object moves in the grip (`object_motion`): T_now_then moves its points with
+the tips, and c creeps by κ d in addition. So c = T_now_then c_then + κ d, which keeps the torque linear in (m, m c, κ)
+to first order. The speed of creep, κ, is one more unknown that all instants have in common.
 """
 
 from collections.abc import Sequence
@@ -22,6 +23,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from handsight import se3
+from handsight._deprecated import renamed_members
 from handsight.checks import Array
 from handsight.forces.loads import LoadSum
 from handsight.gaussian_pose import kalman_update
@@ -31,20 +33,21 @@ class WeightOptions(NamedTuple):
     """`WeightOptions` say how mass and centre of mass are fitted to loads."""
 
     sigma_reach: float = 0.15
-    """How far the centre of mass is from the middle of the loads, per axis: all that is known along gravity as long as
-    that has had one direction [m].
+    """Prior sigma of the centre of mass about the middle of the loads, per axis [m]: all that is known of its height
+    along gravity while gravity has had only one direction.
     """
     acceleration_share: float = 0.1
-    """Sigma of an acceleration as a part of it: an arm is not where it says, and hands bend."""
+    """Sigma of an acceleration as a share of it: arms lag behind the poses that they report, and hands bend."""
     gyration: float = 0.05
-    """Of what a hand holds: the torque to turn it faster is not subtracted, but counts as this uncertain [m]."""
-    passes: int = 2  # what gravity's direction does to the torque depends on m c: the second pass knows it
+    """Radius of gyration of objects: the torque of an angular acceleration is not subtracted, but is an error [m]."""
+    passes: int = 2
+    """The effect of gravity's direction on the torque depends on m c, which only the second pass knows."""
     min_p: float = 0.003
-    """A fit less likely than this is none: something else bears part of the load, or adds to it."""
+    """With a smaller p-value, something else bears a part of the load, or adds to it."""
     min_p_fixed: float = 0.02
-    """The same of a wrench that is fixed in the palm, nearly so as what a link of the hand bears."""
+    """The same for a wrench that is fixed in the palm, such as that of an object which leans on a link of the hand."""
     unobservable: float = 1e-6
-    """A direction of which the loads know less than this part of the best known one may have any value."""
+    """A direction whose information is smaller than this share of the largest is unobservable."""
 
 
 WEIGHT_FIT = WeightOptions()
@@ -52,35 +55,35 @@ WEIGHT_FIT = WeightOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unknowns:
-    """An `Unknowns` is what is unknown of a robot while it weighs, jointly Gaussian with mean zero."""
+    """`Unknowns` are the robot's unknown constants while it weighs, independent Gaussians with mean zero."""
 
     joints: Array
-    """(j, j) L, L Lᵀ the covariance of the joints' constant errors [rad], of slides [m]."""
+    """(j, j) L, where L Lᵀ is the covariance of the joints' constant errors [rad], or [m] for prismatic joints."""
     biases: Array
-    """(6 t,) sigmas of the tips' biases, force [N] and torque [N m] of each."""
+    """(6 t,) sigmas of the force [N] and torque [N m] of each tip's bias."""
     creep: float
     """Sigma of the speed at which contacts creep [m/(N s)]."""
     gravity: Array
-    """(3,) in the world [m/s²]."""
+    """(3,) nominal gravity in the world [m/s²]."""
     sigma_gravity: float
     """Sigma of gravity's direction, about each axis [rad]."""
 
 
+@renamed_members(chance="p_value", chance_fixed="p_fixed")
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighing:
-    """A `Weighing` is what an object weighs, and where its centre of mass is in the palm, jointly with the joints'
-    errors."""
+    """A `Weighing` is an object's mass and its centre of mass in the palm, jointly with the joints' errors."""
 
     mean: Array
-    """(4 + j,) mass [kg], centre [m], and by how much the joints read too much [rad]."""
+    """(4 + j,) mass [kg], centre in the palm [m], and the joints' offsets: reading less true position [rad]."""
     joint_covariance: Array
-    """(4 + j, 4 + j)"""
+    """(4 + j, 4 + j) of `mean`."""
     chi2: float
     """Sum of the squared whitened residuals."""
     freedom: int
-    """Its degrees of freedom."""
+    """Degrees of freedom of `chi2`."""
     p_fixed: float
-    """p-value of no wrench that is fixed in the palm."""
+    """p-value of the hypothesis that there is no wrench that is fixed in the palm."""
     directions: int
     """The number of directions of gravity in which it was weighed."""
 
@@ -130,26 +133,26 @@ class Weighing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Carried:
-    """A `Carried` is what the tips bore at an earlier instant, and how the object has moved in the palm since."""
+    """A `Carried` is the load at an earlier instant, and how the object has moved in the palm since then."""
 
     load: LoadSum
     T_now_then: Array = field(default_factory=lambda: np.eye(4))
-    """(4, 4): what was at p in the palm then is at T p now."""
+    """(4, 4) motion with the tips: a point of the object that was at p in the palm then is at T p now."""
     creep: Array = field(default_factory=lambda: np.zeros(6))
-    """(6,) by how much more it has moved for each m/(N s) that its contacts creep: p by v + ω × p (v, ω)."""
+    """(6,) motion (v, ω) by creep, for each m/(N s): p has moved by v + ω × p in addition."""
     sigma: float = 0.0
-    """Of the position to which it was carried, per axis [m]."""
+    """Standard deviation of the rest of the motion, per axis [m]."""
 
     def moved(self, T: Array, creep: Array, sigma: float) -> "Carried":
-        """Returns it after one more motion: T (4, 4) of the tips, creep (6,), and the sigma of the unknown rest [m]."""
+        """Returns the value after one more motion: T (4, 4) with the tips, creep (6,), sigma of the rest [m]."""
         return Carried(self.load, T @ self.T_now_then, self.creep + creep, float(np.hypot(self.sigma, sigma)))
 
 
 def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | None = None) -> Weighing:
-    """Returns the object's mass and centre of mass by one or more instants, in the palm at the last one.
+    """Returns the object's mass and its centre of mass in the palm, at the last of one or more instants.
 
-    `start`: a weighing of a moment ago, about which the problem is linear enough for one pass. A mass below zero says
-    that gravity points the other way, or that the loads are no weight's.
+    `start`: a weighing of a moment ago, about which the problem is linear enough for one pass. A mass below zero means
+    that gravity has the wrong sign, or that the loads are not those of a weight.
     """
     last = instants[-1].load
     middle, rough = last.middle_palm, float(np.linalg.norm(last.wrench[:3]) / np.linalg.norm(last.gravity))
@@ -169,16 +172,16 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
         mass, moment = float(x[0]), x[1:4]
     left, off = y - H @ x, prior @ x[:4]
     chi2 = float(left @ left + off @ off + x[4:] @ x[4:])
-    # An unknown with a prior takes no degree of freedom; of the four of mass and moment, the prior is of three.
+    # An unknown with a prior costs no degree of freedom; of mass and moment (4), the prior covers three.
     mean, joint = _marginal(x, covariance, unknowns)
     p_fixed = score_test(fixed, left, H, covariance)
     return Weighing(mean, joint, chi2, len(rows) - 1, p_fixed, len(instants))
 
 
 def score_test(columns: Array, residuals: Array, H: Array, covariance: Array) -> float:
-    """Returns the p-value of adding columns (n, k) to a linear problem: that they explain so much by chance (Rao 1948).
+    """Returns the probability that columns (n, k), added to a linear problem, explain so much by chance (Rao 1948).
 
-    The problem's rows are H (n, m), its whitened residuals (n,), and the `covariance` (m, m) that of its solution.
+    The problem has the rows H (n, m), the whitened residuals (n,), and the `covariance` (m, m) of its solution.
     """
     score, normal_matrix = columns.T @ residuals, columns.T @ H
     values, vectors = np.linalg.eigh(columns.T @ columns - normal_matrix @ covariance @ normal_matrix.T)
@@ -187,7 +190,7 @@ def score_test(columns: Array, residuals: Array, H: Array, covariance: Array) ->
 
 
 def _marginal(x: Array, covariance: Array, unknowns: Unknowns) -> tuple[Array, Array]:
-    """Returns mean (4 + j,) and covariance of (m, c, δq), from those of (m, m c, φ, κ, joints, biases)."""
+    """Returns the mean (4 + j,) and covariance of (m, c, δq), from those of (m, m c, φ, κ, joints, biases)."""
     L = unknowns.joints
     mass, j = x[0], L.shape[1]
     center, chosen = x[1:4] / mass, [0, 1, 2, 3, *range(8, 8 + j)]
@@ -200,8 +203,8 @@ def _marginal(x: Array, covariance: Array, unknowns: Unknowns) -> tuple[Array, A
 def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) -> Array:
     """Returns the six whitened rows of an instant, linear at (m, m c) = (`mass`, `moment`).
 
-    Their columns are the derivatives by (m, m c, φ, κ, joints, biases), 4 + 3 + 1 + j + 6 t, all but the first four in
-    units of their sigmas; then the measured wrench, and the derivatives by a wrench that is fixed in the palm (6).
+    The columns are the derivatives by (m, m c, φ, κ, joints, biases), 4 + 3 + 1 + j + 6 t, all but the first four in
+    units of their sigmas; then the measured wrench (1), and the derivatives by a wrench fixed in the palm (6).
     """
     load, g = instant.load, instant.load.gravity
     R, t = instant.T_now_then[:3, :3], instant.T_now_then[:3, 3]
@@ -221,7 +224,7 @@ def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) 
     noise[3:, 3:] += (mass * WEIGHT_FIT.gyration**2 * load.turning) ** 2 * np.eye(3)
     noise[3:, 3:] += (mass * instant.sigma) ** 2 * G @ G.T
     by_joints, by_biases = load.by_joint @ unknowns.joints, load.by_bias * unknowns.biases
-    # A force of 1 N, and the torque that it has at `sigma_reach`.
+    # In units of 1 N, and of the torque of 1 N at `sigma_reach`.
     fixed = np.diag(np.repeat([1.0, WEIGHT_FIT.sigma_reach], 3))
     rows = np.column_stack([rows, by_joints, by_biases, load.wrench, fixed])
     return np.asarray(np.linalg.solve(np.linalg.cholesky(noise), rows))

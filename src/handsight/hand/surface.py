@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 
 from handsight import se3
+from handsight._deprecated import renamed_members
 from handsight.checks import Array, Indices
 from handsight.hand.chains import Chains, transform_points
 
@@ -77,6 +78,7 @@ class HandShape(OnLinks):
         return transform_points(self.vertices_body, self.body_of, self.chains.poses(joint_positions)[0])
 
 
+@renamed_members(placed="points_and_sensitivities")
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class HandSurface(OnLinks):
     """A `HandSurface` has points on links of a hand; no object can be deeper in the hand than these points."""

@@ -1,4 +1,4 @@
-"""A tracker's answers as messages: pose, transform and diagnostics, as bytes in the transport's encoding."""
+"""A tracker's answers as serialised messages: pose, transform and diagnostics."""
 
 from collections.abc import Iterable, Mapping
 from enum import IntEnum
@@ -11,7 +11,7 @@ from handsight.messages.encode import Message, header, pose_with_covariance, tra
 from handsight.messages.topics import OwnTopic, RosType
 
 OBJECT_FRAME = "object"
-"""The object's frame id in /tf, a child of the palm's."""
+"""The object's frame id in /tf; its parent is the palm's."""
 
 
 class Answer(NamedTuple):
@@ -24,7 +24,7 @@ class Answer(NamedTuple):
 
 
 class Level(IntEnum):
-    """`Level` is how serious a status of the diagnostics is."""
+    """`Level` is the severity of a status, as diagnostic_msgs defines it."""
 
     OK = 0
     WARN = 1
@@ -32,7 +32,7 @@ class Level(IntEnum):
 
 
 class Status(NamedTuple):
-    """A `Status` is one part of the diagnostics."""
+    """A `Status` is one entry of the diagnostics."""
 
     name: str
     level: Level
@@ -41,16 +41,16 @@ class Status(NamedTuple):
 
 
 class Writer:
-    """A `Writer` turns messages to bytes in one encoding, `cdr` or `ros1`."""
+    """A `Writer` serialises messages in one encoding, `cdr` or `ros1`."""
 
     def __init__(self, encoding: str, palm: str) -> None:
-        """`palm`: its frame id. Raises MissingExtra."""
+        """`palm`: the palm's frame id. Raises MissingExtra."""
         store = typestore(encoding)
         self._serialize = store.serialize_cdr if encoding == "cdr" else store.serialize_ros1
         self.palm = palm
 
     def answer(self, topic: str, kind: str, **fields: Any) -> Answer:
-        """Returns a message of that type and these fields."""
+        """Returns a serialised message with that topic, type and fields."""
         return Answer(topic, kind, bytes(self._serialize(Message(**fields), kind)))
 
     def pose(self, stamp: float, estimate: PoseEstimate) -> Answer:

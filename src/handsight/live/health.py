@@ -1,4 +1,4 @@
-"""How well a running tracker works, as diagnostics: why its state is what it is in words, and in numbers."""
+"""Diagnostics of a running tracker: its state and the reason, and what is wrong with its input."""
 
 import time
 from collections import Counter, deque
@@ -12,11 +12,11 @@ from handsight.tracking import Tracker
 
 
 class HealthOptions(NamedTuple):
-    """`HealthOptions` say how often the diagnostics are published, and how much they hold."""
+    """`HealthOptions` bound how often diagnostics are published, and how much they hold."""
 
     period: float = 1.0  # between two messages while nothing changes [s]
-    min_period: float = 0.1  # between two messages if the state flickers [s]
-    max_notes: int = 20  # sentences in a message, and different reasons of refusals
+    min_period: float = 0.1  # between two messages if the state changes quickly [s]
+    max_notes: int = 20  # number of sentences in a message, and of different reasons for refusals
     note_duration: float = 10.0  # how long the outcome of a request is published [s]
 
 
@@ -24,33 +24,33 @@ HEALTH = HealthOptions()
 
 
 class Health:
-    """A `Health` gathers what the diagnostics report once a second, and when the state changes."""
+    """A `Health` collects what the diagnostics report, once a second and when the state changes."""
 
     def __init__(self, dropped: Counter[str]) -> None:
-        """`dropped`: number of messages that were dropped because too many came, by topic."""
+        """`dropped`: number of messages that were dropped because too many waited, by topic."""
         self.skipped = 0
-        """Number of joint states that were passed over, as newer ones waited."""
+        """Number of joint states that were skipped, as newer ones waited."""
         self._dropped, self._refusals = dropped, Counter[str]()
         self._latencies = deque[float](maxlen=500)
         self._last_state: tuple[str, str] = ("", "")
         self._published_at, self._notes = -HEALTH.period, deque[tuple[float, str]](maxlen=5)
 
     def noted(self, text: str) -> None:
-        """Takes note of the outcome of a user's request."""
+        """Keeps the outcome of a user's request, for the next diagnostics."""
         self._notes.append((time.monotonic(), printable(text)))
         self._last_state = ("", "")
 
     def refused(self, text: str) -> None:
-        """Counts an observation that the tracker refused, by the reason."""
+        """Counts an observation that the tracker refused, by reason."""
         known = text in self._refusals or len(self._refusals) < HEALTH.max_notes
         self._refusals[text if known else "others"] += 1
 
     def answered(self, seconds: float) -> None:
-        """Takes note of how long a message took to be answered."""
+        """Keeps how long a message took to be answered [s]."""
         self._latencies.append(seconds)
 
     def due(self, tracker: Tracker) -> bool:
-        """Returns whether diagnostics are to be published now; if so, the next are due a second later."""
+        """Returns whether to publish diagnostics now; if so, the next are due a second later."""
         now, passed = time.monotonic(), time.monotonic() - self._published_at
         state = tracker.state, tracker.reason if tracker.state == "lost" else ""
         if passed < (HEALTH.min_period if state[0] != self._last_state[0] else HEALTH.period):
@@ -59,7 +59,7 @@ class Health:
         return True
 
     def statuses(self, tracker: Tracker, stream: ObservationStream) -> list[Status]:
-        """Returns the statuses of the pose and of the input."""
+        """Returns two statuses, of the pose and of the input."""
         estimate = tracker.estimate
         of_pose: dict[str, object] = {
             "state": tracker.state,

@@ -1,4 +1,4 @@
-"""The worker of a running robot: messages that wait are decoded, assembled, tracked and answered."""
+"""The tracker of a running robot: it decodes the messages that wait, assembles observations, tracks and answers."""
 
 import math
 import threading
@@ -13,7 +13,7 @@ from handsight.errors import HandsightError, InvalidInput
 from handsight.live.answers import Answer, Writer
 from handsight.live.health import Health
 from handsight.live.markers import Markers
-from handsight.live.requests import REQUESTS, model_named, requested_start, requested_text
+from handsight.live.requests import REQUESTS, requested_model, requested_start, requested_text
 from handsight.messages import ObservationStream, RawMessage
 from handsight.messages.clocks import PromptBuffer, ReorderBuffer
 from handsight.messages.topics import OwnTopic, RosType, rig_topics
@@ -24,9 +24,9 @@ from handsight.tracking import Tracker, TrackerSettings
 
 
 class LiveOptions(NamedTuple):
-    """`LiveOptions` say how often a live tracker publishes."""
+    """`LiveOptions` are the periods of a live tracker."""
 
-    quiet: float = 1.0  # time without a message after which what waits is processed [s]
+    quiet: float = 1.0  # after this time without a message, all that wait are processed [s]
     marker_period: float = 1 / 30  # between markers [s]
     object_period: float = 1.0  # between markers of the object itself, which /tf moves [s]
 
@@ -35,7 +35,7 @@ LIVE = LiveOptions()
 
 
 class Inbox:
-    """An `Inbox` is a bounded queue of messages: of too many, the oldest are dropped, and counted."""
+    """An `Inbox` is a bounded queue of messages; when it is full, the oldest are dropped and counted."""
 
     def __init__(self, max_waiting: int = 20_000, max_bytes: int = 1 << 28) -> None:
         self._max_waiting, self._max_bytes = max_waiting, max_bytes
@@ -56,12 +56,12 @@ class Inbox:
             self._filled.notify()
 
     def wake(self) -> None:
-        """Lets a `take` that waits return."""
+        """Ends the wait of `take`."""
         with self._filled:
             self._filled.notify()
 
     def take(self, timeout: float) -> list[tuple[float, RawMessage]]:
-        """Returns all messages, each with the time at which it came; waits at most `timeout` [s] for the first."""
+        """Returns all messages, each after the time at which it came; waits at most `timeout` [s] for the first."""
         with self._filled:
             if not self._waiting and timeout > 0:
                 self._filled.wait(timeout)
@@ -70,7 +70,7 @@ class Inbox:
 
 
 class LiveTracker:
-    """A `LiveTracker` tracks one object in one hand, by the messages of a running robot."""
+    """A `LiveTracker` tracks an object in a hand by the messages of a running robot."""
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class LiveTracker:
         equal: bool = False,
         settings: TrackerSettings | None = None,
     ) -> None:
-        """`encoding` of the answers: `cdr` (ROS 2, DDS) or `ros1`. `equal`: answer as `handsight track` would.
+        """`encoding` of the answers: `cdr` (ROS 2, DDS) or `ros1`. `equal`: answer exactly as `handsight track` would.
 
         Raises InvalidInput, MissingExtra.
         """
@@ -89,14 +89,14 @@ class LiveTracker:
             raise InvalidInput(f"encoding: expected cdr or ros1, got {encoding!r}")
         self.rig, self.settings = rig, settings
         self.markers_wanted: Callable[[], bool] = lambda: False
-        """Returns whether anybody subscribes to markers; a transport sets it."""
+        """Returns whether anybody subscribes to the markers; to be set by the transport."""
         self.show: Callable[[Observation, Tracker], None] = lambda *_: None
-        """Is called with each observation that the tracker has taken, in the thread of `step`: a viewer's `update`."""
+        """Called with each observation after its update, in the thread of `step`; such as a viewer's `update`."""
         self.equal, self._inbox, self._tasks = equal, Inbox(), deque[Callable[[], None]]()
         self._writer = Writer(encoding, rig.frames["palm"])
         self._markers = Markers(self._writer)
         self.tracker = Tracker(rig, model, settings=settings)
-        """The tracker of the present object; to be read from the thread of `step`."""
+        """The tracker of the current object; only for the thread of `step`."""
         self._stream = ObservationStream(rig, order=ReorderBuffer if equal else PromptBuffer)
         self.health = Health(self._inbox.dropped)
         self._came = time.monotonic()
@@ -105,13 +105,13 @@ class LiveTracker:
 
     @property
     def subscriptions(self) -> Mapping[str, tuple[str, ...]]:
-        """The topics to subscribe to, each with the types that it may have, as ROS 2 writes them."""
+        """The types that messages may have, as ROS 2 writes them, by the topic to subscribe to."""
         topics = rig_topics(self.rig).values()
         return {topic.name: topic.expected for topic in topics if topic.role != "truth"} | REQUESTS
 
     @property
     def publications(self) -> Mapping[str, str]:
-        """The topics that are answered on, each with its type."""
+        """The types of the answers, by topic."""
         return {
             OwnTopic.POSE: RosType.POSE_COVARIANCE,
             OwnTopic.TF: RosType.TF,
@@ -121,31 +121,31 @@ class LiveTracker:
 
     @property
     def skipped(self) -> int:
-        """Number of joint states that were passed over, as newer ones waited."""
+        """Number of joint states that were skipped, as newer ones waited."""
         return self.health.skipped
 
     def put(self, message: RawMessage) -> None:
-        """Adds a message to those that wait for `step`; from any thread."""
+        """Adds a message, which waits for the next `step`; from any thread."""
         if message.topic in REQUESTS:
-            # An object may take seconds to build, and no transport's thread should wait for it.
+            # An object may take seconds to build, and the transport's thread must not wait for it.
             threading.Thread(target=self._fulfil, args=(message,), daemon=True).start()
             return
         self._inbox.put(message, time.monotonic())
 
     def reset(self) -> "Future[str]":
-        """Starts a new track from vision's next pose; the future's result is a sentence. From any thread."""
+        """Starts a new track from the next pose of vision; the future's result is a sentence. From any thread."""
         return self._start(None, None, "begun anew: vision's next pose starts")
 
     def set_object(self, name: str) -> "Future[str]":
-        """Starts a track of another object, by its name in the rig or the library, or a mesh file; from any thread.
+        """Starts a track of another object, named as `find_model` takes it; from any thread.
 
-        Raises a HandsightError where there is none, and the present track goes on.
+        Raises a HandsightError for an unknown object; then the current track goes on.
         """
-        model = model_named(name, self.rig)
+        model = requested_model(name, self.rig)
         return self._start(model, None, f"the object is {name}: vision's next pose starts")
 
     def start(self, message: RawMessage) -> "Future[str]":
-        """Starts a new track from a user's pose, PoseWithCovarianceStamped in the palm, world or camera.
+        """Starts a new track from a user's pose: a PoseWithCovarianceStamped in the palm, the world or the camera.
 
         From any thread. Raises InvalidInput.
         """
@@ -153,7 +153,7 @@ class LiveTracker:
         return self._start(None, start, "begun anew from the user's pose")
 
     def step(self, timeout: float = 0.1) -> list[Answer]:
-        """Returns what is to be published now; waits at most `timeout` [s] for something to do. From one thread."""
+        """Returns the messages to publish now; waits at most `timeout` [s] for something to do. For one thread only."""
         order, now = self._stream.order, time.monotonic()
         arrived = self._inbox.take(max(0.0, min(timeout, order.waits_until - now)))
         while self._tasks:
@@ -182,7 +182,7 @@ class LiveTracker:
         return answers
 
     def _start(self, model: ObjectModel | None, start: PosePrior | None, message: str) -> "Future[str]":
-        """Has the worker start a new track between two observations; the future's result is the message."""
+        """Starts a new track in the next `step`; the future's result is the message."""
         done = Future[str]()
 
         def begin() -> None:
@@ -199,14 +199,14 @@ class LiveTracker:
         return done
 
     def _follow(self, model: ObjectModel, start: PosePrior | None) -> None:
-        """Starts a new tracker, which keeps the joint offsets that the last one has estimated."""
+        """Replaces the tracker by a new one, which starts with the joint offsets that the last one has estimated."""
         self.tracker = Tracker(
             self.rig, model, start=start, settings=self.settings, joint_offsets=self.tracker.joint_offsets
         )
         self._object_at = -math.inf
 
     def _fulfil(self, message: RawMessage) -> None:
-        """Does what a user's message asks for; the diagnostics report the outcome."""
+        """Fulfils a user's request; the diagnostics report the outcome."""
         try:
             if message.type not in REQUESTS[message.topic]:
                 raise InvalidInput(f"expected a {REQUESTS[message.topic][0]}, got {message.type}")
@@ -220,7 +220,7 @@ class LiveTracker:
             self.health.noted(f"{message.topic}: {error}")
 
     def _newest(self, observations: list[Observation]) -> list[Observation]:
-        """Returns the observations to answer: the newest, and all with a pose or a depth image of the camera."""
+        """Returns the observations to answer: the newest, and all with a camera's pose or depth image."""
         if self.equal or len(observations) < 2:
             return observations
         by_depth = self.rig.topics.depth is not None
@@ -233,7 +233,7 @@ class LiveTracker:
         return [*kept, observations[-1]]
 
     def _answers(self, observation: Observation) -> list[Answer]:
-        """Returns the messages that follow from an observation: pose, transform, and markers where they are wanted."""
+        """Returns the answers to an observation: pose, transform, and markers if somebody subscribes to them."""
         tracker, late = self.tracker, self.tracker.late
         try:
             estimate = tracker.update(observation)

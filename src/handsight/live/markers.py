@@ -1,4 +1,4 @@
-"""Markers for RViz: the object, contacts, how uncertain the position is, and the unobservable directions."""
+"""Markers for RViz: the object, contacts, the uncertainty of the position, and the unobservable directions."""
 
 from collections.abc import Iterator, Sequence
 from enum import IntEnum
@@ -35,13 +35,13 @@ GREEN, ORANGE, BLUE, RED = (
 
 
 class Markers:
-    """A `Markers` draws a tracker's estimate, as MarkerArrays."""
+    """A `Markers` builds MarkerArrays of a tracker's estimate."""
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
 
     def object(self, stamp: float, model: ObjectModel) -> Answer:
-        """Returns the object itself, in its own frame, which /tf moves; it stays until another replaces it."""
+        """Returns the object in its own frame, which /tf moves; the marker stays until another replaces it."""
         surface, most_triangles = model.surface, 20_000
         if isinstance(surface, Triangles) and len(surface.faces) <= most_triangles:
             kind, size, points = Kind.TRIANGLES, 1.0, surface.corners.reshape(-1, 3)
@@ -53,12 +53,12 @@ class Markers:
         return self._writer.answer(OwnTopic.MARKERS, RosType.MARKERS, markers=[marker])
 
     def around(self, tracker: Tracker) -> Answer:
-        """Returns contacts and the pose's uncertainty now, in the palm; they vanish half a second after the last."""
+        """Returns the current contacts and uncertainty in the palm's frame; the markers vanish after half a second."""
         found = [*self._contacts(tracker), *self._uncertainty(tracker)]
         return self._writer.answer(OwnTopic.MARKERS, RosType.MARKERS, markers=found)
 
     def _contacts(self, tracker: Tracker) -> Iterator[Message]:
-        """Yields a point and a normal for each contact."""
+        """Yields markers of all contact points and of their normals."""
         touched, stamp = tracker.fingertips.contacts, tracker.stamp
         if touched is None:
             return
@@ -76,7 +76,9 @@ class Markers:
         if estimate is None:
             return
         T, covariance = estimate.T_palm_object, estimate.bounded_covariance
-        lever = T[:3, :3] @ model.center_object  # the object's origin may lie anywhere
+        lever = (
+            T[:3, :3] @ model.center_object
+        )  # the object's origin may be anywhere, so the ellipsoid is around its centre
         J = se3.point_jacobian(lever)[:3]
         values, axes = np.linalg.eigh(J @ covariance @ J.T)
         axes[:, 2] *= np.sign(np.linalg.det(axes))
@@ -88,7 +90,7 @@ class Markers:
             yield self._unobservable(k, direction, at[:3, 3], model.radius, stamp)
 
     def _unobservable(self, k: int, direction: Array, center: Array, radius: float, stamp: float) -> Message:
-        """Returns the k-th unobservable direction: a rotation as an arc about its axis, a shift as an arrow."""
+        """Returns the k-th unobservable direction: a rotation is an arc about its axis, a shift an arrow."""
         shift, turn = direction[:3], direction[3:]
         if np.linalg.norm(turn) < np.linalg.norm(shift):
             ends = center + np.array([[-1.0], [1.0]]) * radius * shift / np.linalg.norm(shift)
@@ -112,7 +114,7 @@ class Markers:
         at: Array | None = None,
         number: int = 0,
     ) -> Message:
-        """Returns a marker in the palm, at the pose `at` (4, 4), of `points` (n, 3); size [m], colour red to alpha."""
+        """Returns a marker of `points` (n, 3) at the pose `at` (4, 4) in the palm's frame; size [m], colour RGBA."""
         nothing = Message(header=header(0.0), format="", data=np.zeros(0, np.uint8))
         return Message(
             header=header(stamp, self._writer.palm),
@@ -130,7 +132,7 @@ class Markers:
             text="",
             mesh_resource="",
             mesh_use_embedded_materials=False,
-            # These fields are in ROS 2 alone.
+            # ROS 1 lacks these fields.
             texture_resource="",
             texture=nothing,
             uv_coordinates=[],

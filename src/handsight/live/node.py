@@ -1,4 +1,4 @@
-"""What every node does, whatever carries its messages: it is created from parameters, publishes, and logs its state."""
+"""What the nodes of all transports share: creation from parameters, the worker's loop, and queue lengths."""
 
 import threading
 import time
@@ -10,7 +10,7 @@ from typing import Protocol
 from handsight.errors import HandsightError
 from handsight.live.answers import Answer
 from handsight.live.live_tracker import LiveTracker
-from handsight.live.requests import REQUESTS, model_named
+from handsight.live.requests import REQUESTS, requested_model
 from handsight.messages import RawMessage
 from handsight.messages.clocks import CLOCKS
 from handsight.rig import Rig
@@ -18,14 +18,14 @@ from handsight.tracking import Tracker, TrackerSettings
 
 
 class Stepped(Protocol):
-    """A `Stepped` is a `LiveTracker`, or a transport that receives its messages in the same thread."""
+    """A `Stepped` is a `LiveTracker`, or a transport that also receives its messages within `step`."""
 
     @property
     def tracker(self) -> Tracker:
-        """The tracker of the present object."""
+        """The tracker of the current object."""
 
     def step(self, timeout: float) -> list[Answer]:
-        """Returns what is to be published now; waits at most `timeout` [s] for something to do."""
+        """Returns the messages to publish now; waits at most `timeout` [s] for something to do."""
 
 
 def live_tracker(
@@ -39,29 +39,29 @@ def live_tracker(
 ) -> LiveTracker:
     """Returns the tracker that a node's parameters describe.
 
-    `rig`: its file. `name`: the object's in the rig or the library, or a mesh file; None or empty: the rig's only one.
-    `rate`: corrections a second; None or 0: one when something has changed. `images`: whether depth images are used.
-    `equal`: answer as `handsight track` would. Raises a HandsightError.
+    `rig`: the rig file. `name`: the object, in the rig or the library, or a mesh file; None or empty: the rig's only
+    one. `rate`: corrections per second; None or 0: whenever a contact has changed. `images`: whether to use depth
+    images. `equal`: answer exactly as `handsight track` would. Raises a HandsightError.
     """
     known = Rig.from_file(rig)
     if not name and len(known.objects) == 1:
         name = next(iter(known.objects))
-    model, settings = model_named(name or "", known), TrackerSettings(rate=rate or None, images=images)
+    model, settings = requested_model(name or "", known), TrackerSettings(rate=rate or None, images=images)
     return LiveTracker(known, model, encoding=encoding, settings=settings, equal=equal)
 
 
 def queue_lengths(live: LiveTracker) -> tuple[int, int]:
-    """Returns how many messages of a topic wait to be received, and how many answers wait for a slow subscriber.
+    """Returns the lengths of a topic's receiving queue, and of the queue of answers to a slow subscriber.
 
-    Where every message is answered, seconds of them may come at once.
+    They are long with `equal`, as every message is answered, and seconds of them may come at once.
     """
     return (2000, 2000) if live.equal else (100, 10)
 
 
 def time_to_wait(timeout: float, received: float) -> float:
-    """Returns how long to wait for a message, of at most `timeout` [s].
+    """Returns how long to wait for a message, at most `timeout` [s].
 
-    Soon after the last one was `received`, by `time.monotonic`, joint states may be waiting for others.
+    It is short soon after the last one was `received` (by `time.monotonic`), as joint states may wait for others.
     """
     recently = time.monotonic() - received < 0.1
     return min(timeout, CLOCKS.max_wait) if recently else timeout
@@ -70,7 +70,7 @@ def time_to_wait(timeout: float, received: float) -> float:
 def work(
     live: Stepped, publish: Callable[[Answer], None], say: Callable[[str], None], ended: threading.Event
 ) -> None:
-    """Publishes answers until `ended` is set, and logs each change of state by `say`; sets `ended` if it fails."""
+    """Publishes answers until `ended` is set, and reports each change of state to `say`; sets `ended` if it fails."""
     state = ""
     try:
         while not ended.is_set():
@@ -84,7 +84,7 @@ def work(
 
 
 def done(ask: Callable[[], "Future[str]"]) -> tuple[bool, str]:
-    """Returns whether a request was fulfilled, and a sentence of the outcome."""
+    """Returns whether a request was fulfilled, and a sentence about the outcome."""
     try:
         return True, ask().result(timeout=60.0)
     except (HandsightError, TimeoutError) as error:
@@ -92,13 +92,13 @@ def done(ask: Callable[[], "Future[str]"]) -> tuple[bool, str]:
 
 
 class PublishedTypes:
-    """A `PublishedTypes` reports types that are published but not expected, where a transport drops such messages."""
+    """A `PublishedTypes` reports topics of an unexpected type, for transports that drop such messages silently."""
 
     def __init__(self, live: LiveTracker) -> None:
         self._live, self._reported = live, set[tuple[str, str]]()
 
     def on_topic(self, topic: str, kind: str) -> None:
-        """Reports it once, as a message that cannot be used, if a topic's type, `package/msg/Name`, is not expected."""
+        """Reports an unexpected type `package/msg/Name` of a topic, once, as if one such message had come."""
         expected = self._live.subscriptions.get(topic)
         if expected is None or topic in REQUESTS or kind in expected or (topic, kind) in self._reported:
             return

@@ -1,19 +1,18 @@
-"""What a user asks a running tracker for, by topics that every transport has: a start, an object, a new track."""
+"""A user's requests to a running tracker, as messages on topics: a first pose, another object, a new track."""
 
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from handsight import checks, se3
+from handsight import se3
 from handsight.checks import Array
 from handsight.correction import PosePrior
 from handsight.errors import HandsightError, InvalidInput
 from handsight.messages import RawMessage, TopicReport
 from handsight.messages.decode import decode, typestore
 from handsight.messages.topics import OwnTopic, RosType
-from handsight.objects import ObjectModel
+from handsight.objects import Library, ObjectModel
+from handsight.objects.library import find_model
 from handsight.observation import PoseMeasurement
 from handsight.rig import Rig
 
@@ -22,11 +21,11 @@ REQUESTS: dict[str, tuple[str, ...]] = {
     OwnTopic.OBJECT: (RosType.TEXT,),
     OwnTopic.RESET: (RosType.EMPTY,),
 }
-"""The types of a user's requests, by topic."""
+"""The types that a request may have, by topic."""
 
 
 def requested_text(message: RawMessage) -> str:
-    """Returns the text of a String; raises InvalidInput."""
+    """Returns the text of a std_msgs/String; raises InvalidInput."""
     try:
         store: Any = typestore(message.encoding)
         return str(getattr(store, f"deserialize_{message.encoding}")(message.data, RosType.TEXT).data)
@@ -39,9 +38,9 @@ def requested_text(message: RawMessage) -> str:
 
 
 def requested_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -> PosePrior:
-    """Returns a user's pose of the object, in the palm; raises InvalidInput.
+    """Returns a user's pose of the object, converted to the palm's frame; raises InvalidInput.
 
-    `T_world_palm`: the palm's pose now, for a user's pose in the world; None: it is not known.
+    `T_world_palm`: the current pose of the palm, for a user's pose in the world; None: unknown.
     """
     topic = TopicReport(message.topic, "vision", (RosType.POSE_COVARIANCE,))
     found = decode(message, topic, rig.frames)
@@ -64,17 +63,7 @@ def requested_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -
     return PosePrior(T_palm_object, se3.rotate_covariance(T_palm_frame[:3, :3], pose.covariance))
 
 
-def model_named(name: str, rig: Rig) -> ObjectModel:
+def requested_model(name: str, rig: Rig) -> ObjectModel:
     """Returns the object of that name in the rig, of a mesh file, or of the library; raises a HandsightError."""
-    if name in rig.objects:
-        return replace(rig.objects[name].model(), name=name)
-    if Path(name).is_file():
-        return ObjectModel.from_file(name)
-    try:
-        return ObjectModel.from_library(name)
-    except HandsightError as error:
-        known = ", ".join(rig.objects) or "none"
-        raise InvalidInput(
-            f"object: expected one of the rig ({known}), a mesh file or one of the library, "
-            f"got {checks.brief(repr(name))} ({error})"
-        ) from None
+    place = f"the rig ({', '.join(rig.objects) or 'none'})"
+    return find_model(name, rig.objects, place, library=Library())

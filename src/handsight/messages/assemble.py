@@ -1,4 +1,4 @@
-"""Observations out of measurements that are in order of stamp."""
+"""Assembly of observations from measurements in order of stamp."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -17,23 +17,23 @@ from handsight.rig import Rig
 
 
 class AssemblyOptions(NamedTuple):
-    """`AssemblyOptions` say how old the messages of one observation may be, and how many are kept."""
+    """`AssemblyOptions` are the limits on the age of an observation's messages, and on how many are kept."""
 
     max_age_joints: float = 0.1  # of joint positions at the observation's stamp [s]
     max_age_transform: float = 0.1  # of a transform of /tf [s]
     max_age_wrench: float = 0.05  # of a wrench, a contact or a tactile array's readings [s]
     max_age_vision: float = 0.2  # of a pose or an image [s]
     stuck: float = 0.5  # a sensor that reads the same for longer, while another's changes, is dead [s]
-    min_stuck_readings: int = 5  # a slow topic says little about itself
-    full_scale_share: float = 0.999  # share of a sensor's full scale from which on a reading is none
-    max_frames: int = 10_000  # frames of /tf that are kept
+    min_stuck_readings: int = 5  # with fewer equal readings, a slow sensor is not called stuck
+    full_scale_share: float = 0.999  # a reading above this share of a sensor's full scale is rejected
+    max_frames: int = 10_000  # number of /tf frames that are kept
 
 
 ASSEMBLY = AssemblyOptions()
 
 
 class ObservationAssembler:
-    """An `ObservationAssembler` keeps the parts of the next observation, and counts in the report what it omits."""
+    """An `ObservationAssembler` collects the parts of the next observation, and counts what it leaves out."""
 
     def __init__(self, rig: Rig, report: Report) -> None:
         self._rig, self._report = rig, report
@@ -43,18 +43,22 @@ class ObservationAssembler:
         self._restart()
 
     def _restart(self) -> None:
-        """Forgets all but the static transforms."""
-        self._joints: dict[tuple[str, ...], Measurement] = {}  # of each publisher, by its names
+        """Forgets everything but the static transforms."""
+        self._joints: dict[
+            tuple[str, ...], Measurement
+        ] = {}  # the newest of each publisher, by its joint names
         self._sensors: dict[str, WrenchSensor] = {}
-        # The newest wrenches, contacts and readings with their stamps, by the finger or array.
+        # The newest wrenches, contacts and readings with their stamps [s], by finger or array.
         self._touch: dict[Role, dict[str, tuple[float, Any]]] = {"wrench": {}, "contact": {}, "skin": {}}
-        self._vision: dict[str, Measurement] = {}  # vision, color, depth since the last observation
+        self._vision: dict[
+            str, Measurement
+        ] = {}  # by role: vision, color and depth since the last observation
         self.due: float | None = None
-        """Stamp of the joint states that have no observation yet [s]; None: all have one."""
+        """Stamp of the joint states whose observation was not returned yet [s]; None: there are none."""
         self.tree.keep_static()
 
     def put(self, measurement: Measurement) -> Observation | None:
-        """Returns the observation that this measurement, the next in order, completes; None: it completes none."""
+        """Adds the next measurement in order; returns the observation that it completes, or None."""
         stamp, topic = measurement.stamp, measurement.topic
         over = self.due is not None and (measurement.restarts or stamp > self.due)
         done = self.finish() if over else None
@@ -85,7 +89,7 @@ class ObservationAssembler:
         return done
 
     def finish(self) -> Observation | None:
-        """Returns the observation of the newest joint states; None: they have one already."""
+        """Returns the observation of the newest joint states; None: it was returned already."""
         if self.due is None:
             return None
         stamp, self.due = self.due, None
@@ -122,7 +126,7 @@ class ObservationAssembler:
         return observation
 
     def _fresh(self, role: Role, stamp: float, names: Iterable[str], without: Counter[str]) -> dict[str, Any]:
-        """Returns what is new enough at the stamp [s], by name, and counts the names without it in `without`."""
+        """Returns the recent enough values at a stamp [s], by name; names without one are counted in `without`."""
         found, newest = dict[str, Any](), self._touch[role]
         for name in names:
             if name in newest and stamp - newest[name][0] <= ASSEMBLY.max_age_wrench:
@@ -134,14 +138,17 @@ class ObservationAssembler:
 
 @dataclass(slots=True)
 class WrenchSensor:
-    """A `WrenchSensor` remembers the readings of a finger's sensor, to find whether it is stuck."""
+    """A `WrenchSensor` checks the readings of one finger's sensor: is it stuck, or at full scale?"""
 
     reading: tuple[float, ...] = ()
     changed: float = -float("inf")
     """When the reading last changed [s]."""
     repeated: int = 0
+    """Number of messages in a row with the same reading."""
     stuck: int = 0
+    """Number of messages that were rejected as stuck."""
     saturated: int = 0
+    """Number of messages that were rejected at full scale."""
 
     def read(
         self,
@@ -150,9 +157,10 @@ class WrenchSensor:
         full_scale: tuple[float, float] | None,
         sensors: Iterable["WrenchSensor"],
     ) -> str | None:
-        """Takes a wrench (6,) and returns why it cannot be used; None: it can. `sensors`: all of the hand.
+        """Returns why the sensor's next wrench (6,) cannot be used; None: it can.
 
-        `full_scale`: the largest force [N] and torque [N m] that the sensor can measure, where they are known.
+        `full_scale`: the largest force [N] and torque [N m] that the sensor can measure; None: unknown. `sensors`:
+        those of all fingers.
         """
         reading = tuple(wrench.tolist())
         if reading != self.reading:
@@ -169,19 +177,20 @@ class WrenchSensor:
         constant = self.repeated >= ASSEMBLY.min_stuck_readings and stamp - self.changed > ASSEMBLY.stuck
         if constant and any(other.changed >= stamp - ASSEMBLY.stuck for other in sensors):
             self.stuck += 1
-            return f"reads the same six numbers beyond {ASSEMBLY.stuck} s while others change, in {self.stuck} messages"
+            constant_for = f"reads the same six numbers for more than {ASSEMBLY.stuck} s while others change"
+            return f"{constant_for}, in {self.stuck} messages"
         return None
 
 
 class TransformTree:
-    """A `TransformTree` holds the newest transform to each frame of /tf."""
+    """A `TransformTree` holds the newest transform of each child frame of /tf."""
 
     def __init__(self) -> None:
-        # By child: its parent, `T_parent_child` and the stamp.
+        # By child frame: its parent, `T_parent_child` and the stamp [s].
         self._to_child: dict[str, tuple[str, Array, float]] = {}
 
     def put(self, transform: tuple[str, str, Array], stamp: float) -> None:
-        """Takes in parent, child and `T_parent_child` (4, 4); a static one has an infinite stamp."""
+        """Adds a parent, a child and `T_parent_child` (4, 4); the stamp of a static transform is infinite [s]."""
         parent, child, T_parent_child = transform
         if child in self._to_child or len(self._to_child) < ASSEMBLY.max_frames:
             self._to_child[child] = parent, T_parent_child, stamp
@@ -196,7 +205,7 @@ class TransformTree:
         return {parent for parent, _, _ in self._to_child.values()} | self._to_child.keys()
 
     def lookup(self, target: str, source: str, stamp: float) -> Array | None:
-        """Returns `T_target_source` (4, 4) at that time; None where no new enough transforms connect the frames."""
+        """Returns `T_target_source` (4, 4) at a stamp [s]; None: no recent enough transforms connect the frames."""
         above_source, above_target = self._ancestors(source, stamp), self._ancestors(target, stamp)
         common = next((frame for frame in above_source if frame in above_target), None)
         if common is None:
@@ -204,16 +213,16 @@ class TransformTree:
         T = above_source[common]
         T = T if common == target else se3.inverse(above_target[common]) @ T
         x, y, z = T[:3, 3].tolist()
-        # Each transform is within bounds, but a product of many may not be.
+        # Each transform is within bounds, but their product may not be.
         return T if max(abs(x), abs(y), abs(z)) <= MAX_DISTANCE else None
 
     def _ancestors(self, frame: str, stamp: float) -> dict[str, Array]:
-        """Returns `T_ancestor_frame` (4, 4) for the frame itself and its ancestors, nearest first."""
+        """Returns `T_ancestor_frame` (4, 4) by ancestor, beginning with the frame itself, nearest first."""
         T = np.eye(4)
         found = {frame: T}
         while frame in self._to_child:
             parent, T_parent_frame, measured = self._to_child[frame]
-            if stamp - measured > ASSEMBLY.max_age_transform or parent in found:  # too old, or a circle
+            if stamp - measured > ASSEMBLY.max_age_transform or parent in found:  # too old, or a cycle
                 break
             frame, T = parent, T_parent_frame if len(found) == 1 else T_parent_frame @ T
             found[frame] = T

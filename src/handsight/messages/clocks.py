@@ -1,8 +1,8 @@
-"""The stamps of measurements: one clock for all topics, and one order.
+"""One clock and one order for the measurements of all topics.
 
-`Clocks` compares the topics' clocks. A `ReorderBuffer` puts measurements in order in the window of a recording, and a
-`PromptBuffer`, for a live robot, within 2 ms. Whether a clock has jumped is decided here for all that comes later: the
-first measurement after it was set back is marked (`Measurement.restarts`).
+`Clocks` brings stamps to one clock. A `ReorderBuffer` sorts a recording's measurements in a window of 0.2 s, and a
+`PromptBuffer` those of a live robot within 2 ms. This is the only place that decides whether a clock was set back: the
+first measurement after that is marked (`Measurement.restarts`), and everything downstream relies on the mark.
 """
 
 import heapq
@@ -15,29 +15,30 @@ from typing import NamedTuple
 from handsight.messages.decode import Measurement
 from handsight.messages.report import Report
 from handsight.messages.topics import MessageRejected
+from handsight.observation import MAX_JUMP
 
 
 class ClockOptions(NamedTuple):
-    """`ClockOptions` say how stamps of several clocks are put in order."""
+    """`ClockOptions` are the limits by which clocks are compared and stamps put in order."""
 
-    comparison: float = 1.0  # how long clocks are compared, from the first joint states on [s]
-    other_clock: float = 0.5  # offsets farther apart are another clock's [s]
-    max_latency: float = 2.0  # but what a camera measured may be this late [s]
-    reorder_window: float = 0.2  # of stamps, to put a recording's messages in order [s]
-    max_wait: float = 0.002  # how long a live robot's joint states wait for what belongs to them [s]
-    max_silence: float = 0.1  # they do not wait for a topic that has been silent for longer [s]
-    max_jump: float = 1.0
-    """Joint states that jump ahead by more must be confirmed by the next, and back by more by the next two [s]."""
-    confirming: int = 3  # joint states in a row that are back and say that the clock is
-    max_waiting: int = 50_000  # measurements that are kept
-    max_waiting_bytes: int = 1 << 28  # bytes that are kept
+    comparison: float = 1.0  # clocks are compared for this long from the first joint states [s]
+    other_clock: float = 0.5  # a topic whose offset differs by more has another clock [s]
+    max_latency: float = 2.0  # but a camera's measurements may be this late [s]
+    reorder_window: float = 0.2  # a recording's messages are sorted within this [s]
+    max_wait: float = 0.002  # a live robot's joint states wait this long for wrenches and transforms [s]
+    max_silence: float = 0.1  # but not for a topic that has been silent for longer [s]
+    max_jump: float = MAX_JUMP
+    """A larger jump of the joint states must be confirmed: by the next ones if ahead, by the next two if back [s]."""
+    confirming: int = 3  # so many joint states in a row that are back mean that the clock was set back
+    max_waiting: int = 50_000  # number of measurements that wait at most
+    max_waiting_bytes: int = 1 << 28  # size of the measurements that wait at most [bytes]
 
 
 CLOCKS = ClockOptions()
 
 
 class Clocks:
-    """A `Clocks` brings the stamps of all topics to the clock of the joint states; differences are in the reports."""
+    """A `Clocks` brings the stamps of all topics to the clock of the joint states, and reports the differences."""
 
     def __init__(self) -> None:
         self._known = set[str]()
@@ -48,13 +49,13 @@ class Clocks:
         self._waiting_bytes = 0
         self._first_joints: Measurement | None = None
         self.least = self.most = 0.0
-        """The least and largest of the differences of offset that were not taken off the stamps [s]."""
+        """The least and the largest difference of offset that was not corrected [s]."""
 
     def put(self, measurement: Measurement) -> Iterable[Measurement]:
-        """Returns the measurements whose clock is known now, with stamps in the clock of the joint states.
+        """Returns the measurements whose clock is now known, with stamps in the clock of the joint states.
 
-        There are none before the first second of joint states is over, unless memory runs out; after it, each
-        measurement is returned at once.
+        All wait until the first second of joint states is over, unless too many wait; after that, each measurement is
+        returned at once.
         """
         if self._waiting is None:
             return (self._aligned(measurement),)
@@ -75,11 +76,11 @@ class Clocks:
         return self.finish() if full or over else ()
 
     def restart(self) -> None:
-        """Forgets the joint states' offset: their clock was set back, and topics that begin later have the new one."""
+        """Forgets the offset of the joint states: their clock was set back, and later topics need the new offset."""
         self._joint_offsets.clear()
 
     def finish(self) -> list[Measurement]:
-        """Returns the measurements that wait, as `put` does: nothing more comes in the first second."""
+        """Compares the clocks by what has come, and returns all measurements that wait, as `put` does."""
         waiting, self._waiting = self._waiting or (), None
         topics = {each.topic.name: each.topic for each in waiting}
         for topic in sorted(topics.values(), key=lambda topic: topic.role != "joints"):
@@ -89,8 +90,8 @@ class Clocks:
     def _aligned(self, measurement: Measurement) -> Measurement:
         """Returns the measurement with its stamp in the clock of the joint states."""
         topic = measurement.topic
-        # A topic that begins later is compared with the joint states of its own time: a simulator's clock may drift,
-        # and that of a recording that is played stands still while it pauses.
+        # A topic that begins later is compared with the latest joint states, not the first: a simulator's clock may
+        # drift, and the clock of a recording that is played stops during a pause.
         paused, is_joints = measurement.log_time - self._joints_at > CLOCKS.comparison, topic.role == "joints"
         if paused and is_joints:
             self._joint_offsets.clear()
@@ -106,7 +107,7 @@ class Clocks:
         return measurement
 
     def _compare(self, first: list[Measurement]) -> None:
-        """Sets a topic's difference of clock, and whether its stamps are shifted by it, from its first messages."""
+        """Sets `unstamped`, `difference` and `shifted` of a topic from its first messages."""
         topic = first[0].topic
         topic.unstamped = all(each.stamp == 0 for each in first)
         offset = 0.0 if topic.unstamped else median(each.log_time - each.stamp for each in first)
@@ -124,15 +125,15 @@ class Clocks:
 
 
 class ReorderBuffer:
-    """A `ReorderBuffer` puts measurements on one clock and in order of stamp, in a window that joint states move on.
+    """A `ReorderBuffer` puts measurements on one clock and, within a window behind the newest joint states, in order.
 
-    Where the clock of the joint states was set back, it releases all that waits, and the order begins anew.
+    When the clock of the joint states is set back, it releases all measurements that wait, and the order begins again.
     """
 
     complete = -float("inf")
-    """Joint states up to this stamp wait for nothing any more, so that they become observations at once [s]."""
+    """Joint states up to this stamp wait for no other message, so they become observations at once [s]."""
     now = -float("inf")
-    """The time by a live robot's clock, when the message came that is put, and before `ready` [s]."""
+    """The time at which a live robot's message came, by `time.monotonic` [s]; to be set before `put` and `ready`."""
 
     def __init__(self, report: Report) -> None:
         self._report, self._clocks = report, Clocks()
@@ -140,33 +141,33 @@ class ReorderBuffer:
         self._bytes, self._count = 0, itertools.count()
         self._newest = -float("inf")
         self._jumped: Measurement | None = None
-        """Joint states far ahead, until the next ones confirm or refute them."""
+        """Joint states whose stamp is far ahead, until the next ones confirm or refute it."""
         self._back: list[Measurement] = []
-        """What came since joint states went back, until it is confirmed that their clock did."""
+        """Measurements since the joint states went back, until it is confirmed that their clock was set back."""
         self._last_stamps: dict[tuple[str, tuple[str, ...]], float] = {}
         self._restart()
 
     def _restart(self) -> None:
-        """Forgets what was released: it is of an earlier time."""
+        """Forgets the stamps that were released, as they are of the clock before it was set back."""
         self._released, self._restarted = -float("inf"), True
         self._last_stamps.clear()
         self._clocks.restart()
 
     @property
     def waits_until(self) -> float:
-        """When joint states will have waited long enough, by the clock of `now`; infinite: none wait by the clock."""
+        """When the oldest waiting joint states will have waited enough, on the clock of `now`; infinite: none wait."""
         return float("inf")
 
     def put(self, measurement: Measurement) -> list[Measurement]:
-        """Returns the measurements that are in order now, without the late and the duplicated; some have waited."""
+        """Adds a measurement, and returns all whose order is now known, without those that are late or repeated."""
         return [each for aligned in self._clocks.put(measurement) for each in self._insert(aligned)]
 
     def ready(self) -> list[Measurement]:
-        """Returns the measurements that are in order by now, without another message."""
+        """Returns the measurements whose order is known by the time `now`, without another message."""
         return self._pop(self._edge())
 
     def finish(self) -> list[Measurement]:
-        """Returns the measurements that wait, because no more messages come, or none have come for long."""
+        """Returns all measurements that wait; for when no more messages come, or none have come for long."""
         found = [each for aligned in self._clocks.finish() for each in self._insert(aligned)]
         waiting = self._back if self._jumped is None else [*self._back, self._jumped]
         self._back, self._jumped = [], None
@@ -175,7 +176,7 @@ class ReorderBuffer:
         return found + self._pop(float("inf"))
 
     def _insert(self, measurement: Measurement) -> list[Measurement]:
-        """Returns the measurements that are in order after this one; its stamp is in the clock of the joint states."""
+        """Adds a measurement that is in the clock of the joint states; returns those whose order is now known."""
         is_joints, found = measurement.topic.role == "joints", list[Measurement]()
         in_order, rejected = [measurement], None
         if measurement.stamp < self._newest - CLOCKS.max_jump and (is_joints or self._back):
@@ -183,7 +184,7 @@ class ReorderBuffer:
             joints = [each for each in self._back if each.topic.role == "joints"]
             if len(joints) < CLOCKS.confirming:
                 return []
-            # The clock was set back: all that waits is released, and the order begins with what is back.
+            # The clock was set back: release all that wait, and begin again with the measurements that are back.
             count, far, first = self._report.backwards or (0, 0.0, self._newest)
             self._report.backwards = count + 1, max(far, self._newest - joints[0].stamp), first
             rejected, self._jumped = self._jumped, None
@@ -192,7 +193,8 @@ class ReorderBuffer:
             self._newest = max(each.stamp for each in joints)
             in_order, self._back = self._back, []
         elif is_joints:
-            # Joint states that jump ahead count only if the next ones agree; those that seemed to be back are late.
+            # Joint states that jump ahead are used only if the next ones agree; those that were back are late after
+            # all.
             jumped, self._jumped = self._jumped, None
             if self._newest > -float("inf") and measurement.stamp > self._newest + CLOCKS.max_jump:
                 if jumped is not None and abs(measurement.stamp - jumped.stamp) <= CLOCKS.max_jump:
@@ -209,7 +211,7 @@ class ReorderBuffer:
         return found + self._pop(self._edge())
 
     def _edge(self) -> float:
-        """Returns the stamp up to which measurements are in order [s]."""
+        """Returns the stamp up to which the order is known [s]."""
         return self._newest - CLOCKS.reorder_window - (self._clocks.most - self._clocks.least)
 
     def _push(self, measurement: Measurement) -> None:
@@ -224,7 +226,7 @@ class ReorderBuffer:
         self._bytes += measurement.size
 
     def _pop(self, edge: float) -> list[Measurement]:
-        """Returns the measurements up to the edge, and what memory cannot hold; of duplicates it returns the first."""
+        """Returns the measurements up to the edge [s], and more if too many wait; of repeated ones, the first."""
         found, waiting = list[Measurement](), self._waiting
         while waiting and (
             waiting[0][0] <= edge
@@ -246,18 +248,21 @@ class ReorderBuffer:
 
 
 class PromptBuffer(ReorderBuffer):
-    """A `PromptBuffer` puts measurements in order of stamp as far as 2 ms allow; later ones count if they are newest.
+    """A `PromptBuffer` puts measurements in order within 2 ms; one that comes later is used if it is the newest.
 
-    A joint state waits until each wrench, contact and transform that is due has reached its stamp. One is due that has
-    come within the last 0.1 s and, by the time between its last two, should have come again. An image comes late in any
-    case: it counts with the next joint states. `now` must be set with each message and before `ready`.
+    A joint state waits until each topic of wrenches, contacts or transforms that is due has reached its stamp. A topic
+    is due if its last message is at most 0.1 s old and, by the interval between its last two, the next should have
+    come. Images come late in any case: they are used with the next joint states. `now` must be set before `put` and
+    `ready`.
     """
 
     def _restart(self) -> None:
         super()._restart()
         self.complete = -float("inf")
-        self._pending = deque[tuple[float, float]]()  # joint states' stamps, and until when they wait
-        # By topic: the newest stamp, and half of the time since the one before.
+        self._pending = deque[
+            tuple[float, float]
+        ]()  # joint states' stamps, and the time until which they wait [s]
+        # By topic: the newest stamp, and half of the interval to the stamp before it [s].
         self._reached: dict[str, tuple[float, float]] = {}
         self._newest_of: dict[tuple[str, tuple[str, ...]], float] = {}
 
@@ -300,7 +305,7 @@ class PromptBuffer(ReorderBuffer):
 
 
 def publisher_of(measurement: Measurement) -> tuple[str, tuple[str, ...]]:
-    """Returns the topic, and the names that tell its publishers apart: several may publish joint states or /tf."""
+    """Returns the topic, and names that identify the publisher: several nodes may publish joint states or /tf."""
     topic, value = measurement.topic, measurement.value
     if topic.role == "joints":
         return topic.name, tuple(value)

@@ -1,4 +1,4 @@
-"""ROS messages to the measurements that an `Observation` consists of; rosbags reads what the fast readers do not."""
+"""ROS messages to measurements, the parts of an `Observation`: by the fast readers, or by rosbags where they cannot."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -37,20 +37,22 @@ class Measurement:
     """A `Measurement` is the content of one message, or of one transform of /tf."""
 
     topic: TopicReport
-    """Where it is counted."""
+    """The report in which the message is counted."""
     stamp: float
-    """The message's own; once `Clocks` has it, in the clock of the joint states [s]."""
+    """The message's own stamp; after `Clocks`, in the clock of the joint states [s]."""
     log_time: float
     """When it was recorded or received [s]."""
     value: Any
-    """By role: dict of positions; (6,); ContactMeasurement or None; (rows, columns); PoseMeasurement; (4, 4); image;
-    Camera; parent, child and `T_parent_child` (4, 4)."""
+    """By the topic's role. joints: positions by name. wrench: (6,). contact: `ContactMeasurement` or None. skin:
+    (rows, columns). vision: `PoseMeasurement`. truth: (4, 4). color, depth: image. info: `Camera`. tf: parent, child
+    and
+    `T_parent_child` (4, 4)."""
     restarts: bool = False
-    """Whether it is the first one in order, or the first after the clock of the joint states was set back."""
+    """Whether it is the first measurement of all, or the first after the clock of the joint states was set back."""
 
     @property
     def size(self) -> int:
-        """About how many bytes it holds."""
+        """Its approximate size [bytes]."""
         return 500 + (self.value.nbytes if self.topic.role in ("color", "depth") else 0)
 
 
@@ -62,8 +64,8 @@ def decode(
 ) -> list[Measurement]:
     """Returns the measurements in a message: none, one, or one for each transform of /tf.
 
-    Each is counted as a message of the topic, and so is what was rejected, with its reason. `frames`: the names that
-    messages have for world, palm and camera. `fast`: a reader for each encoding, kept from message to message. Raises
+    Each is counted as a message of the topic; a message that cannot be used is counted with its reason. `frames`: the
+    frame ids of world, palm and camera. `fast`: a reader for each encoding, to be kept from message to message. Raises
     MissingExtra.
     """
     role, reader = topic.role, fast.get(raw.encoding) if fast else None
@@ -79,7 +81,7 @@ def decode(
             stamp, value = joints[0], _positions(joints[1], joints[2])
         else:
             message = _deserialized(raw)
-            # Without a stamp it is 0: the message is timed by when it was logged.
+            # A message without a header has stamp 0, and gets its log time later.
             stamp = _seconds(message) if hasattr(message, "header") else 0.0
             value = READERS[role](message, topic, frames)
         topic.messages += 1
@@ -91,7 +93,7 @@ def decode(
 
 
 def _transforms(raw: RawMessage, topic: TopicReport, reader: FastReader | None) -> list[Measurement]:
-    """Returns the transforms of a TFMessage, each read by itself: one that is rejected does not spoil the others."""
+    """Returns the transforms of a TFMessage; one that cannot be used is rejected, and the others are returned."""
     transforms = reader.transforms(raw.data) if reader else None
     if not transforms:
         parts = _deserialized(raw).transforms
@@ -118,9 +120,8 @@ def _deserialized(raw: RawMessage) -> RosMessage:
     store = typestore(raw.encoding)
     kind = RosType.TF if raw.type == RosType.TF_ROS1 else raw.type
     expected = f"expected a {kind}, got {len(raw.data)} bytes that are none"
-    if (
-        len(raw.data) < 4
-    ):  # the shortest message holds a count; many may be empty, and errors of rosbags are slow
+    # The shortest message is a count. There may be many empty ones, and errors of rosbags are slow.
+    if len(raw.data) < 4:
         raise MessageRejected(expected)
     try:
         message: RosMessage = getattr(store, f"deserialize_{raw.encoding}")(raw.data, kind)
@@ -137,7 +138,7 @@ def typestore(encoding: str) -> "Typestore":
     if encoding not in stores:
         raise MessageRejected(f"expected messages encoded as cdr or ros1, got {encoding[:20]!r}")
     store: Typestore = typesys.get_typestore(stores[encoding])
-    if RosType.TF not in store.types:  # ROS 1's own messages have only its forerunner
+    if RosType.TF not in store.types:  # ROS 1's own messages have only its predecessor
         store.register(typesys.get_types_from_msg("geometry_msgs/TransformStamped[] transforms", RosType.TF))
     store.register(typesys.get_types_from_msg(SHADOW_CONTACT, RosType.CONTACT))
     return store
@@ -162,13 +163,13 @@ def _xyz(vector: RosMessage) -> tuple[float, float, float]:
 
 
 def _positions(names: Sequence[str], positions: Sequence[float]) -> dict[str, float]:
-    """Returns the positions of a JointState by the joints' names [rad or m]."""
+    """Returns the positions of a JointState by joint name [rad or m]."""
     if len(names) != len(positions):
         raise MessageRejected(f"expected as many positions as names, got {len(positions)} for {len(names)}")
     found = dict(zip(names, positions, strict=True))
     if len(found) != len(names):
         raise MessageRejected("expected each joint once, got one name twice")
-    limit = 1e6  # wheels turn far [rad or m]
+    limit = 1e6  # [rad or m]; large, as wheels turn far
     if not hypot(*positions) <= limit:
         if bad := [name for name, position in found.items() if not isfinite(position)]:
             raise MessageRejected(f"joint {', '.join(bad[:5])} is not a finite number", nan=True)
@@ -189,9 +190,9 @@ def _wrench(values: Sequence[float]) -> Array:
 
 
 def _rigid_transform(*numbers: float) -> Array:
-    """Returns (4, 4) of x, y, z [m] and a quaternion's x, y, z, w.
+    """Returns a pose (4, 4) from x, y, z [m] and a quaternion's x, y, z, w.
 
-    It computes with plain floats: NumPy takes ten times as long for one pose.
+    Plain floats, because NumPy takes ten times as long for one pose.
     """
     px, py, pz, x, y, z, w = numbers
     length = hypot(x, y, z, w)
@@ -239,7 +240,7 @@ def _pose(message: RosMessage, topic: TopicReport, frames: Mapping[str, str]) ->
 def _contact(message: RosMessage, tip: str, palm: str) -> ContactMeasurement | None:
     """Returns the contact of a ShadowContactStateStamped; None: nothing is touched.
 
-    `tip`: the body that the fingertip moves with; `palm`: what messages call the palm.
+    `tip`: the body that the fingertip moves with; `palm`: the palm's frame id.
     """
     p, n = message.contact_position, message.contact_normal
     point, normal, force = np.array([p.x, p.y, p.z]), np.array([n.x, n.y, n.z]), float(message.f_normal)
@@ -256,7 +257,7 @@ def _contact(message: RosMessage, tip: str, palm: str) -> ContactMeasurement | N
 def _taxel_reading(message: RosMessage, shape: tuple[int, int]) -> Array:
     """Returns (rows, columns) of a Float32MultiArray or an Image; NaN where a taxel has no finite reading.
 
-    The numbers come row by row from the grid's corner at -x, -y; the layout of an array may state the shape, or not.
+    The numbers are row by row from the grid's corner at -x, -y; an array's layout may state the shape or be empty.
     """
     expected = f"expected {shape[0]} x {shape[1]} taxels"
     if hasattr(message, "encoding"):
@@ -291,4 +292,4 @@ READERS: dict[Role, Callable[[RosMessage, TopicReport, Mapping[str, str]], objec
     "depth": lambda message, *_: images.depth(message),
     "info": lambda message, *_: images.camera(message),
 }
-"""Reads a decoded message, by the role of its topic; raises MessageRejected or InvalidInput where it cannot be used."""
+"""The function that reads a decoded message, by its topic's role; raises MessageRejected or InvalidInput."""

@@ -1,4 +1,4 @@
-"""Parts of ROS messages out of stamps, poses and arrays, as rosbags serialises them for ROS 1 and ROS 2."""
+"""ROS messages, and parts of them, built from stamps, poses and arrays for rosbags to serialise (ROS 1 and ROS 2)."""
 
 import math
 from types import SimpleNamespace
@@ -13,7 +13,7 @@ from handsight.observation import ContactMeasurement
 
 
 class Message(SimpleNamespace):
-    """A `Message` is a ROS message, or a part of one, of which rosbags reads the fields."""
+    """A `Message` is a ROS message, or a part of one, with its fields as attributes."""
 
 
 def split_stamp(stamp: float) -> tuple[int, int]:
@@ -21,7 +21,7 @@ def split_stamp(stamp: float) -> tuple[int, int]:
     latest = float(2**31)
     if not 0 <= stamp < latest:
         raise InvalidInput(f"stamp: expected seconds from 0 to {latest:.0f}, got {stamp}")
-    # The whole seconds first: 1.7e9 s in nanoseconds is more than a float holds.
+    # Whole seconds are split off first: 1.7e9 s in nanoseconds has more digits than a float.
     sec = math.floor(stamp)
     nanosec = round((stamp - sec) * 1e9)
     return (sec + 1, 0) if nanosec == 10**9 else (sec, nanosec)
@@ -34,7 +34,7 @@ def header(stamp: float, frame: str = "") -> Message:
 
 
 def parts(names: str, values: Array) -> Message:
-    """Returns a message of numbers, one for each letter: a Vector3 or Point of `xyz`, a Quaternion of `xyzw`."""
+    """Returns a message with one number for each letter: `xyz` for a Vector3 or Point, `xyzw` for a Quaternion."""
     return Message(**dict(zip(names, values.tolist(), strict=True)))
 
 

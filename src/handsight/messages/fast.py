@@ -1,9 +1,9 @@
-"""Readers of JointState, WrenchStamped and TFMessage, far faster than rosbags: hundreds of them come in a second.
+"""Readers of JointState, WrenchStamped and TFMessage that are far faster than rosbags, as hundreds come in a second.
 
-Both encodings have the same fields in the same order, little-endian. CDR, ROS 2's, begins with four bytes of
-encapsulation, behind which all is aligned to its size, and its texts end with a zero; ROS 1 has four bytes of a
-sequence number before each stamp. So a message's own stamp is at 4 and its frame id at 12 in both. Only messages that
-are exactly as expected are read: for all others the answer is None, and rosbags decides.
+Both encodings have the same fields in the same order, little-endian. CDR (ROS 2) begins with four bytes of
+encapsulation, after which each field is aligned to its size, and its strings end with a zero byte; ROS 1 has a
+four-byte sequence number before each stamp. So in both, a message's own stamp is at byte 4 and its frame id at byte 12.
+Only messages of exactly the expected form are read; for any other, a reader returns None, and rosbags has to read it.
 """
 
 import struct
@@ -24,7 +24,7 @@ class StampedTransform(NamedTuple):
 
 
 class FastReader:
-    """A `FastReader` reads one encoding and remembers the names of the last JointState, which seldom change."""
+    """A `FastReader` reads messages of one encoding; it keeps the last JointState's names, which seldom change."""
 
     def __init__(self, encoding: Literal["cdr", "ros1"]) -> None:
         self._cdr = encoding == "cdr"
@@ -32,7 +32,7 @@ class FastReader:
         self._named, self._names = b"", list[str]()
 
     def wrench(self, data: bytes) -> tuple[float, Sequence[float]] | None:
-        """Returns stamp [s], and force and torque; None: rosbags must read it."""
+        """Returns stamp [s], and force [N] and torque [N m] (6 numbers); None: rosbags must read it."""
         try:
             at = self._aligned(16 + _COUNT.unpack_from(data, 12)[0], 8)
             if self._is_other(data) or at + _WRENCH.size != len(data):
@@ -42,7 +42,7 @@ class FastReader:
             return None
 
     def joints(self, data: bytes) -> tuple[float, Sequence[str], Sequence[float]] | None:
-        """Returns stamp [s], names and positions; None: rosbags must read it."""
+        """Returns stamp [s], names and positions [rad or m]; None: rosbags must read it."""
         try:
             if self._is_other(data):
                 return None
@@ -84,7 +84,7 @@ class FastReader:
             return None
 
     def _is_other(self, data: bytes) -> bool:
-        """Returns whether the message is encapsulated in another way than little-endian CDR."""
+        """Returns whether the encapsulation is not that of little-endian CDR."""
         return self._cdr and data[:2] != b"\0\1"
 
     def _stamp(self, data: bytes, at: int) -> float:
@@ -95,7 +95,7 @@ class FastReader:
         return at + (4 - at) % size if self._cdr else at
 
     def _text(self, data: bytes, at: int) -> tuple[int, str]:
-        """Returns where a text ends, and the text; raises struct.error where there is none."""
+        """Returns the end of a string, and the string; raises struct.error where there is none."""
         begin = at + 4
         end = begin + _COUNT.unpack_from(data, at)[0]
         last = end - self._cdr
@@ -104,7 +104,7 @@ class FastReader:
         return end, data[begin:last].decode()
 
     def _skipped(self, data: bytes, at: int) -> tuple[int, int]:
-        """Returns where a sequence of doubles ends, and their count; raises struct.error if that is beyond the data."""
+        """Returns the end of a sequence of doubles, and their count; raises struct.error if it ends beyond the data."""
         (count,) = _COUNT.unpack_from(data, at)
         end = (self._aligned(at + 4, 8) if count else at + 4) + 8 * count
         if end > len(data):

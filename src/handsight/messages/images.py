@@ -1,6 +1,6 @@
-"""Images and cameras out of ROS messages: colour (h, w, 3) red, green, blue; depth (h, w) [m], NaN where unknown.
+"""Images and cameras from ROS messages: colour (h, w, 3) red, green, blue; depth (h, w) [m], NaN where unknown.
 
-What reads a message raises MessageRejected or InvalidInput where it cannot be used.
+Each function raises MessageRejected or InvalidInput where a message cannot be used.
 """
 
 import struct
@@ -31,10 +31,10 @@ def color(message: RosMessage) -> Color:
 
 
 def depth(message: RosMessage) -> Depth:
-    """Returns the depth image of an Image or CompressedImage, whose integers are millimetres and floats metres."""
+    """Returns the depth (h, w) [m] of an Image or CompressedImage; its integers are millimetres, its floats metres."""
     if not hasattr(message, "format"):
         return pixels.metres(values(message, ("16UC1", "mono16", "32FC1"))[..., 0])
-    # `compressed_depth_image_transport` puts a format before the PNG, and A, B of depth = A / (value - B).
+    # `compressed_depth_image_transport` puts before the PNG a format, and A and B of depth = A / (value - B).
     before, data, described = struct.Struct("<iff"), bytes(message.data), str(message.format)
     if "rvl" in described.lower():
         raise MessageRejected("expected compressed depth as PNG, got RVL")
@@ -68,7 +68,7 @@ def values(message: RosMessage, expected: tuple[str, ...]) -> NDArray[np.generic
 
 
 def camera(message: RosMessage) -> Camera:
-    """Returns the camera of a CameraInfo of ROS 1 or 2, for its images after they are cut out and binned."""
+    """Returns the camera of a CameraInfo of ROS 1 or 2, as it is for its cropped and binned images."""
     K = np.array(message.K if hasattr(message, "K") else message.k, dtype=np.float64).reshape(3, 3)
     if not np.isfinite(K).all():
         raise MessageRejected("intrinsics are not finite", nan=True)
@@ -77,16 +77,16 @@ def camera(message: RosMessage) -> Camera:
     limit = 1e6  # no focal length or principal point is larger [pixels]
     if (most := np.abs(K).max()) > limit:
         raise MessageRejected(f"expected intrinsics within {limit:g} pixels, got {most:g}")
-    # The message's intrinsics and size are of the complete sensor.
+    # The message's intrinsics and size are those of the complete sensor.
     roi, size = message.roi, [int(message.width), int(message.height)]
     for axis, (first, side, binned) in enumerate(
         ((roi.x_offset, roi.width, message.binning_x), (roi.y_offset, roi.height, message.binning_y))
     ):
         by = max(int(binned), 1)
-        # Centres of pixels are at whole numbers, so the image begins at -½.
+        # Pixel centres are at whole numbers, so the image begins at -½.
         K[axis, axis], K[axis, 2] = K[axis, axis] / by, (K[axis, 2] - first + 0.5) / by - 0.5
         size[axis] = (int(side) or size[axis]) // by
-    # Distortion models that a pinhole behind a lens can have, with their number of coefficients.
+    # The distortion models that are supported, with their number of coefficients.
     lenses = {"plumb_bob": 5, "rational_polynomial": 8}
     model, lens = message.distortion_model, np.array(message.D if hasattr(message, "D") else message.d)
     if not np.isfinite(lens).all():

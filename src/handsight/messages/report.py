@@ -1,4 +1,4 @@
-"""The counts of a robot's messages, and sentences for the user on what is wrong with them or missing."""
+"""Counts of a robot's messages, and sentences for the user about what is wrong with them or missing."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -16,18 +16,20 @@ from handsight.rig import Rig
 
 
 class UnitLimits(NamedTuple):
-    """`UnitLimits` are the sizes of values above which their unit is doubted."""
+    """`UnitLimits` are the values above which the unit seems to be wrong."""
 
     max_range: float = 10.0  # from a camera to the object [m]
     max_force: float = 300.0  # on a fingertip [N]
-    min_share: float = 0.1  # share of the observations that have such values; fewer are outliers
+    min_share: float = (
+        0.1  # share of the observations with such values; if fewer have them, they are outliers
+    )
 
 
 UNITS = UnitLimits()
 
 
 class Units:
-    """A `Units` finds values that seem to be in a wrong unit, because no hand measures such large ones."""
+    """A `Units` finds values so large that they seem to be in a wrong unit."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig, self._count, self._beyond = rig, 0, Counter[str]()
@@ -38,12 +40,12 @@ class Units:
         ]
 
     def put(self, observation: Observation) -> None:
-        """Takes in an observation."""
+        """Checks an observation."""
         self._count += 1
         positions = observation.joint_positions or {}
         for name, limit in self._limits:
             value = abs(positions.get(name, 0.0))
-            # A hinge turns by a radian or two; where a file limits it to less, it may be off by more.
+            # Hinges turn by a radian or two. The hand's file may limit one too narrowly, hence the margin of a radian.
             if not value > 2 * limit + 1:
                 continue
             radians = np.deg2rad(value)
@@ -69,21 +71,21 @@ class Units:
             self._largest[what] = value, text
 
     def sentences(self) -> list[str]:
-        """Returns a sentence for each value that was often above the limits."""
+        """Returns a sentence for each kind of value that was often above its limit."""
         often = [what for what, count in self._beyond.items() if count >= UNITS.min_share * self._count]
         return [f"{what} up to {self._largest[what][1]}" for what in often]
 
 
 @dataclass(slots=True)
 class Report:
-    """A `Report` counts the messages on the topics of a rig so far."""
+    """A `Report` counts the messages that have come on the topics of a rig."""
 
     joint_states: str
     """The topic whose stamps are the clock."""
     topics: dict[str, TopicReport] = field(default_factory=dict)
-    """The topics that the rig listens to and that are there, by name."""
+    """The topics of the rig that exist, by name."""
     others: dict[str, str] = field(default_factory=dict)
-    """The types of the topics that the rig does not listen to, by name."""
+    """The types of all other topics, by name."""
     observations: int = 0
     placed: int = 0
     """Number of observations that have `T_world_palm`."""
@@ -92,12 +94,12 @@ class Report:
     without_skin: Counter[str] = field(default_factory=Counter)
     """Number of observations without readings, by tactile array."""
     fingers: dict[str, str] = field(default_factory=dict)
-    """What is wrong with a finger's sensor, by finger."""
+    """What is wrong with a sensor, by finger."""
     backwards: tuple[int, float, float] | None = None
-    """How often the clock of the joint states was set back, by how much at most [s], and the stamp just before the
-    first time [s]; None: never."""
+    """How often the clock of the joint states was set back, the largest step back [s], and the stamp before the first
+    one [s]; None: it never was."""
     units: Units | None = None
-    """Finds values that seem to be in other units."""
+    """Finds values that seem to be in a wrong unit."""
     ended: bool = False
     """Whether all messages have come."""
 
@@ -106,8 +108,9 @@ class Report:
         messages = []
         if self.backwards:
             count, far, stamp = self.backwards
+            times = "once" if count == 1 else f"{count} times"
             messages.append(
-                f"{self.joint_states}: stamps went back {count} times, by up to {far:.3f} s, first from {stamp:.3f} s "
+                f"{self.joint_states}: stamps went back {times}, by up to {far:.3f} s, first from {stamp:.3f} s "
                 "(played in a loop, or a clock that was set back?): a new track each time"
             )
         messages += shortened(f"finger {finger}: {what}" for finger, what in self.fingers.items())
@@ -133,7 +136,7 @@ class Report:
 
 
 def shortened(sentences: Iterable[str]) -> list[str]:
-    """Returns the first twelve sentences of one kind, each in a line, and how many more there are."""
+    """Returns the first twelve sentences of one kind, and then a sentence with the number of the others."""
     messages, most = list(sentences), 12
     more = len(messages) - most
     messages = [printable(each) for each in messages[:most]]
@@ -141,9 +144,9 @@ def shortened(sentences: Iterable[str]) -> list[str]:
 
 
 def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -> list[str]:
-    """Returns a sentence for each topic, frame and joint of the rig that did not come.
+    """Returns a sentence for each topic, frame and joint of the rig that is missing.
 
-    `frames`, `joint_names`: those that came.
+    `frames`, `joint_names`: all that have come.
     """
     topics, lacking = rig.topics, list[str]()
     calibrated = rig.camera is not None and rig.camera.intrinsics is not None

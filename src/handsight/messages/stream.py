@@ -1,4 +1,4 @@
-"""Raw messages to Observations, one at a time, of recordings and of live robots."""
+"""The stream from raw messages to observations, for recordings and live robots."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -15,9 +15,9 @@ from handsight.rig import Rig
 
 
 class ObservationStream:
-    """An `ObservationStream` turns a robot's messages, put in as they come, into observations.
+    """An `ObservationStream` turns a robot's messages, one at a time, into observations.
 
-    The docstring of `handsight.messages` says what it guarantees.
+    The docstring of `handsight.messages` lists its guarantees.
 
     ```
     stream = ObservationStream(rig)
@@ -35,16 +35,16 @@ class ObservationStream:
         report: Report | None = None,
         order: Callable[[Report], ReorderBuffer] = ReorderBuffer,
     ) -> None:
-        """`topics`: the types of the topics that are known beforehand; others are added with their first message.
+        """`topics`: types of topics that are known in advance, by name; others are added with their first message.
 
-        `report`: an empty report to be filled. `order`: creates the buffer that puts measurements in order.
+        `report`: an empty report to fill. `order`: creates the buffer that puts measurements in order.
         """
         self._rig, self.topics, known = rig, rig_topics(rig), topics or {}
-        """The topics that the rig listens to, by name; messages of others are passed over."""
+        """The topics of the rig, by name; messages on other topics are ignored."""
         self.report = Report(rig.topics.joint_states) if report is None else report
-        """The counts of messages and what is wrong with them, so far."""
+        """The counts of the messages until now, and what is wrong with them."""
         self.intrinsics: Camera | None = None
-        """The camera by its CameraInfo; None: no CameraInfo has come."""
+        """The camera of the last CameraInfo; None: none has come."""
         for name, topic in self.topics.items():
             if name in known:
                 topic.type = known[name]
@@ -55,7 +55,7 @@ class ObservationStream:
         self._fast, self.order = fast_readers(), order(self.report)
         self._assembler = ObservationAssembler(rig, self.report)
         self.truth = self._assembler.truth
-        """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
+        """Stamps [s] and true poses `T_palm_object` (4, 4) on the rig's topic of the truth; never in an observation."""
 
     def put(self, message: RawMessage) -> list[Observation]:
         """Returns the observations that are complete with this message, in order of stamp; raises MissingExtra."""
@@ -64,7 +64,9 @@ class ObservationStream:
             self.report.others.setdefault(message.topic, message.type)
             return []
         self.report.topics.setdefault(topic.name, topic)
-        topic.type = message.type  # rather than the type known beforehand: a damaged file contradicts itself
+        topic.type = (
+            message.type
+        )  # this counts, not the type known in advance: a damaged file may contradict itself
         found = []
         for measurement in decode(message, topic, self._rig.frames, self._fast):
             if topic.role == "tf_static":
@@ -82,16 +84,16 @@ class ObservationStream:
         return found
 
     def ready(self) -> list[Observation]:
-        """Returns the observations that have waited long enough by the clock, without another message."""
+        """Returns the observations that have waited long enough by the order's `now`, without another message."""
         return self._assembled(self.order.ready())
 
     def flush(self) -> list[Observation]:
-        """Returns the observations that wait, because nothing has come for long; more may come later."""
+        """Returns all observations that wait, for when nothing has come for long; more messages may come later."""
         found, last = self._assembled(self.order.finish()), self._assembler.finish()
         return found if last is None else [*found, last]
 
     def finish(self) -> list[Observation]:
-        """Returns the last observations; no message may be put after it."""
+        """Returns the last observations; no message may be put after this."""
         found = self.flush()
         self.report.ended = True
         return found
@@ -104,21 +106,21 @@ class ObservationStream:
         return found
 
     def camera(self) -> Camera:
-        """Returns the camera of the images by its CameraInfo, else by the rig; raises InvalidInput without both."""
+        """Returns the images' camera from the CameraInfo, else from the rig; raises InvalidInput if neither has it."""
         return self.intrinsics or Camera.of(self._rig.camera)
 
     def calibrated(self, rig: Rig) -> Rig:
-        """Returns the rig, with the CameraInfo's camera where it takes depth images and has no intrinsics itself."""
+        """Returns the rig; if it has a topic of depth images but no intrinsics, with those of the CameraInfo."""
         camera, info = rig.camera, self.intrinsics
         if camera is None or camera.intrinsics is not None or info is None or rig.topics.depth is None:
             return rig
         return replace(rig, camera=camera.with_images_of(info))
 
     def lacks(self) -> list[str]:
-        """Returns a sentence for each thing that the rig needs and that did not come, or came in another size.
+        """Returns a sentence for each missing topic, joint and frame of the rig, and each image of a wrong size.
 
-        What is missing is known of topics from the beginning where they were given, and of joints and frames after the
-        first observations.
+        A missing topic is known from the beginning if `topics` were given; missing joints and frames are known after
+        the first observations.
         """
         lacking = missing(self._rig, self.report, self._assembler.tree.frames, self._joint_names)
         topics = self._rig.topics

@@ -1,4 +1,4 @@
-"""A robot's messages as bytes, the names of their types and topics, and the counts of what came on each topic."""
+"""Raw messages of a robot, the names of their types and topics, and the counts of the messages on each topic."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ class RosType:
 
 
 class OwnTopic:
-    """`OwnTopic` names the topics that handsight publishes, and those by which a user asks for something."""
+    """`OwnTopic` names the topics that handsight publishes, and those on which it takes a user's requests."""
 
     POSE = "/handsight/pose"
     TF = "/tf"
@@ -45,11 +45,13 @@ class OwnTopic:
 
 
 class TopicOptions(NamedTuple):
-    """`TopicOptions` say what a report mentions of a topic."""
+    """`TopicOptions` are the limits from which a report mentions something about a topic."""
 
     max_gap: float = 0.1  # a longer time between two joint states is counted as a gap [s]
     max_clock_difference: float = 0.1  # a larger difference of clocks is reported [s]
-    max_reasons: int = 8  # different reasons that are kept for a topic: a reason may quote the message
+    max_reasons: int = (
+        8  # number of different reasons that are kept for a topic; bounded, as a reason may quote its message
+    )
 
 
 TOPICS = TopicOptions()
@@ -63,7 +65,7 @@ class RosMessage(Protocol):
 
 
 class RawMessage(NamedTuple):
-    """A `RawMessage` is one message as it lies in a file or comes from a robot."""
+    """A `RawMessage` is one serialised message of a file or of a running robot."""
 
     topic: str
     type: str
@@ -76,7 +78,7 @@ class RawMessage(NamedTuple):
 
 
 class MessageRejected(Exception):
-    """A `MessageRejected` says why a message is not used; `nan`: it holds NaN or infinity. It stays in this room."""
+    """A `MessageRejected` says why a message is not used; `nan`: it has NaN or infinity. It never leaves this room."""
 
     def __init__(self, reason: str, *, nan: bool = False) -> None:
         super().__init__(reason)
@@ -85,55 +87,55 @@ class MessageRejected(Exception):
 
 @dataclass(slots=True)
 class TopicReport:
-    """A `TopicReport` counts the messages of one topic; of /tf it counts the transforms.
+    """A `TopicReport` counts the messages of one topic, or the transforms of /tf.
 
-    `messages` is the sum of the counts from `used` to `stuck`, once all messages have come.
+    Once no message waits any more, `messages` is the sum of the counts from `used` to `stuck`.
     """
 
     name: str
     role: Role
-    """Its role for the rig."""
+    """What the rig uses the topic for."""
     expected: tuple[str, ...]
-    """Message types that it may have."""
+    """The types that its messages may have."""
     finger: str = ""
     """The finger of a wrench or a contact, or the name of a tactile array."""
     body: str = ""
-    """The body of the hand that the fingertip of a contact moves with."""
+    """The body of the hand to which the fingertip of a contact is fixed."""
     shape: tuple[int, int] = (0, 0)
     """Rows and columns of a tactile array."""
     type: str = ""
     messages: int = 0
     used: int = 0
-    """Used in order of stamp; of several between two joint states, the newest is in the observation."""
+    """Used in order of stamp; if several come between two joint states, the observation has the newest."""
     duplicated: int = 0
-    """With the stamp of an earlier message of the same publisher."""
+    """Left out, as an earlier message of the same publisher had the same stamp."""
     nan: int = 0
-    """With NaN or infinity in it."""
+    """Left out, as they have NaN or infinity."""
     late: int = 0
-    """Too late to be put in order of stamp."""
+    """Left out, as they came too late to be put in order of stamp."""
     bad: int = 0
-    """Not readable as one of the expected types."""
+    """Left out, as they cannot be used as one of the expected types."""
     stale: int = 0
-    """Too old when the next joint states came."""
+    """Left out, as they were too old when the next joint states came."""
     stuck: int = 0
-    """From a sensor that is stuck or at full scale."""
+    """Left out, as their sensor is stuck or at full scale."""
     reasons: Counter[str] = field(default_factory=Counter)
-    """Number of messages that were not used, by the reason."""
+    """Number of `nan` and `bad` messages, by reason."""
     last: float | None = None
-    """Latest stamp that was used, in the clock of the joint states [s]."""
+    """Stamp of the last used message, in the clock of the joint states [s]."""
     gap: float = 0.0
-    """Longest time between two messages that were used [s]."""
+    """Longest time between two used messages [s]."""
     gaps: int = 0
-    """Number of such times above `TopicOptions.max_gap`."""
+    """Number of times between two used messages above `TopicOptions.max_gap`."""
     difference: float = 0.0
-    """How far its log time minus stamp (the median of the first second) is above that of the joint states [s]."""
+    """Its offset minus that of the joint states [s]; offset: median of log time minus stamp over the first second."""
     shifted: bool = False
-    """Whether the difference was added to the stamps, because they are of another clock."""
+    """Whether the difference was added to its stamps, because they are of another clock."""
     unstamped: bool = False
     """Whether its stamps are all 0, so that log times are used instead."""
 
     def reject(self, error: MessageRejected) -> None:
-        """Counts a message as nan or bad, with its reason."""
+        """Counts a message as `nan` or `bad`, with its reason."""
         self.nan, self.bad = self.nan + error.nan, self.bad + (not error.nan)
         reason = str(error)
         if reason not in self.reasons and len(self.reasons) >= TOPICS.max_reasons:
@@ -147,7 +149,7 @@ class TopicReport:
         self.gap, self.gaps, self.last = max(self.gap, gap), self.gaps + (gap > TOPICS.max_gap), stamp
 
     def sentences(self) -> Iterator[str]:
-        """Yields a sentence for each problem of this topic that a user should know of."""
+        """Yields a sentence for each problem of this topic that a user should know about."""
         for count, sentence in (
             (self.duplicated, "came twice with one stamp and were used once"),
             (self.late, "came too late to be put in order of stamp and were left out"),
@@ -164,7 +166,7 @@ class TopicReport:
 
 
 def rig_topics(rig: Rig) -> dict[str, TopicReport]:
-    """Returns a report without counts for each topic that the rig listens to, by name."""
+    """Returns an empty report for each topic of the rig, by name."""
     topics = rig.topics
     tf = topics.tf if rig.world_from == "tf" else None
     poses, transforms = (RosType.POSE, RosType.POSE_COVARIANCE), (RosType.TF, RosType.TF_ROS1)

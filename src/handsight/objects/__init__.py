@@ -1,21 +1,39 @@
 """Objects: what a hand can hold, as samples of the surface, distance fields and symmetries."""
 
-from handsight.objects.fields import Field, FieldValues
-from handsight.objects.library import Facts, Library
+from handsight.objects.fields import ExactField, Field, FieldError, FieldValues, GridField
+from handsight.objects.files import Shape, ply_bytes, read_shape
+from handsight.objects.geometry import Geometry
+from handsight.objects.library import Entry, Facts, Library
 from handsight.objects.model import ObjectModel
 from handsight.objects.spec import ObjectSpec
-from handsight.objects.surface import ObjectWarning
-from handsight.objects.symmetry import Symmetries
-from handsight.objects.symmetry_search import propose_symmetries
+from handsight.objects.surface import Cloud, ObjectWarning, Triangles, diameter
+from handsight.objects.symmetry import Symmetries, about, kept_center, nearest, tangents
+from handsight.objects.symmetry_search import declared_symmetries, propose_symmetries
 
 __all__ = [
+    "Cloud",
+    "Entry",
+    "ExactField",
     "Facts",
     "Field",
+    "FieldError",
     "FieldValues",
+    "Geometry",
+    "GridField",
     "Library",
     "ObjectModel",
     "ObjectSpec",
     "ObjectWarning",
+    "Shape",
     "Symmetries",
+    "Triangles",
+    "about",
+    "declared_symmetries",
+    "diameter",
+    "kept_center",
+    "nearest",
+    "ply_bytes",
     "propose_symmetries",
+    "read_shape",
+    "tangents",
 ]

@@ -1,6 +1,6 @@
-"""What was computed of an object, kept on disk, so that the same file, mesh or cloud is measured once.
+"""The cache on disk of geometries and appearances, so that the same file, mesh or cloud is processed once.
 
-The files are in `cache_folder()`, each named by the hash of what it was computed from. Losing the folder costs time,
+The files are in `cache_folder()`, each named by the hash of the input of its computation. Losing the folder costs time,
 nothing else. A damaged file is computed again; one that somebody forged is not noticed (SECURITY.md).
 """
 
@@ -22,16 +22,17 @@ from handsight.objects.geometry import Geometry, frozen
 from handsight.objects.surface import Cloud, ObjectWarning, Triangles
 
 VERSION = 10
-"""Raise it whenever the same shape gives another geometry."""
+"""Part of every key; raise it whenever the same shape gives another geometry."""
 KEPT = 200
 """Files of each kind that are kept; the oldest are removed."""
-APPEARANCES = "what objects look like"
+APPEARANCES = "appearances of objects"
+"""Name of masks and integers in the warning about a folder that cannot be written."""
 _warned: set[str] = set()
 T = TypeVar("T")
 
 
 def key(kind: str, *arrays: NDArray[np.generic]) -> str:
-    """Returns the name of the file for what is computed from these arrays; `kind` says what is computed."""
+    """Returns the key of a result that is computed from these arrays; `kind` names the computation."""
     digest = hashlib.sha256(f"{VERSION} {kind}".encode())
     for array in arrays:
         digest.update(f"{array.dtype.str} {array.shape}".encode())
@@ -40,10 +41,10 @@ def key(kind: str, *arrays: NDArray[np.generic]) -> str:
 
 
 def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
-    """Returns the geometry kept under `name`, or computes and keeps it.
+    """Returns the geometry kept under the key `name`, or computes and keeps it.
 
-    A damaged file, or one of another name, is computed again. Safe under several processes: a file appears complete
-    or not at all. Where the folder cannot be written, there is one ObjectWarning and no error.
+    A damaged file, or one that was written under another key, is computed again. Several processes may do this at
+    once: a file appears complete or not at all. A folder that cannot be written causes one ObjectWarning and no error.
     """
     path = cache_folder() / f"field-{name}.msgpack"
     return _remembered(path, name, "distance fields", _geometry, geometry_bytes, compute)
@@ -52,7 +53,7 @@ def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
 def remembered_bits(
     name: str, shape: tuple[int, int], compute: Callable[[], NDArray[np.bool_]]
 ) -> NDArray[np.bool_]:
-    """Returns the mask of that shape kept under `name`, or computes and keeps it as `remembered` does."""
+    """Returns the mask of that shape kept under the key `name`, or computes and keeps it as `remembered` does."""
 
     def load(data: memoryview) -> NDArray[np.bool_]:
         packed = np.frombuffer(data, dtype=np.uint8)
@@ -65,9 +66,9 @@ def remembered_bits(
 def remembered_numbers(
     name: str, fits: Callable[[NDArray[np.int32]], bool], compute: Callable[[], NDArray[np.int32]]
 ) -> NDArray[np.int32]:
-    """Returns the integers (n,) kept under `name`, or computes and keeps them as `remembered` does.
+    """Returns the integers (n,) kept under the key `name`, or computes and keeps them as `remembered` does.
 
-    `fits` says whether integers that were read are possible; where they are not, they are computed again.
+    `fits`: whether integers that were read from the file are possible; if not, they are computed again.
     """
 
     def load(data: memoryview) -> NDArray[np.int32]:
@@ -89,8 +90,11 @@ def _remembered(
     to_bytes: Callable[[T], bytes],
     compute: Callable[[], T],
 ) -> T:
-    """Returns what `load` reads in the file, or what `compute` returns, which is written; `what` is for the warning."""
-    with contextlib.suppress(Exception):  # whatever is wrong with a file, it can be computed again
+    """Returns what `load` makes of the file's content; else what `compute` returns, and writes that to the file.
+
+    `what` names the content in the warning about a folder that cannot be written.
+    """
+    with contextlib.suppress(Exception):  # whatever is wrong with the file, its content can be computed again
         return load(read_entry(path, name))
     built = compute()
     folder = path.parent

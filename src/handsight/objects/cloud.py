@@ -2,8 +2,8 @@
 
 Near the points the distance is the smooth average of the planes through them (implicit moving least squares,
 Kolluri 2008), or, where they are noisy, of the quadrics fitted to them (`handsight.objects.scans`); far away it is the
-distance to the nearest point, negative where the winding number of the cloud says inside. An open cloud has two sides
-and no inside. Outliers are not removed.
+distance to the nearest point, negative where the cloud's winding number is that of the inside. An open cloud has two
+sides and no inside. Outliers are not removed.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidObject
 from handsight.objects.fields import grid_fields, grids
-from handsight.objects.geometry import Geometry, measured, roughened, with_error
+from handsight.objects.geometry import Geometry, geometry_of, roughened, with_error
 from handsight.objects.meshes.box_tree import Winding
 from handsight.objects.scans.normals import estimated_normals
 from handsight.objects.scans.roughness import unseen_variances
@@ -28,20 +28,21 @@ class CloudOptions(NamedTuple):
 
     min_points: int = 20  # of a cloud
     planes: int = 10  # points whose planes are averaged
-    area_neighbours: int = 8  # points by which a point's share of the area is measured
-    near: float = 2.0  # spacings from a point below which the smooth surface counts alone
-    far: float = 4.0  # spacings beyond which the point counts alone
-    neighbours: int = 25  # points by whose middle a place is above them or beside them
+    area_neighbours: int = 8  # nearest points from which a point's share of the area is measured
+    near: float = 2.0  # distance to a point below which the smooth surface counts alone [spacings]
+    far: float = 4.0  # distance to a point beyond which the point counts alone [spacings]
+    neighbours: int = 25  # nearest points whose middle tells whether a place is above them or beside them
     opposite_cosine: float = -0.5  # points whose normals have a cosine below this are on two sides of a wall
-    rim: float = 0.4  # spacings past the last points up to which the distance to their surface counts alone
-    beside: float = 1.2  # spacings past the last points beyond which the distance to a point counts alone
-    behind: float = -0.5  # height in parts of the distance below which a place is behind an open cloud
+    rim: float = 0.4  # distance past the last points up to which their surface counts alone [spacings]
+    beside: float = 1.2  # distance past the last points beyond which a point counts alone [spacings]
+    behind: float = -0.5  # share of the distance: a place lower than this below an open cloud is behind it
 
 
 CLOUD = CloudOptions()
 
 Heights = Callable[[Array, Indices], Array]
-"""Heights (n,) [m] above the smooth surface of nodes (n, 3) near it, given the points nearest to them (n,)."""
+"""A function of nodes (n, 3) near the smooth surface, and of the indices (n,) of the points nearest to them, that
+returns the nodes' heights (n,) [m] above that surface."""
 
 
 def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
@@ -65,7 +66,7 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
     coarse, fine, coarser = grids(points, size)
     winding = Winding(points, cloud.areas[:, None] * normals)
     nodes = coarse.nodes()
-    # The width of the largest hole is twice the distance to the points, where inside meets outside.
+    # The largest hole is twice as wide as the points are far from where inside meets outside.
     gap, inside = tree.query(nodes)[0].reshape(coarse.shape), winding.inside(nodes).reshape(coarse.shape)
     hole = 0.0
     for axis, n in enumerate(coarse.shape):
@@ -81,7 +82,7 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
         return index, distances(fine.nodes_at(index))
 
     fields = grid_fields(coarse, distances(nodes), fine, exact, sheet=not closed, blur=blur)
-    geometry = measured(cloud, *fields, diameter=size, closed=closed, remarks=(*remarks, *coarser))
+    geometry = geometry_of(cloud, *fields, diameter=size, closed=closed, remarks=(*remarks, *coarser))
     if scan is None:
         return geometry
     geometry = roughened(geometry, scan.roughness)
@@ -114,9 +115,8 @@ def _checked(points: Array, normals: Array | None) -> tuple[Array, Array | None,
 def _is_wound_once(cloud: Cloud, winding: Winding) -> bool:
     """Returns whether the winding number is 1 behind nearly all points, and 0 in front of them."""
     index = np.random.default_rng(3).permutation(len(cloud.vertices))[:400]
-    step = (
-        2 * cloud.spacing * cloud.normals[index]
-    )  # nearer than two spacings, single points change the number
+    # Nearer than two spacings, single points change the winding number.
+    step = 2 * cloud.spacing * cloud.normals[index]
     behind, front = winding.at(cloud.vertices[index] - step), winding.at(cloud.vertices[index] + step)
     return bool(((behind > 0.5) & (front < 0.5)).mean() > 0.9)
 
@@ -128,7 +128,7 @@ def plane_heights(cloud: Cloud, tree: cKDTree) -> Heights:
         """Returns the mean height over the planes of the nearest points, by Gaussian weights of their distance."""
         gap, index = tree.query(nodes, k=min(CLOUD.planes, len(cloud.vertices)))
         near = gap[:, 0]
-        # Wide enough for a few points, wherever they are.
+        # The Gaussian is wide enough for a few points, near the cloud and far from it.
         width2 = (near + cloud.spacing) ** 2
         weight = np.exp(-((gap**2 - near[:, None] ** 2) / width2[:, None]))
         # Points on the far side of a thin wall get next to no weight.
@@ -164,7 +164,7 @@ def open_distances(cloud: Cloud, tree: cKDTree, heights: Heights) -> Callable[[A
     """Returns the signed distances (n,) [m] of nodes (n, 3) to a cloud without an inside.
 
     Above the points, the distance is the height over them; beside them, past a rim or an edge, it is the distance to
-    the nearest point, and never zero. It is negative behind the cloud. Where front gives way to back with no surface
+    the nearest point, and never zero. It is negative behind the cloud. Where front borders on back with no surface
     between them, the sign jumps (`handsight.objects.fields.GridField`).
     """
     points, normals = cloud.vertices, cloud.normals
@@ -178,7 +178,7 @@ def open_distances(cloud: Cloud, tree: cKDTree, heights: Heights) -> Callable[[A
     to_rim = 4 / (3 * np.pi) * np.sqrt(2 * count / np.pi) * spacing
 
     def distances(nodes: Array) -> Array:
-        """Returns the height above or below the points, blended into the distance to the nearest one beside them."""
+        """Returns the height over the points, blended into the distance to the nearest point beside them."""
         near, nearest = tree.query(nodes)
         height = np.einsum("ni,ni->n", nodes - points[nearest], normals[nearest])
         share = _smooth_step(near / cloud.spacing, CLOUD.near, CLOUD.far)

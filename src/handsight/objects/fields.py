@@ -28,20 +28,20 @@ class FieldOptions(NamedTuple):
     max_fine_nodes: int = 4_000_000  # of the fine field
     band: int = 4  # fine nodes within this many cells of the surface carry exact distances
     max_curvature: int = 72
-    """Largest curvature of an exact field, which would be infinite at edges and on the axis [1/diameters]."""
-    parallel: int = 16_384  # points that are enough for another thread
+    """Limit on the curvature of an exact field, which would be infinite at edges and on the axis [1/diameters]."""
+    parallel: int = 16_384  # points from which on another thread is worth its start
 
 
 FIELDS = FieldOptions()
 
 
 class FieldValues(NamedTuple):
-    """A `FieldValues` is the value of a distance field at n points of the object's frame."""
+    """`FieldValues` are a distance field and its two derivatives at n points of the object's frame."""
 
     distance: Array
     """(n,) to the surface [m], negative inside."""
     gradient: Array
-    """(n, 3) derivative of the distance; about unit, outward near the surface."""
+    """(n, 3) derivative of the distance; near the surface it points outward and has about unit length."""
     hessian: Array
     """(n, 3, 3) derivative of the gradient [1/m]."""
 
@@ -65,7 +65,7 @@ class Field:
         return FieldValues(values[:, 0], values[:, 1:4], values[:, 4:].reshape(-1, 3, 3))
 
     def fill(self, row: np.void, first_node: int) -> NDArray[np.float32]:
-        """Fills a FIELD record and returns a grid's nodes, which begin at `first_node` among those of the object."""
+        """Fills a FIELD record and returns the field's nodes, which begin at `first_node` among those of the object."""
         raise NotImplementedError
 
     @cached_property
@@ -75,7 +75,7 @@ class Field:
         return record, np.array(self.fill(record[0], 0))  # a copy, because kernels take writable nodes
 
     def __reduce__(self) -> tuple[type["Field"], tuple[Any, ...]]:
-        """Returns what pickle needs: the class and the values of its fields, without what was computed of them."""
+        """Returns the class and the values of its dataclass fields for pickle, without the cached record."""
         return type(self), tuple(getattr(self, part.name) for part in fields(self))  # type: ignore[arg-type]
 
 
@@ -108,7 +108,8 @@ class GridField(Field):
     sheet: bool = False
     """Whether the surface has no inside; the sign is then that of its sides."""
     blur: float = 0.0
-    """By how much the sheet's distances at two places on different sides may exceed the distance between these [m]."""
+    """How much the distances at two places on different sides of the sheet may add up to beyond the distance between
+    these places [m]."""
 
     def __post_init__(self) -> None:
         """Raises InvalidInput for too few nodes."""
@@ -144,10 +145,10 @@ class ExactField(Field):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldError:
-    """A `FieldError` is how far a fine field is off the object's surface, place by place, on a grid over the object.
+    """A `FieldError` is the error of a fine distance field as a function of place, on a grid over the object.
 
-    A grid rounds off edges and facets; near an edge its normal may be wrong by tens of degrees where on a face it is
-    right to one. A contact is only as exact as the model where it touches.
+    A grid of distances rounds off edges and facets: near an edge its normal may be wrong by tens of degrees, on a face
+    by less than one. A contact is only as exact as the model where it touches.
     """
 
     origin: Array
@@ -155,9 +156,9 @@ class FieldError:
     cell: float
     """Spacing of the nodes [m]."""
     values: Array
-    """(nx, ny, nz, 4): variances of the distance [m²] and of the normal per axis [rad²]; and, of the spurious
-    information that a scan's bumps add about a flat direction, those of the slope [rad²] and of the curvature [1/m²],
-    which are zero for a surface that is no scan."""
+    """(nx, ny, nz, 4): variances of the distance [m²] and of the normal per axis [rad²]; then those of the slope [rad²]
+    and of the curvature [1/m²], from which follows the spurious information that a scan's bumps add about a flat
+    direction. The last two are zero for a surface that is no scan."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,9 +200,9 @@ def grids(vertices: Array, diameter: float) -> tuple[Grid, Grid, tuple[str, ...]
 
 
 def coarse_grid(vertices: Array, diameter: float, width: float) -> tuple[Grid, bool]:
-    """Returns the grid of the coarse field around vertices (k, 3) [m], and whether its size forced it to be coarser.
+    """Returns the grid of the coarse field around vertices (k, 3) [m], and whether the limit on nodes made it coarser.
 
-    `diameter`, `width` (the smallest extent; 0 for a sheet) [m]. Its margin is half the diameter.
+    `diameter` [m]; `width`: the smallest extent [m], 0 for a flat sheet. The grid's margin is half the diameter.
     """
     cell = diameter / FIELDS.coarse_per_diameter
     if width > 1e-6 * diameter:
@@ -212,7 +213,7 @@ def coarse_grid(vertices: Array, diameter: float, width: float) -> tuple[Grid, b
 def _grid(vertices: Array, cell: float, margin: Callable[[float], float], most: int) -> tuple[Grid, bool]:
     """Returns a grid of at most `most` nodes, and whether its cells had to be larger than `cell` [m].
 
-    `margin`: the width around the vertices (k, 3) [m], by the size of a cell.
+    `margin(cell)`: width that the grid reaches beyond the vertices (k, 3) [m].
     """
     enlarged = False
     while True:
@@ -238,18 +239,18 @@ def grid_fields(
     sheet: bool,
     blur: float = 0.0,
 ) -> tuple[GridField, GridField]:
-    """Returns the fields on the coarse and on the fine grid; on the fine one, distances far from the surface are
-    interpolated.
+    """Returns the fields on the coarse and on the fine grid.
 
-    `values` (n,): distances at the coarse nodes [m]. `exact`: takes indices of fine nodes and a distance [m], and
-    returns those within that distance of the surface, or more of them, with their distances. `sheet`, `blur`: as in
-    `GridField`. For a sheet, size and sign are interpolated separately, because the sign jumps where the size does not.
+    `values` (n,): distances at the coarse nodes [m], from which those at fine nodes far from the surface are
+    interpolated. `exact(indices, distance)`: returns, of these fine nodes, at least those within that distance [m] of
+    the surface, and their signed distances. `sheet`, `blur`: as in `GridField`. For a sheet, size and sign are
+    interpolated separately, because the sign jumps where the size does not.
     """
     sharp = _interpolated(coarse, values, fine)
     band = FIELDS.band * fine.cell
     if sheet:
         sharp = np.copysign(_interpolated(coarse, np.abs(values), fine), sharp)
-    # Near the surface the interpolation is off by a fraction of a coarse cell, so this contains the whole band.
+    # Near the surface the interpolation errs by a fraction of a coarse cell, so these nodes include the band.
     index, distance = exact(np.flatnonzero(np.abs(sharp) < band + coarse.cell / 2), band)
     sharp[index] = distance
     return coarse.field(values, sheet=sheet, blur=blur), fine.field(sharp, sheet=sheet, blur=blur)

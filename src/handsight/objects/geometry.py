@@ -15,14 +15,14 @@ from handsight.objects.surface import Surface
 class GeometryOptions(NamedTuple):
     """`GeometryOptions` say how a surface is sampled, and when its size is suspect."""
 
-    samples: int = 256  # surface points that phase 1 of the correction matches contacts with
+    samples: int = 256  # surface points with which phase 1 of a correction matches contacts
     lloyd_steps: int = 12  # steps that spread them evenly
     drawn_per_sample: int = 20  # points drawn for each that is kept
     min_extent: float = 0.005  # of an object in a hand; a smaller one has another unit [m]
     max_extent: float = 2.0  # and a larger one [m]
     typical_samples: int = 2000  # points by which the typical error of a field is measured
     error_samples: int = 8000  # surface points compared with the field
-    error_neighbours: int = 12  # of these, how many the error at a place is the mean of
+    error_neighbours: int = 12  # nearest of these, whose mean is the error at a place
 
 
 GEOMETRY = GeometryOptions()
@@ -33,7 +33,7 @@ class Geometry:
     """A `Geometry` is an object's surface in its own frame: samples, two distance fields, and their errors."""
 
     coarse: GridField
-    """Smooth distance field with cells of an 18th of the diameter, from which descents converge from farther away."""
+    """Smooth distance field with cells of an 18th of the diameter; on it descents converge from farther away."""
     fine: Field
     """Sharp distance field: exact for box, cylinder, sphere; else a grid of a quarter of the coarse cell."""
     points_object: Array
@@ -41,20 +41,20 @@ class Geometry:
     normals_object: Array
     """(256, 3) their unit outward normals."""
     area: float
-    """Of the surface [m²]."""
+    """Area of the surface [m²]."""
     diameter: float
     """Largest distance between two surface points [m]."""
     bounds_object: Array
     """(2, 3) least and largest coordinates [m]."""
     closed: bool
-    """Whether the surface has an inside. The distance to an open one is negative behind it, where the nearest point is
-    within the surface and not on its rim."""
+    """Whether the surface encloses a volume. The distance to an open one is negative behind it, where the nearest point
+    is within the surface and not on its rim."""
     sigma_point: float
     """Error of the fine field: one standard deviation of its distance at surface points [m]."""
     sigma_normal: float
     """One standard deviation per axis of the angle from the surface's normals to the fine field's [rad]."""
     field_error: FieldError | None
-    """Both errors place by place; None where the fine field is exact."""
+    """Both errors as a function of place; None where the fine field is exact."""
     remarks: tuple[str, ...]
     """A sentence for each thing that was repaired or is unusual; also issued as `ObjectWarning`."""
     surface: Surface
@@ -88,17 +88,17 @@ class Geometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roughness:
-    """A `Roughness` is how far a scanned surface is off its object, place by place."""
+    """A `Roughness` is the error of a scanned surface at points of it."""
 
     points: Array
     """(m, 3) on the surface [m]."""
     variances: Array
-    """(m, 4), as in `FieldError`."""
+    """(m, 4) variances, as in `FieldError`."""
     weights: Array
-    """(m,) weight of each in the mean over neighbours."""
+    """(m,) weight of each point in the mean over neighbours."""
 
 
-def measured(
+def geometry_of(
     surface: Surface,
     coarse: GridField,
     fine: Field,
@@ -107,7 +107,7 @@ def measured(
     closed: bool = True,
     remarks: tuple[str, ...] = (),
 ) -> Geometry:
-    """Returns the geometry of a surface with these distance fields; `diameter` [m]."""
+    """Returns the geometry of a surface with these distance fields: its samples, sizes and errors; `diameter` [m]."""
     vertices, _ = frozen(surface.vertices), frozen(surface.faces)
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
     points, normals = _spread(surface, GEOMETRY.samples)
@@ -132,7 +132,7 @@ def measured(
 
 
 def roughened(geometry: Geometry, roughness: Roughness) -> Geometry:
-    """Returns the geometry with its errors increased by how far its surface is off the object."""
+    """Returns the geometry with its errors increased by the error of the scanned surface that it was built from."""
     weights = roughness.weights[:, None]
     given = np.hstack([weights * roughness.variances, weights])
 
@@ -162,16 +162,17 @@ Number = TypeVar("Number", bound=np.generic)
 
 
 def frozen(array: NDArray[Number]) -> NDArray[Number]:
-    """Returns the array, which can no longer be written to."""
+    """Returns the same array, made read-only."""
     array.flags.writeable = False
     return array
 
 
 def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
-    """Returns n evenly spread surface points (n, 3) [m] with normals (n, 3), each for about the same area.
+    """Returns n evenly spread surface points (n, 3) [m] with normals (n, 3), each standing for about the same area.
 
-    They are the farthest of many random points, one after another, and then moved by Lloyd's steps, each to the middle
-    of the points nearest to it. Distances include normals, so that the two sides of a thin wall are separate.
+    They are chosen from many random points, each the farthest from those before it, and then moved by Lloyd's steps,
+    each to the middle of the random points nearest to it. Distances include normals, so that the two sides of a thin
+    wall are separate.
     """
     from handsight._kernels.math.spreading import snapped, spread_out  # numba's import is long
 
@@ -183,7 +184,8 @@ def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
 
 
 def _field_error(surface: Surface, fine: Field, cell: float) -> FieldError:
-    """Returns the error of a fine field, from samples of the surface within about half a cell [m] of each node."""
+    """Returns the error of a fine field on a grid with this cell [m], from the samples of the surface nearest to each
+    node."""
     points, distance, angle = _errors(surface, fine, GEOMETRY.error_samples, seed=2)
     # From mean magnitudes, √(2/π) and √(π/2) of a Gaussian's deviation, because squares would let a few samples at an
     # edge dominate their neighbours.

@@ -25,35 +25,35 @@ from handsight.objects.surface import SURFACE, ObjectWarning, Triangles
 from handsight.objects.symmetry import Symmetries, check_kept, kept_center, nearest
 
 USUAL_SIGMA = 2e-3
-"""Of a centre of mass that is given without a standard deviation, per axis [m]."""
+"""Standard deviation per axis of a centre of mass that is given without one [m]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ObjectModel(Geometry):
-    """An `ObjectModel` is an object's surface with what is known of the object.
+    """An `ObjectModel` is the geometry of an object's surface, with the object's name, symmetries and weight.
 
     It is created by `box`, `cylinder`, `sphere`, `from_file`, `from_library`, `from_mesh` or `from_points`.
     """
 
     name: str
-    """Its name in plots, such as a file's stem. May be empty."""
+    """The name shown in plots, such as a file's stem; it may be empty."""
     symmetries: Symmetries
     """The declared rotations that leave the surface in place."""
     mass: float | None = None
-    """[kg]; None where it is not known."""
+    """[kg]; None where unknown."""
     center_of_mass: Array | None = None
-    """(3,) in the object's frame [m]; None where it is not known."""
+    """(3,) in the object's frame [m]; None where unknown."""
     sigma_center_of_mass: float = USUAL_SIGMA
-    """One standard deviation per axis [m]."""
+    """One standard deviation of the centre of mass per axis [m]."""
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput for symmetries of another type."""
+        """Raises InvalidInput where `symmetries` are of another type."""
         if not isinstance(self.symmetries, Symmetries):
             came = type(self.symmetries).__name__
             raise InvalidInput(f"symmetries: expected Symmetries or None, got {came}")
 
     def __repr__(self) -> str:
-        """Returns name, size, and whether the surface is closed."""
+        """Returns the name, the size, and whether the surface is closed."""
         size = " × ".join(f"{1000 * side:.3g}" for side in np.ptp(self.bounds_object, axis=0))
         kind = "closed" if self.closed else "open"
         return f"<ObjectModel {self.name or 'without a name'}: {size} mm, {kind}>"
@@ -88,8 +88,8 @@ class ObjectModel(Geometry):
     ) -> Self:
         """Returns the object whose surface is the triangles `faces` (m, 3) of `vertices` (k, 3) [m].
 
-        Triangles are counterclockwise seen from outside; inconsistent or inverted ones are turned, with a remark. An
-        open surface is valid. Raises InvalidObject where there is no surface.
+        Triangles are counterclockwise as seen from outside; inconsistent or inverted ones are turned over, and an
+        `ObjectWarning` says so. An open surface is valid. Raises InvalidObject where there is no surface.
         """
         mesh = _checked_mesh(vertices, faces)
         name = cache.key("mesh", mesh.vertices, mesh.faces)
@@ -99,10 +99,10 @@ class ObjectModel(Geometry):
     def from_points(
         cls, points: ArrayLike, normals: ArrayLike | None = None, *, symmetries: Symmetries | None = None
     ) -> Self:
-        """Returns the object whose surface the points (n, 3) [m] lie on.
+        """Returns the object whose surface goes through the points (n, 3) [m].
 
         `normals` (n, 3): outward, of any length; None: they are estimated. Outliers are not removed. Raises
-        InvalidInput for numbers that are not finite, InvalidObject below 20 different points.
+        InvalidInput for numbers that are not finite, InvalidObject for fewer than 20 different points.
         """
         places, directions = _checked_points(points, normals)
         name = cache.key("cloud", places, np.empty((0, 3)) if directions is None else directions)
@@ -122,7 +122,7 @@ class ObjectModel(Geometry):
         file, data = Path(path), content(path)
 
         def build() -> Geometry:
-            """Returns the geometry of what the file holds, with remarks that begin with the file's name."""
+            """Returns the geometry of the mesh or cloud in the file; its remarks begin with the file's name."""
             shape = shape_of(file, data)
             with np.errstate(over="ignore"):  # coordinates that are too large are refused below
                 points = scale * shape.vertices
@@ -140,26 +140,27 @@ class ObjectModel(Geometry):
             remarks = tuple(f"{file.name}: {remark}" for remark in (*shape.remarks, *geometry.remarks))
             return dataclasses.replace(geometry, remarks=remarks)
 
-        # The name counts too: remarks begin with it, and its extension says how the bytes are read.
+        # The file's name is part of the key: remarks begin with it, and its extension selects the reader.
         name = cache.key(f"file {scale!r} {file.name}", np.frombuffer(data, dtype=np.uint8))
         return cls._from(cache.remembered(name, build), file.stem, symmetries or Symmetries())
 
     @classmethod
     def from_library(cls, name: str, library: str | os.PathLike[str] | None = None) -> ObjectModel:
-        """Returns the object with that name in a library, with the symmetries and the weight that are declared there.
+        """Returns the object with that name in a library, with the symmetries and the weight declared there.
 
         `library`: a folder or a URL; None: `$HANDSIGHT_LIBRARY`, else the user's own. Raises InvalidInput for an
         unknown name, InvalidFile where there is no library or the object's file is not the one that was added.
         """
-        from handsight.objects.library import Library  # a library builds models
+        # At the top of the file this would be a circular import: a library builds models.
+        from handsight.objects.library import Library
 
         return Library(library).model(name)
 
     @classmethod
     def _from(cls, geometry: Geometry, name: str, symmetries: Symmetries) -> Self:
         """Returns a model with that geometry, and issues the geometry's remarks as warnings."""
-        measured = {part.name: getattr(geometry, part.name) for part in dataclasses.fields(geometry)}
-        model = cls(**measured, name=name, symmetries=symmetries)
+        parts = {part.name: getattr(geometry, part.name) for part in dataclasses.fields(geometry)}
+        model = cls(**parts, name=name, symmetries=symmetries)
         for remark in geometry.remarks:
             warnings.warn(remark, ObjectWarning, stacklevel=3)
         return model
@@ -171,19 +172,22 @@ class ObjectModel(Geometry):
         return self.surface.draw(int(n), np.random.default_rng(seed))
 
     def evaluate(self, points_object: ArrayLike, *, fine: bool = True) -> FieldValues:
-        """Returns distance, gradient and Hessian of a field at the points (n, 3) [m]; raises InvalidInput."""
+        """Returns distance, gradient and Hessian at the points (n, 3) [m]; raises InvalidInput.
+
+        `fine`: from the sharp distance field; False: from the smooth, coarse one.
+        """
         points = checks.finite(points_object, "points_object", (None, 3))
         return (self.fine if fine else self.coarse).evaluate(points)
 
     @cached_property
     def record(self) -> ModelRecord:
-        """The object as kernels take it."""
+        """The object as the record and the grid nodes that kernels take."""
         return model_record(self, self.symmetries)
 
     def nearest(self, T: Array, T_reference: Array) -> Array:
-        """Returns the pose (4, 4) nearest to a reference (4, 4) of those equivalent to `T` (4, 4) by symmetry.
+        """Returns, of the poses (4, 4) that symmetry makes equivalent to `T`, the one nearest to a reference (4, 4).
 
-        It is `symmetry.nearest`, computed by a kernel where that knows the symmetry.
+        The answer is that of `symmetry.nearest`; a kernel computes it, faster, where it knows the kind of symmetry.
         """
         if self.symmetries.trivial:
             return T
@@ -206,10 +210,11 @@ class ObjectModel(Geometry):
         center_of_mass: ArrayLike | None = None,
         sigma_center_of_mass: float | None = None,
     ) -> Self:
-        """Returns the same object with its mass [kg], its centre of mass (3,) [m], and the standard deviation of that.
+        """Returns the same object with this mass [kg] and this centre of mass (3,) [m]; None means unknown.
 
-        None means unknown. Raises InvalidInput, also for a centre that the declared symmetries would
-        move: an object that is heavier on one side is not symmetric to a hand that weighs it.
+        `sigma_center_of_mass`: standard deviation of the centre of mass per axis [m]. Raises InvalidInput, also for a
+        centre that the declared symmetries would move: an object that is heavier on one side is not symmetric to a
+        hand that weighs it.
         """
         sigma = USUAL_SIGMA if sigma_center_of_mass is None else sigma_center_of_mass
         checks.sigma(sigma, "sigma_center_of_mass")
@@ -239,14 +244,14 @@ def _length(value: float, name: str) -> float:
 
 
 def _check_range(value: ArrayLike, name: str) -> None:
-    """Raises InvalidInput for lengths [m] that no unit explains, whose squares would overflow."""
+    """Raises InvalidInput for lengths [m] so small or large that no mistaken unit explains them."""
     if np.min(value) < SURFACE.min_size or np.max(value) > SURFACE.max_size:
         expected = f"expected metres between {SURFACE.min_size:g} and {SURFACE.max_size:g}"
         raise InvalidInput(f"{name}: {expected}, got {checks.brief(np.asarray(value))}")
 
 
 def _of_mesh(mesh: Triangles) -> Geometry:
-    # It imports SciPy, which an object from the cache does not need.
+    # Imported here because it imports SciPy, which an object from the cache does not need.
     from handsight.objects.meshes.mesh_geometry import mesh_geometry
 
     return mesh_geometry(mesh)

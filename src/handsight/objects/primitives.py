@@ -8,7 +8,7 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.objects.fields import ExactField, coarse_grid
-from handsight.objects.geometry import Geometry, measured
+from handsight.objects.geometry import Geometry, geometry_of
 from handsight.objects.surface import Triangles, diameter
 from handsight.objects.symmetry import Symmetries
 
@@ -89,4 +89,4 @@ def _geometry(surface: Triangles, exact: ExactField) -> Geometry:
     """Returns the geometry of a surface whose distance field is exact."""
     vertices, size = surface.vertices, diameter(surface.vertices)
     grid, _ = coarse_grid(vertices, size, float(np.ptp(vertices, axis=0).min()))
-    return measured(surface, grid.field(exact.evaluate(grid.nodes()).distance), exact, diameter=size)
+    return geometry_of(surface, grid.field(exact.evaluate(grid.nodes()).distance), exact, diameter=size)

@@ -11,19 +11,22 @@ from handsight.objects.symmetry import Symmetries
 
 
 class RecordOptions(NamedTuple):
-    """`RecordOptions` are the errors and weights that kernels are given of an object."""
+    """`RecordOptions` are the errors that an object's model is assumed to have, and the weights of phase 1.
+
+    Phase 1 of a correction matches contacts with samples of the surface.
+    """
 
     edge: float = 0.75  # radius of curvature below which the surface counts as an edge [coarse cells]
     facet_margin: float = 0.01  # how far facets may be within the surface that they approximate [diameters]
     normal_weight: float = 1.3
-    """Distance by which a unit of normal counts when contacts are matched with samples [diameters]."""
+    """Distance that a difference of 1 between unit normals counts as, when a contact is matched [diameters]."""
     band: float = 1.6  # tangential distance to a sample that costs nothing [spacings of the samples]
     tangential: float = 0.32  # standard deviation of the distance beyond it [spacings]
     patch: float = 0.02  # standard deviation of the surface about a sample's plane [spacings]
-    least_distance: float = 1e-4  # no model's surface is assumed to be more exact than this [diameters]
-    least_normal: float = 2e-3  # and no model's normal [rad]
-    coarse_distance: float = 0.03  # error of the smooth field on faces: of its distance [coarse cells]
-    coarse_normal: float = 0.03  # and of its normal [rad]
+    least_distance: float = 1e-4  # least standard deviation that is assumed for a model's surface [diameters]
+    least_normal: float = 2e-3  # least standard deviation that is assumed for a model's normal [rad]
+    coarse_distance: float = 0.03  # standard deviation of the coarse field's distance on faces [coarse cells]
+    coarse_normal: float = 0.03  # standard deviation of the coarse field's normal on faces [rad]
 
 
 RECORD = RecordOptions()
@@ -37,7 +40,8 @@ class ModelRecord(NamedTuple):
     nodes: NDArray[np.float32]
     """The nodes of its grids, one grid after another."""
     symmetry_known: bool
-    """Whether kernels know its kind of symmetry."""
+    """Whether kernels can find the object's equivalent poses: where its symmetries are none, finitely many, or one axis
+    through the origin. For others `symmetry.nearest` finds them."""
 
 
 def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
@@ -62,8 +66,8 @@ def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
     symmetry["kind"], symmetry["axes"] = _kind(symmetries), len(symmetries.axes)
     for k, (point, direction) in enumerate(symmetries.axes):
         symmetry["pivot"], symmetry["axis"][k] = point, direction
-    count = min(len(symmetries.rotations), records.MOST_ROTATIONS)
-    symmetry["rotations"], symmetry["rotation"][:count] = count, symmetries.rotations[:count, :3]
+    count = len(symmetries.rotations)  # at most `symmetry.MAX_ROTATIONS`, for which the record has room
+    symmetry["rotations"], symmetry["rotation"][:count] = count, symmetries.rotations[:, :3]
     row["normal_weight2"] = (RECORD.normal_weight * diameter) ** 2
     row["band"], row["tangential_weight"] = RECORD.band * spacing, 1 / (RECORD.tangential * spacing) ** 2
     row["sample_variance_distance"] = (RECORD.patch * spacing) ** 2
@@ -76,11 +80,9 @@ def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
 
 
 def _kind(symmetries: Symmetries) -> int:
-    """Returns the kernels' kind of these symmetries; OTHER_SYMMETRY where they have none for them."""
+    """Returns the kernels' name for the kind of these symmetries; OTHER_SYMMETRY for a kind that they do not know."""
     if symmetries.trivial:
         return records.NO_SYMMETRY
-    if len(symmetries.rotations) > records.MOST_ROTATIONS:
-        return records.OTHER_SYMMETRY
     if not symmetries.axes:
         return records.DISCRETE
     point, direction = symmetries.axes[0]

@@ -10,16 +10,16 @@ from handsight.objects.model import ObjectModel
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectSpec:
-    """An `ObjectSpec` is one of box, cylinder, mesh and name, and what a file states of the object's weight."""
+    """An `ObjectSpec` is one of box, cylinder, mesh and name, and the declared weight of the object."""
 
     box: tuple[float, float, float] | None = None
     """Sides [m]."""
     cylinder: tuple[float, float] | None = None
     """Radius and height [m]."""
     mesh: Path | None = None
-    """File of a mesh."""
+    """File of a mesh or a point cloud."""
     scale: float = 1.0
-    """Metres per unit of the mesh."""
+    """Metres per unit of that file."""
     name: str | None = None
     """Name in the library, as `ObjectModel.from_library` takes it."""
     mass: float | None = None

@@ -12,13 +12,13 @@ from handsight.errors import InvalidObject
 
 
 class SurfaceOptions(NamedTuple):
-    """`SurfaceOptions` are limits of a surface's size."""
+    """`SurfaceOptions` are limits on the size of a surface and of its holes."""
 
     min_size: float = 1e-6  # a smaller one is refused [m]
     max_size: float = 1e6  # a larger one is refused [m]
     max_hole: float = 0.25
-    """A surface with a hole wider than this part of the diameter is open. Up to about its width from a hole, inside and
-    outside are a guess; past a quarter of the diameter, that would be most of the object.
+    """A surface with a hole wider than this share of the diameter is open. Nearer to a hole than its width, inside and
+    outside are a guess; with a wider hole that would be most of the object.
     """
 
 
@@ -26,7 +26,18 @@ SURFACE = SurfaceOptions()
 
 
 class ObjectWarning(UserWarning):
-    """Something about an object was repaired, or is unusual."""
+    """The warning that something about an object was repaired, or is unusual."""
+
+
+class Edges(NamedTuple):
+    """`Edges` are the edges of a mesh, and the triangles that have them."""
+
+    vertices: Indices
+    """(e, 2) the two vertices of each edge, the smaller index first."""
+    of_face: Indices
+    """(m, 3) the edges of each triangle: from its corner 0 to 1, 1 to 2 and 2 to 0."""
+    counts: Indices
+    """(e,) how many triangles have each edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +56,7 @@ class Triangles:
 
     @property
     def corners(self) -> Array:
-        """(m, 3, 3) of each triangle [m]."""
+        """(m, 3, 3) the corners of each triangle [m]."""
         return np.asarray(self.vertices[self.faces])
 
     @cached_property
@@ -56,21 +67,20 @@ class Triangles:
 
     @cached_property
     def areas(self) -> Array:
-        """(m,) of each triangle [m²]."""
+        """(m,) the area of each triangle [m²]."""
         return np.asarray(np.linalg.norm(self.doubled_normals, axis=1) / 2)
 
     @cached_property
-    def edges(self) -> tuple[Indices, Indices, Indices]:
-        """The two vertices of each edge (e, 2), the smaller index first; the edges of each triangle (m, 3), from its
-        corner 0 to 1, 1 to 2 and 2 to 0; and how many triangles each edge has (e,)."""
+    def edges(self) -> Edges:
+        """The edges of the triangles, each once."""
         ordered = np.sort(self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         keys = ordered[:, 0] * (int(self.faces.max()) + 1) + ordered[:, 1]
         _, first, which, count = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
-        return ordered[first], which.reshape(-1, 3), count
+        return Edges(ordered[first], which.reshape(-1, 3), count)
 
     @property
     def volume_centroid(self) -> Array:
-        """(3,) the centroid of the enclosed volume [m]; raises InvalidObject where there is no volume."""
+        """(3,) the centroid of the enclosed volume [m]; raises InvalidObject where that volume is zero."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         sixfold = np.einsum("ij,ij->i", a, np.cross(b, c))
         total = sixfold.sum()
@@ -96,7 +106,7 @@ class Triangles:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
-    """A `Cloud` is the surface that oriented points lie on."""
+    """A `Cloud` is a surface given by points on it, with their normals and areas."""
 
     vertices: Array
     """(n, 3) [m]."""
@@ -121,7 +131,7 @@ class Cloud:
         return float(np.sqrt(np.median(self.areas)))
 
     def draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Returns n random ones of the points (n, 3) [m], each as often as its area, and their normals (n, 3)."""
+        """Returns n of the points (n, 3) [m], drawn in proportion to their areas, and their normals (n, 3)."""
         index = drawn_by_area(self.areas, n, rng)
         return self.vertices[index], self.normals[index]
 
@@ -130,14 +140,14 @@ Surface = Triangles | Cloud
 
 
 def drawn_by_area(areas: Array, n: int, rng: np.random.Generator) -> Indices:
-    """Returns n random indices (n,) of parts, each as often as its share of the `areas` (m,)."""
-    # One draw in each n-th of the area is as uniform as n independent draws, and more even.
+    """Returns n random indices (n,) of parts, drawn in proportion to the `areas` (m,) of the parts."""
+    # Stratified: one draw in each n-th of the area is as uniform as n independent draws, and more even.
     at = (np.arange(n) + rng.random(n)) / max(n, 1)
     return np.asarray(np.searchsorted(np.cumsum(areas) / areas.sum(), at).clip(max=len(areas) - 1))
 
 
 def check_extent(points: Array, name: str) -> float:
-    """Returns the largest extent [m] of points (n, 3) along an axis; raises InvalidObject for an impossible one."""
+    """Returns the largest extent [m] of points (n, 3) along an axis; raises InvalidObject for an impossible size."""
     with np.errstate(over="ignore"):
         extent = float(np.ptp(points, axis=0).max())
     if extent == 0:
@@ -150,7 +160,7 @@ def check_extent(points: Array, name: str) -> float:
 
 
 def distinct(points: Array, extent: float) -> tuple[Indices, Indices]:
-    """Returns the indices (k,) of points (n, 3) without repeats, in order, and the place (n,) of each point among them.
+    """Returns the indices (k,) of the points (n, 3) that repeat no earlier one, and each point's place (n,) in them.
 
     Points closer than 1e-9 of the `extent` [m] are repeats.
     """

@@ -1,4 +1,4 @@
-"""Symmetries that the shape of an object suggests, and symmetries given in words, which the shape must have.
+"""Symmetries that are found in an object's shape, and symmetries declared in words and checked against the shape.
 
 Only a person can decide whether a print on the surface distinguishes two poses of the same shape.
 """
@@ -17,25 +17,25 @@ from handsight.objects.surface import Triangles
 from handsight.objects.symmetry import MAX_ROTATIONS, Symmetries, about
 
 ORDERS = (8, 6, 5, 4, 3, 2)
-"""Of the axes that are tried; the highest is tried first."""
+"""Orders of the rotations that are tried about an axis, the highest first."""
 
 
 class SymmetrySearchOptions(NamedTuple):
     """`SymmetrySearchOptions` say how symmetries are found, and how exact a declared one must be."""
 
-    tolerance: float = 0.01  # how far a turned surface may be off itself [diameters]
+    tolerance: float = 0.01  # distance of the turned surface from the surface that counts as none [diameters]
     samples: int = 400  # surface points that are compared
     max_start_error: float = 0.06
-    """Root mean square distance from which no refinement leads to a symmetry [diameters]."""
+    """Root mean square distance above which no refinement leads to a symmetry [diameters]."""
     equal_moments: float = 0.15
-    """Where principal moments differ by less than this part, the axes between them are tried too."""
+    """Where two principal moments differ by less than this share, axes between theirs are tried too."""
     steps: int = 6  # of a refinement
     directions: int = 150  # directions tried on the half sphere where no axis is distinguished
     percentile: int = 98
-    """Per cent of the samples that must be within the tolerance: the field rounds off corners, which few samples are
-    on."""
-    declared_tolerance: float = 0.04  # as `tolerance`, for a symmetry that a person declares [diameters]
-    declared_samples: int = 1000  # and as `samples`
+    """Per cent of the samples that must be within the tolerance; the others may be at corners, which the field rounds
+    off."""
+    declared_tolerance: float = 0.04  # `tolerance` for a symmetry that a person declares [diameters]
+    declared_samples: int = 1000  # `samples` for such a symmetry
 
 
 SEARCH = SymmetrySearchOptions()
@@ -55,10 +55,10 @@ class _Axis(NamedTuple):
 def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Symmetries:
     """Returns the rotations that take the surface onto itself to within `tolerance` [m] nearly everywhere.
 
-    Default tolerance: 1 % of the diameter. Tried are rotations of order 2, 3, 4, 5, 6, 8 and any angle about
-    the axes of inertia and, where those are not unique, about axes between them; found are the cyclic and
-    dihedral groups, those of the tetrahedron and the cube, the cylinder and the ball. This declares nothing:
-    `model.with_symmetries(...)` does. Raises InvalidInput for a tolerance that is not positive.
+    Default tolerance: 1 % of the diameter. The search tries rotations of order 2, 3, 4, 5, 6, 8 and by any angle
+    about the principal axes of inertia and, where those are not unique, about axes between them. It finds cyclic and
+    dihedral groups and those of the tetrahedron, the cube, the cylinder and the ball. The model stays as it is:
+    `model.with_symmetries(...)` declares them. Raises InvalidInput for a tolerance that is not positive.
     """
     limit = SEARCH.tolerance * model.diameter
     if tolerance is not None:
@@ -79,11 +79,11 @@ def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Sy
     return search.group(axes)
 
 
-def declared(model: ObjectModel, words: Sequence[str]) -> Symmetries:
-    """Returns the symmetries given in words, about the middle of the surface.
+def declared_symmetries(model: ObjectModel, words: Sequence[str]) -> Symmetries:
+    """Returns the symmetries that words declare, about the middle of the surface.
 
-    `z` is any turn about z, `z/4` quarter turns, `find` alone is `propose_symmetries`. Raises InvalidInput for other
-    words, and for turns that move the surface.
+    `z` stands for all turns about z, `z/4` for quarter turns about it, and `find`, alone, for `propose_symmetries`.
+    Raises InvalidInput for other words, and for turns that move the surface.
     """
     if "find" in words:
         if len(words) > 1:
@@ -112,13 +112,13 @@ def declared(model: ObjectModel, words: Sequence[str]) -> Symmetries:
 
 
 def _distance(model: ObjectModel, T: Array, points: Array) -> float:
-    """Returns the distance [m] to the surface that nearly all of its points (n, 3) keep to after `T`."""
+    """Returns a high percentile of the distances [m] to the surface from its points (n, 3) after the motion `T`."""
     distance = model.fine.evaluate(se3.apply(T, points)).distance
     return float(np.percentile(np.abs(distance), SEARCH.percentile))
 
 
 class _Search:
-    """Symmetry axes of an object, found by how far its turned samples are from its surface."""
+    """A search for symmetry axes of an object, by the distances of its turned samples from its surface."""
 
     def __init__(self, model: ObjectModel, tolerance: float) -> None:
         self.points, _ = model.sample(SEARCH.samples)
@@ -129,18 +129,18 @@ class _Search:
         self.limit = tolerance + self.worst(np.eye(4))
 
     def worst(self, T: Array) -> float:
-        """Returns the distance [m] to the surface that nearly all samples keep to after `T`."""
+        """Returns a high percentile of the distances [m] of the samples from the surface after the motion `T`."""
         return _distance(self.model, T, self.points)
 
     def directions(self) -> Array:
         """Returns directions (k, 3) of possible axes: principal ones, x, y, z, and those between equal moments."""
-        sure = np.vstack([self.principal.T[::-1], np.eye(3)])
+        found = np.vstack([self.principal.T[::-1], np.eye(3)])
         low, middle, high = self.moments
         if low > (1 - SEARCH.equal_moments) * high:
             k = np.arange(SEARCH.directions) + 0.5
             z, angle = k / SEARCH.directions, np.pi * (1 + np.sqrt(5)) * k
             r = np.sqrt(1 - z * z)
-            return np.vstack([sure, np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)])
+            return np.vstack([found, np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)])
         for i, j, alike in (
             (0, 1, low > (1 - SEARCH.equal_moments) * middle),
             (1, 2, middle > (1 - SEARCH.equal_moments) * high),
@@ -148,11 +148,11 @@ class _Search:
             if alike:
                 angle = np.pi * np.arange(48)[:, None] / 48
                 between = np.cos(angle) * self.principal[:, i] + np.sin(angle) * self.principal[:, j]
-                sure = np.vstack([sure, between])
-        return sure
+                found = np.vstack([found, between])
+        return found
 
     def refined(self, T: Array) -> Array | None:
-        """Returns `T` moved so that it brings the samples nearest to the surface; None where that is far."""
+        """Returns `T` moved so that it brings the samples nearest to the surface; None if they stay far from it."""
         for step in range(SEARCH.steps):
             moved = se3.apply(T, self.points)
             distance, gradient, _ = self.model.fine.evaluate(moved)
@@ -177,7 +177,7 @@ class _Search:
         return self.center + point, direction
 
     def continuous(self, direction: Array) -> tuple[Array, Array] | None:
-        """Returns point and direction of the axis near a direction about which any turn keeps the surface, or None."""
+        """Returns point and direction of an axis near a direction about which any turn keeps the surface, or None."""
         T = self.refined(about(self.center, _SPINS[0] * direction))
         if T is None:
             return None
@@ -187,7 +187,7 @@ class _Search:
         return None
 
     def finite(self, direction: Array) -> _Axis | None:
-        """Returns the axis near a direction whose order is the highest that keeps the surface, or None."""
+        """Returns the axis near a direction with the highest order that keeps the surface, or None."""
         for order in ORDERS:
             T = self.refined(about(self.center, 2 * np.pi / order * direction))
             if T is None:
@@ -201,8 +201,8 @@ class _Search:
         return None
 
     def of_revolution(self, point: Array, axis: Array) -> Symmetries:
-        """Returns the symmetries of a surface with a continuous axis: a ball's, or the axis with or without a half turn
-        that swaps its ends."""
+        """Returns the symmetries of a surface with this continuous axis: those of a ball, or the axis with or without a
+        half turn that swaps its ends."""
         side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         side /= np.linalg.norm(side)
         if self.continuous(side) is not None:
@@ -217,7 +217,7 @@ class _Search:
         return Symmetries([(point, axis)])
 
     def group(self, axes: list[_Axis]) -> Symmetries:
-        """Returns the largest group of these axes, at the exact angles of the group, that keeps the surface."""
+        """Returns the largest group with these axes that keeps the surface, at the exact angles of that group."""
         if not axes:
             return Symmetries()
         axes = sorted(axes, key=lambda a: -a.order)

@@ -1,7 +1,7 @@
-"""Recordings: MCAP, rosbag 1 and rosbag 2 to `Observation`s and back, and what was tracked as MCAP, TUM or CSV.
+"""Recordings: MCAP, rosbag 1 and rosbag 2 read as `Observation`s and written as MCAP; tracks written as MCAP, TUM, CSV.
 
-`handsight.messages` describes what happens to the messages, which is the same for a recording as for a running robot.
-Of a damaged file all is read that can be; `report.truncated` and `report.sentences()` tell what was lost.
+`handsight.messages` describes how messages become observations, for a recording as for a running robot. Everything
+readable of a damaged file is read; `report.truncated` and `report.sentences()` say what was lost.
 """
 
 from handsight.recording.detections import BopResult, read_bop_results

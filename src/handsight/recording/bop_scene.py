@@ -1,4 +1,4 @@
-"""Scenes of the BOP benchmark as `Frame`s: one scene's folder, or a split's folder with scenes in it.
+"""Scenes of the BOP benchmark as `Frame`s: the folder of one scene, or of a split with scenes in it.
 
 https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md
 """
@@ -29,26 +29,26 @@ class ImageCamera(msgspec.Struct):
     cam_K: tuple[float, float, float, float, float, float, float, float, float]
     """(3, 3) camera matrix, row by row [pixels]."""
     depth_scale: Annotated[float, Meta(gt=0)]
-    """Millimetres of a step of depth."""
+    """Millimetres per step of depth."""
 
 
 def scenes_in(path: Path) -> list[Path]:
-    """Returns the folder itself if it is a scene, else the scenes in it."""
+    """Returns the folder itself if it is a scene, else the folders of the scenes in it."""
     if (path / CAMERAS).is_file():
         return [path]
     return sorted(folder for folder in path.iterdir() if (folder / CAMERAS).is_file())
 
 
 def bop_frames(path: Path, scenes: list[Path], beside: Beside) -> Frames:
-    """Returns the frames of the scenes in a folder, by the numbers of images; raises InvalidFile, InvalidInput.
+    """Returns the frames of scenes, in the order of the image numbers; raises InvalidFile, InvalidInput.
 
-    A user may declare only a mask beside them; the rest is in the scene.
+    A user may add only a mask, as camera, depth scale and colour images are part of the scenes.
     """
     if beside.camera is not None or beside.color is not None or beside.depth_scale != MILLIMETRE:
         raise InvalidInput(f"{path}: expected no camera, colour and depth scale beside a BOP scene, got one")
     images = dict[Path, tuple[Path, int, ImageCamera]]()
     for scene in scenes:
-        file, most_bytes = scene / CAMERAS, 100_000_000  # as of a hundred thousand images
+        file, most_bytes = scene / CAMERAS, 100_000_000  # the size for a hundred thousand images
         cameras = decode(read_bytes(file, most_bytes), dict[str, ImageCamera], str(file))
         if wrong := next((key for key in cameras if not _is_number(key)), None):
             raise InvalidFile(f"{file}: expected numbers of images as keys, got {wrong!r:.80}")
@@ -76,7 +76,7 @@ def bop_frames(path: Path, scenes: list[Path], beside: Beside) -> Frames:
             number=(int(scene.name) if _is_number(scene.name) else 0, image),
         )
 
-    # A data set's folder lies two levels above its scenes (data set, split, scene), and may have models.
+    # The data set's folder is two levels above a scene (data set, split, scene), and may have models.
     above = scenes[0].resolve().parents[1:2]
     library = next((folder for folder in above if (folder / "models" / INFO).is_file()), None)
     return Frames(len(images), read_each(list(images), read), library)
@@ -88,5 +88,5 @@ def _is_number(key: str) -> bool:
 
 @lru_cache(maxsize=8)
 def _camera(K: tuple[float, ...], size: tuple[int, int]) -> Camera:
-    """Returns the camera of one data set's images, whose rays are computed only once."""
+    """Returns the camera with this matrix and size; cached, as its rays are expensive."""
     return Camera(np.array(K).reshape(3, 3), size)

@@ -1,7 +1,7 @@
-"""The base of all kinds of recording files: raw messages, and the chunks in which they are stored.
+"""The base classes of all recording files: raw messages, and the chunks in which they are stored.
 
-A file may be damaged, or not be what it seems: no length in it is trusted beyond the file's own, and what it may unpack
-to is bounded.
+A file may be damaged: a length in it is trusted only up to the end of the file, and the size of unpacked data is
+bounded.
 """
 
 import math
@@ -27,15 +27,17 @@ Each = TypeVar("Each")
 
 
 class ChunkLimits(NamedTuple):
-    """`ChunkLimits` say how much a recording may unpack to, in bytes."""
+    """`ChunkLimits` bound the unpacked content of a recording [bytes]."""
 
-    max_unpacked: int = 1 << 27  # of a chunk; recorders write 1 to 16 MiB
-    max_waiting_bytes: int = 1 << 28  # of messages that wait for their turn, as chunks may overlap in time
-    message_overhead: int = 300  # what a message takes in memory besides its data
-    spare_unpacked: int = 1 << 28  # of any file, however short
-    spare_message: int = 1 << 24  # of any message, such as an image of one colour
-    max_expansion: int = 200  # for each byte of the file; robots' data packs to a half or a tenth
-    piece: int = 1 << 16  # unpacked at a time; what came before a fault is kept
+    max_unpacked: int = 1 << 27  # unpacked size of a chunk; recorders write 1 to 16 MiB
+    max_waiting_bytes: int = 1 << 28  # messages that are kept to be sorted, as chunks may overlap in time
+    message_overhead: int = 300  # memory of a message besides its data
+    spare_unpacked: int = 1 << 28  # unpacked size that any file may have, however short
+    spare_message: int = 1 << 24  # unpacked size that any message may have, such as an image of one colour
+    max_expansion: int = (
+        200  # unpacked bytes for each byte of the file; robots' data shrink to a half or a tenth
+    )
+    piece: int = 1 << 16  # data are unpacked in such pieces, so that those before a fault are kept
     spare_records: int = 100_000  # number of records that any file may hold, however short
 
 
@@ -47,7 +49,7 @@ UNPACKERS = {
     "lz4": ("lz4.frame", "LZ4FrameDecompressor"),
     "bz2": ("bz2", "BZ2Decompressor"),
 }
-"""Module and class, each with the interface of `bz2.BZ2Decompressor`, by compression."""
+"""Module and class by compression; each class has the interface of `bz2.BZ2Decompressor`."""
 
 
 class Source(ABC):
@@ -61,22 +63,22 @@ class Source(ABC):
         self.topics: dict[str, str] = {}
         """The types of all topics in the file, by topic."""
         self.channels: dict[object, tuple[str, str, str]] = {}
-        """Topic, type and encoding, by the file's key for them."""
+        """Topic, type and encoding, by the channel's key in the file."""
         self.truncated: str | None = None
         """Where the file ends too early; None: it is complete."""
         self.packed = False
-        """Whether each message is compressed by itself, by zstd."""
+        """Whether each message is compressed on its own, with zstd."""
         self.damage: dict[int, str] = {}
-        """What could not be read, by its first byte."""
+        """Sentences about what could not be read, by the position of its first byte."""
 
     def define(self, key: object, topic: str, kind: str, encoding: str) -> None:
-        """Adds a topic and its type, as ROS 1 or ROS 2 writes it, under the file's key for them."""
+        """Adds the channel with that key in the file: topic, type (as ROS 1 or ROS 2 writes it) and encoding."""
         package, _, rest = kind.partition("/")
         self.topics[topic] = f"{package}/msg/{rest}" if rest and "/" not in rest else kind
         self.channels[key] = topic, self.topics[topic], encoding
 
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """Yields the messages on the wanted topics in order of log time; each call begins again."""
+        """Yields the messages on the wanted topics in order of log time; each call starts at the beginning."""
         for raw in self.stored(wanted):
             if self.packed:
                 most = CHUNKS.spare_message + CHUNKS.max_expansion * len(raw.data)
@@ -86,7 +88,7 @@ class Source(ABC):
 
     @abstractmethod
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """Yields the messages as `messages` does, but still compressed where each is compressed by itself."""
+        """Yields the messages as `messages` does, but still compressed if `packed`."""
 
     @abstractmethod
     def close(self) -> None:
@@ -94,24 +96,24 @@ class Source(ABC):
 
 
 class Chunk(NamedTuple):
-    """A `Chunk` is a part of a file that is read at once."""
+    """A `Chunk` is a part of a file that is read in one go."""
 
     start: int
     """Log time of its earliest message [ns]."""
     offset: int
-    """Its first byte in the file."""
+    """Position of its first byte in the file."""
     length: int
     """Its number of bytes in the file."""
     compression: str = ""
     """The compression: none, lz4, zstd or bz2; empty: none."""
     size: int = 0
-    """Its number of bytes when unpacked, as the file states it."""
+    """Its number of bytes when unpacked, as stated in the file."""
     crc: int = 0
     """CRC-32 of the unpacked bytes; 0: not stated."""
 
 
 class ChunkedSource(Source):
-    """A `ChunkedSource` is a file of chunks, which are found first and read one by one later."""
+    """A `ChunkedSource` is a file of chunks: all are found when it is opened, and read one by one later."""
 
     def __init__(self, path: Path) -> None:
         """Finds the chunks of a file that begins with MAGIC."""
@@ -119,36 +121,36 @@ class ChunkedSource(Source):
         with open_regular(path) as file:
             self.data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         self._chunks, self._budget = list(self._index()), Budget(len(self.data))
-        # A file that was closed repeats its topics outside the chunks; else they are only inside.
+        # A file that was closed has its topics outside the chunks too; in any other they are only inside.
         if self.truncated or not self.topics:
             for chunk in self._chunks:
                 self._read(frozenset(), chunk)
 
     @abstractmethod
     def _index(self) -> Iterable[Chunk]:
-        """Returns the chunks in `data`, in order of bytes; defines the topics, and sets `truncated`."""
+        """Returns the chunks in `data`, in order of position; defines the topics, and sets `truncated`."""
 
     @abstractmethod
     def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
-        """Returns an unpacked chunk's messages on the wanted topics, and what is wrong with it (None: nothing)."""
+        """Returns the messages on the wanted topics in an unpacked chunk, and what is wrong with it (None: nothing)."""
 
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """Yields the messages in order of log time, as far as `max_waiting_bytes` allow where chunks overlap."""
+        """Yields the messages in order of log time, unless overlapping chunks hold more than `max_waiting_bytes`."""
         self._budget, waiting = Budget(len(self.data)), list[RawMessage]()
         for chunk in (*sorted(self._chunks, key=lambda chunk: chunk.start), None):
-            # What was logged before the next chunk begins has its turn; so has everything where memory is full.
+            # Messages from before the next chunk's start are complete; if memory is full, all are yielded.
             size = sum(len(raw.data) + CHUNKS.message_overhead for raw in waiting)
             stop = math.inf if chunk is None or size > CHUNKS.max_waiting_bytes else seconds(chunk.start)
             count = bisect_left(waiting, stop, key=lambda raw: raw.log_time)
             yield from waiting[:count]
             del waiting[:count]
             if chunk is not None:
-                # The sort is stable: of equal times, those of the chunk that begins earlier stay first.
+                # The sort is stable: for equal times, messages of the earlier chunk stay first.
                 waiting += self._read(wanted, chunk)
                 waiting.sort(key=lambda raw: raw.log_time)
 
     def _read(self, wanted: Collection[str], chunk: Chunk) -> list[RawMessage]:
-        """Returns the messages of a chunk on the wanted topics, in the order of its bytes."""
+        """Returns the messages of a chunk on the wanted topics, in the order of the file."""
         if (spent := self._budget.spent(chunk)) is not None:
             self.damage[chunk.offset] = f"chunk at byte {chunk.offset}: {spent}; left out"
             return []
@@ -167,15 +169,15 @@ class ChunkedSource(Source):
 
 
 class Budget:
-    """A `Budget` limits what a file may hold by its size, as a few kilobytes can be millions of empty messages."""
+    """A `Budget` limits a file's content by its size, as a few kilobytes may unpack to millions of empty messages."""
 
     def __init__(self, size: int) -> None:
         self.records = CHUNKS.spare_records + size
-        """Number of records that may still be read: each takes a byte of the file at least."""
+        """Number of records that may still be read, as each takes at least a byte of the file."""
         self._bytes = CHUNKS.spare_unpacked + CHUNKS.max_expansion * size
 
     def spent(self, chunk: Chunk) -> str | None:
-        """Counts a chunk, and returns why it is not to be read; None: it is."""
+        """Counts a chunk, and returns why it must not be read; None: it may."""
         self._bytes -= chunk.size if chunk.compression not in ("", "none") else 0
         if self._bytes < 0:
             return (
@@ -184,7 +186,7 @@ class Budget:
         return None if self.records > 0 else TOO_MANY
 
     def limited(self, records: Iterable[Each]) -> Iterator[Each]:
-        """Yields and counts as many of the records as may still be read."""
+        """Yields records while the budget allows, and counts them."""
         left = self.records
         try:
             for after, each in zip(range(self.records - 1, -1, -1), records, strict=False):
@@ -195,7 +197,7 @@ class Budget:
 
 
 def seconds(nanoseconds: int) -> float:
-    """Returns seconds by the formula of messages' stamps, so that equal times are equal numbers."""
+    """Returns seconds, by the same formula as for messages' stamps, so that equal times are equal numbers."""
     sec, rest = divmod(nanoseconds, 10**9)
     return sec + rest * 1e-9
 
@@ -217,15 +219,17 @@ def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | Non
     try:
         for part in _unpack(new, pieces, size):
             out += part
-    except Exception as error:  # each library has errors of its own on broken bytes; what came before is kept
+    except (
+        Exception
+    ) as error:  # each library has its own errors for broken data; the data before them are kept
         return bytes(out), f"cannot be unpacked beyond {len(out)} of {size} bytes ({error})"
     return bytes(out), None if len(out) == size else f"expected {size} bytes, got {len(out)}"
 
 
 def unpack_file(path: Path, unpacked_file: BinaryIO) -> None:
-    """Writes what a file compressed by zstd unpacks to, up to where it is damaged.
+    """Unpacks a file compressed with zstd into another, up to the first damage.
 
-    Raises InvalidFile where it is not zstd, or unpacks to far more than a recording does.
+    Raises InvalidFile for another format, and if it unpacks to far more than a recording would.
     """
     module, name = UNPACKERS["zstd"]
     new = getattr(rosbags_module(module), name)
@@ -236,7 +240,7 @@ def unpack_file(path: Path, unpacked_file: BinaryIO) -> None:
                 unpacked_file.write(part)
         except OSError:
             raise
-        except Exception as error:  # the library's own; what came before is kept
+        except Exception as error:  # the library's own; the data before it are kept
             if not unpacked_file.tell():
                 raise InvalidFile(f"{path}: expected a file compressed by zstd, got none ({error})") from None
     if unpacked_file.tell() > most:
@@ -246,7 +250,7 @@ def unpack_file(path: Path, unpacked_file: BinaryIO) -> None:
 
 
 def _unpack(new: Callable[[], "BZ2Decompressor"], pieces: Iterable[bytes], size: int) -> Iterator[bytes]:
-    """Yields the bytes that consecutive frames unpack to, at most `size`; raises the errors of the library."""
+    """Yields the unpacked bytes of consecutive frames, at most `size`; raises the library's errors."""
     unpacker = new()
     for piece in pieces:
         while piece and size > 0:

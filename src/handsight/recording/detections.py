@@ -1,4 +1,4 @@
-"""Detections of objects in pictures: handsight's as JSON or BOP results, and other detectors' from BOP results."""
+"""Detections of objects in images: written as JSON or BOP results, and read from other detectors' BOP results."""
 
 import csv
 import json
@@ -23,9 +23,9 @@ BOP_COLUMNS = "scene_id,im_id,obj_id,score,R,t,time"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BopResult:
-    """A `BopResult` is the pose of an object in an image that a detector has found.
+    """A `BopResult` is a detector's pose of an object in an image.
 
-    A tracker takes it as `PoseMeasurement(result.T_camera_object)`.
+    `PoseMeasurement(result.T_camera_object)` is the form that a tracker takes.
     """
 
     scene: int
@@ -42,8 +42,8 @@ class BopResult:
 def read_bop_results(path: str | os.PathLike[str]) -> list[BopResult]:
     """Returns the rows of a CSV file of BOP results, `scene_id,im_id,obj_id,score,R,t,time`.
 
-    R has nine numbers, t three in millimetres, and time is -1 if unknown. Raises InvalidFile with the line of the first
-    wrong row.
+    R has nine numbers, row by row; t has three, in millimetres; time is -1 if unknown [s]. Raises InvalidFile with the
+    line of the first wrong row.
     """
     try:
         text = read_bytes(path, 256 * 1024**2).decode("utf-8-sig")
@@ -92,21 +92,21 @@ def _result(row: list[str]) -> BopResult:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Located:
-    """A `Located` is the outcome of a search for an object in one picture, or for which of several it shows."""
+    """A `Located` is the result of locating an object in one image, or of recognising which of several it shows."""
 
     frame: Frame
     model: ObjectModel
-    """The object; of several, the most probable one."""
+    """The object; if there are several, the most probable one."""
     found: ObjectDetection
     """The object's pose, or why there is none."""
     seconds: float
     """Duration of the search [s]."""
     recognition: Recognition | None = None
-    """Which of several objects it is; None: only one was searched for."""
+    """Which of several objects it is; None: there was only one to locate."""
 
     @property
     def reason(self) -> str | None:
-        """Why no object was found, with the median depth, which shows a wrong unit; None: an object was found."""
+        """Why no object was found, with the median depth, which reveals a wrong unit; None: an object was found."""
         reason, depth = (self.recognition or self.found).reason, self.frame.depth
         if reason is None or not (known := depth[np.isfinite(depth) & (depth > 0)]).size:
             return reason
@@ -114,20 +114,20 @@ class Located:
 
     @property
     def name(self) -> str | None:
-        """The object's name; None: it is none of those that were searched for."""
+        """The object's name; None: the image shows none of the objects."""
         return self.model.name if self.recognition is None else self.recognition.name
 
     @property
     def explained(self) -> float:
-        """The share of the pixels expected of the object that its pose explains, 0 to 1."""
+        """The share of the object's expected pixels that its pose explains, 0 to 1."""
         candidate = self.found.candidates[0]
         return float(np.clip(candidate["explained"] / max(candidate["expected"], 1.0), 0, 1))
 
 
 def json_line(row: Located | Unread) -> str:
-    """Returns a line of JSON without its end; of a picture that cannot be read, `{"frame": ..., "error": ...}`.
+    """Returns a line of JSON without its newline; for an unreadable image, `{"frame": ..., "error": ...}`.
 
-    Poses are T_camera_object, in the camera's optical frame.
+    Poses are `T_camera_object`, in the camera's optical frame [m].
     """
     if isinstance(row, Unread):
         return json.dumps({"frame": row.name, "error": row.reason})
@@ -158,9 +158,9 @@ def json_line(row: Located | Unread) -> str:
 
 
 def bop_line(row: Located | Unread, numbers: Mapping[str, int]) -> str | None:
-    """Returns a line of BOP results without its end; None where there is no pose.
+    """Returns a line of BOP results without its newline; None where there is no pose.
 
-    `numbers`: BOP's numbers of the objects, by name. The score is the share of the object's pixels that are explained.
+    `numbers`: BOP's numbers of the objects, by name. The score is `explained`.
     """
     if isinstance(row, Unread) or row.reason is not None:
         return None

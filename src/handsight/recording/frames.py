@@ -1,4 +1,4 @@
-"""Pictures in which to find an object: depth, colour, masks of their pixels, and what lies beside their files."""
+"""Images in which to find an object: depth, colour, masks, and the files that belong to them."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -14,61 +14,61 @@ from handsight.vision import read_color
 from handsight.vision.pixels import MILLIMETRE, Color
 
 Box = tuple[int, int, int, int]
-"""First column and row, last column and row, both inside [pixels]."""
+"""First column and row, last column and row, both included [pixels]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Frame:
-    """A `Frame` is one picture of a depth camera."""
+    """A `Frame` is one image of a depth camera."""
 
     name: str
-    """Its name in messages and answers."""
+    """The name of the image in messages and answers."""
     camera: Camera
     depth: Depth
-    """(h, w) along the optical axis [m], NaN where there is none."""
+    """(h, w) depth along the optical axis [m], NaN where unknown."""
     color: Color | None = None
-    """(h, w, 3) red, green and blue of the same pixels."""
+    """(h, w, 3) red, green and blue, with the pixels of the depth."""
     wanted: Mask | None = None
     """(h, w) pixels in which the object may be; None: all."""
     hand: Mask | None = None
-    """(h, w) pixels of the hand; None: nothing is known of a hand."""
+    """(h, w) pixels of the hand; None: unknown."""
     number: tuple[int, int] | None = None
-    """BOP's numbers of the scene and of the picture."""
+    """BOP's numbers of the scene and of the image."""
 
 
 class Unread(NamedTuple):
-    """An `Unread` is a picture that cannot be read."""
+    """An `Unread` is an image that cannot be read."""
 
     name: str
     reason: str
-    """Which file, what was expected, what came."""
+    """The file, what was expected, and what came."""
 
 
 class Frames(NamedTuple):
-    """`Frames` are pictures that are read one by one, as the iterator goes on."""
+    """`Frames` are images that are read one by one, as the iterator advances."""
 
     total: int | None
-    """Number of pictures; None: it is known only at the end."""
+    """Number of images; None: it is known only at the end."""
     each: Iterator[Frame | Unread]
     library: Path | None = None
-    """The library of their objects, where the data set has one."""
+    """Folder of the library of their objects; None: the data set has none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beside:
-    """A `Beside` is what a user declares about depth images in addition to their files."""
+    """A `Beside` is what a user declares about depth images: the files that belong to them, and their unit."""
 
     camera: Path | None = None
     """The file of the camera; None: `camera.json` beside the images."""
     depth_scale: float = MILLIMETRE
-    """Metres of a step of depth."""
+    """Metres per step of depth."""
     color: Path | None = None
     """The colour image of a single depth image."""
     mask: Path | None = None
-    """An image that is not 0 where the object may be, for all pictures; or a folder of such, one for each name."""
+    """An image that is not 0 where the object may be, for all depth images; or a folder with one for each by name."""
 
     def wanted(self, stem: str, camera: Camera) -> Mask | None:
-        """Returns (h, w) where the object may be in the picture of that name, None: anywhere.
+        """Returns the mask (h, w) of where the object may be in the image of that name; None: anywhere.
 
         Raises InvalidFile, MissingExtra.
         """
@@ -79,7 +79,7 @@ class Beside:
 
 
 def read_each(files: list[Path], read: Callable[[Path], Frame]) -> Iterator[Frame | Unread]:
-    """Yields what `read` returns for each file, or for a file that cannot be read the reason."""
+    """Yields the frame of each file, or an `Unread` with the reason where `read` raises a HandsightError."""
     for file in files:
         try:
             yield read(file)
@@ -88,14 +88,14 @@ def read_each(files: list[Path], read: Callable[[Path], Frame]) -> Iterator[Fram
 
 
 def color_beside(folder: Path, stem: str, folders: tuple[str, ...]) -> Path | None:
-    """Returns the colour image of that name; None where there is none."""
+    """Returns the path of the colour image of that name in one of the folders; None where there is none."""
     endings = (".png", ".jpg", ".jpeg")
     places = (folder / name / f"{stem}{ending}" for name in folders for ending in endings)
     return next((place for place in places if place.exists()), None)
 
 
 def within(frame: Frame, box: Box) -> Frame:
-    """Returns the frame with its object wanted inside a box; raises InvalidInput for a box beyond its pixels."""
+    """Returns the frame, searched only inside a box; raises InvalidInput for a box beyond its pixels."""
     left, top, right, bottom = box
     width, height = frame.camera.size
     if not (0 <= left <= right < width and 0 <= top <= bottom < height):

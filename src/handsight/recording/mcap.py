@@ -1,6 +1,6 @@
 """MCAP files (https://mcap.dev/spec), complete or cut, with or without a summary.
 
-The headers of the chunks serve as the index, so that a file that was never closed is read as any other.
+The index is built from the headers of the chunks, so that a file that was never closed is read like any other.
 """
 
 import mmap
@@ -37,7 +37,7 @@ class McapSource(ChunkedSource):
         super().__init__(path)
 
     def _index(self) -> Iterator[Chunk]:
-        # Messages outside chunks are read as chunks of up to a megabyte: `run`.
+        # Consecutive messages outside chunks are read together as chunks of up to a megabyte: `run`.
         size, run = len(self.data), None
         for op, begin, end in _records(self.data, len(self.MAGIC), size):
             if run is not None and (op != Op.MESSAGE or begin - run.offset > 1 << 20):
@@ -88,7 +88,7 @@ class McapSource(ChunkedSource):
         return found, wrong if read < len(data) else None
 
     def _take(self, op: int, data: bytes) -> None:
-        """Keeps a schema or defines a channel; one that cannot be read is left out, with its messages."""
+        """Keeps a schema, or defines a channel; a damaged one is left out, and so are its messages."""
         with suppress(struct.error, UnicodeDecodeError):
             key = int.from_bytes(data[:2], "little")
             if op == Op.SCHEMA:
@@ -100,18 +100,18 @@ class McapSource(ChunkedSource):
 
 
 def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[int, int, int]]:
-    """Yields the kind of each record and where its data begin and end; the last one may end beyond `stop`."""
+    """Yields the kind, begin and end of each record's data; the last one may end beyond `stop`."""
     while at + RECORD.size <= stop:
         op, length = RECORD.unpack_from(data, at)
         at += RECORD.size
-        if op == 0:  # there is no such kind: the file is longer than what was written to it
+        if op == 0:  # not a valid kind: zeros behind what was written to the file
             return
         yield op, at, at + length
         at += length
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
-    """Returns a text, and where it ends; raises struct.error where it ends beyond the data."""
+    """Returns a string and its end; raises struct.error if it ends beyond the data."""
     begin = at + TEXT.size
     end = begin + TEXT.unpack_from(data, at)[0]
     if end > len(data):

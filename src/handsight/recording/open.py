@@ -1,4 +1,4 @@
-"""A path to a recording as a stream of Observations; the first bytes of a file tell its kind, not its name."""
+"""Opening of recordings as streams of observations; a file's kind is known from its first bytes, not from its name."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -24,28 +24,28 @@ EXPECTED = "expected a recording (MCAP, a bag of ROS 1, or a rosbag 2: its folde
 
 
 def open_recording(path: str | Path, rig: Rig) -> "Recording":
-    """Returns the recording of a rig's measurements: `.mcap`, `.bag`, `.db3`, or the folder of a rosbag 2.
+    """Returns a rig's recording: an MCAP file, a bag of ROS 1, a `.db3` file, or the folder of a rosbag 2.
 
-    The rig gives each topic its role. Raises InvalidFile where there is no recording or none with joint states, and
-    MissingExtra without rosbags.
+    The rig says what each topic is for. Raises InvalidFile for anything else, and for a recording without a topic of
+    joint states; MissingExtra without rosbags.
     """
     return Recording(Path(path), rig)
 
 
 @dataclass(slots=True, kw_only=True)
 class RecordingReport(Report):
-    """A `RecordingReport` counts the content of a recording, as far as it was read."""
+    """A `RecordingReport` counts the messages of a recording that have been read."""
 
     files: Sequence[Source]
-    """One file, or several where the recorder has split it; each has in `damage` what could not be read."""
+    """The recording's file, or files if the recorder has split it; `damage` of each has what could not be read."""
 
     @property
     def truncated(self) -> str | None:
-        """Where the first file that was cut ends; None: all are complete."""
+        """Where the first cut file ends, in words; None: all files are complete."""
         return next((file.truncated for file in self.files if file.truncated), None)
 
     def sentences(self) -> list[str]:
-        """Returns a sentence for each problem that a user should know of, worst first."""
+        """Returns a sentence for each problem that a user should know about, worst first."""
         messages, damage, most_damage = list[str](), list[str](), 5
         for file in self.files:
             if file.truncated:
@@ -54,11 +54,11 @@ class RecordingReport(Report):
         messages = [printable(each) for each in messages + damage[:most_damage]]
         if len(damage) > most_damage:
             messages.append(f"{self.files[0].path}: damaged in {len(damage) - most_damage} more places")
-        return messages + Report.sentences(self)  # a dataclass with slots knows no bare super()
+        return messages + Report.sentences(self)  # super() does not work in a dataclass with slots
 
 
 class Recording:
-    """A `Recording` is an open recording; `report`, `truth` and `intrinsics` hold what was read so far."""
+    """A `Recording` is an open recording; `report`, `truth` and `intrinsics` are of the part that has been read."""
 
     def __init__(self, path: Path, rig: Rig) -> None:
         self._path, self._rig, self._topics = path, rig, dict[str, str]()
@@ -73,24 +73,24 @@ class Recording:
 
     def _begin(self) -> None:
         self.report = RecordingReport(self._rig.topics.joint_states, files=self._files)
-        """Counts and sentences."""
+        """Counts of the messages, and sentences about what is wrong with them."""
         self._stream = ObservationStream(self._rig, self._topics, report=self.report)
         self.truth = self._stream.truth
-        """Stamps [s] and `T_palm_object` (4, 4) from the rig's topic of the truth; never in an observation."""
+        """Stamps [s] and true poses `T_palm_object` (4, 4) on the rig's topic of the truth; never in an observation."""
 
     @property
     def intrinsics(self) -> Camera | None:
-        """The camera by its CameraInfo; None: no CameraInfo was read so far."""
+        """The camera of the last CameraInfo; None: none has been read."""
         return self._stream.intrinsics
 
     def camera(self) -> Camera:
-        """Returns the camera of the images by its CameraInfo, else by the rig; raises InvalidInput without both."""
+        """Returns the images' camera from the CameraInfo, else from the rig; raises InvalidInput if neither has it."""
         return self._stream.camera()
 
     def calibrated_rig(self) -> Rig:
-        """Returns the rig, with the camera of the first CameraInfo where it takes depth images and has no intrinsics.
+        """Returns the rig; if it has a topic of depth images but no intrinsics, with those of the first CameraInfo.
 
-        The CameraInfo is searched for in the first thousand observations.
+        The CameraInfo must come within the first thousand observations.
         """
         camera, topics = self._rig.camera, self._rig.topics
         if camera is None or camera.intrinsics is not None or None in (topics.depth, topics.camera_info):
@@ -103,8 +103,8 @@ class Recording:
     def observations(self) -> Iterator[Observation]:
         """Yields the observations in order of stamp, one for each joint state message.
 
-        The file is read as the iterator goes on, in bounded memory. Each call begins again, with a new `report` and
-        `truth`. Raises InvalidFile at the end if there were no joint states.
+        The file is read as the iterator advances, in bounded memory. Each call starts at the beginning, with a new
+        `report` and `truth`. Raises InvalidFile at the end if there were no joint states.
         """
         self._begin()
         for file in self._files:
@@ -115,9 +115,9 @@ class Recording:
             raise self._without_joints()
 
     def lacks(self) -> list[str]:
-        """Returns a sentence for each thing that the rig needs and that was not read so far.
+        """Returns a sentence for each missing topic, joint and frame of the rig, and each image of a wrong size.
 
-        What is missing is known of topics from the beginning, of joints and frames after `observations`.
+        Missing topics are known from the beginning, missing joints and frames after `observations`.
         """
         return self._stream.lacks()
 
@@ -132,7 +132,7 @@ class Recording:
         )
 
     def close(self) -> None:
-        """Closes the file."""
+        """Closes the files."""
         self._opened.close()
 
     def __enter__(self) -> Self:
@@ -143,12 +143,15 @@ class Recording:
 
 
 def open_files(path: Path) -> Iterator[Source]:
-    """Yields the files of a recording in the order of their numbers; raises InvalidFile, MissingExtra."""
+    """Yields the open files of a recording, in the order of their numbers; raises InvalidFile, MissingExtra."""
     try:
         if not path.is_dir():
             yield _open_file(path)
             return
-        metadata, packed = path / "metadata.yaml", None  # how a recorder has compressed files or messages
+        metadata, packed = (
+            path / "metadata.yaml",
+            None,
+        )  # whether the recorder compressed files, messages or nothing
         if metadata.exists():
             pattern = rb"""compression_mode:\s*['"]?(file|message)"""
             packed = re.search(pattern, read_bytes(metadata, 1 << 20), re.IGNORECASE)
@@ -163,7 +166,7 @@ def open_files(path: Path) -> Iterator[Source]:
                 source.packed = packed is not None
                 yield source
                 continue
-            # The unpacked file is gone as soon as it is closed; where open files cannot be removed, later.
+            # The unpacked file is removed at once, though still open; on systems that forbid this, it stays.
             with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
                 copy = Path(folder) / file.stem
                 with copy.open("wb") as stream:

@@ -1,7 +1,7 @@
-"""A path to depth images, of any kind, as `Frames`: a file, a folder, a BOP scene or a robot's recording.
+"""Opening of depth images as `Frames`: an image, a folder of them, a BOP scene, or a robot's recording.
 
-A folder has `camera.json` and depth images of 16 bits: in `depth/`, with colour images, if any, under the same names in
-`rgb/` or `color/`; or side by side, with `depth` in their names.
+A folder has `camera.json` and depth images of 16 bits. They are either in `depth/`, with optional colour images under
+the same names in `rgb/` or `color/`; or in the folder itself, with `depth` in their names.
 """
 
 from pathlib import Path
@@ -15,14 +15,14 @@ from handsight.vision import read_camera, read_color, read_depth
 
 
 def is_recording(path: Path) -> bool:
-    """Returns whether a path is a robot's recording, whose images need a rig."""
+    """Returns whether a path is a robot's recording, which needs a rig."""
     return path.suffix.lower() in (".mcap", ".bag", ".db3") or (path / "metadata.yaml").exists()
 
 
 def open_frames(path: Path, beside: Beside, rig: Rig | None = None) -> Frames:
-    """Returns the pictures of a depth image, a folder of them, a BOP scene or split, or, with a rig, a recording.
+    """Returns the frames of a depth image, a folder of them, a BOP scene or split, or, with a rig, a recording.
 
-    Raises InvalidFile where the path is none of these, and the errors of their readers.
+    Raises InvalidFile for any other path, and the errors of the readers.
     """
     try:
         if is_recording(path):
@@ -40,7 +40,7 @@ def open_frames(path: Path, beside: Beside, rig: Rig | None = None) -> Frames:
 
 
 def _depth_images(path: Path, beside: Beside) -> Frames:
-    """Returns the frames of a folder by their names, or that of a depth image; raises InvalidFile, InvalidInput."""
+    """Returns the frames of a folder in the order of their names, or of one image; raises InvalidFile, InvalidInput."""
     folder, files, in_folders = path.parent, [path], False
     if path.is_dir():
         if beside.color is not None:

@@ -1,8 +1,8 @@
-"""Depth images of a robot without its hand: as `Frame`s of a recording, and as `View`s to reconstruct an object.
+"""A robot's depth images with the hand's pixels found: `Frame`s of a recording, and `View`s to reconstruct an object.
 
-An object in the hand is static in the palm, unless it slips; the palm's pose is that of the detected hand. An object on
-a table is static in the world. Where the robot does not know how its camera has moved in the world, all views start at
-one pose, and the reconstruction finds theirs.
+An object in the hand is static in the palm, unless it slips; the palm's pose comes from the hand in the image. An
+object on a table is static in the world. If the camera's motion in the world is unknown, all views start from the same
+pose, and the reconstruction estimates theirs.
 """
 
 from collections.abc import Iterable, Iterator
@@ -28,10 +28,10 @@ from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, SEGMENT
 def recorded_frames(path: Path, rig: Rig) -> Frames:
     """Returns the frames of a recording in order of stamp.
 
-    The pixels of the hand are those of its links where they are detected (`detect_palm`), else where they are by the
-    calibration of the rig's camera. They are unknown without joint positions, and where a camera is fixed in the world
-    and the palm's pose is unknown there. Raises InvalidFile where the recording has no depth images, and InvalidInput
-    where neither it nor the rig has their camera.
+    The hand's pixels are those of its links, at the palm's pose that is detected (`detect_palm`), else at the pose by
+    the calibration of the rig's camera. They are unknown without joint positions, and for a camera that is fixed in the
+    world while the palm's pose in the world is unknown. Raises InvalidFile where the recording has no depth images, and
+    InvalidInput where neither it nor the rig has their camera.
     """
     if rig.topics.depth is None:
         raise InvalidInput("rig: expected topics.depth, where the recording has its depth images, got none")
@@ -62,43 +62,43 @@ def _read(path: Path, rig: Rig) -> Iterator[Frame]:
 
 
 class HandPixels:
-    """A `HandPixels` finds the pixels of the hand in one picture after the other of one camera."""
+    """A `HandPixels` finds the hand's pixels in the consecutive images of one camera."""
 
     def __init__(self, rig: Rig) -> None:
-        """The standard deviations of the rig's camera say how good its calibration is."""
+        """The search for the palm is as wide as the constant standard deviations of the rig's camera."""
         self._rig, self._hand = rig, HandInImage(rig)
-        # The calibration's error, which is constant: from where the palm should be to where it was measured.
-        self._T_measured_believed: Array | None = None
+        # The constant error of the calibration: the palm's detected pose relative to the one by calibration.
+        self._T_detected_calibrated: Array | None = None
 
     def mask(self, camera: Camera, depth: Depth, observation: Observation) -> Mask | None:
-        """Returns the hand's pixels (h, w); None: nothing is known of a hand."""
+        """Returns the hand's pixels (h, w); None: the palm's pose is unknown."""
         T_camera_palm = self.palm(camera, depth, observation)
         if T_camera_palm is None:
             return None
         return self._hand.mask(camera, depth, observation.joint_positions, T_camera_palm)
 
     def palm(self, camera: Camera, depth: Depth, observation: Observation) -> Array | None:
-        """Returns T_camera_palm (4, 4) of the detected hand, else by the calibration and its last known error.
+        """Returns `T_camera_palm` (4, 4) of the detected hand, else by the calibration and its last known error.
 
-        It is None where the calibration does not tell it.
+        None: the palm's pose is unknown by the calibration too.
         """
-        believed, of = _in_camera("palm", self._rig, observation), self._rig.camera
-        if believed is None or of is None:
+        calibrated, of = _in_camera("palm", self._rig, observation), self._rig.camera
+        if calibrated is None or of is None:
             return None
-        last = self._T_measured_believed
-        near, sigma = believed, (of.sigma_position_constant, of.sigma_rotation_constant)
-        if last is not None:  # the hand has been detected: it is near where that puts it [m, rad]
-            near, sigma = last @ believed, (0.01, float(np.deg2rad(2)))
+        last = self._T_detected_calibrated
+        near, sigma = calibrated, (of.sigma_position_constant, of.sigma_rotation_constant)
+        if last is not None:  # the hand was detected before, so it is near [m, rad]
+            near, sigma = last @ calibrated, (0.01, float(np.deg2rad(2)))
         given = camera, depth, observation.joint_positions, near, sigma
         found = self._hand.detected(*given, follow=last is not None) if min(sigma) > 0 else None
         if isinstance(found, PalmDetection):
             near = found.T_camera_palm
-            self._T_measured_believed = near @ se3.inverse(believed)
+            self._T_detected_calibrated = near @ se3.inverse(calibrated)
         return near
 
 
 def views_of(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View]:
-    """Yields the depth images among observations with the pose of the world, 0 at the hand's pixels.
+    """Yields the depth images of the observations, 0 at the hand's pixels, with the pose of the world.
 
     Observations without the palm's pose are skipped if the camera's pose in the world depends on it. Raises
     InvalidInput for images of another size than the camera's.
@@ -118,14 +118,15 @@ def views_of(observations: Iterable[Observation], rig: Rig, camera: Camera) -> I
 
 
 def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View]:
-    """Yields the depth images among observations with the pose of the object in the hand, 0 at pixels near the hand.
+    """Yields the depth images of the observations, 0 at pixels near the hand, with the pose of the object in the hand.
 
-    The object's frame has the palm's axes, and its origin in the middle of the fingertips in the first of them.
-    Observations are skipped that have no joint positions, that do not tell where the palm is, or that show nothing but
-    the hand there. Raises InvalidInput for images of another size than the camera's, and for a rig without a camera.
+    The object's frame has the palm's axes, and its origin in the middle of the fingertips of the first view.
+    Observations are skipped if they have no joint positions, if the palm's pose is unknown, or if they show nothing but
+    the hand around the origin. Raises InvalidInput for images of another size than the camera's, and for a rig without
+    a camera.
     """
     if rig.camera is None:
-        raise InvalidInput("camera: expected one in the rig, to tell where the hand is, got none")
+        raise InvalidInput("camera: expected one in the rig, to find the hand in the images, got none")
     pixels, in_hand = HandPixels(rig), InHandView(rig.hand, rig.sigma_joint_offset)
     T_palm_object: Array | None = None
     for observation in observations:
@@ -147,13 +148,13 @@ def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera)
 
 
 def _depth(depth: Depth, camera: Camera) -> Depth:
-    """Returns a copy of depth (h, w) [m], 0 where there is none; raises InvalidInput for another size."""
+    """Returns a copy of the depth (h, w) [m], 0 where unknown; raises InvalidInput for another size."""
     depth = camera.check_depth(depth)
     return np.where(depth > 0, depth, 0).astype(np.float32)
 
 
 def _in_camera(body: Literal["palm", "world"], rig: Rig, observation: Observation) -> Array | None:
-    """Returns T_camera_body (4, 4) by the camera's calibration; None where that does not tell it."""
+    """Returns `T_camera_body` (4, 4) by the camera's calibration; None: unknown."""
     if rig.camera is None:
         return None
     T_camera_mount, T_world_palm = se3.inverse(rig.camera.T_mount_camera), observation.T_world_palm

@@ -20,14 +20,14 @@ class Rosbag1Source(ChunkedSource):
 
     def _index(self) -> list[Chunk]:
         size, chunks, closed, at = len(self.data), list[Chunk](), False, len(self.MAGIC)
-        first = True  # of the indices behind a chunk
+        first = True  # whether the next index record is the first behind its chunk
         for fields, begin, at in _records(self.data, len(self.MAGIC), size):
             op = fields.get(b"op")
             if op == BAG:
-                # Its position is written last, over a placeholder of 0.
+                # The index's position replaces a placeholder of 0 when the bag is closed.
                 closed = 0 < int.from_bytes(fields.get(b"index_pos", b"")[:8], "little") < size
             elif op == CHUNK:
-                # A chunk without an index behind it is taken to begin when the one before does.
+                # Until its index is read, a chunk has the start of the chunk before it.
                 start, length = chunks[-1].start if chunks else 0, min(at, size) - begin
                 compression = fields.get(b"compression", b"")[:20].decode("ascii", "replace")
                 unpacked = int.from_bytes(fields.get(b"size", b"")[:8], "little")
@@ -64,7 +64,7 @@ class Rosbag1Source(ChunkedSource):
         return found, wrong if end != len(data) else None
 
     def _take(self, fields: Fields, data: bytes) -> None:
-        """Defines a connection; one that cannot be read is left out, with its messages."""
+        """Defines a connection; a damaged one is left out, and so are its messages."""
         about = _fields(data)
         if b"conn" in fields and b"topic" in fields and b"type" in about:
             topic, kind = (name.decode("utf-8", "replace") for name in (fields[b"topic"], about[b"type"]))
@@ -72,7 +72,7 @@ class Rosbag1Source(ChunkedSource):
 
 
 def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[Fields, int, int]]:
-    """Yields the header of each record and where its data begin and end; the last one may end beyond `stop`."""
+    """Yields the header, begin and end of each record's data; the last one may end beyond `stop`."""
     while at + LENGTH.size <= stop:
         begin = at + LENGTH.size + LENGTH.unpack_from(data, at)[0]
         if begin + LENGTH.size > stop or begin - at > 1 << 20:  # no header is longer than a megabyte
@@ -84,7 +84,7 @@ def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[Fiel
 
 
 def _fields(header: bytes) -> Fields:
-    """Returns the `name=value` pairs of a header, up to the first that is not one."""
+    """Returns the `name=value` pairs of a header, up to the first damaged one."""
     fields, at = {}, 0
     while at + LENGTH.size <= len(header):
         end = at + LENGTH.size + LENGTH.unpack_from(header, at)[0]

@@ -9,7 +9,7 @@ from handsight.messages import RawMessage
 from handsight.recording.chunks import CHUNKS, TOO_MANY, Budget, Source, seconds
 
 BROKEN = (sqlite3.Error, UnicodeDecodeError)
-"""Errors that a damaged file raises; the text of sqlite's errors may be damaged too."""
+"""Errors that a damaged file causes; UnicodeDecodeError, as even the text of an error may come from the file."""
 
 
 class SqliteSource(Source):
@@ -32,11 +32,11 @@ class SqliteSource(Source):
             self._base.text_factory = lambda data: data.decode("utf-8", "replace")
             self._base.execute("PRAGMA trusted_schema = OFF")
             if self.truncated:
-                # Without this sqlite does not open a file that is shorter than it should be; it stays read-only.
+                # Else sqlite refuses a file that is shorter than it should be. The connection stays read-only.
                 self._base.execute("PRAGMA writable_schema = ON")
             self._size = size
             self._limit()
-            # Views, virtual tables and computed columns are not read: they might compute for ever.
+            # Views, virtual tables and computed columns are not read, as they might compute for ever.
             real = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
             tables = sorted(str(name) for (name,) in self._base.execute(real))
             if not {"topics", "messages"} <= set(tables):
@@ -52,18 +52,19 @@ class SqliteSource(Source):
             raise InvalidFile(f"{path}: expected a rosbag 2 in sqlite3, got: {error}") from None
 
     def _limit(self) -> None:
-        """Has sqlite interrupted once it has done more from now on than a file of this size needs.
+        """Interrupts sqlite when, from now on, it takes more steps than reading a file of this size needs.
 
-        A short message takes some tens of steps of sqlite's machine; pages that refer to one another never end.
+        A short message takes some tens of steps of sqlite's virtual machine; damaged pages that refer to one another
+        would take forever.
         """
         step, most = 10_000, 300_000 + 5 * self._size
         left = iter(range(most // step))
         self._base.set_progress_handler(lambda: next(left, None) is None, step)
 
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """Yields the messages in order of log time, and those of a cut file in the order in which they were written."""
+        """Yields the messages in order of log time; those of a cut file in the order in which they were written."""
         keys = [key for key, about in self.channels.items() if about[0] in wanted and isinstance(key, int)]
-        # The index by time is spread over the file, so that it is not used where the file was cut.
+        # The index by time is spread over the file, so it is incomplete where the file was cut.
         rows, order = ("messages NOT INDEXED", "") if self.truncated else ("messages", " ORDER BY timestamp")
         chosen = f"WHERE topic_id IN ({','.join(map(str, keys))})"
         query = f"SELECT topic_id, timestamp, data FROM {rows} {chosen}{order}"

@@ -1,4 +1,4 @@
-"""Observations to an MCAP file that ROS 2, Foxglove and `open_recording` read; tracked poses to MCAP, TUM or CSV."""
+"""Writers: observations to an MCAP file for ROS 2, Foxglove and `open_recording`; tracked poses to MCAP, TUM or CSV."""
 
 import csv
 import shutil
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight.checks import Array
-from handsight.correction.estimate import bounded_covariance
+from handsight.correction import bounded_covariance
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import write_errors
 from handsight.messages.decode import rosbags_module, typestore
@@ -34,7 +34,7 @@ from handsight.rig import Rig
 
 
 class McapFile:
-    """A `McapFile` is an MCAP file with zstd chunks, open for writing; it is at `path` once it is closed."""
+    """A `McapFile` is an MCAP file with zstd chunks, open for writing; it appears at `path` when it is closed."""
 
     def __init__(self, path: Path) -> None:
         """Raises InvalidFile where nothing can be written, MissingExtra without rosbags."""
@@ -43,7 +43,7 @@ class McapFile:
         if path.is_dir():
             raise InvalidFile(f"{path}: expected a file to write, got a folder")
         with write_errors(path):
-            # rosbags writes a folder with the file in it: beside the file, so that it need only be renamed.
+            # rosbags writes a folder with the file in it. In the same parent folder, so a rename is enough.
             self._folder = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
             plugin, mode = rosbag2.StoragePlugin.MCAP, rosbag2.CompressionMode.STORAGE
             self._writer = rosbag2.Writer(self._folder / "bag", version=9, storage_plugin=plugin)
@@ -53,7 +53,7 @@ class McapFile:
         self._open = True
 
     def append(self, topic: str, kind: str, stamp: float, **fields: object) -> None:
-        """Appends a message of that type and these fields, logged at its stamp [s]; raises InvalidInput once closed."""
+        """Appends a message with that type, stamp and log time [s], and fields; raises InvalidInput once closed."""
         if not self._open:
             raise InvalidInput(f"{self._path}: expected an open file to write to, got a closed one")
         if topic not in self._connections:
@@ -63,7 +63,7 @@ class McapFile:
         self._writer.write(self._connections[topic], sec * 10**9 + nanosec, data)
 
     def close(self) -> None:
-        """Moves the file to its place; closing it a second time does nothing."""
+        """Completes the file and moves it to `path`; a second call does nothing."""
         if not self._open:
             return
         self._open = False
@@ -78,24 +78,24 @@ class McapFile:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Closes the file; after an error too, so that what was written is kept."""
+        """Closes the file, after an error too, so that the messages until then are kept."""
         self.close()
 
 
 class RecordingWriter(McapFile):
-    """A `RecordingWriter` writes what a rig measured to one MCAP file, by the rig's topics and frame ids."""
+    """A `RecordingWriter` writes a rig's observations to an MCAP file, with the rig's topics and frame ids."""
 
     def __init__(self, path: str | Path, rig: Rig) -> None:
-        """The file is at `path` once it is closed, and replaces another one. Raises InvalidFile, MissingExtra."""
+        """The file appears at `path` when it is closed, in place of an older one. Raises InvalidFile, MissingExtra."""
         super().__init__(Path(path))
         self._rig = rig
 
     def write(self, observation: Observation) -> None:
-        """Appends all that the observation has, logged at its stamp.
+        """Appends all messages of an observation, with its stamp as log time.
 
-        Depth is kept in whole millimetres (16UC1), as RGB-D cameras give it, and beyond 65 m as unknown. The covariance
-        of a contact has no place in its message. Raises InvalidInput where the rig has no topic for something, and for
-        stamps that a message cannot hold.
+        Depth is rounded to whole millimetres (16UC1), as RGB-D cameras give it; beyond 65 m it becomes unknown. A
+        contact's covariance is lost, as its message has no field for it. Raises InvalidInput where the rig lacks a
+        topic for something in the observation, and for stamps that a message cannot hold.
         """
         stamp, topics, frames = observation.stamp, self._rig.topics, self._rig.frames
         top = header(stamp)
@@ -108,12 +108,12 @@ class RecordingWriter(McapFile):
             topic = _finger_topic(topics.wrenches, finger, "wrenches")
             value = checks.finite(wrench, f"wrenches[{finger!r}]", (6,))
             body = Message(force=parts("xyz", value[:3]), torque=parts("xyz", value[3:]))
-            # In the sensor's own frame, which the rig has no name for.
+            # In the sensor's own frame, for which the rig has no name.
             self.append(topic, RosType.WRENCH, stamp, header=header(stamp, f"{finger}_sensor"), wrench=body)
         for finger, contact in observation.contacts.items():
             topic = _finger_topic(topics.contacts, finger, "contacts")
             self.append(topic, RosType.CONTACT, stamp, **contact_fields(contact, stamp, frames["palm"]))
-        for array, reading in observation.skin.items():  # it has no stamp: it is timed by when it is logged
+        for array, reading in observation.skin.items():  # without a header: its log time is its stamp
             fields = taxel_fields(reading, self._rig.skin.get(array), array)
             topic = _topic(topics.skin.get(array), f"skin.{array}")
             self.append(topic, RosType.ARRAY, stamp, **fields)
@@ -137,7 +137,7 @@ class RecordingWriter(McapFile):
             self._write_image((stamp, taken), _topic(topics.depth, "depth"), "16UC1", millimetres)
 
     def write_truth(self, stamp: float, T_palm_object: ArrayLike) -> None:
-        """Appends the true pose of the object, (4, 4), on the rig's topic for it; raises InvalidInput."""
+        """Appends the true pose of the object (4, 4) on the rig's topic of the truth; raises InvalidInput."""
         truth, top = pose(se3.check(T_palm_object, "T_palm_object")), header(stamp, self._rig.frames["palm"])
         topic = _topic(self._rig.topics.truth, "truth")
         self.append(topic, RosType.POSE, stamp, header=top, pose=truth)
@@ -145,7 +145,7 @@ class RecordingWriter(McapFile):
     def _write_image(
         self, stamps: tuple[float, float], topic: str, encoding: str, pixels: NDArray[np.generic]
     ) -> None:
-        """Appends an image, logged at the first stamp and taken at the second, and its camera's CameraInfo."""
+        """Appends an image and its CameraInfo; `stamps`: the log time, and when the image was taken [s]."""
         stamp, taken = stamps
         height, width = pixels.shape[:2]
         top = {"header": header(taken, self._rig.frames["camera"]), "height": height, "width": width}
@@ -178,20 +178,20 @@ def _finger_topic(topics: Mapping[str, str], finger: str, name: str) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackRow:
-    """A `TrackRow` is the object's tracked pose at one instant; only the CSV has rows without a pose."""
+    """A `TrackRow` is the object's tracked pose at one instant; rows without a pose are only in the CSV."""
 
     stamp: float
     """Time of the pose [s]."""
     T_palm_object: Array | None
-    """(4, 4) pose; None: it is not known."""
+    """(4, 4) pose; None: unknown."""
     covariance: Array | None
     """(6, 6) covariance of (δp [m], δθ [rad]) along the palm's axes; None: unbounded in some direction, or unknown."""
     state: str
     """The tracker's state: tracking, uncertain or lost."""
     reason: str = ""
-    """Why the state is not tracking; empty: it is."""
+    """Why the state is not tracking; empty where it is."""
     information: Array | None = None
-    """(6, 6) information, which may be singular, used where the covariance is None; None: nothing is known."""
+    """(6, 6) information, which may be singular, for where the covariance is None; None: nothing is known."""
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.stamp):
@@ -207,17 +207,17 @@ class TrackRow:
 
     @property
     def bounded_covariance(self) -> Array:
-        """(6, 6) covariance with a stated large variance in directions where it is unbounded or unknown."""
+        """(6, 6) covariance, with a large but finite variance in directions where it is unbounded or unknown."""
         if self.covariance is not None:
             return self.covariance
         return bounded_covariance(np.zeros((6, 6)) if self.information is None else self.information)
 
 
 def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str = "palm") -> None:
-    """Writes PoseWithCovarianceStamped on /handsight/pose, in `frame`, the palm's frame id.
+    """Writes an MCAP file with PoseWithCovarianceStamped on /handsight/pose; `frame`: the palm's frame id.
 
-    Where a covariance is unbounded, unobservable directions have the variance of a metre or of a whole turn (π²/3): its
-    largest eigenvalue is then at least 1. Raises InvalidFile, MissingExtra.
+    Where a covariance is unbounded, unobservable directions have the variance of a metre or of a full turn (π²/3), so
+    that its largest eigenvalue is at least 1. Raises InvalidFile, MissingExtra.
     """
     with McapFile(Path(path)) as file:
         for row in rows:
@@ -228,7 +228,7 @@ def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str =
 
 
 def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
-    """Writes lines `stamp x y z qx qy qz qw` [s, m], as evo and the TUM benchmark read them; raises InvalidFile."""
+    """Writes lines `stamp x y z qx qy qz qw` [s, m], the format of evo and the TUM benchmark; raises InvalidFile."""
     with write_errors(path), Path(path).open("w", encoding="utf-8", newline="") as file:
         for row in rows:
             if row.T_palm_object is not None:
@@ -236,7 +236,7 @@ def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
 
 
 def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
-    """Writes columns stamp, state, reason, position [m], quaternion xyzw, sigmas [m, rad], empty where unknown.
+    """Writes a CSV: stamp [s], state, reason, position [m], quaternion xyzw and sigmas [m, rad], empty where unknown.
 
     Raises InvalidFile.
     """

@@ -1,4 +1,4 @@
-"""Search by touch: where an object stands on a table, without a camera, by the most informative touches."""
+"""Search by touch: finds an object on a table without a camera, by the most informative sweeps of a fingertip."""
 
 from handsight.search.area import Area, resting
 from handsight.search.belief import Belief

@@ -1,10 +1,11 @@
-"""The prior of a search by touch: where on a table an object may stand before anything has touched it."""
+"""The prior of a search by touch: where on a table the object may stand before it is touched."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from handsight import checks, se3
+from handsight._deprecated import renamed_keywords, renamed_members
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
@@ -16,19 +17,19 @@ SAME_STABLE_POSE = float(np.deg2rad(20.0))
 """Two stable poses whose tilts differ by less count as one [rad]."""
 
 
+@renamed_members(holds="contains", middles="center_heights", tops="top_heights")
 @dataclass(frozen=True, slots=True, eq=False)
 class Area:
-    """An `Area` is a uniform prior over the poses of an object that stands on a table, within a rectangle and at any
-    yaw.
+    """An `Area` is a uniform prior over the poses of an object that stands on a table, in a rectangle, at any yaw.
 
-    A placement is a row (x [m], y [m], yaw [rad], index of the stable pose): where the middle of the object's bounds is
-    in the world, how far the object is turned about the vertical, and on which of its sides it stands.
+    A placement is a row (x [m], y [m], yaw [rad], index of the stable pose): the position of the middle of the object's
+    bounds in the world, the rotation about the vertical, and the side on which the object stands.
     """
 
     low: Array
     """(2,) smallest x and y of the middle of the object's bounds, in the world [m]."""
     high: Array
-    """(2,) largest x and y [m]."""
+    """(2,) largest x and y of it [m]."""
     table: Table
     """The table that the object stands on."""
     Rs_world_object: Array
@@ -60,6 +61,7 @@ class Area:
         """Returns (n,) whether each of the placements (n, 4) is within the rectangle."""
         return np.asarray(((placements[:, :2] >= self.low) & (placements[:, :2] <= self.high)).all(axis=1))
 
+    @renamed_keywords(places="placements")
     def poses(self, model: ObjectModel, placements: Array) -> Array:
         """Returns Ts_world_object (n, 4, 4) of the object at placements (n, 4)."""
         vertical = np.zeros((len(placements), 3))
@@ -83,8 +85,8 @@ class Area:
 def resting(model: ObjectModel) -> Array:
     """Returns Rs_world_object (k, 3, 3) of the object's stable poses on a plane, the likeliest first.
 
-    They are those of a body of constant density (`trimesh.poses`), modulo the object's symmetries and turns about the
-    vertical. Raises InvalidInput for a cloud or an open surface.
+    The object is taken to be of constant density (`trimesh.poses`). Poses that differ by a symmetry of the object or by
+    a rotation about the vertical count as one. Raises InvalidInput for a cloud or an open surface.
     """
     import trimesh
 

@@ -1,4 +1,4 @@
-"""The posterior of a search by touch: particles, drawn anew about every contact and weighed by all touches so far."""
+"""The posterior of a search by touch: particles, drawn anew after each touch and weighted by all touches so far."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight import checks, se3
+from handsight._deprecated import renamed_members
 from handsight.checks import Array, Indices
 from handsight.contact import Contacts
 from handsight.correction.modes import distinct, pose_distances
@@ -25,46 +26,49 @@ class ParticleOptions(NamedTuple):
 
     drawn: int = 8192  # placements that are drawn after a touch
     kept: int = 1024  # particles that are resampled from them
-    max_log_ratio: float = (
-        30.0  # a placement whose log likelihood is so much below the best is dropped at once
-    )
+    max_log_ratio: float = 30.0  # a placement so much less likely than the best is dropped at once
     metropolis_steps: int = 8
     step: tuple[float, float, float] = (0.004, 0.004, float(np.deg2rad(4.0)))
     """Largest standard deviation of a Metropolis step: x, y [m] and yaw [rad]."""
     max_modes: int = 8
-    contact_draws: int = (
-        2048  # placements that are drawn about a contact to decide whether it can be the object's
-    )
-    min_inside: int = 8  # of them, how many must be within the area
+    contact_draws: int = 2048
+    """Placements that are drawn about a contact to decide whether it can be one with the object."""
+    min_inside: int = 8  # so many of them must be within the area
     tip_positions: int = 20_000
-    """Positions of the tip around the object that are tried, for each stable pose, to find those that touch it."""
-    shell: float = 0.003  # how far a tip that counts as touching may be off the surface [m]
+    """Random positions of the tip around the object, for each stable pose; those that touch it are used."""
+    shell: float = 0.003  # a tip within this distance of touching the surface counts as touching [m]
     widening: float = 1.5
-    """Factor on a contact's standard deviations when placements are drawn about it: proposals need wide tails."""
+    """Factor on a contact's standard deviations when placements are drawn about it: a proposal needs wide tails."""
 
 
 class LikelihoodOptions(NamedTuple):
-    """`LikelihoodOptions` are the errors of a touch beside its covariance."""
+    """`LikelihoodOptions` are the errors of a touch in addition to its covariance."""
 
     push: float = 0.001
-    """How far a touch moves the object, per axis: older contacts are off by that for each later touch [m]."""
+    """How far each touch pushes the object, one standard deviation per axis, which displaces older contacts [m]."""
     freedom: float = 5.0
-    """Degrees of freedom of Student's t: a contact at an edge is farther off than its covariance says."""
-    min_sigma_yaw: float = float(np.deg2rad(0.1))  # a yaw is never known better [rad]
+    """Degrees of freedom of Student's t: errors of contacts at an edge are larger than their covariance."""
+    min_sigma_yaw: float = float(np.deg2rad(0.1))  # least standard deviation of the yaw [rad]
 
 
 class CertaintyOptions(NamedTuple):
-    """`CertaintyOptions` say when a search ends, so that the object is grasped: by its likeliest mode."""
+    """`CertaintyOptions` say when the likeliest mode is certain enough to end a search and grasp the object."""
 
-    probability: float = 0.95
-    sigma_position: float = 0.006  # [m]
-    sigma_yaw: float = float(np.deg2rad(4.0))  # [rad]
+    probability: float = 0.95  # least probability of the mode
+    sigma_position: float = 0.006  # largest standard deviation of the position in the table's plane [m]
+    sigma_yaw: float = float(np.deg2rad(4.0))  # largest standard deviation of the yaw [rad]
 
 
 PARTICLES, LIKELIHOOD, CERTAINTY = ParticleOptions(), LikelihoodOptions(), CertaintyOptions()
 MAX_SEED = 2**32
 
 
+@renamed_members(
+    sure="is_certain",
+    weight="probability",
+    prior="pose_world_object",
+    T_world_object="pose_world_object.T_a_b",
+)
 @dataclass(frozen=True, slots=True, eq=False)
 class Mode:
     """A `Mode` is particles within 15 mm and 20° of each other, modulo symmetry, as one Gaussian."""
@@ -72,11 +76,11 @@ class Mode:
     pose_world_object: GaussianPose
     """Their mean and covariance, with the errors of the table's height and tilt."""
     probability: float
-    """Their share of all particles."""
+    """The mode's share of all particles."""
 
     @property
     def is_certain(self) -> bool:
-        """Whether the object is in this mode, and the mode is narrow enough to grasp the object."""
+        """Whether the mode is so likely and so narrow that the object can be grasped there."""
         variances = np.diag(self.pose_world_object.covariance)
         position, yaw = np.sqrt([variances[:2].sum(), variances[5]])
         return bool(
@@ -86,9 +90,10 @@ class Mode:
         )
 
 
+@renamed_members(places="placements")
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """A `Belief` says where the object may stand given every touch so far, as equally likely particles."""
+    """A `Belief` is the posterior of the object's pose given all touches so far, as equally likely particles."""
 
     model: ObjectModel
     area: Area
@@ -116,7 +121,7 @@ class Belief:
     def after(self, touch: Touch) -> "Belief":
         """Returns the belief after one more touch; raises InvalidInput.
 
-        A contact at which the object cannot stand anywhere in its area is of something else, and is left out.
+        A contact that no placement of the object in its area explains is with something else, and is left out.
         """
         if not isinstance(touch, Touch):
             raise InvalidInput(f"touch: expected a Touch, got {type(touch).__name__}")
@@ -155,8 +160,9 @@ class Belief:
     def _draw(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """Returns random placements (m, 4) and the logarithms (m,) of their importance weights.
 
-        Before any contact they are drawn from the area, after it about each contact in turn. A placement drawn from any
-        of the proposal densities q_a weighs p / Σ q_a (the balance heuristic, Veach and Guibas 1995).
+        Before the first contact they are drawn from the area, later from a proposal density q_a about each contact a. A
+        placement that is drawn from any of these has the weight p / Σ q_a (the balance heuristic, Veach and Guibas
+        1995).
         """
         model, area = self.model, self.area
         contacts = [(t.contact_world, t.radius) for t in self.touches if t.contact_world is not None]
@@ -183,7 +189,7 @@ class Belief:
         return np.where(self.area.contains(placements), log_likelihood, -np.inf)
 
     def _diversified(self, placements: Array, rng: np.random.Generator) -> Array:
-        """Returns the placements after Metropolis steps, which spread those that were resampled many times."""
+        """Returns the placements after Metropolis steps, which separate copies of one that was resampled often."""
         log_posterior = self._log_posterior(placements)
         for _ in range(PARTICLES.metropolis_steps):
             size = np.array(PARTICLES.step) * rng.uniform(size=(len(placements), 1)) ** 2
@@ -196,7 +202,7 @@ class Belief:
         return placements
 
     def _mode(self, T: Array, Ts: Array) -> Mode:
-        """Returns the mode of particles with poses (n, 4, 4), about the pose T (4, 4) of one of them."""
+        """Returns the mode of particles with poses `Ts` (n, 4, 4), linearised at `T` (4, 4), one of these."""
         model, table = self.model, self.area.table
         equivalent = nearest(model.symmetries, Ts, T, model.radius)
         center = model.center_object[None]
@@ -213,11 +219,11 @@ class Belief:
 def placements_about(
     model: ObjectModel, area: Area, contact_world: Contacts, radius: float, n: int, rng: np.random.Generator
 ) -> Array:
-    """Returns `n` random placements (n, 4) at which a contact is on the object's surface, turned as its normal says.
+    """Returns `n` random placements (n, 4) with a contact on the object's surface, at a yaw that fits its normal.
 
-    For one yaw, a placement is the tip's position less its position on the object; so placements are uniform along the
-    object's outline where tip positions are. `radius` is the tip's [m]. There is no placement (0, 4) where the object
-    is at no stable pose as high as the contact.
+    A placement at a given yaw is the tip's position less its position relative to the object. So placements are uniform
+    along the object's outline if the relative positions of the tip are. `radius` is the tip's [m]. The result is empty,
+    (0, 4), where the object is not as high as the contact in any stable pose.
     """
     normal, covariance = contact_world.normals_palm[0], contact_world.covariance[0]
     middle = tip_center(contact_world, radius)
@@ -226,7 +232,7 @@ def placements_about(
         return np.empty((0, 4))
     chosen = rng.integers(len(arms), size=n)
     arm, out = arms[chosen], outward[chosen]
-    # Of a normal that is nearly vertical the yaw is hardly known.
+    # A normal that is nearly vertical hardly determines the yaw.
     lateral = max(float(np.hypot(*normal[:2])), 1e-3)
     spread = PARTICLES.widening * np.sqrt(np.trace(covariance[3:, 3:]) / 2) / lateral
     yaw = np.arctan2(normal[1], normal[0]) - np.arctan2(out[:, 1], out[:, 0]) + spread * rng.normal(size=n)
@@ -240,10 +246,10 @@ def placements_about(
 def _touching_tips(
     model: ObjectModel, area: Area, height: float, radius: float, rng: np.random.Generator
 ) -> tuple[Array, Array, Indices]:
-    """Returns random positions of a tip at a height [m] in the world that touch the object at yaw 0.
+    """Returns random positions, at a height in the world [m], at which a tip touches the object at yaw 0.
 
-    They are (m, 3) vectors from the object's middle along the world's axes [m], with (m, 3) outward normals of the
-    object there, and (m,) the index of the stable pose.
+    These are vectors (m, 3) from the object's middle, along the world's axes [m]. The object's outward normals (m, 3)
+    at these positions follow, and the indices (m,) of the stable poses.
     """
     Rs, reach = area.Rs_world_object, model.radius + radius
     arms = rng.uniform(-reach, reach, (len(Rs), PARTICLES.tip_positions, 3))
@@ -260,9 +266,9 @@ def _touching_tips(
 def contact_log_likelihoods(
     model: ObjectModel, touches: Sequence[Touch], table: Table, Ts_world_object: Array
 ) -> Array:
-    """Returns (n, k) the log likelihoods of the k contacts among the touches at each pose (n, 4, 4).
+    """Returns (n, k) the log likelihood at each pose (n, 4, 4) of each of the k contacts among the touches.
 
-    Each is of the contact's distance to the surface and of its normal, with Student's tails. The errors of the table's
+    It is that of the contact's distance to the surface and of its normal, by Student's t. The errors of the table's
     height and tilt are marginalised.
     """
     contacts = [
@@ -294,9 +300,9 @@ def contact_log_likelihoods(
 
 
 def free_log_likelihood(model: ObjectModel, touches: Sequence[Touch], Ts_world_object: Array) -> Array:
-    """Returns (n,) the log likelihood at each pose (n, 4, 4) that the tips met nothing where they met nothing.
+    """Returns (n,) the log likelihood at each pose (n, 4, 4) of the free parts of all sweeps, where tips met nothing.
 
-    The positions of one sweep share one error, so a sweep counts once, by its deepest penetration.
+    All positions of a sweep have one error in common, so each sweep counts once, by its deepest penetration.
     """
     log_likelihood = np.zeros(len(Ts_world_object))
     if not model.closed:

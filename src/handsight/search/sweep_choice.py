@@ -15,13 +15,13 @@ from handsight.search.touch import Sweep, cast
 class SweepOptions(NamedTuple):
     """`SweepOptions` say how the next sweep is chosen."""
 
-    distance_bin: float = 0.004  # width of the bins in which a touch's distance is counted [m]
+    distance_bin: float = 0.004  # width of the bins of a touch's distance along the sweep [m]
     normal_bin: float = float(np.deg2rad(12.0))  # width of the bins of its normal's two angles [rad]
-    max_normal_bins: int = 1000  # more bins than an angle of a normal has: it makes one number of three
+    max_normal_bins: int = 1000  # more than an angle has bins: it combines three bin numbers into one
     max_sweeps: int = 256  # sweeps that are compared
-    max_poses: int = 512  # particles on which they are cast
+    max_poses: int = 512  # particles on which each sweep is cast
     margin: float = 0.03
-    """Length of a sweep before the first and behind the last point at which the object may be met [m]."""
+    """Length of a sweep before the first and beyond the last point at which it may meet the object [m]."""
 
 
 SWEEPS = SweepOptions()
@@ -30,8 +30,8 @@ SWEEPS = SweepOptions()
 def expected_information(belief: Belief, sweeps: list[Sweep], radius: float) -> Array:
     """Returns (s,) the entropy of each sweep's outcome under the belief [nat], for a tip of `radius` [m].
 
-    An outcome is a miss, or a distance in bins of 4 mm with a normal in bins of 12°. The information that a touch is
-    expected to give is this entropy less that of its own noise, which is about the same for all sweeps.
+    An outcome is a miss, or a distance in bins of 4 mm with a normal in bins of 12°. The expected information of a
+    sweep is this entropy less that of the measurement's noise, which is about the same for all sweeps.
     """
     distances, normals = cast(belief.model, _some_poses(belief), sweeps, radius)
     azimuth = np.arctan2(normals[..., 1], normals[..., 0])
@@ -56,9 +56,10 @@ def expected_information(belief: Belief, sweeps: list[Sweep], radius: float) -> 
 
 
 def candidates(belief: Belief, heights: ArrayLike, rng: np.random.Generator) -> list[Sweep]:
-    """Returns random level sweeps over the area in which the object may be, at `heights` above the table [m].
+    """Returns random level sweeps across the area, at `heights` above the table [m].
 
-    Each passes the middle of one particle's object at up to the object's radius. Raises InvalidInput.
+    Each passes the middle of the object, as one of the particles has it, within the object's radius. Raises
+    InvalidInput.
     """
     levels = checks.finite(heights, "heights", (None,))
     if not len(levels) or not (levels > 0).all():
@@ -80,16 +81,16 @@ def candidates(belief: Belief, heights: ArrayLike, rng: np.random.Generator) -> 
 
 
 def level_sweep(center: Array, reach: float, through: Array, along: Array, height: float) -> Sweep:
-    """Returns the sweep at a height along the direction `along` (2,) through a point (2,) of the table.
+    """Returns the level sweep through a point (2,) in the direction `along` (2,), a unit vector, at a height [m].
 
-    It covers what is within `reach` of `center` (2,), measured along its direction [m].
+    It starts and ends at a distance `reach` from `center` (2,), measured along its direction [m].
     """
     start = through + ((center - through) @ along - reach) * along
     return Sweep(np.array([*start, height]), np.array([*along, 0.0]), 2 * reach)
 
 
 def shortened(belief: Belief, sweep: Sweep, radius: float) -> Sweep:
-    """Returns the part of a sweep in which the object may be met; all of it where no particle is met.
+    """Returns the part of a sweep in which it may meet the object; all of it if it meets the object of no particle.
 
     `radius` is the tip's [m].
     """
@@ -101,10 +102,10 @@ def shortened(belief: Belief, sweep: Sweep, radius: float) -> Sweep:
 
 
 def best_sweep(belief: Belief, heights: ArrayLike, radius: float) -> Sweep:
-    """Returns the sweep that is expected to give most information, as short as possible; the same for the same belief.
+    """Returns the sweep with the most expected information, as short as possible; the same for the same belief.
 
-    `heights` are those of the tip's middle above the table at which the hand can sweep [m], `radius` is the tip's [m].
-    Raises InvalidInput.
+    `heights` are the heights above the table at which the hand can move the tip's middle [m], `radius` is the tip's
+    radius [m]. Raises InvalidInput.
     """
     rng = np.random.default_rng((belief.seed, len(belief.touches), 1))
     sweeps = candidates(belief, heights, rng)
@@ -113,5 +114,5 @@ def best_sweep(belief: Belief, heights: ArrayLike, radius: float) -> Sweep:
 
 
 def _some_poses(belief: Belief) -> Array:
-    """Returns the poses (n, 4, 4) of at most about `SWEEPS.max_poses` particles."""
+    """Returns the poses (n, 4, 4) of about `SWEEPS.max_poses` of the particles, or of all if there are fewer."""
     return belief.Ts_world_object[:: max(len(belief.placements) // SWEEPS.max_poses, 1)]

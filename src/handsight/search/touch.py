@@ -1,10 +1,11 @@
-"""A fingertip swept along a line: what it would meet if the object stood somewhere, and what it has met."""
+"""Sweeps of a fingertip along a line: where one would meet an object of known pose, and what one has met."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from handsight import checks, se3
+from handsight._deprecated import renamed_keywords
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.errors import InvalidInput
@@ -12,7 +13,7 @@ from handsight.objects import ObjectModel
 
 MAX_CAST_STEPS = 40
 CAST_TOLERANCE = 2e-4
-"""A cast ball has arrived when it is this near to the surface, and no step of a cast is shorter [m]."""
+"""A cast ball has met the surface once it is this near to it; no step of a cast is shorter [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +38,7 @@ class Sweep:
         """Returns the point (3,) of the path at a distance from its start [m]."""
         return np.asarray(self.start_world + distance * self.direction_world)
 
+    @renamed_keywords(begin="start")
     def part(self, start: float, end: float) -> "Sweep":
         """Returns the part of the path between two distances from its start [m]."""
         return Sweep(self.at(start), self.direction_world, end - start)
@@ -44,14 +46,14 @@ class Sweep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touch:
-    """A `Touch` is the outcome of one sweep: where the tip met nothing, and the contact that ended it, if any."""
+    """A `Touch` is the outcome of a sweep: where the tip met nothing, and the contact that ended it, if any."""
 
     free_world: Array
-    """(m, 3) positions of the middle of the tip at which it met nothing [m]."""
+    """(m, 3) positions of the tip's middle at which it met nothing [m]."""
     radius: float
-    """Radius of the ball around that middle which is certainly within the tip [m]."""
+    """Radius of a ball about the tip's middle that is entirely within the tip [m]."""
     sigma: float
-    """Standard deviation per axis of the tip's position, one error for all of the sweep [m]."""
+    """Standard deviation per axis of the tip's position [m]; the error is the same throughout a sweep."""
     contact_world: Contacts | None
     """One contact with its normal, in the world; None where the tip met nothing."""
 
@@ -70,9 +72,9 @@ class Touch:
 
 
 def tip_center(contact_world: Contacts, radius: float) -> Array:
-    """Returns the middle (3,) of a ball of `radius` [m] that touches where one contact is.
+    """Returns the middle (3,) of a ball of `radius` [m] that touches the object at a contact.
 
-    Unlike the contact it does not lie on the surface: about an edge, distance and normal change smoothly there.
+    It is outside the object, where the distance and its gradient change smoothly, even near an edge of the surface.
     """
     return np.asarray(contact_world.points_palm[0] + radius * contact_world.normals_palm[0])
 
@@ -80,11 +82,11 @@ def tip_center(contact_world: Contacts, radius: float) -> Array:
 def cast(
     model: ObjectModel, Ts_world_object: Array, sweeps: list[Sweep], radius: float
 ) -> tuple[Array, Array]:
-    """Returns how far a ball goes along each sweep until it meets the object at each pose [m], and the normal there.
+    """Returns how far a ball moves along s sweeps until it meets the object at n poses, and the normals there.
 
-    `Ts_world_object` is (n, 4, 4), `radius` the ball's [m]. The distances (s, n) are infinite where the ball passes;
-    the outward normals (s, n, 3) are along the world's axes. Each step is as long as the ball is away from the object
-    (sphere tracing, Hart 1996).
+    `Ts_world_object` is (n, 4, 4), `radius` the ball's [m]. The distances (s, n) are infinite where the ball passes by
+    [m]; the object's outward normals (s, n, 3) are along the world's axes. Each step is as long as the ball's distance
+    from the object (sphere tracing, Hart 1996).
     """
     s, n = len(sweeps), len(Ts_world_object)
     Ts_object_world = np.tile(se3.inverse(Ts_world_object), (s, 1, 1))

@@ -1,23 +1,36 @@
-"""Truth: a simulated hand that grasps and moves an object, with known pose and chosen errors."""
+"""Simulation: a hand grasps and moves an object whose true pose is known, with chosen errors of its sensors."""
 
 from handsight._deprecated import renamed
-from handsight.simulation.camera import camera_facing
+from handsight.simulation.camera import add_depth_noise, camera_facing, true_camera
 from handsight.simulation.grasp_file import read_grasp, write_grasp
 from handsight.simulation.grasp_search import GraspSearchResult, find_grasp
-from handsight.simulation.motion import Grasp
+from handsight.simulation.motion import MOTION, Grasp
+from handsight.simulation.probe import PROBE, Probe
 from handsight.simulation.rendering import render
 from handsight.simulation.robot import model_of, rig_of
-from handsight.simulation.scenario import Nuisances, Sample, Scenario, TipContact
+from handsight.simulation.scenario import SCENARIO, Nuisances, Profile, Sample, Scenario, TipContact
 from handsight.simulation.simulate import simulate
-from handsight.simulation.touch_search import simulate_touch_search, touch_search_rig
+from handsight.simulation.touch_search import (
+    TOUCH_SEARCH,
+    simulate_touch_search,
+    start_search,
+    touch_search_rig,
+)
 
 __all__ = [
+    "MOTION",
+    "PROBE",
+    "SCENARIO",
+    "TOUCH_SEARCH",
     "Grasp",
     "GraspSearchResult",
     "Nuisances",
+    "Probe",
+    "Profile",
     "Sample",
     "Scenario",
     "TipContact",
+    "add_depth_noise",
     "camera_facing",
     "find_grasp",
     "model_of",
@@ -26,7 +39,9 @@ __all__ = [
     "rig_of",
     "simulate",
     "simulate_touch_search",
+    "start_search",
     "touch_search_rig",
+    "true_camera",
     "write_grasp",
 ]
 

@@ -1,4 +1,4 @@
-"""The depth camera at the shoulder: its true pose, the pose that the robot believes, and the errors of its depth."""
+"""The depth camera at the shoulder: its calibrated pose, the error of that pose, and the errors of its depth."""
 
 from functools import lru_cache, reduce
 
@@ -10,7 +10,7 @@ from scipy.special import ndtri
 from handsight import checks, se3
 from handsight.camera import Depth
 from handsight.checks import Array
-from handsight.simulation.scenario import Nuisances
+from handsight.simulation.scenario import Nuisances, Scenario
 from handsight.simulation.scene import IMAGE_SIZE, SCENE
 from handsight.vision import DepthNoise
 
@@ -40,14 +40,14 @@ def camera_facing(eye: ArrayLike, at: ArrayLike) -> Array:
     return se3.compose(np.column_stack([x, np.cross(z, x), z]), origin)
 
 
-BELIEVED_CAMERA = camera_facing([-0.45, 0.50, 0.60], TARGET)
-"""T_world_camera (4, 4) as calibrated."""
+CALIBRATED_CAMERA = camera_facing([-0.45, 0.50, 0.60], TARGET)
+"""T_world_camera (4, 4) of the robot's rig."""
 
 
-def displacement(nuisances: Nuisances, seed: int) -> Array:
-    """Returns T_believed_true (4, 4), in the world: where the wrong calibration places what the camera measures.
+def calibration_error(nuisances: Nuisances, seed: int) -> Array:
+    """Returns T_measured_true (4, 4) in the world: it maps true poses to where the wrong calibration places them.
 
-    It is a constant rotation about `TARGET` and a constant shift.
+    It is a constant rotation about `TARGET` and a constant shift, drawn by the seed.
     """
     draw = np.random.default_rng((seed, 4)).normal(size=6)
     # The mean length of a Gaussian in the plane is √(π/2) of its sigma.
@@ -57,8 +57,14 @@ def displacement(nuisances: Nuisances, seed: int) -> Array:
     return se3.compose(R, TARGET + shift - R @ TARGET)
 
 
-def spoil(depth: Depth, noise: DepthNoise, rng: np.random.Generator, seed: int) -> Depth:
-    """Returns the image (h, w) [m] that a camera gives of the true depth (h, w) [m]; NaN where it has no depth.
+def true_camera(scenario: Scenario) -> Array:
+    """Returns the true T_camera_world (4, 4) of the robot's camera; the rig's own is wrong by `calibration_error`."""
+    error = calibration_error(scenario.nuisances, int(scenario.seed))
+    return np.asarray(se3.inverse(CALIBRATED_CAMERA) @ error)
+
+
+def add_depth_noise(depth: Depth, noise: DepthNoise, rng: np.random.Generator, seed: int) -> Depth:
+    """Returns the depth image (h, w) [m] that a camera measures of true depth (h, w) [m]; NaN where it has none.
 
     `rng` draws the noise of this image; `seed` (at least 0) draws the constant errors, so another seed is another
     camera. Without noise, depth in range is exact.

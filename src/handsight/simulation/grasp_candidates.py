@@ -59,9 +59,9 @@ class Body:
     areas: Array
     """(m,) of the faces [m²]."""
     mass: Array
-    """(3,) its centre of mass [m]."""
+    """(3,) the centre of mass [m]."""
     middle: Array
-    """(3,) the middle of the bounds that it has in its own frame [m]."""
+    """(3,) the middle of the bounds in the object's own frame [m]."""
 
     def turned(self, R: Array) -> "Body":
         """Returns the body turned by R (3, 3) and standing on the table, its middle above the origin."""
@@ -77,7 +77,7 @@ class Hold:
     """A `Hold` is where fingertips are to press on a resting object, in the world; the grip's axis is x."""
 
     R_world_object: Array
-    """(3, 3)"""
+    """(3, 3) rotation of the object at rest."""
     body: Body
     """The object as it rests there."""
     points: Mapping[str, Array]
@@ -89,7 +89,7 @@ class Hold:
     merit: float
     """Its rank: about 1 for the best, without a lower bound."""
     kin: tuple[int, float, float]
-    """Its rest, roll and offset: candidates that share them fail alike."""
+    """Number of its resting pose, roll and offset: candidates that share all three tend to fail together."""
 
 
 def body_of(vertices: Array) -> Body:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handsight._deprecated import renamed_members
 from handsight.errors import InvalidObject
 from handsight.simulation.grasp_candidates import Hold, body_of, grasp_candidates
 from handsight.simulation.motion import BOX, CAN, LEGS, MOTION, POWER_CAN, Grasp
@@ -19,7 +20,7 @@ from handsight.simulation.world import World
 
 
 class GraspSearchOptions(NamedTuple):
-    """`GraspSearchOptions` say how grasps are tried in simulation."""
+    """`GraspSearchOptions` configure the trials of grasps in simulation."""
 
     max_fitted: int = 90  # candidates to which the hand is fitted before the search gives up
     max_trials: int = 24  # grasps that are simulated
@@ -36,9 +37,10 @@ class GraspSearchOptions(NamedTuple):
 GRASP_SEARCH = GraspSearchOptions()
 
 
+@renamed_members(held="succeeded")
 @dataclass(frozen=True, slots=True, eq=False)
 class GraspSearchResult:
-    """A `GraspSearchResult` says how an object is grasped, and how that was found."""
+    """A `GraspSearchResult` is a grasp of an object, and how it was found."""
 
     grasp: Grasp
     succeeded: bool
@@ -95,7 +97,7 @@ def grasp_for(name: str, seed: int, *, skin: bool = False) -> Grasp:
 
 
 def _in_turn(found: list[Hold]) -> Iterator[Hold]:
-    """Yields the best candidate that is left; each one yielded before, which failed, lowers the merit of its kin."""
+    """Yields holds, best first; each one yielded before has failed, and lowers the merit of holds of its `kin`."""
     left, failed = list(found), Counter[tuple[int, float, float]]()
     while left:
         best = max(left, key=lambda hold: hold.merit - GRASP_SEARCH.failure_penalty * failed[hold.kin])

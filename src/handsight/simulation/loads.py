@@ -1,4 +1,4 @@
-"""What the object weighs, and the forces on it that no sensor of the hand measures."""
+"""The object's mass, and the forces on it that no sensor of the hand measures."""
 
 import math
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class PullOptions(NamedTuple):
-    """`PullOptions` describe a pull at the object until it slips, such as a person's, which yields and lets go."""
+    """`PullOptions` describe a pull at the object, as by a person who lets go once it has slipped."""
 
     begin: float = 3.4  # when `motion.PULLED` has the object lifted and at rest [s]
     duration: float = 3.0  # of the pull [s]
@@ -27,7 +27,7 @@ class PullOptions(NamedTuple):
     max_speed: float = 0.1  # largest draw of that speed [m/s]
     flying_speed: float = 0.3  # speed of the object, in any direction, that also ends the pull [m/s]
     min_travel: float = 0.005  # smallest draw of how far the object slips before it is let go [m]
-    max_travel: float = 0.02  # largest draw of it [m]
+    max_travel: float = 0.02  # largest draw of that distance [m]
     normal_share: float = 0.03
     """Variance of the pull's direction across all tips, relative to that along all of them: it pulls along the surfaces
     of the tips, not off them.
@@ -39,7 +39,7 @@ PULL = PullOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Payload:
-    """A `Payload` is a scene whose object weighs what a scenario says, and the constant loads on that object."""
+    """A `Payload` is the scene with the scenario's mass and centre of mass, and the constant loads on its object."""
 
     scene: SimulatedScene
     force_palm: Array

@@ -37,11 +37,11 @@ class Grasp:
     T_palm_middle: Array
     """(4, 4) when the fingers begin to close; `middle` is the middle of the object's bounds, with the object's axes."""
     opening: Mapping[str, float]
-    """Targets of the joints' servos at first [rad]; 0 for those not named."""
+    """Servo targets of the open hand by joint [rad]; 0 for joints that are not named."""
     closed: Mapping[str, float]
-    """Their targets at the end [rad]."""
+    """Servo targets of the closed hand by joint [rad]."""
     height: float
-    """Of that middle above the table [m]."""
+    """Height of `middle` above the table [m]."""
     R_world_palm: Array = field(default_factory=lambda: np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]]))
     """(3, 3) when the fingers begin to close; by default fingers point along x, the palm faces y, the thumb is up."""
 
@@ -161,7 +161,8 @@ def least_jerk(s: Array) -> Array:
 def palm_poses(legs: Array, times: Array, T_world_palm: Array, pivot: Array) -> Array:
     """Returns Ts_world_palm (n, 4, 4) at `times` (n,) after the start [s]; the palm is at rest at the end of each leg.
 
-    It starts at `T_world_palm` (4, 4) and turns about the point `pivot` (3,) in the world [m].
+    It starts at `T_world_palm` (4, 4) and turns about the point `pivot` (3,) in the world [m]. `legs` (m, 6 or 7) have
+    the columns of `LEGS` or `WEIGH_LEGS`.
     """
     ends = np.cumsum(legs[:, 0])
     i = np.minimum(np.searchsorted(ends, times), len(ends) - 1)

@@ -14,7 +14,7 @@ from handsight.simulation.scene import FINGERS, PALM, T_MOUNT_PALM, SimulatedSce
 
 
 class PostureOptions(NamedTuple):
-    """`PostureOptions` say how joint angles are found for a grasp."""
+    """`PostureOptions` configure the search for the joint angles of a grasp."""
 
     coupling: float = 1.142  # of the tendon of a finger's last two joints: J0 follows J1 by this ratio
     slack: float = 0.142  # behind it by at most this [rad]
@@ -35,7 +35,7 @@ class Posture:
     """A `Posture` is the hand around one hold; `grasp` computes its closing motion."""
 
     def __init__(self, scene: SimulatedScene, hold: Hold) -> None:
-        """Starts with a hand that grips an object of middle width, turned and moved so that its grip is the hold's."""
+        """Starts from a hand that grips an object of medium width, moved so that its grip is the hold's."""
         self._mujoco, self._model = mujoco_module(), scene.model
         self._data: Any = self._mujoco.MjData(scene.model)
         self.hold, self._scene, self._used = hold, scene, tuple(hold.points)
@@ -45,7 +45,7 @@ class Posture:
         self._places = np.array([scene.joints[name] for name in self._names])
         ranges = np.array([self._model.joint(name).range for name in self._names])
         self._low, self._high = ranges[:, 0] + POSTURE.stop_margin, ranges[:, 1] - POSTURE.stop_margin
-        # Joints of such a hand [rad], 0 for the others; then axes of its grip (thumb to fingers, away from the palm,
+        # Joints of that hand [rad], 0 for the others; then axes of its grip (thumb to fingers, away from the palm,
         # along the row) and the grip's middle in the palm [m].
         bent = {f"{name.upper()}J{k}": {2: 0.75, 1: 0.6}[k] for name in FINGERS[:4] for k in (2, 1)}
         bent |= {"THJ4": 0.2, "THJ3": 1.1, "THJ2": 0.1, "THJ1": -0.25, "THJ0": -0.7}
@@ -56,7 +56,7 @@ class Posture:
         self._R = np.array([[1.0, 0, 0], [0, c, s], [0, -s, c]]) @ R_grip_palm
         fingers = np.mean([point for finger, point in hold.points.items() if finger != "th"], axis=0)
         self._p = (hold.points["th"] + fingers) / 2 - self._R @ grip_palm
-        # Links that should touch nothing are covered by balls: geom, centre in it and radius [m] of each.
+        # Links that must touch nothing are covered by balls: geom, centre in it and radius [m] of each.
         kinds = self._mujoco.mjtGeom
         balls: list[tuple[int, Any, float]] = []
         for i in range(self._model.ngeom):
@@ -110,7 +110,7 @@ class Posture:
         ), ""
 
     def _fitted(self, residuals: Callable[[Array], Array], start: Array) -> Array:
-        """Returns the minimum of the sum of squares within the joints' range; the joints are the last numbers."""
+        """Returns the minimiser of the sum of squares within the joints' range; its last numbers are the joints."""
         free = np.full(len(start) - len(self._low), np.inf)
         start = start.copy()
         start[len(free) :] = np.clip(
@@ -150,7 +150,7 @@ class Posture:
         return geom.xpos + R @ (semi_axes * scaled / np.sqrt(scaled @ scaled)), towards, float(geom.xpos[2])
 
     def _residuals(self, x: Array, away: float = 0.0) -> Array:
-        """Returns the errors of a posture, scaled to count alike; its tips should be `away` from their points [m]."""
+        """Returns the errors of a posture, weighted; its tips should be at distance `away` from their points [m]."""
         self._place(x)
         parts = [0.15 * (x[6:] - self._bent), 0.5 * x[3:6]]
         for finger in self._used:

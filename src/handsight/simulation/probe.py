@@ -30,8 +30,8 @@ class ProbeOptions(NamedTuple):
     """`ProbeOptions` say how a finger searches the table and the object."""
 
     reach: float = 0.03
-    """How far the tip's middle is below the finger's first link, which is wider than the tip [m]. An object may be that
-    much higher; else that link pushes it where the tip passes.
+    """How far the tip's middle is below the finger's first link, which is wider than the tip [m]. A taller part of the
+    object would be pushed by that link where the tip passes.
     """
     radius: float = 0.009  # of the tip's sides [m]
     sigma: float = 0.0025  # of the tip's position, per axis [m]: a degree at each joint of the finger
@@ -41,19 +41,21 @@ class ProbeOptions(NamedTuple):
     travel_speed: float = 0.4  # of the tip elsewhere [m/s]
     turn_speed: float = 3.0  # of the hand as it turns [rad/s]
     acceleration_time: float = 0.1
-    """How long the tip takes to reach its speed [s]: a sudden start shakes it, which feels like a touch."""
+    """How long the tip takes to reach its speed [s]: a sudden start shakes it, which would pass for a contact."""
     stop_force: float = 0.15  # at which a sweep ends [N]
     dwell: float = 0.15  # how long the hand rests at a contact [s]
-    readings: int = 10  # whose mean is the contact's wrench
+    readings: int = 10  # readings whose mean is the contact's wrench
     retreat: float = 0.015  # how far the tip moves back from a contact [m]
     travel_height: float = 0.05  # of the tip above the object on its way over the table [m]
     free_spacing: float = 0.005  # between positions where the tip met nothing [m]
     min_height: float = 0.022
-    """Of the tip's middle above the table, which is known to some millimetres and a degree [m]."""
+    """Least height of the tip's middle above the table [m]; the table is known to some millimetres and a degree."""
     top_margin: float = 0.012  # of the tip's middle below the object's top [m]
     table_start: float = 0.05  # height above the expected table at which the tip starts to search for it [m]
     table_unevenness: float = 0.015
-    """Largest unevenness of a table tilted by a degree [m]: a lower contact is of the finger's side at its edge."""
+    """Largest difference of height on a table tilted by a degree [m]. A lower contact is one of the finger's side with
+    the table's edge.
+    """
     start_height: float = 0.5  # of the palm at first above the object's middle [m]
 
 
@@ -68,7 +70,7 @@ class Probe(World):
     ) -> None:
         """Starts with the object at rotation `R_scene_object` (3, 3) in the scene.
 
-        `T_world_table` (4, 4) is where the robot believes the scene's origin to be. With `recording` all samples are
+        `T_world_table` (4, 4) is the scene's origin but for the table's errors. With `recording` all samples are
         kept in `recorded`, those on the way to a sweep too. Raises as `World` does.
         """
         rig = rig_of(scenario)
@@ -113,10 +115,10 @@ class Probe(World):
         lowest = max(PROBE.min_height, self.top - PROBE.reach)
         return lowest, max(lowest, self.top - PROBE.top_margin)
 
-    def feel_table(self, places: ArrayLike) -> float:
-        """Returns the mean height of the table where the tip is pressed down on it, at places (n, 2) in the world [m].
+    def measure_table(self, places: ArrayLike) -> float:
+        """Returns the mean height of the table [m], touched by the tip at places (n, 2) in the world [m].
 
-        Places beside the table do not count. Raises InvalidInput where there are no others.
+        Places beside the table are left out; raises InvalidInput where all are.
         """
         found, places = [], np.atleast_2d(places)
         for x, y in places:
@@ -132,7 +134,9 @@ class Probe(World):
                     found.append(float(T[2, 3] - np.linalg.norm(T[2, :3] * self._finger.tip.semi_axes)))
                     break
         if not found:
-            raise InvalidInput(f"places: expected some over the table, felt nothing at any of {len(places)}")
+            raise InvalidInput(
+                f"places: expected some over the table, touched nothing at any of {len(places)}"
+            )
         heights = np.array(found)
         return float(heights[np.abs(heights - np.median(heights)) < PROBE.table_unevenness].mean())
 
@@ -172,7 +176,7 @@ class Probe(World):
     def _along(self, Ts_world_palm: Array, *, needed: bool = True) -> Iterator[Sample]:
         """Yields samples while the palm moves through poses (n, 4, 4), two milliseconds from one to the next.
 
-        It yields none that is neither `needed` nor recorded: samples take longer than the simulation.
+        Unless they are `needed` or recorded it yields none, for a sample takes longer than the simulation.
         """
         arm = rows(se3.inverse(self._sensors.T_world_scene) @ Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
         for i, T in enumerate(Ts_world_palm):

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput, MissingExtra
-from handsight.simulation.camera import BELIEVED_CAMERA
+from handsight.simulation.camera import CALIBRATED_CAMERA
 from handsight.simulation.scenario import Sample, Scenario
 from handsight.simulation.scene import IMAGE_SIZE, PALM, SCENE, SimulatedScene, mujoco_module, scene
 
@@ -36,14 +36,8 @@ class Renderer:
         self._context = _context()
         self._context.make_current()
         self._drawn, self._option = mujoco.MjvScene(built.model, maxgeom=400), mujoco.MjvOption()
-        self._option.geomgroup[:] = [
-            1,
-            1,
-            0,
-            0,
-            0,
-            0,
-        ]  # not the hand's collision shapes, group 4, and hidden geoms, 5
+        # Neither the hand's collision shapes (group 4) nor hidden geoms (5) are drawn.
+        self._option.geomgroup[:] = [1, 1, 0, 0, 0, 0]
         self._camera = mujoco.MjvCamera()
         self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0  # the only one
         self._device = mujoco.MjrContext(built.model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
@@ -82,14 +76,9 @@ class Renderer:
             quaternion_xyzw = np.roll(model.geom_quat[geom], -1)
             T_object_geom = se3.from_position_quaternion(model.geom_pos[geom], quaternion_xyzw)
             T = T_world_palm @ T_palm_object @ T_object_geom
-            added, kind, size = (
-                self._drawn.geoms[self._drawn.ngeom],
-                int(model.geom_type[geom]),
-                model.geom_size[geom],
-            )
-            self._mujoco.mjv_initGeom(
-                added, kind, size, T[:3, 3], T[:3, :3].ravel(), np.array(rgba, np.float32)
-            )
+            added, kind = self._drawn.geoms[self._drawn.ngeom], int(model.geom_type[geom])
+            pose, shade = (T[:3, 3], T[:3, :3].ravel()), np.array(rgba, np.float32)
+            self._mujoco.mjv_initGeom(added, kind, model.geom_size[geom], *pose, shade)
             if model.geom_dataid[geom] >= 0:
                 added.dataid = 2 * model.geom_dataid[geom]  # the mesh; the odd number after it is its hull
             self._drawn.ngeom += 1
@@ -99,7 +88,7 @@ class Renderer:
         return smooth
 
     def _pose(self, configuration: Array, T_world_camera: Array) -> None:
-        """Moves scene and camera to where they are drawn next."""
+        """Moves the scene to a configuration and the camera to its pose, for the next picture."""
         model, data = self._scene.model, self._data
         data.qpos[:] = configuration
         self._mujoco.mj_kinematics(model, data)
@@ -134,14 +123,14 @@ def render(
     """Returns a picture (480, 640, 3) of hand, object and table in a sample.
 
     `ghost` is T_palm_object (4, 4) of a second object, drawn in `color` (red, green, blue, opacity, 0 to 1); the true
-    one is drawn if `show_object`. `T_world_camera` (4, 4) is the pose of the camera, optical frame, in the world with
-    the believed table; None: the pose of the robot's own camera. Raises InvalidInput; MissingExtra where nothing can
+    one is drawn if `show_object`. `T_world_camera` (4, 4) is the pose of the camera's optical frame in the rig's world;
+    None: the pose of the robot's own camera. Raises InvalidInput; MissingExtra where nothing can
     draw.
     """
     built = scene(scenario.object)
     if sample.configuration.shape != (built.model.nq,):
         raise InvalidInput(f"sample: expected one of the scenario's ({scenario.object}), got another scene's")
-    T = BELIEVED_CAMERA if T_world_camera is None else se3.check(T_world_camera, "T_world_camera")
+    T = CALIBRATED_CAMERA if T_world_camera is None else se3.check(T_world_camera, "T_world_camera")
     wanted = None if ghost is None else (se3.check(ghost, "ghost"), color)
     with closing(Renderer(built)) as renderer:
         return renderer.draw(sample.configuration, T, wanted, show_object)
@@ -158,14 +147,10 @@ def _context() -> "GLContext":
     for kind in kinds:
         try:
             return import_module(f"mujoco.{kind}").GLContext(*IMAGE_SIZE)
-        except (
-            ImportError,
-            RuntimeError,
-            AttributeError,
-            OSError,
-        ) as error:  # PyOpenGL's, for a missing library
+        except (ImportError, RuntimeError, AttributeError, OSError) as error:
+            # PyOpenGL raises the last two where a library is missing.
             reasons.append(f"{kind}: {str(error).splitlines()[0] if str(error) else type(error).__name__}")
-            os.environ.pop("PYOPENGL_PLATFORM", None)  # which that import has set
+            os.environ.pop("PYOPENGL_PLATFORM", None)  # the import has set it
             if platform is not None:
                 os.environ["PYOPENGL_PLATFORM"] = platform
     expected = "expected EGL or OSMesa (Debian: libegl1 or libosmesa6)"

@@ -1,4 +1,4 @@
-"""What the robot believes about itself and the object: the rig and the model that a user would write down."""
+"""The robot's own knowledge: its rig and its model of the object, as a user would write them down."""
 
 from functools import cache
 from typing import Any
@@ -11,7 +11,7 @@ from handsight.contact import Ellipsoid, WrenchCalibration
 from handsight.hand import Hand
 from handsight.objects import ObjectModel, ObjectSpec
 from handsight.rig import Finger, MountedCamera, Rig, Table, Topics
-from handsight.simulation.camera import BELIEVED_CAMERA, INTRINSICS
+from handsight.simulation.camera import CALIBRATED_CAMERA, INTRINSICS
 from handsight.simulation.scenario import Nuisances, Scenario
 from handsight.simulation.scene import (
     BOX_SIZE,
@@ -31,7 +31,7 @@ from handsight.simulation.skin import PALM_SKIN
 
 
 def rig_of(scenario: Scenario) -> Rig:
-    """Returns the rig that the robot believes in: calibrated sensors, the calibrated camera, sigmas of the usual size.
+    """Returns the robot's rig: calibrated sensors, the camera as calibrated, and the sigmas of default nuisances.
 
     It is the same for all seeds and nuisances, for a robot's errors are not in its rig file. Raises MissingExtra
     without mujoco or gymnasium-robotics.
@@ -45,7 +45,7 @@ def rig_of(scenario: Scenario) -> Rig:
         sigma_joint_offset=usual.joint_offset,
         sigma_joint=usual.joint_noise,
         camera=MountedCamera(
-            T_mount_camera=BELIEVED_CAMERA,
+            T_mount_camera=CALIBRATED_CAMERA,
             intrinsics=INTRINSICS,
             size=IMAGE_SIZE,
             depth_camera=scenario.depth_camera,
@@ -136,7 +136,7 @@ def _finger(name: str, unloaded: Array) -> Finger:
         T_frame_surface=se3.compose(np.eye(3), np.array([0, 0, SCENE.sensor_z + center_z])),
         tip=tip,
         calibration=calibration,
-        # Of a tip that is exactly where its file has it, and is deflected by `tip_compliance`.
+        # The tip is exactly where its file has it; these cover its deflection by `tip_compliance`.
         sigma_point=2e-4,
         sigma_normal=float(np.deg2rad(0.3)),
         sigma_force=Nuisances().force_noise,

@@ -1,4 +1,4 @@
-"""The values of this room: a scenario, the errors of its sensors, and the samples that come out."""
+"""A scenario, the errors of its sensors, and the samples that its simulation yields."""
 
 import dataclasses
 import math
@@ -51,18 +51,18 @@ class Nuisances:
     torque_noise: float = 5e-5
     """Sigma of the noise of torques [N m]."""
     force_bias: float = 0.0
-    """Sigma of the constant error of forces that calibration has left [N]."""
+    """Sigma of the constant error of forces that remains after calibration [N]."""
     torque_bias: float = 0.0
-    """Sigma of that of torques [N m]."""
+    """Sigma of the constant error of torques that remains after calibration [N m]."""
     force_drift: float = 1e-4
     """Sigma of the constant rate at which the forces' bias grows from the first sample on [N/s]."""
     torque_drift: float = 5e-7
-    """Sigma of that of torques [N m/s]."""
+    """Sigma of the constant rate at which the torques' bias grows [N m/s]."""
     object_mass: float = SCENARIO.object_mass
-    """Mass of the object, of uniform density [kg]; 0 is the usual mass."""
+    """Mass of the object, of uniform density [kg]; 0 means the default mass."""
     object_off_center: float = 0.0
     """Constant distance of its centre of mass from the middle of its bounds, in a random direction, at most a third of
-    the object's size each way [m]."""
+    the object's size along each axis [m]."""
     unsensed_force: float = 0.0
     """Constant force on the object while the palm moves, such as that of a link without a sensor: fixed in the palm, at
     a random point and in a random direction [N]."""
@@ -70,23 +70,25 @@ class Nuisances:
     """Constant upward force on the object while the palm moves, such as that of a table or another hand, at a random
     point of its underside [N]."""
     tip_bias: float = 0.0
-    """Constant error of the force of one of the tips that grip can and box, in a random direction [N]."""
+    """Constant error of the force measured by one fingertip, in a random direction [N]; the tip is one of those that
+    grip both can and box."""
     tip_compliance: float = 2e-5
     """Compliance of a tip, whose deflection the joints do not measure [m/N]."""
     camera_position: float = 0.08
-    """Mean length of the constant shift of the scene in the table's plane by a wrong extrinsic calibration [m]."""
+    """Mean length of the constant shift, in the table's plane, of all that the camera measures, by a wrong extrinsic
+    calibration [m]."""
     camera_height: float = 0.064
     """Sigma of that shift along the vertical [m]; 0 leaves the error in the plane."""
     camera_rotation: float = float(np.deg2rad(6.0))
-    """Sigma of the constant rotation of the scene about its middle by a wrong calibration [rad]."""
+    """Sigma of the constant rotation, about the scene's middle, of all that the camera measures [rad]."""
     vision_position: float = 0.005
     """Sigma of the noise of vision's poses [m]."""
     vision_rotation: float = float(np.deg2rad(3.0))
-    """Sigma of the noise of their rotations [rad]."""
+    """Sigma of the noise of the rotations of vision's poses [rad]."""
     vision_delay: float = 0.02
     """How much older a pose measurement, or an image, is than its stamp says [s]."""
     table_height: float = 0.003
-    """Sigma of the constant height of the true table above the one that the robot believes [m]."""
+    """Sigma of the constant height of the true table above the table of the robot's rig [m]."""
     table_tilt: float = float(np.deg2rad(1.0))
     """Sigma of the constant tilt of the table about each of its sides [rad]."""
     depth_noise: float = 1.0
@@ -104,11 +106,12 @@ class Nuisances:
     object_scan: float = 0.0
     """Sigma of the points of a scan [m]: above zero the robot's model is a cloud of 4 000 such points."""
     friction: float = 1.0
-    """Coefficient of friction of the fingertips; it also scales the torque that their patches of 5 mm transmit."""
+    """Coefficient of friction of the fingertips; torsional friction is
+    proportional to it, with an arm of 5 mm."""
     pull_force: float = 9.0
-    """Greatest force of a pull at the object [N], in the motions that have one."""
+    """Greatest force with which the object is pulled in the motions `ramp`, `steps` and `sine` [N]."""
     pull_torque: float = 0.0
-    """Greatest torque of such a pull [N m]."""
+    """Greatest torque of that pull [N m]."""
 
     def __post_init__(self) -> None:
         for item in dataclasses.fields(self):
@@ -187,7 +190,7 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TipContact:
-    """A `TipContact` is a contact of a fingertip in the simulator: a truth to test with, which no robot knows."""
+    """A `TipContact` is a contact of a fingertip in the simulator: ground truth for tests, unknown to the robot."""
 
     finger: str
     point_palm: Array
@@ -221,9 +224,9 @@ class Sample:
     contacts_truth: tuple[TipContact, ...]
     """All contacts of fingertips."""
     phase: Phase
-    """`touch`: a finger searches the object, which stands free; `close`: the fingers close and the object is held in
-    place; `hold`: it is free and the palm is still; `move`: the palm moves; `pull`: the palm is still and the object is
-    pulled."""
+    """`touch`: a finger searches for the object, which stands free; `close`: the fingers close and the object is held
+    in place; `hold`: the object is free and the palm is still; `move`: the palm moves; `pull`: the palm is still and
+    the object is pulled."""
     dropped: bool
     """Whether the object has left the grasp: by more than 3 cm or half a radian in the palm since it became free."""
     configuration: Array

@@ -40,10 +40,10 @@ class SceneOptions(NamedTuple):
     supersampling: int = 2
     """Factor by which a picture for people is drawn larger, each way, before it is averaged."""
     table_collision_bit: int = 2
-    """Collision bit of object and fingertips, which alone collide with the table. A draw may lower the palm's edge by
-    some mm into the table: a collision would bend the wrist.
+    """Collision bit of object and fingertips: nothing else collides with the table. A random draw may lower the palm's
+    edge some millimetres into the table, where a collision would bend the wrist.
     """
-    hidden_group: int = 5  # the group of geoms that are not drawn
+    hidden_group: int = 5  # group of the geoms that are not drawn
 
 
 SCENE = SceneOptions()
@@ -58,7 +58,7 @@ UNLOADED = np.array(
         [0.09, -0.19, -0.37, 0.0007, 0.0012, -0.0016],
     ]
 )
-"""(5, 6) readings of the fingers' sensors without load [N, N m], which calibration knows."""
+"""(5, 6) readings of the fingers' sensors without load [N, N m]; the rig's calibration has the same."""
 CAN_SIZE, BOX_SIZE = (0.033, 0.122), (0.060, 0.090, 0.140)
 """Radius and height of the can; sides of the box [m]."""
 TABLE = ((-0.075, 0.6), (-0.45, 0.45), (-0.03, 0.0))
@@ -118,7 +118,7 @@ def scene(
     mujoco = mujoco_module()
     spec = mujoco.MjSpec.from_file(str(hand_file()))
     spec.delete(spec.geom("floor0"))
-    spec.delete(spec.body("floor0"))  # it carries marks of the task that the file is for
+    spec.delete(spec.body("floor0"))  # it carries the marks of that file's task
     spec.option.gravity = GRAVITY
     spec.option.timestep = 1 / SCENARIO.steps_per_second
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -153,7 +153,7 @@ def hand_file() -> Path:
 
 
 def _change_hand(mujoco: ModuleType, spec: "MjSpec", friction: float) -> None:
-    """Replaces each distal link's collision shape by an ellipsoid on a sensor, which all force on the link passes.
+    """Replaces each distal link's collision shape by an ellipsoid on a sensor, which measures every force on the link.
 
     The hand floats, welded to a mocap body that represents the arm.
     """
@@ -186,7 +186,7 @@ def _change_hand(mujoco: ModuleType, spec: "MjSpec", friction: float) -> None:
     mount.add_freejoint(name="mount")
     spec.worldbody.add_body(name="arm", mocap=True)
     data = np.zeros(mujoco.mjNEQDATA)
-    data[6] = data[10] = 1.0  # the identity, and the torque counts fully
+    data[6] = data[10] = 1.0  # the quaternion's w, and a torque scale of 1
     spec.add_equality(
         type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name1="arm", name2="robot0:hand mount",
         data=data, solref=[0.004, 1.0], solimp=[0.99, 0.999, 0.001, 0.5, 2.0],

@@ -1,4 +1,4 @@
-"""From a scenario to samples: at each instant the truth, and what the robot's sensors measure with all their errors."""
+"""Samples of a scenario: at each instant the truth, and the measurements of the robot's sensors with their errors."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -10,7 +10,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject
 from handsight.observation import Observation, PoseMeasurement
-from handsight.simulation.camera import BELIEVED_CAMERA, displacement, spoil
+from handsight.simulation.camera import add_depth_noise, true_camera
 from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.motion import Grasp
 from handsight.simulation.rendering import Renderer
@@ -22,13 +22,13 @@ from handsight.vision.depth_noise import PRESETS
 
 
 class Sensors:
-    """`Sensors` measure joints, wrenches and images of a world, with the errors that a scenario gives them.
+    """`Sensors` measure joints, wrenches, vision and taxels in a world, with the errors of its scenario.
 
     Constant errors are drawn at the start, noise at every sample.
     """
 
     def __init__(self, scenario: Scenario, world: World) -> None:
-        """Draws by the scenario's seed, a stream for each sensor, so that none depends on another's settings."""
+        """Draws by the scenario's seed; each sensor has its own random stream, which no other's settings change."""
         self.scenario, self.world, self.nuisances = scenario, world, scenario.nuisances
         seed, n = int(scenario.seed), scenario.nuisances
         constant = np.random.default_rng((seed, 2))
@@ -37,11 +37,11 @@ class Sensors:
         self._bias += tip_biases(n, seed)
         self._drift = _errors(n.force_drift, n.torque_drift, constant, len(FINGERS))
         self._noise, self._vision, self._image_noise = (np.random.default_rng((seed, k)) for k in (3, 5, 6))
-        # The scene stands on its own table; the world is the robot's, whose table is elsewhere.
+        # The scene's table is the true one; the world's is the table of the robot's rig.
         height, *tilt = np.random.default_rng((seed, 9)).normal(size=3)
         turn = se3.rotation_exp(n.table_tilt * np.array([*tilt, 0.0]))
         self.T_world_scene = se3.compose(turn, np.array([0.0, 0.0, n.table_height * height]))
-        self._T_camera_world = se3.inverse(BELIEVED_CAMERA) @ displacement(n, seed)
+        self._T_camera_world = true_camera(scenario)
         self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + round(n.vision_delay * scenario.rate))
         self._renderer = Renderer(world.scene) if scenario.images else None
         self._depth_noise = PRESETS[scenario.depth_camera].times(n.depth_noise)
@@ -56,7 +56,7 @@ class Sensors:
             self._renderer.close()
 
     def observe(self) -> Observation:
-        """Returns what the sensors measure now; the world must have been refreshed."""
+        """Returns the observation at the current instant; the world must have been refreshed."""
         self._past.append((self.T_world_scene @ self.world.pose("object"), self.world.data.qpos.copy()))
         T_world_object, configuration = self._past[0]  # as old as the delay, or the oldest there is
         n, color, depth, vision = self.nuisances, None, None, None
@@ -66,7 +66,7 @@ class Sensors:
         if self._renderer is not None and self._due(30.0):
             T_scene_camera = se3.inverse(self._T_camera_world @ self.T_world_scene)
             color, exact = self._renderer.take(configuration, T_scene_camera)
-            depth = spoil(exact, self._depth_noise, self._image_noise, int(self.scenario.seed))
+            depth = add_depth_noise(exact, self._depth_noise, self._image_noise, int(self.scenario.seed))
         self._samples += 1
         # A deflected tip, which the joints do not measure, looks like joints turned the other way.
         joints = self.world.data.qpos[self._angles] + self._offsets - self._deflections()
@@ -88,7 +88,7 @@ class Sensors:
         )
 
     def sample(self) -> Sample:
-        """Returns what the sensors measure now, and the truth; the world must have been refreshed."""
+        """Returns the observation and the truth at the current instant; the world must have been refreshed."""
         world = self.world
         return Sample(
             observation=self.observe(),
@@ -101,7 +101,7 @@ class Sensors:
         )
 
     def _due(self, per_second: float) -> bool:
-        """Returns whether a measurement of that rate [1/s] comes with this sample."""
+        """Returns whether this sample has a measurement that comes at a rate [1/s]."""
         so_far = per_second / self.scenario.rate * np.array([self._samples - 1, self._samples]) + 1e-9
         return bool(np.floor(so_far[1]) > np.floor(so_far[0]))
 
@@ -127,7 +127,7 @@ class Sensors:
 
 
 def tip_biases(nuisances: Nuisances, seed: int) -> Array:
-    """Returns constant errors (5, 6) of the fingers' wrenches [N, N m], of which one finger's is not zero."""
+    """Returns constant errors (5, 6) of the fingers' wrenches [N, N m]: one finger's force is wrong, all else is 0."""
     rng = np.random.default_rng((seed, 12))
     gripping = ("ff", "mf", "th")  # the fingers that grip can and box alike
     finger, direction = rng.choice([FINGERS.index(name) for name in gripping]), rng.normal(size=3)
@@ -149,8 +149,8 @@ def simulate(
     The fingers close (1 s, the object held in place), the object is let go, and the palm is still or moves: 1.9 s for
     a grasp, 18.4 s for a manipulation. `grasp` replaces the object's own, or for a mesh the one that `find_grasp` finds
     for this seed. `progress` is called with the share that is done, 0 to 1. Raises MissingExtra without mujoco or
-    gymnasium-robotics (`handsight[sim]`), or where images are asked for and nothing can draw them; InvalidFile or
-    InvalidObject for a mesh that cannot be used, or where the simulator, not the hand, throws the object away.
+    gymnasium-robotics (`handsight[sim]`), or where images cannot be drawn; InvalidFile or
+    InvalidObject for a mesh that cannot be used, or if the simulation fails and throws the object away.
     """
     world = World(scenario, grasp or grasp_for(scenario.object, int(scenario.seed), skin=scenario.skin))
     yield from samples(scenario, world, Sensors(scenario, world), progress)

@@ -51,12 +51,12 @@ PALM_SKIN = TaxelArray(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """A `Solid` is a convex body, given by the planes of its faces."""
+    """A `Solid` is a convex body, described by the planes of its faces."""
 
     normals: Array
     """(k, 3) outward."""
     offsets: Array
-    """(k,) of the planes along them [m]."""
+    """(k,) distances of the planes from the origin along their normals [m]."""
 
     @classmethod
     def box(cls, size: Array) -> "Solid":
@@ -82,7 +82,7 @@ class Solid:
         normals[inward] *= -1
         return cls(normals, np.einsum("ki,ki->k", normals, corners[:, 0]))
 
-    def ahead(self, points: Array, direction: Array) -> Array:
+    def distances(self, points: Array, direction: Array) -> Array:
         """Returns the distances (n,) from points (n, 3) along a unit direction to the body's nearer surface [m].
 
         They are infinite where the line misses the body, and negative where that surface is behind the point.
@@ -96,7 +96,7 @@ class Solid:
         return np.asarray(np.where(misses, np.inf, begin))
 
 
-def sunk(gaps: Array, force: float, stiffness: float) -> Array:
+def spring_forces(gaps: Array, force: float, stiffness: float) -> Array:
     """Returns the forces (n,) of springs that a body compresses until together they hold `force` [N].
 
     `gaps` (n,) are the distances of the unloaded springs from the body [m], infinite beside it; `stiffness` is a
@@ -121,17 +121,17 @@ def taxel_forces(
 ) -> Array:
     """Returns the forces (rows, columns) on the taxels of a solid that presses on the skin with `force` [N].
 
-    `T_grid_object` (4, 4) is its pose, `uneven` (rows, columns) how far each taxel is below the grid's plane [m],
-    `springs` the skin's stiffness [N/m per m²].
+    `T_grid_object` (4, 4) is the solid's pose, `uneven` (rows, columns) each taxel's distance below the grid's plane
+    [m], `springs` the skin's stiffness [N/m per m²].
     """
     fine = array.pitch / SKIN.springs
     steps = fine * (np.arange(SKIN.springs) - (SKIN.springs - 1) / 2)
     within = np.stack([*np.meshgrid(steps, steps), np.zeros((SKIN.springs, SKIN.springs))], 2)
     places = array.places_grid[:, :, None, None] + within
     R = T_grid_object[:3, :3]
-    gaps = solid.ahead((places.reshape(-1, 3) - T_grid_object[:3, 3]) @ R, R[2])
+    gaps = solid.distances((places.reshape(-1, 3) - T_grid_object[:3, 3]) @ R, R[2])
     gaps = (gaps.reshape(*array.shape, -1) + np.broadcast_to(uneven, array.shape)[:, :, None]).ravel()
-    forces = sunk(gaps, force, springs * fine**2)
+    forces = spring_forces(gaps, force, springs * fine**2)
     return np.asarray(forces.reshape(*array.shape, -1).sum(axis=2))
 
 

@@ -1,4 +1,4 @@
-"""The complete task without a camera: a search by touch, then a grasp where the object is believed to be."""
+"""The complete task without a camera: a search by touch, then a grasp at the estimated pose."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -23,7 +23,7 @@ from handsight.simulation.world import World
 
 
 class TouchSearchOptions(NamedTuple):
-    """`TouchSearchOptions` say how an object on a table is searched by touch."""
+    """`TouchSearchOptions` configure the search for an object on a table by touch."""
 
     area_side: float = 0.3  # of the square that contains the object [m]
     sigma_table_height: float = 0.0025  # of the table under the object, between the touched places [m]
@@ -34,11 +34,11 @@ class TouchSearchOptions(NamedTuple):
 TOUCH_SEARCH = TouchSearchOptions()
 
 TABLE_PROBES = 0.2 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-"""(4, 2) places outside of that square where the table is touched [m]."""
+"""(4, 2) places outside the searched square where the table is touched [m]."""
 
 
 def touch_search_rig(scenario: Scenario) -> Rig:
-    """Returns the rig that the robot believes in; raises as `rig_of`.
+    """Returns the robot's rig for a search by touch; raises as `rig_of`.
 
     Its camera represents the search, whose pose is in the world and has no constant error.
     """
@@ -63,7 +63,7 @@ def start_search(
     x, y, turn = np.random.default_rng((seed, 11)).uniform([-half, -half, -np.pi], [half, half, np.pi])
     T_world_table = se3.compose(se3.rotation_exp(np.array([0.0, 0.0, turn])), np.array([x, y, 0.0]))
     probe = Probe(scenario, R, T_world_table, recording=recording)
-    height = probe.feel_table(TABLE_PROBES)
+    height = probe.measure_table(TABLE_PROBES)
     table = Table(height=height, sigma_height=TOUCH_SEARCH.sigma_table_height)
     return probe, Belief(model, Area(np.full(2, -half), np.full(2, half), table, R[None]), seed)
 
@@ -71,10 +71,10 @@ def start_search(
 def simulate_touch_search(scenario: Scenario, grasp: Grasp | None = None) -> Iterator[Sample]:
     """Yields samples of a search by touch, until the object is found, and then of the scenario's own motion.
 
-    No sample has data of a camera: the first one after the search has the pose that was found, in the world and with
-    its covariance, as vision's. The hand's way from there to the object is not simulated. `grasp` replaces the object's
-    own, or the one that is searched. Raises as `simulate`, and InvalidInput where `TOUCH_SEARCH.max_touches` are too
-    few to find the object.
+    No sample has data of a camera. The first sample after the search carries the pose that was found, in the world and
+    with its covariance, as vision's. The hand's way from there to the object is not simulated. `grasp` replaces the
+    object's own, or the one that is searched. Raises as `simulate`, and InvalidInput where `TOUCH_SEARCH.max_touches`
+    are too few to find the object.
     """
     grasp = grasp or grasp_for(scenario.object, int(scenario.seed))
     R_scene_object = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3]
@@ -87,9 +87,9 @@ def simulate_touch_search(scenario: Scenario, grasp: Grasp | None = None) -> Ite
             break
     else:
         raise InvalidInput(
-            f"object: expected to be sure of it after {TOUCH_SEARCH.max_touches} touches; another seed may be"
+            f"object: expected to be found within {TOUCH_SEARCH.max_touches} touches; another seed may succeed"
         )
-    # The hand closes where the object is believed to be, the object is where it is.
+    # The hand closes at the estimated pose, the object is at the true one.
     found, begins = belief.pose, probe.time + TOUCH_SEARCH.pause
     T_object_middle = se3.compose(np.eye(3), belief.model.center_object)
     off = se3.inverse(found.T_a_b @ T_object_middle) @ probe.T_world_object @ T_object_middle

@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 class WorldOptions(NamedTuple):
     """`WorldOptions` say when a simulated grasp has failed."""
 
-    servo_time: float = 0.15  # for the servos to hold the open hand [s]
-    max_shift: float = 0.03  # how far an object moves in a grasp that holds it [m]
-    max_rotation: float = 0.5  # by what angle [rad]
+    servo_time: float = 0.15  # before time 0, in which the servos reach the open hand [s]
+    max_shift: float = 0.03  # shift of the object in the palm above which it is dropped [m]
+    max_rotation: float = 0.5  # rotation above which it is dropped [rad]
     flying_speed: float = 3.0  # sideways or upwards [m/s]: no hand of this strength throws an object as fast
-    max_overlap: float = 0.003  # of the open hand and the object [m]: more, and it does not fit in
+    max_overlap: float = 0.003  # of the open hand and the object; with more, the object does not fit in [m]
 
 
 WORLD = WorldOptions()
 
 
 class World:
-    """A `World` is one draw of a scene over time; `step` is the only thing that changes it."""
+    """A `World` is one random draw of a scenario, which `step` simulates onward."""
 
     def __init__(self, scenario: Scenario, grasp: Grasp) -> None:
         """Begins at time 0: the hand is open and still, the object stands on the table, held in place.
@@ -65,9 +65,8 @@ class World:
             self._servo(joint).ctrl[:] = angle
         self._move_arm()
         self.data.joint("mount").qpos[:] = self._arm[0]
-        waiting = np.array(
-            [0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0]
-        )  # the object, far above until the servos hold the hand
+        # The object waits far above until the servos have opened the hand.
+        waiting = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
         for _ in range(round(WORLD.servo_time * SCENARIO.steps_per_second)):
             self._hold_object(waiting)
             self._mujoco.mj_step(self.scene.model, self.data)
@@ -109,7 +108,7 @@ class World:
             if self._pull is None:
                 normals = np.array([contact.normal_palm for contact in touching]).reshape(-1, 3)
                 self._pull = Pull(self._scenario, normals)
-            # An object that has slipped out of the hand is let go.
+            # The pull ends when the object has slipped out of the hand.
             slip_speed = np.inf if self.dropped() else min((c.speed for c in touching), default=0.0)
             speed = float(np.linalg.norm(self.data.joint("object").qvel[:3]))
             wrench_palm = self._pull.wrench(self.time, slip_speed, speed).reshape(2, 3)
@@ -170,7 +169,7 @@ class World:
         return float(sum(self._force(i)[0] for i in between))
 
     def thrown(self) -> bool:
-        """Returns whether the object flies as nothing that falls does, which is the simulator's fault."""
+        """Returns whether the object flies faster than this hand can throw it: the simulation has failed."""
         velocity = self.data.joint("object").qvel[:3]
         return not (np.linalg.norm(velocity[:2]) < WORLD.flying_speed and velocity[2] < WORLD.flying_speed)
 
@@ -181,9 +180,8 @@ class World:
             for side, geom in enumerate(contact.geom.tolist()):
                 if geom not in self.scene.tips or contact.exclude:
                     continue
-                sign = (
-                    1.0 if side == 1 else -1.0
-                )  # MuJoCo's normal and force are from the first geom to the second
+                # MuJoCo's normal and force are from the first geom to the second.
+                sign = 1.0 if side == 1 else -1.0
                 axes, other = np.asarray(contact.frame).reshape(3, 3), int(contact.geom[1 - side])
                 # A contact's position is in the middle of the overlap.
                 point = contact.pos + sign * contact.dist / 2 * axes[0]

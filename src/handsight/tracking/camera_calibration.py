@@ -1,7 +1,8 @@
-"""Where a camera is, calibrated from a recording: by touch, or by the hand in its depth images.
+"""A camera's pose, calibrated from a recording: by touch, or by the hand in its depth images.
 
-By touch: the camera's constant error stays in the world while the object turns with the palm, and touch says where the
-object is. By the hand: each image says where the palm is in the camera, and the robot where it is in the world.
+By touch: contacts measure the object's pose in the palm, and the camera's constant error stays in the world while the
+object turns with the palm. By the hand: each image measures the palm's pose in the camera, and the robot knows it in
+the world.
 """
 
 from collections import Counter, deque
@@ -25,7 +26,7 @@ from handsight.vision.palm.hand_in_image import HandInImage
 from handsight.vision.palm.palm_detector import PalmNotFound
 
 LITTLE_TURN = np.deg2rad(20)
-"""A palm that turned less leaves the camera's error and the object's pose mixed."""
+"""With a palm that turned less than this [rad], the camera's error cannot be told from the object's pose."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -33,39 +34,39 @@ class CalibratedCamera:
     """A `CalibratedCamera` is the pose of a camera in its mount, as a correction of the rig's."""
 
     T_mount_camera: Array
-    """(4, 4) its corrected pose in what it is fixed to."""
+    """(4, 4) the corrected pose."""
     correction: Array
-    """(6,) shift [m] and turn [rad] from the rig's pose to this one, along the mount's axes, about `pivot`."""
+    """(6,) shift [m] and rotation [rad] from the rig's pose to this one, along the mount's axes, about `pivot`."""
     covariance: Array
     """(6, 6) of the correction."""
     pivot: Array
-    """(3,) where object or hand were, in the mount's frame [m]: there the correction is known best."""
+    """(3,) where the object or the hand was, in the mount's frame [m]: there the correction is known best."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CameraCalibration(CalibratedCamera):
-    """A `CameraCalibration` says where the camera is, by touch."""
+    """A `CameraCalibration` is a camera's pose by touch."""
 
     turned: float
-    """How far the palm turned in the mount while the object was held [rad]."""
+    """How far the palm turned in the mount while the object was in hand [rad]."""
 
     def away_from(self, T_mount_camera: Array) -> tuple[float, float]:
-        """Returns how far another pose of the camera puts what is at the pivot from there [m], and turns it [rad]."""
+        """Returns by how much another pose of the camera would shift [m] and turn [rad] what is at the pivot."""
         away = correction_between(self.T_mount_camera, T_mount_camera, self.pivot)
         return float(np.linalg.norm(away[:3])), float(np.linalg.norm(away[3:]))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class HandCalibration(CalibratedCamera):
-    """A `HandCalibration` says where the camera is, by the hand in its images.
+    """A `HandCalibration` is a camera's pose by the hand in its images.
 
-    Its covariance is not divided by the number of views, for they share the errors of camera and joints.
+    Its covariance is not divided by the number of views, because they have the errors of camera and joints in common.
     """
 
     spread: Array
     """(6,) root mean square of the views about their mean [m, rad]."""
     views: int
-    """How many agree."""
+    """How many views agree."""
     images: int
     """How many images were used."""
 
@@ -73,9 +74,9 @@ class HandCalibration(CalibratedCamera):
 def calibrate_camera(
     observations: Iterable[Observation], rig: Rig, model: ObjectModel
 ) -> CameraCalibration | None:
-    """Returns the constant error of the rig's camera, estimated with the object's pose while the palm turns.
+    """Returns the pose of the rig's camera, estimated together with the object's pose while the palm turns.
 
-    None where no object was ever touched and measured by vision; raises InvalidInput where the rig has no camera.
+    None where no object was both touched and measured by vision; raises InvalidInput where the rig has no camera.
     """
     last = deque(calibrations(observations, Tracker(rig, model), Tally()), maxlen=1)
     return last[0] if last else None
@@ -84,7 +85,7 @@ def calibrate_camera(
 def calibrations(
     observations: Iterable[Observation], tracker: Tracker, tally: Tally
 ) -> Iterator[CameraCalibration]:
-    """Yields the calibration by touch after each observation that adds to it; `tally` is that of the replay."""
+    """Yields the calibration by touch after each observation that adds to it; `tally` is filled as in `replay`."""
     camera = tracker.rig.camera
     if camera is None:
         raise InvalidInput("camera: expected one in the rig, got none")
@@ -112,7 +113,7 @@ def calibrations(
 
 
 def corrected(T_mount_camera: Array, correction: Array, pivot: Array) -> Array:
-    """Returns (4, 4) a camera's pose after a correction (6,): what it sees at the pivot shifts, and turns about it."""
+    """Returns (4, 4) a camera's pose after a correction (6,), which shifts what is at the pivot and turns it there."""
     E = se3.compose(se3.rotation_exp(correction[3:]), np.zeros(3))
     E[:3, 3] = pivot + correction[:3] - E[:3, :3] @ pivot
     return np.asarray(E @ T_mount_camera)
@@ -127,23 +128,25 @@ def correction_between(T_mount_camera: Array, other: Array, pivot: Array) -> Arr
 class HandViewOptions(NamedTuple):
     """`HandViewOptions` say which images of a recording are used to calibrate the camera."""
 
-    period: float = 0.25  # between images that are used [s]
-    max_views: int = 60  # images that are used
-    min_views: int = 3  # views that must agree
-    max_shift: float = 0.015  # a view that is farther from the middle one is wrong, not noisy [m]
-    max_turn: float = float(np.deg2rad(6))  # the same of its turn [rad]
+    period: float = 0.25  # least time between images that are used [s]
+    max_views: int = 60  # most images that are used
+    min_views: int = 3  # fewest views that must agree
+    max_shift: float = 0.015  # a view farther from the median one is an outlier [m]
+    max_turn: float = float(np.deg2rad(6))  # the same of its rotation [rad]
 
 
 HAND_VIEWS = HandViewOptions()
 
 
 class HandViews:
-    """A `HandViews` gathers what the images of a recording say of the camera's pose while they pass."""
+    """A `HandViews` gathers views of the hand from the images of a recording, while they pass, for a calibration."""
 
     def __init__(self, rig: Rig) -> None:
-        """The rig as it is believed; without intrinsics, or shapes of the hand, nothing is gathered."""
+        """Nothing is gathered if the rig's camera has no intrinsics, or its hand no shapes."""
         self._rig, self._views = rig, list[tuple[Array, Array, Array]]()
+        """Of each view: T_mount_camera (4, 4), the hand's middle in the mount (3,) [m], and a covariance (6, 6)."""
         self._last, self.images, self.refusals = -np.inf, 0, Counter[str]()
+        """Stamp of the last image that was used [s], their number, and why the palm was not detected in some."""
         self._camera: Camera | None = None
         self._hand = HandInImage(rig)
         camera = rig.camera
@@ -181,15 +184,12 @@ class HandViews:
         self._views.append((T_mount_camera, pivot, at_middle.transformed(T_mount_camera).covariance))
 
     def calibration(self) -> HandCalibration | None:
-        """Returns the mean of the views that agree with their middle one.
-
-        None where fewer than `HAND_VIEWS.min_views` do.
-        """
+        """Returns the mean of the views that agree with their median; None if those are fewer than `min_views`."""
         if len(self._views) < HAND_VIEWS.min_views or self._rig.camera is None:
             return None
         Ts, pivots, covariances = (np.stack(part) for part in zip(*self._views, strict=True))
-        pivot, believed = np.median(pivots, axis=0), self._rig.camera.T_mount_camera
-        corrections = np.stack([correction_between(believed, T, pivot) for T in Ts])
+        pivot, T_rig = np.median(pivots, axis=0), self._rig.camera.T_mount_camera
+        corrections = np.stack([correction_between(T_rig, T, pivot) for T in Ts])
         away = np.abs(corrections[:, None] - corrections)
         far = np.maximum(
             away[..., :3].max(axis=2) / HAND_VIEWS.max_shift, away[..., 3:].max(axis=2) / HAND_VIEWS.max_turn
@@ -199,7 +199,7 @@ class HandViews:
             return None
         mean = corrections[agree].mean(axis=0)
         return HandCalibration(
-            T_mount_camera=corrected(believed, mean, pivot),
+            T_mount_camera=corrected(T_rig, mean, pivot),
             correction=mean,
             covariance=covariances[agree].mean(axis=0),
             pivot=pivot,

@@ -1,11 +1,12 @@
 """The constant error of a camera's calibration, measured by the hand itself in the camera's images.
 
-The robot knows where its palm is; the camera, placed as it was calibrated, detects the palm elsewhere, off by the
-calibration's error, and the object is off by the same error. One detection measures that error with the detection's
-covariance. Detections from one side share their error, above all by the joints' offsets, so only one of them counts.
+The robot knows its palm's pose. The camera, at its calibrated pose, detects the palm elsewhere: off by the error of
+the calibration, and the object is off by the same error. So one detection of the palm measures that error, with the
+detection's covariance. Detections from one side have common errors, mainly the joints' offsets, so only one counts.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,29 +14,37 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.gaussian_pose import GaussianPose
 
-OTHER_SIDE = 0.1, float(np.deg2rad(20.0))
-"""A palm that is farther away [m], or turned by more [rad], is detected from another side."""
-AGREE_CHI2 = 22.5
-"""χ² of six numbers that one in a thousand exceeds: beyond it two views do not have the same error."""
-IN_A_ROW = 3
-"""How many views in a row must agree before they are believed, also against what was believed before."""
+
+class HandViewAgreement(NamedTuple):
+    """`HandViewAgreement` says which views of the hand have the same error, and when one is confirmed."""
+
+    other_side_position: float = 0.1
+    """A palm that has moved farther in the mount is detected from another side [m]."""
+    other_side_rotation: float = float(np.deg2rad(20.0))  # the same for its rotation [rad]
+    chi2: float = 22.5
+    """χ² of six numbers that one in a thousand exceeds: beyond it two views do not have the same error."""
+    in_a_row: int = 3
+    """A view is confirmed once so many in a row agree, even if they contradict what was confirmed before."""
+
+
+AGREEMENT = HandViewAgreement()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandView:
-    """A `HandView` is the palm in the camera's mount at one instant, as the robot and as the camera have it."""
+    """A `HandView` is the palm's pose in the camera's mount at one instant, by the robot and by the camera."""
 
     T_mount_palm: Array
     """(4, 4) by the robot's joints."""
     pose_mount_palm: GaussianPose
-    """As the camera detects it."""
+    """By the camera's detection, with the camera at its calibrated pose."""
 
     def expected(self, T_mount_palm: Array) -> Array:
-        """Returns (4, 4) where the camera should detect a palm that is at T_mount_palm (4, 4)."""
+        """Returns (4, 4) the pose at which the camera should detect a palm that is at T_mount_palm (4, 4)."""
         return np.asarray(self.pose_mount_palm.T_a_b @ se3.inverse(self.T_mount_palm) @ T_mount_palm)
 
     def bias(self, pivot: Array) -> GaussianPose:
-        """Returns vision's bias about a pivot (3,) in the mount [m], as `PoseAndBias.T_measured_true` defines it."""
+        """Returns vision's bias about a pivot (3,) in the mount [m], see `PoseAndBias.T_measured_true`."""
         pivot_palm = se3.apply(se3.inverse(self.T_mount_palm), pivot[None])[0]
         detected = self.pose_mount_palm.at_point(pivot_palm)
         R = detected.T_a_b[:3, :3] @ self.T_mount_palm[:3, :3].T
@@ -46,35 +55,36 @@ class HandView:
         pivot = self.T_mount_palm[:3, 3]
         mine, theirs = self.bias(pivot), other.bias(pivot)
         off = se3.difference(theirs.T_a_b, mine.T_a_b)
-        return bool(off @ np.linalg.solve(mine.covariance + theirs.covariance, off) < AGREE_CHI2)
+        return bool(off @ np.linalg.solve(mine.covariance + theirs.covariance, off) < AGREEMENT.chi2)
 
     def same_side(self, other: "HandView") -> bool:
-        """Returns whether the camera sees the palm from about the same side as in another view."""
+        """Returns whether the camera detected the palm from about the same side as in another view."""
         off = se3.difference(self.pose_mount_palm.T_a_b, other.pose_mount_palm.T_a_b)
-        return bool(np.linalg.norm(off[:3]) < OTHER_SIDE[0] and np.linalg.norm(off[3:]) < OTHER_SIDE[1])
+        shift, turn = np.linalg.norm(off[:3]), np.linalg.norm(off[3:])
+        return bool(shift < AGREEMENT.other_side_position and turn < AGREEMENT.other_side_rotation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraFromPalm:
-    """A `CameraFromPalm` is what views of the hand have measured of the camera's error so far."""
+    """A `CameraFromPalm` is the camera's error, as views of the hand have measured it so far."""
 
-    believed: tuple[HandView, ...] = ()
-    """One from each side."""
+    confirmed: tuple[HandView, ...] = ()
+    """The views that count, one from each side."""
     recent: tuple[HandView, ...] = ()
-    """The last ones, each agreeing with the one before."""
+    """The last views, as many as agree with the one before them, at most `AGREEMENT.in_a_row`."""
 
     def updated(self, view: HandView) -> "CameraFromPalm":
         """Returns the value after another view.
 
-        A view that agrees with those just before it is believed, unless one from its side is believed already. It
-        replaces all that was believed if one of these contradicts it.
+        A view that agrees with those just before it is confirmed, unless one from its side is confirmed already. If it
+        contradicts a confirmed view, it replaces all of them.
         """
         agrees = self.recent and view.agrees(self.recent[-1])
-        recent = (*self.recent[1 - IN_A_ROW :], view) if agrees else (view,)
-        believed = self.believed
-        if len(recent) == IN_A_ROW:
-            if not all(view.agrees(old) for old in believed):
-                believed = (view,)
-            elif not any(view.same_side(old) for old in believed):
-                believed = (*believed, view)
-        return replace(self, believed=believed, recent=recent)
+        recent = (*self.recent[1 - AGREEMENT.in_a_row :], view) if agrees else (view,)
+        confirmed = self.confirmed
+        if len(recent) == AGREEMENT.in_a_row:
+            if not all(view.agrees(old) for old in confirmed):
+                confirmed = (view,)
+            elif not any(view.same_side(old) for old in confirmed):
+                confirmed = (*confirmed, view)
+        return CameraFromPalm(confirmed, recent)

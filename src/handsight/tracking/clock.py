@@ -1,38 +1,39 @@
-"""A clock that jumps: from which state an observation goes on, by its stamp.
+"""A clock that jumps: the state that an observation continues, by its stamp.
 
-A stamp more than a second ahead of the last one is wrong, or the sensors have paused: it is believed, and undone if the
-next one is nearer to those before. A stamp more than a second back is wrong, or the clock was set back, or a recording
-starts again: it is left out, but if the next one is nearer to it than to those before, a new track starts.
+A stamp more than a second ahead of the last one may be wrong, or the sensors may have paused. The observation is used,
+and undone if the next stamp is nearer to those before the jump. A stamp more than a second back may be wrong, or the
+clock was set back, or a recording starts again. The observation is left out; but if the next stamp is nearer to it than
+to those before the jump, a new track starts.
 """
 
 import math
 from dataclasses import dataclass, replace
 
+from handsight.observation import MAX_JUMP
 from handsight.tracking.track_state import TrackState
 
-MAX_JUMP = 1.0
-"""A stamp farther from the last one, ahead or back, is a jump of the clock, which the next one must confirm [s]."""
 MAX_UNCONFIRMED = 3
-"""So many jumps ahead in a row can be undone."""
+"""The most jumps ahead in a row that can be undone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackClock:
-    """A `TrackClock` holds the jumps of a track's clock that the next stamp confirms or contradicts."""
+    """A `TrackClock` holds the jumps of a track's clock that the next stamp will confirm or contradict."""
 
     unconfirmed: tuple[TrackState, ...] = ()
-    """The state before each of the last jumps ahead that is not confirmed yet."""
+    """The states before the last jumps ahead, those that are not confirmed yet."""
     back: float = math.inf
-    """The last stamp, if it was back by more than `MAX_JUMP` [s]."""
+    """The last stamp, if it was back by more than `MAX_JUMP` [s]; else infinite."""
     message: str = ""
-    """Why a new track was started; empty for the first one."""
+    """Why a new track was started; empty during the first track."""
     restarted_at: float = -math.inf
-    """When it was started [s]."""
+    """When the new track was started [s]."""
 
     def at(self, stamp: float, state: TrackState) -> tuple["TrackClock", TrackState | None, int]:
-        """Returns the clock after a stamp [s], the state to go on from, and how many observations were undone.
+        """Returns the clock after a stamp [s], the state to continue, and how many observations were undone.
 
-        The state is None where a new track starts. A stamp older than the state's is late.
+        `state` is the track's last state. The state to continue is None where a new track starts; an observation whose
+        stamp is older than that state is late.
         """
         unconfirmed, undone = self.unconfirmed, 0
         while (

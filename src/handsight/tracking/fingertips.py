@@ -1,4 +1,4 @@
-"""Joints and raw wrenches to contacts in the palm, with everything that is uncertain about them."""
+"""Contacts in the palm, with their complete covariance, from joint positions and raw wrenches."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from handsight.tracking.joint_offsets import JointOffsets
 
 SILENT, WRENCH = np.full(6, np.nan), {(np.dtype(np.float64), (6,))}
 REASONS = (*("silent" if name == "invalid" else name for name in REASON_NAMES), "on the table")
-"""Why a finger has no contact, by the kernel's number, of which 0 is a contact."""
+"""Why a finger has no contact, by the kernel's number; number 0 is a contact."""
 FREE, ON_TABLE = REASON_NAMES.index("free"), len(REASONS) - 1
 
 
@@ -29,28 +29,29 @@ class FingertipContacts:
     """A `FingertipContacts` is what the fingertips measure at one instant."""
 
     fingers: tuple[str, ...]
-    """The fingers that touch, in the contacts' order."""
+    """The n fingers that touch, in the contacts' order."""
     contacts: Contacts | None
     """In the palm frame; None where no finger touches. Their covariance holds the sensor's noise, the finger's sigmas
     and the joints' errors through the hand's Jacobian."""
     reasons: Mapping[str, str]
-    """Why each of the other fingers has no contact: silent (no reading), on the table, or a `Reason` of its wrench."""
+    """Why each of the other fingers has no contact: no joint positions, silent (no reading), on the table, or the
+    `Reason` that its wrench gives."""
     by_error: Array | None = None
     """(n, 6, j) the change of each contact's point and normal for one standard deviation of each of j independent
     errors of the joints (`JointOffsets.root`)."""
     near: tuple[str, ...] = ()
-    """Of the fingers that touch, those within `TIP_TO_TIP.max_gap` of another tip: their contacts are less certain."""
+    """Those fingers that touch and are within `TIP_TO_TIP.max_gap` of another tip: their contacts are less certain."""
     loads: Array | None = None
     """(n, 5) load of the object on each tip: tangential force (3,) along the palm's axes and normal force [N], torque
-    about the normal [N m]; NaN where the tip does not measure it."""
+    about the normal [N m]; NaN where a tip does not measure it."""
 
     def rejected_by(self, estimate: PoseEstimate) -> tuple[str, ...]:
-        """Returns the fingers whose contacts an answer takes for wrong."""
+        """Returns the fingers whose contacts are outliers of an estimate."""
         return tuple(self.fingers[i] for i in estimate.outliers if i < len(self.fingers))
 
 
 class FingertipSensors:
-    """A `FingertipSensors` is a rig's fingertips with their force/torque sensors."""
+    """A `FingertipSensors` reads a rig's fingertips with their force/torque sensors."""
 
     def __init__(self, rig: Rig) -> None:
         """The rig's hand must have a tip for every finger."""
@@ -63,21 +64,21 @@ class FingertipSensors:
             self._table = np.array([table.height, table.sigma_height, table.sigma_tilt], dtype=float)
 
     def contacts(self, observation: Observation, offsets: JointOffsets | None = None) -> FingertipContacts:
-        """Returns what the fingertips measure; no contact where joints are missing.
+        """Returns what the fingertips measure; there is no contact where joint positions are missing.
 
-        `offsets`: what is known of the joints' constant errors; None: what the rig says. Without T_world_palm gravity's
-        direction is unknown, and the tips' weight (some 40 mN) stays in the readings; so is the table's place, and a
-        finger that touches the table seems to touch the object. Raises InvalidInput for wrong joints or wrenches.
+        `offsets`: the estimated constant errors of the joints; None: zero, with the rig's sigma. Without T_world_palm
+        the direction of gravity and the table's pose are unknown: the tips' weight (some 40 mN) stays in the readings,
+        and a finger that touches the table seems to touch the object. Raises InvalidInput for wrong joints or wrenches.
         """
         readings = self._readings(observation.wrenches)
-        if observation.contacts:  # a tip that senses its contact itself knows better
+        if observation.contacts:  # a contact that a tip has sensed directly replaces the one of its wrench
             readings[[name in observation.contacts for name in self.names]] = np.nan
         if observation.joint_positions is None:
             return FingertipContacts((), None, dict.fromkeys(self.names, "no joint positions"))
         offsets = self._offsets if offsets is None else offsets
         hand = self.rig.hand.kinematics(offsets.corrected(observation.joint_positions))
         Ts_palm_tip = hand.Ts_palm_tip[self._tips]
-        # A hinge may have made any number of turns; a slide that is far off takes the tip along.
+        # Any angle of a hinge is valid, but not a slide so far off that its tip is far from the palm.
         places = Ts_palm_tip[:, :3, 3]
         if not np.abs(places).max() <= checks.MAX_DISTANCE:
             checks.position(places, "observation.joint_positions: fingertips in the palm", (None, 3))
@@ -111,7 +112,7 @@ class FingertipSensors:
         rows = [wrenches.get(name, SILENT) for name in self.names]
         if {type(row) for row in rows} == {np.ndarray} and {(row.dtype, row.shape) for row in rows} == WRENCH:
             readings = np.array(rows)
-            # Comparisons with NaN are False: where one is, each row is checked below.
+            # Comparisons with NaN are False: if there is one, each row is checked below.
             if readings.min() >= -checks.MAX_LOAD and readings.max() <= checks.MAX_LOAD:
                 return readings
         named = zip(self.names, rows, strict=True)
@@ -119,7 +120,7 @@ class FingertipSensors:
 
 
 def _reading(wrench: ArrayLike, name: str) -> Array:
-    """Returns a wrench (6,), all NaN where one of its numbers is; raises InvalidInput."""
+    """Returns a wrench (6,), all NaN if any of its numbers is; raises InvalidInput."""
     try:
         array = np.asarray(wrench)
     except ValueError:  # ragged
@@ -152,10 +153,10 @@ def put_sensed(
     by_error: Array,
     records: NDArray[np.void],
 ) -> None:
-    """Writes contacts that fingertips have sensed themselves into their fingers' rows of `records` and `by_error`.
+    """Writes contacts that fingertips have sensed directly into their fingers' rows of `records` and `by_error`.
 
-    `records` (n) are PALM_CONTACT; they, `Ts_palm_tip` (n, 4, 4) and `by_error` (n, 6, j) are as `contacts_to_palm`
-    takes them, in the order of the rig's fingers. Fingers that the rig does not have are ignored. Raises InvalidInput.
+    `records` (n) are PALM_CONTACT; these, `Ts_palm_tip` (n, 4, 4) and `by_error` (n, 6, j) are those of
+    `contacts_to_palm`, in the order of the rig's fingers. Fingers that the rig lacks are ignored. Raises InvalidInput.
     """
     if not isinstance(contacts, Mapping):
         came = checks.brief(contacts)
@@ -183,9 +184,11 @@ def put_sensed(
             raise InvalidInput(f"{argument}.frame: expected one of {known}, got {came}")
         T = frames[contact.frame]
         point, normal = T[:3, :3] @ contact.point + T[:3, 3], T[:3, :3] @ contact.normal
-        if (point - T_palm_surface[:3, 3]) @ normal > 0:  # some sensors measure which way the tip pushes
+        if (
+            point - T_palm_surface[:3, 3]
+        ) @ normal > 0:  # some sensors report the direction in which the tip pushes
             normal = -normal
-        # The joints' errors move the tip's frame; what they do to the point and the normal is the contact's own.
+        # From the effect of the joints' errors on the tip's frame to that on the contact's point and normal.
         J[:3] = (se3.point_jacobian(point - T_palm_tip[:3, 3]) @ J)[:3]
         J[3:] = -se3.skew(normal) @ J[3:]
         if contact.covariance is None:

@@ -1,12 +1,12 @@
-"""One object followed in one hand: propagated between corrections, corrected when there is something new."""
+"""One object followed in one hand: its pose is propagated in time, and corrected when there is new evidence."""
 
 # mypy: disable-error-code="misc"
-# A step binds the fields of its own copy of a state, which is frozen for everybody else.
+# A step assigns the fields of its own copy of a state, `_Next`; a `TrackState` is frozen for everybody else.
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,27 +32,29 @@ from handsight.tracking.track_state import NO_POSE, Correction, State, TrackStat
 
 
 class FollowerOptions(NamedTuple):
-    """`FollowerOptions` say what becomes of a pose that contacts contradict, and when others are good enough."""
+    """`FollowerOptions` say what happens when contacts contradict the pose, and how often costly steps are taken."""
 
     inflation: float = 9.0
-    """How much more variance a prior gets where nothing fits: the search then starts from several poses."""
+    """Factor on the prior's variance when contacts fit no pose near it: the search then starts from several poses."""
     recovery_period: float = 0.5
-    """Between two such searches, and between corrections while nothing fits: each costs a hundred others [s]."""
-    retry_period: float = 0.1  # the same when the fingers that touch have changed since [s]
+    """Time between two such searches, and between corrections while nothing fits: each costs as much as a hundred
+    others [s]."""
+    retry_period: float = 0.1  # time between corrections while nothing fits, if other fingers touch now [s]
     lost_without_fit: float = 2.0  # how long contacts may contradict every pose before the object is lost [s]
     min_contacts_to_learn: int = 3
-    """Fewer contacts determine no more than the pose: nothing is left to learn the joints' offsets from."""
-    renew_after: float = 0.02  # how old the growth of a propagated covariance may be [s]: a micrometre or so
+    """The joints' offsets are learnt from so many contacts or more: fewer determine the pose alone."""
+    renew_after: float = 0.02
+    """A propagated covariance is renewed when it is older [s]: in that time it grows by a micrometre or so."""
 
 
 FOLLOWER = FollowerOptions()
 
 
 class _Next(TrackState):
-    """A `_Next` is the copy of a state that a step turns into the next state, field by field."""
+    """A `_Next` is the copy of a state that a step changes, field by field, into the next state."""
 
     def __init__(self, state: TrackState) -> None:
-        # All fields at once: a frozen dataclass sets one after the other, in three times as long at each observation.
+        # All fields at once: to set one after the other, as a frozen dataclass does, takes three times as long.
         vars(self).update(vars(state))
         self.images, self.slip, self.weight = (
             state.images.copied(),
@@ -64,14 +66,14 @@ class _Next(TrackState):
         vars(self)[name] = value
 
     def frozen(self) -> TrackState:
-        """Returns the state that the step has led to."""
+        """Returns the next state, as a value."""
         state = object.__new__(TrackState)
         vars(state).update(vars(self))
         return state
 
 
 class Follower:
-    """A `Follower` follows one object in one hand; it holds the robot, the object and the settings, and no state."""
+    """A `Follower` makes the next state of a track; it holds the robot, the object and the settings, but no state."""
 
     def __init__(self, rig: Rig, model: ObjectModel, settings: TrackerSettings) -> None:
         """The arguments are those of `Tracker`."""
@@ -80,12 +82,12 @@ class Follower:
         self.skin_sensors = SkinSensors(rig)
         self.hand = HandOutside(rig, model, s.outside)
         self.process_noise = np.repeat([s.process_noise_position**2, s.process_noise_rotation**2], 3)
-        """(6,) variance of the object's motion in the palm, per second."""
+        """(6,) variance of the object's random walk in the palm, per second [m², rad²]."""
         self.regrasp_noise = np.repeat([s.regrasp_position**2, s.regrasp_rotation**2], 3)
-        """(6,) variance of the object's motion when fingers come or go."""
+        """(6,) variance of the object's motion when a finger comes or goes [m², rad²]."""
 
     def initial(self, start: PosePrior | None, offsets: JointOffsets) -> TrackState:
-        """Returns the state before any observation; `start`: where the object is at first, if that is known."""
+        """Returns the state before any observation; `start`: the object's pose in the palm, None where unknown."""
         vision = VisionUpdate(self.rig, self.model)
         return TrackState(
             start=start,
@@ -103,8 +105,8 @@ class Follower:
         """Returns the state after an observation, and the object's pose in the palm, None before there is one.
 
         It is pure: the same state and observation give the same answer, and the state is not changed. The observation
-        is one that was checked (`handsight.observation.check_observation`) and is not older than the state's. Raises
-        InvalidInput where something in the observation is wrong.
+        must have been checked (`handsight.observation.check_observation`), and its stamp must not be older than the
+        state's. Raises InvalidInput where something in the observation is wrong.
         """
         new = _Next(state)
         estimate = self._follow(new, observation)
@@ -121,7 +123,7 @@ class Follower:
         return math.sqrt(point_uncertainty(state.estimate, self.model, self.model.center_object)[1])
 
     def joint_offsets(self, state: TrackState) -> JointOffsets:
-        """Returns the joints' constant errors by all grips so far, this one included."""
+        """Returns the joints' constant errors, learnt from all grips so far, this one included."""
         last = state.correction
         if last is None or last is state.learnt_from or last.by_error is None:
             return state.offsets
@@ -133,14 +135,14 @@ class Follower:
         )
 
     def _follow(self, state: _Next, observation: Observation) -> PoseEstimate | None:
-        """Returns the pose after an observation, and brings the state up to date."""
+        """Updates the state by an observation, and returns the pose; None before there is one."""
         joints, stamp = observation.joint_positions, observation.stamp
         if self.rig.world_from == "joints" and observation.T_world_palm is None and joints is not None:
             T = self.rig.hand.T_world_palm(joints)
             T = se3.check(T, "observation.joint_positions: palm in the world")
             observation = replace(observation, T_world_palm=T)
 
-        # What is touched, and where the object would be by now.
+        # Contacts, and the prediction: where the object would be by now.
         state.fingertips = touch = self.sensors.contacts(observation, state.offsets)
         touched = touch.contacts is not None
         state.skin = self.skin_sensors.observed(observation, state.skin, touched=touched)
@@ -157,12 +159,12 @@ class Follower:
                 finger_on_table="on the table" in touch.reasons.values(),
             )
 
-        # What vision measures.
+        # Vision.
         before = state.smoother
         self._measure_by_vision(state, observation)
         vision = state.smoother is not before
         if state.smoother is not None and not state.smoother.is_near:
-            # The palm has moved so far from the object that no hand holds it.
+            # The palm has moved so far away that the hand cannot hold the object.
             state.smoother, state.correction, state.estimate = _started(state.vision, state.start), None, None
         if vision or touch.contacts is not None:
             state.measured_at = stamp
@@ -174,7 +176,7 @@ class Follower:
         if touch.contacts is not None and self._due(state, touch.contacts, vision=vision):
             self._correct(state, touch.contacts, state.smoother, joints, vision=vision)
         last = state.correction
-        if state.estimate is None or last is None:  # without touch every direction is open to it
+        if state.estimate is None or last is None:  # without touch every direction is unobservable
             now = state.smoother.now
             state.estimate = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
         elif stamp - state.propagated_to > FOLLOWER.renew_after:
@@ -189,7 +191,7 @@ class Follower:
         """Propagates the smoother to `stamp`, and through changes of the grasp."""
         if state.smoother is not None:
             if not state.grasp.grasped and T_world_palm is not None and state.T_world_palm is not None:
-                # An object that nothing holds stays in the world while the palm moves.
+                # An object that is not grasped stays in the world while the palm moves.
                 state.smoother = state.smoother.transformed(se3.inverse(T_world_palm) @ state.T_world_palm)
             if stamp > state.stamp > -math.inf:
                 state.smoother = state.smoother.inflated(
@@ -215,7 +217,7 @@ class Follower:
         state.learnt_from = last = state.correction
         pose, T, table = smoother.now, state.T_world_palm, self.rig.table
         if change == "released" and last is not None:
-            # What contacts have measured outlives the grasp; where the object is in the palm from now on does not.
+            # What contacts have measured of the pose up to now stays true; the object's motion from now on is unknown.
             pose = pose.given_pose(last.estimate.T_palm_object, last.estimate.information)
             state.correction = None
         pose = pose.inflated(self.regrasp_noise)
@@ -224,20 +226,20 @@ class Follower:
         return smoother.restarted(pose)
 
     def _measure_by_vision(self, state: _Next, observation: Observation) -> None:
-        """Updates the smoother by the observation's image, or by its pose where there is no image."""
+        """Updates the smoother by the observation's image, or by its pose from vision if it has no image."""
         known, grasped = state.estimate, state.grasp.grasped
         T_palm_object = known.T_palm_object if known is not None and grasped else None
         result = state.images.observe(observation, state.vision.camera_from_palm, T_palm_object)
         state.processed = result.observation
         if result.hand is not None:
             state.vision, state.smoother = state.vision.palm_detected(result.hand, state.smoother)
-        # An object in the hand has moved with the palm since the image, another one has stayed in the world.
+        # Since the image was taken, an object in the hand has moved with the palm, another one stayed in the world.
         T = result.then.T_world_palm if result.then is not None and grasped else None
         T_world_palm = state.T_world_palm if T is None else T
         state.vision, state.smoother = state.vision.updated(result.observation, state.smoother, T_world_palm)
 
     def _due(self, state: _Next, touched: Contacts, *, vision: bool) -> bool:
-        """Returns whether vision, touch, weight or a slip has something new to say, or the set rate demands it."""
+        """Returns whether a correction is due: after news of vision, touch, weight or a slip, or by the set rate."""
         last = state.correction
         if last is None:
             return True
@@ -262,47 +264,40 @@ class Follower:
         *,
         vision: bool,
     ) -> None:
-        """Corrects the pose by all contacts, touched or remembered, from scratch, with the smoother's as prior."""
+        """Corrects the pose from scratch: by all contacts, present or remembered, with the smoother's pose as prior."""
         touch, now, last, skin = state.fingertips, state.stamp, state.correction, state.skin
         contacts, remembered = state.memory.added(touch.fingers, touched, now)
         links = self.hand.at(joints and state.offsets.corrected(joints), state.margins)
-        pressed, evidence = skin.contacts(), state.weight.evidence()
-        contacts = contacts if pressed is None else contacts.joined(pressed)
+        pressed, evidence = skin.evidence(), state.weight.evidence()
         samples, answer, prior = self.settings.samples, self.settings.answer, smoother.without_touch
-        outside = skin.beside(links)
+        given: dict[str, Any] = {"weight": evidence, "skin": pressed, "answer": answer}
 
-        def correct(prior: PosePrior, outside: Outside | None = outside) -> PoseEstimate:
-            return correct_pose(
-                self.model, contacts, vision=prior, outside=outside, weight=evidence, answer=answer, samples=samples
-            )  # fmt: skip
+        def correct(prior: PosePrior, outside: Outside | None = links) -> PoseEstimate:
+            return correct_pose(self.model, contacts, vision=prior, outside=outside, samples=samples, **given)
 
-        # The last answer is a good start while the same fingers touch, unless vision may lead to another minimum; but
-        # beside a pressed array, whose search takes long, vision says little.
+        # The last answer is a good start while the same fingers touch, unless vision may lead to another minimum. With
+        # a pressed array a search takes long, and vision adds little, so the start is then the last answer.
         estimate = None
         if last is not None and touch.fingers == last.fingers and not (vision and pressed is None):
             near = last.estimate
             if near.consistent and not near.outliers and not samples:
                 start = near.T_palm_object_maximum
-                estimate = refine_pose(
-                    self.model, contacts, prior, start, outside=outside, weight=evidence, answer=answer
-                )
+                estimate = refine_pose(self.model, contacts, prior, start, outside=links, **given)
         if estimate is None:
             estimate = correct(prior)
 
-        # Links of the hand may be smaller than their shapes, and contacts may be those of another pose.
+        # Links of the hand may be smaller than their shapes, and the contacts may belong to another pose.
         fits = estimate.consistent and not estimate.outliers
         if links is not None and not (fits and now - state.links_checked_at < HAND_OUTSIDE.check_period):
             state.links_checked_at = now
-            estimate, inside = self.hand.reconciled(
-                estimate, links, lambda weaker: correct(prior, skin.beside(weaker))
-            )
+            estimate, inside = self.hand.reconciled(estimate, links, lambda weaker: correct(prior, weaker))
             state.margins = state.margins.noted(inside, now)
         if not estimate.consistent and now - state.recovered_at >= FOLLOWER.recovery_period:
             state.recovered_at = now
             estimate, smoother = self._recovered(state, estimate, smoother, correct)
             state.smoother, prior = smoother, smoother.without_touch
 
-        # Contacts and weight are wrong by the same joints.
+        # The errors of contacts and weight have a common cause, the joints' offsets.
         weighing = state.weight.used()
         by_error = None if remembered or pressed is not None else touch.by_error
         if estimate.weight_fits and weighing is not None and evidence is not None and by_error is not None:
@@ -327,13 +322,13 @@ class Follower:
         smoother: PoseBiasSmoother,
         correct: Callable[[PosePrior], PoseEstimate],
     ) -> tuple[PoseEstimate, PoseBiasSmoother]:
-        """Returns an estimate that contacts fit, with its prior: from a wider one, or, when lost, from vision alone.
+        """Returns an estimate that contacts fit, and the smoother that is its prior; both unchanged where none fits.
 
-        Where none fits, both stay as they were.
+        The priors that are tried: a wider one, and, where nothing has fitted for long, vision's last pose alone.
         """
         now = smoother.now
         wider = smoother.restarted(now.inflated((FOLLOWER.inflation - 1) * now.covariance.diagonal()[:6]))
-        # Before it was lost, touch may have been of something else, such as the edge of the table.
+        # Until the object was lost, contacts may have been with something else, such as the edge of the table.
         unfitted = state.stamp - state.fits_at > FOLLOWER.lost_without_fit
         for other in (wider, state.vision.afresh() if unfitted else None):
             if other is not None and (found := correct(other.without_touch)).consistent:
@@ -341,7 +336,7 @@ class Follower:
         return estimate, smoother
 
     def _trust(self, state: _Next, estimate: PoseEstimate) -> tuple[State, str]:
-        """Returns how far the estimate is to be trusted, and why no further."""
+        """Returns how far the estimate can be trusted, and why not further."""
         if state.measured_at == -math.inf:
             return "lost", "nothing was touched or seen yet"
         if (since := state.stamp - state.measured_at) > self.settings.lost_after:
@@ -351,8 +346,8 @@ class Follower:
         if state.slip.now.slipping:
             return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
         if not estimate.consistent:
-            return "uncertain", "the contacts do not fit the object where it is believed to be"
-        if state.correction is None and not state.vision.camera_from_palm.believed:
+            return "uncertain", "the contacts do not fit the object at its estimated pose"
+        if state.correction is None and not state.vision.camera_from_palm.confirmed:
             return "uncertain", "nothing is touched: the pose is vision's"
         if (sigma := self.sigma(state)) > self.settings.uncertain_position:
             return "uncertain", f"the position is known to {1e3 * sigma:.0f} mm only"
@@ -360,7 +355,7 @@ class Follower:
 
 
 def _started(vision: VisionUpdate, start: PosePrior | None) -> PoseBiasSmoother | None:
-    """Returns the smoother that knows the object's pose at the start; None where that is unknown."""
+    """Returns the smoother at the start of a track; None where the object's pose is unknown."""
     if start is None:
         return None
     return vision.smoother_from(start.T_palm_object, start.covariance, np.zeros(3))

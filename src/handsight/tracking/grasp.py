@@ -1,4 +1,4 @@
-"""The fingers over time: whether the hand grasps the object, and the last contacts of fingers that have let go."""
+"""The fingers over time: whether they grasp the object, and the last contacts of those that have let go."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -18,9 +18,9 @@ class GraspDetection(NamedTuple):
     """A `GraspDetection` says when an object is grasped, lifted and released."""
 
     release_after: float = 0.2
-    """The object is released after nothing was touched for so long [s]: contacts flicker as fingers close."""
+    """The object is released once nothing was touched for so long [s]: contacts flicker while fingers close."""
     lifted: float = 0.005  # a palm that rose by so much since the grasp has lifted the object [m]
-    min_fingers: int = 2  # fingers that stay and hold the object in place while others come and go
+    min_fingers: int = 2  # so many fingers that stay hold the object in place while others come and go
 
 
 GRASP = GraspDetection()
@@ -34,18 +34,18 @@ class GraspState:
     lifted: bool = False
     """Whether the palm has risen by `GRASP.lifted` since the grasp."""
     fingers: frozenset[str] = frozenset()
-    """Those that touched last."""
+    """The fingers that touched last."""
     touched_at: float = -math.inf
-    """[s]"""
+    """When any finger last touched [s]."""
     lowest: float | None = None
-    """Height of the palm in the world, its lowest since the grasp [m]."""
+    """Lowest height of the palm in the world since the grasp [m]; None where it is unknown."""
 
     def after(
         self, fingers: tuple[str, ...], stamp: float, T_world_palm: Array | None
     ) -> tuple["GraspState", GraspChange | None]:
-        """Returns the state after an observation with these fingers touching, and what has changed.
+        """Returns the state after an observation in which `fingers` touch, and the change of the grasp, if any.
 
-        That is a grasp that has begun or ended, or whose fingers are so different that the object may have moved.
+        "regrasped" means that so few of the fingers have stayed that the object may have moved.
         """
         now, grasped, lowest = frozenset(fingers), self.grasped, self.lowest
         touched_at = stamp if now else self.touched_at
@@ -65,16 +65,27 @@ class GraspState:
         return GraspState(grasped, lifted, last, touched_at, lowest), change
 
 
+class LastContact(NamedTuple):
+    """A `LastContact` is the last contact of one finger."""
+
+    contacts: Contacts
+    """All contacts of that observation, in the palm frame."""
+    row: int
+    """The row of the finger's own."""
+    stamp: float
+    """[s]"""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactMemory:
-    """A `ContactMemory` keeps the last contact of each finger that has let go: the object stays there for a while."""
+    """A `ContactMemory` keeps the last contact of each finger: after it lets go, the object stays there for a while."""
 
     seconds: float
     """How long a contact is kept; 0: not at all."""
     process_noise: Array
     """(6,) variance of the object's motion in the palm, per second."""
-    last: Mapping[str, tuple[Contacts, int, float]] = field(default_factory=dict)
-    """By finger: the contacts among which its last one was, in the palm frame, its row, and the stamp [s]."""
+    last: Mapping[str, LastContact] = field(default_factory=dict)
+    """By finger."""
 
     def after(self, fingers: tuple[str, ...], contacts: Contacts | None, stamp: float) -> "ContactMemory":
         """Returns the memory with the contacts of fingers that touch, and without those that are too old."""
@@ -82,24 +93,25 @@ class ContactMemory:
             return self
         last = dict(self.last)
         if contacts is not None:
-            last.update((finger, (contacts, row, stamp)) for row, finger in enumerate(fingers))
-        return replace(self, last={f: kept for f, kept in last.items() if stamp - kept[2] <= self.seconds})
+            last.update((finger, LastContact(contacts, row, stamp)) for row, finger in enumerate(fingers))
+        kept = {finger: old for finger, old in last.items() if stamp - old.stamp <= self.seconds}
+        return replace(self, last=kept)
 
     def only(self, fingers: Iterable[str]) -> "ContactMemory":
         """Returns the memory with the contacts of these fingers alone."""
-        return replace(self, last={finger: kept for finger, kept in self.last.items() if finger in fingers})
+        return replace(self, last={finger: old for finger, old in self.last.items() if finger in fingers})
 
     def added(self, fingers: tuple[str, ...], contacts: Contacts, stamp: float) -> tuple[Contacts, list[str]]:
-        """Returns the given contacts followed by those of other fingers, and the names of these fingers.
+        """Returns the given contacts followed by the remembered ones of other fingers, and the names of these fingers.
 
-        To the covariance of a remembered contact that of the object's motion since then is added.
+        The covariance of a remembered contact is inflated by the object's random walk since its stamp.
         """
-        others = {finger: kept for finger, kept in self.last.items() if finger not in fingers}
+        others = {finger: old for finger, old in self.last.items() if finger not in fingers}
         if not others:
             return contacts, []
-        parts = [contacts, *(then.select([row]) for then, row, _ in others.values())]
+        parts = [contacts, *(old.contacts.select([old.row]) for old in others.values())]
         covariance = np.concatenate([part.covariance for part in parts])
-        ages = [max(stamp - then, 0.0) for _, _, then in others.values()]
+        ages = [max(stamp - old.stamp, 0.0) for old in others.values()]
         covariance[len(contacts) :] += [np.diag(process_variance(self.process_noise, age)) for age in ages]
         points = np.concatenate([part.points_palm for part in parts])
         normals = np.concatenate([part.normals_palm for part in parts])

@@ -1,7 +1,7 @@
-"""The hand's own links as outside evidence: where they are, with what sigma, and which are smaller than their shapes.
+"""The hand's own links as outside evidence: their poses, their sigmas, and which are smaller than their shapes.
 
-A hand's file often has shapes larger than the hand: capsules and boxes that bulge over its skin. Such a link would be
-inside an object that the fingertips hold, and walls where there is nothing bend the answer or make contacts look wrong.
+A hand's file often has shapes larger than the hand: capsules and boxes that bulge over its skin. Such a shape is then
+inside an object that the fingertips hold, which would bias the pose, or make contacts look like outliers.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,21 +21,20 @@ class HandOutsideOptions(NamedTuple):
     """`HandOutsideOptions` say how the hand's links are kept outside the object."""
 
     sigma_surface: float = 0.001
-    """Error of a link's surface beside that of its joints, per axis [m]: soft skin, facets, screws."""
+    """Error of a link's surface in addition to that of its joints, per axis [m]: soft skin, facets, screws."""
     conflict: float = 3.0
-    """A link that is deeper inside the object, in standard deviations, contradicts the contacts."""
+    """A link that is deeper inside the object than this, in standard deviations, contradicts the contacts."""
     weaker: float = 4.0
-    """Factor on the links' standard deviations when their depth is measured: then they still count along what contacts
-    leave open, but not against contacts.
+    """Factor on the links' standard deviations when their depth is measured: then they still bound directions that the
+    contacts leave open, but do not outweigh contacts.
     """
-    check_period: float = 0.1  # between two checks for links inside [s]
-    note_period: float = (
-        0.2  # between two notes of one link's depth, lest one bad pose is noted repeatedly [s]
-    )
-    min_notes: int = 5  # a link with so many is smaller than its shape
-    max_notes: int = 25  # that are kept, the last ones
+    check_period: float = 0.1  # time between two checks for links inside the object [s]
+    note_period: float = 0.2
+    """Least time between two notes of one link's depth, so that one bad pose is noted once [s]."""
+    min_notes: int = 5  # so many notes say that a link is smaller than its shape
+    max_notes: int = 25  # the most notes of a link that are kept, the last ones
     max_margin: float = 0.02
-    """No shape is larger than its link by more [m]: where it is deeper inside, the pose is wrong."""
+    """No shape is larger than its link by more [m]: where it is deeper inside the object, the pose is wrong."""
 
 
 HAND_OUTSIDE = HandOutsideOptions()
@@ -46,14 +45,14 @@ Solve = Callable[[Outside], PoseEstimate]
 
 @dataclass(frozen=True, slots=True)
 class LinkMargins:
-    """A `LinkMargins` says how much smaller links are than their shapes, learnt where contacts fit."""
+    """`LinkMargins` are how much smaller than their shapes links are, learnt from poses that contacts fit."""
 
     notes: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
-    """By link: stamps [s], and how deep it was inside the object [m]."""
+    """By link: (stamp [s], depth inside the object [m]) of each note."""
 
     @property
     def known(self) -> dict[str, float]:
-        """By link with enough notes, its margin: their median [m]."""
+        """By link with enough notes, its margin: the median of their depths [m]."""
         return {
             link: median(depth for _, depth in notes)
             for link, notes in self.notes.items()
@@ -61,7 +60,7 @@ class LinkMargins:
         }
 
     def noted(self, depths: Mapping[str, float], stamp: float) -> "LinkMargins":
-        """Returns the value with the depths [m] of links that are inside, but for those noted just before."""
+        """Returns the value with notes of the links' depths inside the object [m], unless noted just before."""
         new = {
             link: (*earlier[1 - HAND_OUTSIDE.max_notes :], (stamp, depth))
             for link, depth in depths.items()
@@ -72,10 +71,10 @@ class LinkMargins:
 
 
 class HandOutside:
-    """A `HandOutside` is the links of a rig's hand without its fingertips, which have shapes of their own."""
+    """A `HandOutside` makes outside evidence of the links of a rig's hand, all but its fingertips."""
 
     def __init__(self, rig: Rig, model: ObjectModel, count: int) -> None:
-        """`count`: of points on them; there are none where the hand's file has no shapes, or the object no inside."""
+        """`count`: number of points; there are none if the hand's file has no shapes, or the object's mesh is open."""
         frames = [finger.frame for finger in rig.fingers.values()]
         self._surface = rig.hand.surface(count if model.closed else 0, without=frames)
         self._model = model
@@ -85,7 +84,7 @@ class HandOutside:
         self._first = np.searchsorted(self._surface.body_of, np.arange(len(self.links)))
 
     def at(self, joint_positions: Mapping[str, float] | None, margins: LinkMargins) -> Outside | None:
-        """Returns the links at joint positions; None where a joint is missing, or there are no points."""
+        """Returns the links' points at joint positions; None where a joint is missing, or there are no points."""
         surface = self._surface
         if not self.links or joint_positions is None or not joint_positions.keys() >= set(surface.joints):
             return None
@@ -96,15 +95,15 @@ class HandOutside:
         given = points, sigmas[surface.body_of], surface.body_of, slacks
         if np.abs(points).max() <= checks.MAX_DISTANCE:
             return Outside.trusted(*given)
-        return Outside(points, sigmas=given[1], links=given[2], slacks=slacks)  # which says what is wrong
+        return Outside(points, sigmas=given[1], links=given[2], slacks=slacks)  # raises InvalidInput
 
     def reconciled(
         self, estimate: PoseEstimate, outside: Outside, solve: Solve
     ) -> tuple[PoseEstimate, dict[str, float]]:
-        """Returns the estimate, and by link that is inside the object though contacts fit, how deep [m].
+        """Returns the estimate, and by link that is inside the object although contacts fit, its depth [m].
 
-        Where there are such links, or contacts fit only without them, the estimate is solved again with weaker links.
-        `solve` estimates the pose with other outside evidence.
+        Where there are such links, or where contacts do not fit, the pose is estimated again with weaker links, and
+        that estimate is returned if contacts fit it. `solve` estimates the pose with other outside evidence.
         """
         fits = estimate.consistent and not estimate.outliers
         if fits and not self._conflicts(estimate, outside):
@@ -115,14 +114,14 @@ class HandOutside:
         return yielding, self._conflicts(yielding, outside)
 
     def _conflicts(self, estimate: PoseEstimate, outside: Outside) -> dict[str, float]:
-        """Returns, by link that is deeper inside than its joints, skin and margin explain, how deep [m].
+        """Returns, by link that is deeper inside the object than its sigma and margin explain, its depth [m].
 
         The depth includes the margin.
         """
         T, (least, most) = estimate.T_palm_object, self._model.bounds_object
         places = (np.asarray(outside.points_palm) - T[:3, 3]) @ T[:3, :3]
         in_bounds = ((places > least) & (places < most)).all(axis=1)
-        if not in_bounds.any():  # as a rule; distances take ten times as long
+        if not in_bounds.any():  # mostly so; the distances below take ten times as long
             return {}
         depth = -self._model.fine.evaluate(places).distance
         slacks = 0.0 if outside.slacks is None else np.asarray(outside.slacks)

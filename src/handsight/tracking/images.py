@@ -1,4 +1,4 @@
-"""Depth images as measurements: where the object is in the camera, and, by the hand, where the camera is."""
+"""Depth images as measurements: of the object's pose in the camera, and, by the hand, of the camera's own pose."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -22,24 +22,24 @@ from handsight.vision.palm.hand_in_image import HandInImage
 
 
 class ImageOptions(NamedTuple):
-    """`ImageOptions` say how depth images are used by a tracker."""
+    """`ImageOptions` say how a tracker uses depth images."""
 
     correlation_time: float = 1.0
-    """Images within this time of each other share their errors: smoothing, bias, the visible side [s]."""
+    """Images within this time share their errors, which come from smoothing, bias and the visible side [s]."""
     palm_period: float = 0.5
-    """Between two searches for a palm that was detected; in between, the joints say where it is [s]."""
+    """Time between two searches for a palm that was detected; in between, its pose follows from the joints [s]."""
     sigma_palm_position: float = 0.01
-    """How far the palm may be off in the next image, once it was detected, per axis [m]."""
-    sigma_palm_rotation: float = float(np.deg2rad(3.0))  # [rad]
+    """Uncertainty of the palm's position in the next image once it was detected, per axis [m]."""
+    sigma_palm_rotation: float = float(np.deg2rad(3.0))  # the same of its rotation [rad]
     history: float = 1.0  # how long joints and palm are kept: an image arrives later than it was taken [s]
-    max_instants: int = 2000  # that are kept at most
+    max_instants: int = 2000  # the most instants that are kept
 
 
 IMAGES = ImageOptions()
 
 
 class Instant(NamedTuple):
-    """An `Instant` is joints and palm at one instant, each if it was measured."""
+    """An `Instant` is the joint positions and the palm's pose at one stamp; None where they were not measured."""
 
     stamp: float
     joint_positions: Mapping[str, float] | None
@@ -48,7 +48,7 @@ class Instant(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """A `History` is the instants of the last second, and some before them, in order of their stamps."""
+    """A `History` is the instants of the last second, and a few older ones, in the order of their stamps."""
 
     instants: tuple[Instant, ...] = ()
 
@@ -59,13 +59,16 @@ class History:
             kept = kept[:-1]
         full = len(kept) >= IMAGES.max_instants
         if full or (kept and kept[0].stamp < instant.stamp - 1.25 * IMAGES.history):
-            # Only now and then, because it takes longer than adding one.
+            # Old instants are dropped only now and then, because that takes longer than adding one.
             recent = (old for old in kept if old.stamp >= instant.stamp - IMAGES.history)
             kept = tuple(recent)[1 - IMAGES.max_instants :]
         return History((*kept, instant))
 
     def at(self, stamp: float | None) -> Instant | None:
-        """Returns the instant nearest to a stamp, the last one for None; None where the stamp is older than all."""
+        """Returns the instant nearest to a stamp [s]; None where the history does not reach back to it.
+
+        For the stamp None it is the last instant.
+        """
         if stamp is None or not self.instants:
             return self.instants[-1] if self.instants else None
         since = self.instants[-1].stamp - IMAGES.history
@@ -77,21 +80,21 @@ class History:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageResult:
-    """An `ImageResult` is an observation after its depth image was evaluated."""
+    """An `ImageResult` is an observation whose depth image was evaluated."""
 
     observation: Observation
-    """Its vision is the pose that the image gives, None where the object was not found in it."""
+    """With the image's pose as its vision; None where the object was not detected."""
     hand: HandView | None
     """The palm in the image; None where it was not searched for, or not detected."""
     then: Instant | None
-    """Joints and palm at the stamp of the observation's vision."""
+    """Joints and palm at the stamp of the observation's vision; None without vision, or where they are unknown."""
 
 
 class ImageVision:
     """An `ImageVision` evaluates the images of a rig's depth camera for one object, over time."""
 
     def __init__(self, rig: Rig, model: ObjectModel, *, on: bool) -> None:
-        """Where it is not `on`, or the camera has no intrinsics, observations stay as they are."""
+        """Observations are left unchanged if it is not `on`, or if the rig has no camera with intrinsics."""
         self._rig, self._model, self._history = rig, model, History()
         self._on = on and rig.camera is not None and rig.camera.intrinsics is not None
         self._images: ObjectInImages | None = None
@@ -107,16 +110,16 @@ class ImageVision:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many images were evaluated and with what result; empty where there were none."""
+        """How many images were evaluated, and with what result; empty before the first image."""
         return {} if self._images is None else dict(self._images.counts)
 
     def observe(
         self, observation: Observation, from_palm: CameraFromPalm, T_palm_object: Array | None
     ) -> ImageResult:
-        """Returns what an observation measures; `from_palm`: what earlier images have measured of the camera.
+        """Returns the observation with its image evaluated, and the palm in that image.
 
-        T_palm_object: (4, 4) of an object in the hand; None where nothing holds it. Raises InvalidInput for an image
-        that cannot be the camera's.
+        `from_palm`: the camera's error, as earlier images have measured it. `T_palm_object` (4, 4): the pose of an
+        object in the hand; None where it is not grasped. Raises InvalidInput for an image that cannot be the camera's.
         """
         self._history = self._history.after(
             Instant(observation.stamp, observation.joint_positions, observation.T_world_palm)
@@ -131,24 +134,25 @@ class ImageVision:
                 observation = replace(observation, vision=vision)
         vision, by_images = observation.vision, self._images is not None and observation.depth is None
         if by_images and vision is not None and vision.frame == "camera":
-            # This camera's images are the better measurement, so its poses are not taken between them.
+            # This camera's images are the better measurement, so poses that come between them are left out.
             observation, vision = replace(observation, vision=None), None
         return ImageResult(observation, hand, None if vision is None else self._history.at(vision.stamp))
 
 
 class ObjectInImages:
-    """An `ObjectInImages` follows the object in a camera's depth images, the pixels of the hand left out."""
+    """An `ObjectInImages` follows the object in a camera's depth images, without the pixels of the hand."""
 
     def __init__(self, rig: Rig, camera: MountedCamera, model: ObjectModel) -> None:
-        """The rig's camera must have intrinsics."""
+        """`camera` is the rig's, and must have intrinsics."""
         self._mounted = camera
         self._camera = Camera.of(camera)
         self.tracker = DepthTracker(model, self._camera, noise=PRESETS[camera.depth_camera])
         self._hand = HandInImage(rig)
         self._lost = True
         self._detected_at = self._palm_searched_at = -np.inf
-        self.counts = {"looked_at": 0, "object_seen": 0, "hand_sought": 0, "palm_detected": 0}
-        """Images; those in which the object was detected; searches for the palm; those that detected it."""
+        self.counts = {"looked_at": 0, "object_seen": 0, "hand_sought": 0, "hand_seen": 0}
+        """The number of images, of those in which the object was detected, of searches for the palm, and of detections
+        of the palm."""
 
     def _count(self, name: str) -> None:
         self.counts = {**self.counts, name: self.counts[name] + 1}
@@ -161,12 +165,12 @@ class ObjectInImages:
         from_palm: CameraFromPalm,
         T_palm_object: Array | None,
     ) -> tuple[PoseMeasurement | None, HandView | None]:
-        """Returns where the object is in the camera, and the palm in the camera's mount; None where not detected."""
+        """Returns the object's pose in the camera and the palm's in the camera's mount; None where not detected."""
         image = self._camera.check_depth(depth, "observation.depth")
         self._count("looked_at")
         view, mask, T_camera_palm = self._observe_hand(stamp, image, then, from_palm)
-        # Touch says where to search for a lost object, and no more: a search that began there each time would
-        # return what touch has measured as if the camera had measured it too.
+        # Touch only says where to search for a lost object: a search that started from touch each time would return
+        # what touch has measured as if the camera had measured it too.
         expected = None if T_palm_object is None or T_camera_palm is None else T_camera_palm @ T_palm_object
         found = self.tracker.update(
             stamp,
@@ -177,11 +181,11 @@ class ObjectInImages:
             expected=expected if self._lost else None,
         )
         self._lost = found.T_camera_object is None
-        # Of an object that is nearly hidden, the pose is the predicted one, and no measurement.
+        # The pose of an object that is nearly hidden is only the predicted one, not a measurement.
         if found.T_camera_object is None or found.covariance is None or found.reason == HIDDEN:
             return None, view
         self._count("object_seen")
-        # n images that share their errors measure as much as one, so each has n times the covariance.
+        # n images that share their errors tell as much as one, so each gets n times the covariance.
         sharing = max(1.0, IMAGES.correlation_time / max(stamp - self._detected_at, 1e-3))
         self._detected_at = stamp
         return PoseMeasurement(found.T_camera_object, "camera", sharing * found.covariance, stamp), view
@@ -189,18 +193,18 @@ class ObjectInImages:
     def _observe_hand(
         self, stamp: float, depth: Depth, then: Instant, from_palm: CameraFromPalm
     ) -> tuple[HandView | None, Mask | None, Array | None]:
-        """Returns the palm's detection, the hand's pixels and T_camera_palm, each None where it is unknown."""
+        """Returns the detected palm, the hand's pixels, and T_camera_palm (4, 4); each None where it is unknown."""
         joints, camera = then.joint_positions, self._mounted
         T_mount_palm = np.eye(4) if camera.on == "palm" else then.T_world_palm
         if T_mount_palm is None:
             return None, None, None
         T_camera_mount = se3.inverse(camera.T_mount_camera)
-        known = len(from_palm.believed) > 0
+        known = len(from_palm.confirmed) > 0
         sigmas = IMAGES.sigma_palm_position, IMAGES.sigma_palm_rotation
         if known:
-            believed = T_camera_mount @ from_palm.believed[-1].expected(T_mount_palm)
+            T_camera_palm = T_camera_mount @ from_palm.confirmed[-1].expected(T_mount_palm)
         else:
-            believed = T_camera_mount @ T_mount_palm
+            T_camera_palm = T_camera_mount @ T_mount_palm
             sigmas = (
                 max(camera.sigma_position_constant, sigmas[0]),
                 max(camera.sigma_rotation_constant, sigmas[1]),
@@ -209,13 +213,13 @@ class ObjectInImages:
         if not known or abs(stamp - self._palm_searched_at) >= IMAGES.palm_period:
             self._palm_searched_at = stamp
             self._count("hand_sought")
-            found = self._hand.detected(self._camera, depth, joints, believed, sigmas, follow=known)
+            found = self._hand.detected(self._camera, depth, joints, T_camera_palm, sigmas, follow=known)
         view = None
         if isinstance(found, PalmDetection):
-            self._count("palm_detected")
-            believed = found.T_camera_palm
-            detected = GaussianPose(believed, found.covariance).transformed(camera.T_mount_camera)
+            self._count("hand_seen")
+            T_camera_palm = found.T_camera_palm
+            detected = GaussianPose(T_camera_palm, found.covariance).transformed(camera.T_mount_camera)
             view = HandView(T_mount_palm, detected)
         elif not known:
             return None, None, None
-        return view, self._hand.mask(self._camera, depth, joints, believed), believed
+        return view, self._hand.mask(self._camera, depth, joints, T_camera_palm), T_camera_palm

@@ -1,14 +1,16 @@
-"""The constant errors of a hand's joints: learnt from one grip to the next, shared by all that a grip measures.
+"""The constant errors of a hand's joints: learnt from one grip to the next, and common to all that a grip measures.
 
-A joint reads too much by the same angle until somebody calibrates it again. Within one grip that looks like another
-pose. But contacts say more than the six numbers of a pose: their residuals say which offsets are impossible, and grips
-with the fingers bent otherwise say the rest.
+A joint reads too much by the same angle until it is calibrated again. Within one grip that looks like another pose of
+the object. But contacts measure more than the six numbers of a pose: their residuals exclude some offsets, and grips
+with differently bent fingers exclude the others.
 
-A joint that reads too much displaces every contact beyond it, and the measured centre of mass as well. If
-each were given errors of its own, a part of what they say of the pose would be lost. So pose and offsets δq are solved
-for together, to first order: if the pose moves by x and the joints read δq more than believed, contact i is off the
-surface by r + A (M x - K δq), with M the effect of the object's motion on a contact that stays in the palm, and K that
-of the joints.
+A joint that reads too much displaces every contact beyond it, and the measured centre of mass as well. To treat these
+errors as independent would lose a part of what they tell of the pose. So pose and offsets δq are solved for together,
+to first order: if the pose moves by x and the joints read δq more than estimated, contact i is off the surface by
+
+    r + A (M x - K δq),
+
+where M is the effect of the object's motion on a contact that stays in the palm, and K the effect of the joints.
 """
 
 from collections.abc import Mapping
@@ -21,29 +23,29 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PoseEstimate, PosePrior, WeightEvidence
-from handsight.correction.surface_at_contacts import information_by_contact
+from handsight.correction.solve import information_by_contact
 from handsight.forces import Weighing
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
 
 CREEP = 0.1
-"""By how much an offset changes from one grip to the next, in its first sigmas: what was learnt grows old."""
+"""How much an offset changes from one grip to the next, as a share of its initial sigma: older grips count less."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointOffsets:
-    """`JointOffsets` say by how much joints read too much, jointly Gaussian."""
+    """`JointOffsets` are the constant errors of joints: reading less true position, jointly Gaussian."""
 
     joints: tuple[str, ...]
     """The j joints that move a tip in the palm."""
     mean: Array
-    """(j,) [rad], of slides [m]."""
+    """(j,) [rad], or [m] for prismatic joints."""
     covariance: Array
-    """(j, j)"""
+    """(j, j) of the offsets."""
     sigma: float
-    """Of each offset before the first grip [rad]."""
+    """Standard deviation of each offset before the first grip [rad]."""
     sigma_reading: float
-    """Of what changes from reading to reading [rad]."""
+    """Standard deviation of a joint's error that changes from reading to reading [rad]."""
 
     @classmethod
     def of(cls, rig: Rig) -> "JointOffsets":
@@ -54,12 +56,12 @@ class JointOffsets:
 
     @cached_property
     def root(self) -> Array:
-        """(j, j) L, L Lᵀ the covariance of the errors that `corrected` positions still have."""
-        reading = self.sigma_reading**2 + 1e-18  # offsets known exactly have a root too
+        """(j, j) L, where L Lᵀ is the covariance of the errors that `corrected` positions still have."""
+        reading = self.sigma_reading**2 + 1e-18  # so that exactly known offsets have a root too
         return np.asarray(np.linalg.cholesky(self.covariance + reading * np.eye(len(self.joints))))
 
     def corrected(self, joint_positions: Mapping[str, float]) -> Mapping[str, float]:
-        """Returns joint positions without the offsets; joints that are missing, or no number, stay so."""
+        """Returns joint positions without the offsets; joints that are missing, or not a number, stay so."""
         if not self.mean.any():
             return joint_positions
         offsets = dict(zip(self.joints, self.mean.tolist(), strict=True))
@@ -68,10 +70,10 @@ class JointOffsets:
     def after(
         self, model: ObjectModel, contacts: Contacts, by_error: Array, T_palm_object: Array, prior: PosePrior
     ) -> "JointOffsets":
-        """Returns the offsets after a grip of an object that is near `T_palm_object` (4, 4), `prior` without touch.
+        """Returns the offsets after a grip of an object near `T_palm_object` (4, 4); `prior`: its pose without touch.
 
-        `contacts` (n) are at positions `corrected` by these offsets; `by_error` (n, 6, j) is their derivative along
-        `root`. Offsets that are known exactly stay so.
+        `contacts` (n) are computed from positions `corrected` by these offsets; `by_error` (n, 6, j) is their
+        derivative along the columns of `root`. Offsets that are known exactly stay so.
         """
         if not self.sigma:
             return self
@@ -90,11 +92,11 @@ class JointOffsets:
         prior: PosePrior,
         weight: tuple[Weighing, WeightEvidence],
     ) -> PoseEstimate:
-        """Returns the estimate after its contacts and its weight have shared their joints' errors.
+        """Returns the estimate that follows from contacts and weight with common errors of the joints.
 
-        `touch`: contacts and `by_error` as `after` takes them. The estimate stays as it was where it is not a maximum
-        at which everything fits, where the object has a symmetry axis, and where the pose would move too far for a
-        linear problem.
+        `touch`: contacts and `by_error` as in `after`; `weight`: a weighing, and the evidence that was made of it. The
+        estimate is unchanged unless it is a maximum at which everything fits, where the object has an axis of symmetry,
+        and where the pose would move too far for a linear problem.
         """
         T, j = estimate.T_palm_object, len(self.joints)
         at_maximum = np.abs(T - estimate.T_palm_object_maximum).max() < 1e-9
@@ -122,12 +124,12 @@ class JointOffsets:
     def _normal_equations(
         self, model: ObjectModel, contacts: Contacts, by_error: Array, T_palm_object: Array, prior: PosePrior
     ) -> tuple[Array, Array]:
-        """Returns H (6 + j, 6 + j) and the slope (6 + j,) of pose and offsets, by the contacts and the pose's prior."""
+        """Returns H (6 + j, 6 + j) and the slope (6 + j,) of the cost of contacts and prior, by pose and offsets."""
         K, n = by_error @ np.linalg.inv(self.root), len(contacts)
         alone = contacts.covariance - K @ self.covariance @ K.swapaxes(1, 2)
         given = Contacts.trusted(contacts.points_palm, contacts.normals_palm, alone)
         information, gradient = information_by_contact(model, given, T_palm_object)
-        # M: a contact that stays moves the other way in the object's frame.
+        # M: as the object moves, a contact that stays in the palm moves the other way in the object's frame.
         M = np.zeros((n, 6, 6))
         M[:, :3, :3] = -np.eye(3)
         M[:, :3, 3:] = se3.skew(contacts.points_palm - T_palm_object[:3, 3])

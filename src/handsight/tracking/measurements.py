@@ -1,4 +1,4 @@
-"""Vision and the table as measurements of the object's pose, each behind a gate."""
+"""Vision and the table as measurements of the object's pose; a gate rejects those that are implausible."""
 
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
@@ -19,13 +19,13 @@ Mount = Literal["world", "palm"]
 
 
 class GateOptions(NamedTuple):
-    """`GateOptions` say which measurements of the object's pose are wrong."""
+    """`GateOptions` say which measurements of the object's pose are rejected."""
 
     chi2: float = 27.9
-    """Of six numbers, which one in ten thousand exceeds: such a measurement is wrong, or the object has moved."""
+    """χ² of six numbers that one in ten thousand exceeds: beyond it a pose is wrong, or the object has moved."""
     table_chi2: float = 16.3
-    """Of three numbers, which one in a thousand exceeds: beyond it the object does not stand there."""
-    max_rejected: int = 5  # so many of them in a row say that the object has moved
+    """χ² of three numbers that one in a thousand exceeds: beyond it the object does not stand on the table."""
+    max_rejected: int = 5  # so many rejected poses in a row say that the object has moved
 
 
 GATES = GateOptions()
@@ -37,13 +37,13 @@ EYE, EYE_6 = np.eye(4), np.eye(6)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VisionUpdate:
-    """A `VisionUpdate` takes a rig's poses from vision into a smoother, and counts those that it rejects.
+    """A `VisionUpdate` updates a smoother by poses from vision, and counts those that it rejects.
 
-    They are transformed to what the camera is fixed to, its mount, because vision's bias is constant there.
+    The poses are transformed to the camera's mount (the world or the palm), because vision's bias is constant there.
     """
 
     rig: Rig
-    """Its camera may be None: then poses come in the world or the palm."""
+    """Its camera may be None: then vision's poses must be in the world or the palm."""
     model: ObjectModel
     mount: Mount | None = None
     """The frame in which vision's bias is constant: that of the first measurement."""
@@ -52,22 +52,23 @@ class VisionUpdate:
     rejected: int = 0
     """How many measurements were beyond the gate."""
     rejected_in_a_row: int = 0
+    """How many of the last measurements were beyond the gate."""
     camera_from_palm: CameraFromPalm = field(default_factory=CameraFromPalm)
-    """The camera's constant error, by the hand in its images."""
+    """The camera's constant error, measured by the hand in its images."""
     last: tuple[GaussianPose, Array] | None = None
-    """The last measured pose in the mount, and T_mount_palm (4, 4) then."""
+    """The last measured pose in the mount, and T_mount_palm (4, 4) at that instant."""
 
     @property
     def camera(self) -> MountedCamera:
-        """The rig's, or one with the usual errors."""
+        """The rig's camera, or one with the default errors."""
         return self.rig.camera or MountedCamera()
 
     def updated(
         self, observation: Observation, smoother: PoseBiasSmoother | None, T_world_palm: Array | None
     ) -> tuple["VisionUpdate", PoseBiasSmoother | None]:
-        """Returns this and the smoother after an observation, the same ones where that has no pose.
+        """Returns this and the smoother after an observation; both unchanged where it has no pose.
 
-        Raises InvalidInput for a pose in the frame of a camera that the rig does not have, or far from any hand.
+        Raises InvalidInput for a pose in the camera's frame if the rig has no camera, or for one far from any hand.
         """
         measured = observation.vision
         if measured is None:
@@ -91,18 +92,18 @@ class VisionUpdate:
     def palm_detected(
         self, view: HandView, smoother: PoseBiasSmoother | None
     ) -> tuple["VisionUpdate", PoseBiasSmoother | None]:
-        """Returns this and the smoother after the palm was detected, the same one where that adds no information."""
-        known = self.camera_from_palm.believed
+        """Returns this and the smoother after the palm was detected; the smoother changes if a view is confirmed."""
+        before = self.camera_from_palm.confirmed
         after = replace(self, camera_from_palm=self.camera_from_palm.updated(view))
-        believed = after.camera_from_palm.believed
-        if believed == known or smoother is None:
+        confirmed = after.camera_from_palm.confirmed
+        if confirmed == before or smoother is None:
             return after, smoother
-        if believed[:-1] != known:  # the view contradicts what was believed
+        if confirmed[:-1] != before:  # the view contradicts earlier ones, which were dropped
             return after, after.afresh() or smoother
         return after, smoother.informed(view.bias(smoother.pivot))
 
     def afresh(self) -> PoseBiasSmoother | None:
-        """Returns a smoother from the last measurement alone, in the palm at that time; None where there was none."""
+        """Returns a smoother from the last measurement alone, in the palm at its instant; None where there was none."""
         if self.last is None:
             return None
         pose, T_mount_palm = self.last
@@ -111,8 +112,10 @@ class VisionUpdate:
         return self._gated(started, pose, T_mount_palm)[1]
 
     def in_palm(self, observation: Observation | None, T_world_palm: Array | None) -> Array | None:
-        """Returns (4, 4) the measured pose in the palm, with vision's bias; None without one, or where it cannot be
-        placed."""
+        """Returns (4, 4) the pose from vision in the palm, with vision's bias.
+
+        None where the observation has none, or where T_world_palm is needed and missing.
+        """
         measured = None if observation is None else observation.vision
         if measured is None:
             return None
@@ -120,13 +123,13 @@ class VisionUpdate:
         return None if T_mount_palm is None else se3.inverse(T_mount_palm) @ self._in_mount(measured).T_a_b
 
     def smoother_from(self, T_palm_object: Array, covariance: Array, pivot: Array) -> PoseBiasSmoother:
-        """Returns a smoother started at a pose with its covariance (6, 6), and at the camera's bias about `pivot`."""
+        """Returns a smoother that starts at a pose with a covariance (6, 6); the bias is about `pivot` (3,) [m]."""
         c = self.camera
-        # A camera without a constant error has next to none: a covariance must be invertible.
+        # Even a camera without a constant error gets a tiny one: a covariance must be invertible.
         position, rotation = max(c.sigma_position_constant, 1e-6), max(c.sigma_rotation_constant, 1e-6)
         bias = np.diag([position**2] * 3 + [rotation**2] * 3)
         smoother = PoseBiasSmoother.from_prior(T_palm_object, invertible(covariance), bias, pivot)
-        for view in self.camera_from_palm.believed:
+        for view in self.camera_from_palm.confirmed:
             smoother = smoother.informed(view.bias(pivot))
         return smoother
 
@@ -150,9 +153,9 @@ class VisionUpdate:
     def _gated(
         self, smoother: PoseBiasSmoother, pose_mount_object: GaussianPose, T_mount_palm: Array
     ) -> tuple["VisionUpdate", PoseBiasSmoother]:
-        """Returns this and the smoother after a measurement.
+        """Returns this and the smoother after a measured pose; one beyond the gate is rejected.
 
-        Beyond the gate it is left out; several such in a row say that the object has moved.
+        After several rejected poses in a row the object must have moved: the smoother restarts with a wide pose.
         """
         T = self.model.nearest(pose_mount_object.T_a_b, smoother.expected(T_mount_palm))
         nearest, after = GaussianPose(T, pose_mount_object.covariance), self
@@ -168,9 +171,10 @@ class VisionUpdate:
 
 
 def invertible(covariance: Array) -> Array:
-    """Returns a covariance (6, 6) with 1e-10 of its largest variance, or of 1, added to each: some 10 µm and 10 µrad.
+    """Returns a covariance (6, 6) with 1e-10 of its largest variance, or of 1, added to each variance.
 
-    A pose that is known exactly, or far better in one direction than in another, is then known well.
+    That is some 10 µm and 10 µrad: a pose that is known exactly, or far better in one direction than in another, then
+    has an information matrix.
     """
     return np.asarray(covariance + 1e-10 * max(1.0, *covariance.diagonal().tolist()) * EYE_6)
 
@@ -178,14 +182,14 @@ def invertible(covariance: Array) -> Array:
 def on_table(state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm: Array) -> PoseAndBias | None:
     """Returns the state given that the object stands on the table; None where that is beyond the gate.
 
-    It stands on the side of its bounding box whose outward normal points down most.
+    The object is assumed to stand on the side of its bounding box whose outward normal points down most.
     """
     R, T = T_world_palm[:3, :3], T_world_palm @ state.T_palm_object
     up = int(np.argmax(np.abs(T[2, :3])))
     sign = 1.0 if T[2, up] > 0 else -1.0
     axis = sign * T[:3, up]
     base = model.bounds_object[0, up] if sign > 0 else -model.bounds_object[1, up]
-    # The turn about the world's x and y that brings the axis upright; a table says nothing of the turn about z.
+    # The rotation about the world's x and y that brings the axis upright; a table does not measure the yaw.
     tilt = np.array([axis[1], -axis[0]])
     sine = float(np.linalg.norm(tilt))
     if sine > 1e-9:

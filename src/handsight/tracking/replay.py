@@ -1,4 +1,4 @@
-"""A tracker's answers to a stream of observations, with a summary of them, and the best weighing among them."""
+"""A tracker's answers to a stream of observations, their summary, and the best weighing among them."""
 
 import math
 import time
@@ -13,8 +13,7 @@ from handsight.checks import Array
 from handsight.correction import PoseEstimate
 from handsight.errors import InvalidInput
 from handsight.forces import ObjectWeight, Slip
-from handsight.observation import Observation
-from handsight.tracking.clock import MAX_JUMP
+from handsight.observation import MAX_JUMP, Observation
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.skin import NOTHING, SkinContacts
 from handsight.tracking.tracker import State, Tracker
@@ -33,15 +32,15 @@ class Step:
     reason: str
     """Why the state is no better; empty while tracking."""
     T_palm_object_vision: Array | None
-    """(4, 4) as vision measured it at this instant; None where it did not."""
+    """(4, 4) the object's pose as vision measured it at this instant; None where it did not."""
     T_world_palm: Array | None
-    """(4, 4)."""
+    """(4, 4) the palm's pose; None where it is unknown."""
     fingertips: FingertipContacts
     """What the fingertips measure."""
     sigma: float
-    """Standard deviation of the position, its largest [m]."""
+    """Largest standard deviation of the position of the object's middle [m]."""
     slip: Slip = field(default_factory=Slip)
-    """Whether the object slips, and how near to that it is."""
+    """Whether the object slips, and how near each finger is to slipping."""
     skin: SkinContacts = NOTHING
     """What the tactile arrays measure."""
 
@@ -52,7 +51,7 @@ class Step:
 
     @property
     def rejected(self) -> tuple[str, ...]:
-        """Those of them whose contacts the answer takes for wrong."""
+        """Those fingers whose contacts are outliers of the estimate."""
         return self.fingertips.rejected_by(self.estimate)
 
 
@@ -63,37 +62,38 @@ class Tally:
     observations: int = 0
     answered: int = 0
     refused: Counter[str] = field(default_factory=Counter)
-    """Observations that were wrong in themselves, by the message; at most `MAX_MESSAGES` different ones are counted."""
+    """By error message, the number of invalid observations; messages beyond `MAX_MESSAGES` are counted as others."""
     states: dict[str, float] = field(default_factory=dict)
     """Seconds in each state."""
     recorded: float = 0.0
-    """Seconds between the first observation and the last, in each track if the clock was set back."""
+    """Seconds between the first observation and the last; summed over tracks if the clock was set back."""
     wall: float = 0.0
     """Seconds that the replay took."""
     touched: set[str] = field(default_factory=set)
     """Fingers that have touched something."""
     without: dict[str, Counter[str]] = field(default_factory=dict)
-    """By finger: observations before its first contact, if it has one, by the reason for having none."""
+    """By finger, then by reason: observations without a contact of that finger, up to its first contact."""
 
 
-class Taken(NamedTuple):
-    """A `Taken` is an observation that the tracker has taken."""
+class Unconfirmed(NamedTuple):
+    """An `Unconfirmed` is an observation that the tracker has used, and that the next one may still undo."""
 
     stamp: float
     passed: float
-    """Since the one before [s]."""
+    """Time since the observation before it [s]."""
     state: State
     fingertips: FingertipContacts
     step: Step | None
+    """The answer; None where there is no pose yet."""
 
 
 def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) -> Iterator[Step]:
-    """Yields the tracker's answers, one for each observation it can answer; `tally` is filled as they come.
+    """Yields the tracker's answers, one for each observation that has one; `tally` is filled as they come.
 
-    An observation that is wrong in itself is counted by its message, and the next is taken. One that comes late has no
-    answer, nor has one that jumps ahead and is taken back: after a jump an answer waits for the next observation.
+    An invalid observation is counted by its error message, and the replay goes on with the next one. A late observation
+    has no answer, nor has one that jumped ahead and was undone; so after a jump, answers wait for the next observation.
     """
-    began, counted_to, waiting = time.perf_counter(), math.nan, list[Taken]()
+    began, counted_to, waiting = time.perf_counter(), math.nan, list[Unconfirmed]()
     for observation in observations:
         tally.observations += 1
         late, undone = tracker.late, tracker.undone
@@ -104,7 +104,7 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
             known = message in tally.refused or len(tally.refused) < MAX_MESSAGES
             tally.refused[message if known else "others"] += 1
             if not waiting:
-                counted_to = _passed_over(observation, counted_to, tally)
+                counted_to = _refused(observation, counted_to, tally)
             continue
         finally:
             tally.wall = time.perf_counter() - began
@@ -112,16 +112,16 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
         if tracker.late == late:
             passed = max(0.0, tracker.stamp - (waiting[-1].stamp if waiting else counted_to))
             step = None if estimate is None else _step(tracker, estimate)
-            waiting.append(Taken(tracker.stamp, passed, tracker.state, tracker.fingertips, step))
+            waiting.append(Unconfirmed(tracker.stamp, passed, tracker.state, tracker.fingertips, step))
         while len(waiting) > tracker.unconfirmed:
             counted_to = waiting[0].stamp
-            yield from _counted(waiting.pop(0), tally)
-    for taken in waiting:
-        yield from _counted(taken, tally)
+            yield from _confirmed(waiting.pop(0), tally)
+    for observed in waiting:
+        yield from _confirmed(observed, tally)
 
 
-def _passed_over(observation: Observation, last: float, tally: Tally) -> float:
-    """Returns the stamp up to which time is counted after a refused observation: its own, if it is plausible."""
+def _refused(observation: Observation, last: float, tally: Tally) -> float:
+    """Returns the stamp up to which time is counted after an invalid observation: its own if plausible, else `last`."""
     stamp = getattr(observation, "stamp", None)
     if not isinstance(stamp, float) or not math.isfinite(stamp) or stamp <= last or stamp - last > MAX_JUMP:
         return last
@@ -144,24 +144,25 @@ def _step(tracker: Tracker, estimate: PoseEstimate) -> Step:
     )
 
 
-def _counted(taken: Taken, tally: Tally) -> Iterator[Step]:
-    """Yields the answer, if there is one, now that nothing can take it back, and counts the observation."""
-    tally.recorded += taken.passed
-    if taken.passed:
-        tally.states[taken.state] = tally.states.get(taken.state, 0.0) + taken.passed
-    tally.touched.update(taken.fingertips.fingers)
-    for finger, why in taken.fingertips.reasons.items():
+def _confirmed(observed: Unconfirmed, tally: Tally) -> Iterator[Step]:
+    """Yields the answer to an observation that nothing can undo any more, if it has one, and counts it."""
+    tally.recorded += observed.passed
+    if observed.passed:
+        tally.states[observed.state] = tally.states.get(observed.state, 0.0) + observed.passed
+    tally.touched.update(observed.fingertips.fingers)
+    for finger, reason in observed.fingertips.reasons.items():
         if finger not in tally.touched:
-            tally.without.setdefault(finger, Counter())[why] += 1
-    if taken.step is not None:
+            tally.without.setdefault(finger, Counter())[reason] += 1
+    if observed.step is not None:
         tally.answered += 1
-        yield taken.step
+        yield observed.step
 
 
 def best_weight(observations: Iterable[Observation], tracker: Tracker) -> tuple[ObjectWeight | None, str]:
-    """Returns the weighing whose centre of mass in the object is known best, or None and why no weighing is believed.
+    """Returns the weighing that measures the centre of mass in the object best, and an empty reason.
 
-    The tracker's model must have no centre of mass: a known one would come out again as if it had been measured.
+    Where no weighing can be trusted, returns None and the reason. The tracker's model must have no centre of mass: a
+    known one corrects the pose, and would come out again as if it had been measured.
     """
     best: ObjectWeight | None = None
     reason = "the object was never in the air"
@@ -171,7 +172,9 @@ def best_weight(observations: Iterable[Observation], tracker: Tracker) -> tuple[
             continue
         if found.reason:
             reason = found.reason
-        elif found.directions < 2:  # the centre's height along a single direction of gravity is open
+        elif (
+            found.directions < 2
+        ):  # loads do not measure the centre's height along a single direction of gravity
             reason = "gravity had one direction in the palm all the time: tilt the hand by 20° about two axes"
         elif best is None or np.trace(found.covariance) < np.trace(best.covariance):
             best = found

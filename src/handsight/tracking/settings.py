@@ -1,4 +1,4 @@
-"""When a tracker corrects the pose, and what motions it expects."""
+"""When a tracker corrects the pose, which motions of the object it expects, and when the object is lost."""
 
 from dataclasses import dataclass
 
@@ -13,48 +13,48 @@ from handsight.errors import InvalidInput
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackerSettings:
-    """A `TrackerSettings` says when a tracker corrects the pose, what motions it expects, and when the pose is lost.
+    """`TrackerSettings` say when a tracker corrects the pose, which motions it expects, and when the object is lost.
 
     The defaults are for a hand that holds still or moves slowly.
     """
 
     rate: float | None = None
-    """Corrections per second while something is touched, even if nothing has changed; None: only when it has."""
+    """Corrections per second while something is touched, even if nothing has changed; None: only after a change."""
     moved: float = 0.001
-    """The pose is corrected when a contact has moved so far in the palm [m]."""
+    """The pose is corrected when a contact has moved by so much in the palm [m]."""
     turned: float = float(np.deg2rad(5.0))
-    """The pose is corrected when a contact's normal has turned so far [rad]."""
+    """The pose is corrected when a contact's normal has turned by so much [rad]."""
     process_noise_position: float = 0.002
     """Random walk of the object in the palm: one standard deviation per axis after a second [m]; it grows with the root
-    of time. Objects between simulated tips move by millimetres as they are lifted, and creep on after."""
+    of time. Objects between simulated tips move by millimetres while they are lifted, and creep afterwards."""
     process_noise_rotation: float = float(np.deg2rad(3.0))
-    """[rad]; a box between three simulated tips creeps by degrees while it is carried."""
+    """The same of its rotation [rad]: a box between three simulated tips creeps by degrees while it is carried."""
     regrasp_position: float = 0.005
     """How far the object may be pushed when a finger comes or goes, one standard deviation per axis [m]."""
     regrasp_rotation: float = float(np.deg2rad(3.0))
-    """[rad]"""
+    """How far it may be turned then, one standard deviation per axis [rad]."""
     memory: float = 5.0
     """How long the contact of a finger that has let go is still used [s]; 0: not at all."""
     answer: str = "best"
-    """As `correct_pose` takes it: the mean where contacts bound a slide and do not fix it, else the maximum."""
+    """As in `correct_pose`: "best" is the mean where contacts bound a slide but do not fix it, else the maximum."""
     samples: int = 0
-    """Above 0: the mean from so many samples instead, an independent check; 4000 take some 50 ms."""
+    """Above 0: the mean of so many samples instead, as an independent check; 4000 take some 50 ms."""
     outside: int = 200
-    """How many points of the hand's other links, none of which can be inside the object, are used; 0: none.
+    """Number of points on the hand's other links, which the object cannot contain; 0: none are used.
 
-    There are none where the hand's file has no shapes, nor where an observation lacks the joints of some link."""
+    None are used either where the hand's file has no shapes, or where an observation lacks a joint of some link."""
     images: bool = True
-    """Whether depth images are used, where the rig's camera has intrinsics; its poses are then left out."""
+    """Whether depth images are used, if the rig's camera has intrinsics; poses from that camera are then left out."""
     uncertain_position: float = 0.015
-    """Largest standard deviation of the position [m] that counts as tracking."""
+    """Largest standard deviation of the position with which the state is "tracking" [m]."""
     lost_after: float = 10.0
-    """The pose is lost after nothing was touched, and the object not detected, for so long [s]."""
+    """The object is lost once nothing was touched, and vision did not detect it, for so long [s]."""
 
     def __post_init__(self) -> None:
         """Raises InvalidInput."""
         if self.rate is not None:
             checks.positive(self.rate, "settings.rate")
-        infinite = "moved", "turned", "memory", "uncertain_position", "lost_after"  # which means never
+        infinite = "moved", "turned", "memory", "uncertain_position", "lost_after"  # may be infinite: never
         motions = "process_noise_position", "process_noise_rotation", "regrasp_position", "regrasp_rotation"
         for name in (*infinite, *motions):
             value, most = getattr(self, name), np.inf if name in infinite else checks.MAX_DISTANCE

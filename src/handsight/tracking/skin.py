@@ -1,4 +1,4 @@
-"""A rig's tactile arrays over time: each is read above its baseline, what it read while nothing was touched."""
+"""A rig's tactile arrays over time; the baseline of each is what it read while nothing was touched."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from handsight import checks
 from handsight.checks import Array, Mask
 from handsight.contact import Contacts
 from handsight.contact.taxels import SkinTouch
-from handsight.correction import Outside
+from handsight.correction import SkinEvidence
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig import Rig
@@ -19,27 +19,34 @@ from handsight.rig import Rig
 class SkinOptions(NamedTuple):
     """`SkinOptions` say how readings of tactile arrays are used."""
 
-    min_baseline: int = 5  # readings of an untouched array, of which the mean is its baseline, at least
-    max_baseline: int = 50  # and at most
+    min_baseline: int = 5  # fewest readings of an untouched array whose mean is used as its baseline
+    max_baseline: int = 50  # most readings that are averaged
     changed_share: float = 0.3
-    """The pose is corrected again where more than this part of the taxels that are or were pressed has changed."""
+    """The pose is corrected again when more than this share of the taxels that are or were pressed has changed."""
 
 
 SKIN = SkinOptions()
 
-Place = tuple[Array, Array | None]
-"""T_palm_frame (4, 4) of an array's link, and its change (6, j) by its joints' errors; None: fixed in the palm."""
+
+class ArrayPose(NamedTuple):
+    """An `ArrayPose` is the pose in the palm of the link that carries a tactile array."""
+
+    T_palm_frame: Array
+    """(4, 4)"""
+    by_error: Array | None
+    """(6, j) change of the pose for one sigma of each joint's error; None: the link is fixed in the palm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Untouched:
-    """An `Untouched` sums up an array's readings while nothing was touched."""
+    """An `Untouched` is the sum of an array's readings while nothing was touched."""
 
     count: int
+    """The number of readings."""
     total: Array
     """(rows, columns) their sum."""
     varied: Mask
-    """(rows, columns) which taxels have ever changed."""
+    """(rows, columns) whether the taxel has ever changed."""
     last: Array
     """(rows, columns) the last reading."""
 
@@ -54,9 +61,9 @@ class Untouched:
         return Untouched(self.count + 1, self.total + reading, varied, reading)
 
     def baseline(self, full_scale: float | None) -> Array | float:
-        """Returns (rows, columns) the mean reading, NaN for dead and stuck taxels; 0 of too few readings.
+        """Returns (rows, columns) the mean reading, NaN for dead and stuck taxels; 0 if there were too few readings.
 
-        Those are taxels at full scale, and those that never change where most do.
+        A taxel is stuck at full scale, and dead if it never changes while most others do.
         """
         if self.count < SKIN.min_baseline:
             return 0.0
@@ -71,10 +78,10 @@ class Untouched:
 class SkinContacts:
     """A `SkinContacts` is what all tactile arrays measure at one instant."""
 
-    touches: Mapping[str, tuple[SkinTouch, Place]] = field(default_factory=dict)
-    """By array that has a reading and whose link's place is known."""
+    touches: Mapping[str, tuple[SkinTouch, ArrayPose]] = field(default_factory=dict)
+    """By array, which taxels are pressed, and where the array is; without arrays whose link's pose is unknown."""
     untouched: Mapping[str, Untouched] = field(default_factory=dict)
-    """By array, its readings so far while nothing was touched."""
+    """By array, the sum of its readings so far while nothing was touched."""
 
     @property
     def pressed(self) -> bool:
@@ -84,24 +91,22 @@ class SkinContacts:
     def contacts(self) -> Contacts | None:
         """Returns the pressed taxels' contacts in the palm; None where no taxel is pressed."""
         found: Contacts | None = None
-        for touch, (T_palm_frame, _) in self.touches.values():
-            more = touch.contacts(T_palm_frame)
+        for touch, pose in self.touches.values():
+            more = touch.contacts(pose.T_palm_frame)
             found = more if found is None else found if more is None else found.joined(more)
         return found
 
-    def beside(self, outside: Outside | None) -> Outside | None:
-        """Returns `outside` with the points above untouched taxels, at which the object cannot be either.
-
-        Arrays that are not pressed anywhere do not count.
-        """
-        for touch, place in self.touches.values():
+    def evidence(self) -> SkinEvidence | None:
+        """Returns the evidence of the arrays on which a taxel is pressed; None where there is none."""
+        found: SkinEvidence | None = None
+        for touch, pose in self.touches.values():
             if touch.pressed.any():
-                more = Outside.of_skin(touch, *place)
-                outside = more if outside is None else outside.joined(more)
-        return outside
+                more = SkinEvidence.of(touch, pose.T_palm_frame, pose.by_error)
+                found = more if found is None else found.joined(more)
+        return found
 
     def news(self, last: "SkinContacts") -> bool:
-        """Returns whether other taxels are pressed than in `last`, that of the last correction."""
+        """Returns whether many other taxels are pressed than in `last`, the value at the last correction."""
         if self.touches.keys() != last.touches.keys():
             return True
         for name, (touch, _) in self.touches.items():
@@ -115,7 +120,7 @@ NOTHING = SkinContacts()
 
 
 class SkinSensors:
-    """A `SkinSensors` is a rig's tactile arrays."""
+    """A `SkinSensors` reads a rig's tactile arrays."""
 
     def __init__(self, rig: Rig) -> None:
         """The frame of each array must be a body of the rig's hand."""
@@ -129,15 +134,15 @@ class SkinSensors:
     def observed(
         self, observation: Observation, before: SkinContacts = NOTHING, *, touched: bool
     ) -> SkinContacts:
-        """Returns what the arrays measure now; those on links whose joints are missing are left out.
+        """Returns what the arrays measure now; arrays on links whose joints are missing are left out.
 
-        `before` is what they measured at the last observation. `touched`: a fingertip touches something, so an array
-        may, too, and its reading is not added to its baseline. Raises InvalidInput.
+        `before` is what they measured at the last observation. `touched`: whether a fingertip touches something; then
+        an array may be touched, too, so its reading is not added to its baseline. Raises InvalidInput.
         """
         if not isinstance(observation.skin, Mapping):
             came = checks.brief(observation.skin)
             raise InvalidInput(f"observation.skin: expected a mapping from array to readings, got {came}")
-        touches, untouched = dict[str, tuple[SkinTouch, Place]](), dict(before.untouched)
+        touches, untouched = dict[str, tuple[SkinTouch, ArrayPose]](), dict(before.untouched)
         for name, array in self.rig.skin.items():
             if name not in observation.skin:
                 continue
@@ -147,17 +152,17 @@ class SkinSensors:
                 clean = np.where(np.isfinite(reading), reading, 0.0)
                 untouched[name] = known = Untouched.first(clean) if known is None else known.after(clean)
             touch = array.touch(reading, 0.0 if known is None else known.baseline(array.full_scale))
-            if (place := self._place(name, observation.joint_positions)) is not None:
-                touches[name] = touch, place
+            if (pose := self._pose(name, observation.joint_positions)) is not None:
+                touches[name] = touch, pose
         return SkinContacts(touches, untouched)
 
-    def _place(self, name: str, joint_positions: Mapping[str, float] | None) -> Place | None:
-        """Returns the place of an array's link; None where joints are missing."""
+    def _pose(self, name: str, joint_positions: Mapping[str, float] | None) -> ArrayPose | None:
+        """Returns the pose of an array's link; None where joints are missing."""
         chains = self._chains[name]
         if not chains.joints:
-            return chains.homes[0], None
+            return ArrayPose(chains.homes[0], None)
         if joint_positions is None or not joint_positions.keys() >= set(chains.joints):
             return None
         Ts, axes = chains.poses(joint_positions)
         J = chains.jacobians(Ts[:, :3, 3].copy(), np.zeros(1, dtype=np.int64), axes)[0]
-        return Ts[0], self._sigma_joint * J
+        return ArrayPose(Ts[0], self._sigma_joint * J)

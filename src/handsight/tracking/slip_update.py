@@ -1,4 +1,4 @@
-"""The effect of a slip on the pose: it is more uncertain along the slip, and has to be corrected at once."""
+"""The effect of a slip on the pose: it becomes uncertain along the slip, and is corrected at once."""
 
 from typing import NamedTuple
 
@@ -13,14 +13,15 @@ from handsight.tracking.smoother import PoseBiasSmoother
 
 
 class SlipUpdateOptions(NamedTuple):
-    """`SlipUpdateOptions` say how a slip moves the estimate."""
+    """`SlipUpdateOptions` say how uncertain a slip makes the pose."""
 
-    sigma_speed: float = 0.05  # of slips [m/s]
-    max_travel: float = 0.03  # how far one takes an object that is still in the hand [m]
+    sigma_speed: float = 0.05  # standard deviation of the speed of slips [m/s]
+    max_travel: float = 0.03  # the farthest that an object slips without leaving the hand, one sigma [m]
     lateral_share: float = 0.3
-    """Sigma of the motion across the direction that loads say, in parts of that along it: they are off by some 15°."""
-    onset_delay: float = 0.03  # how long before it is noticed a slip may have begun [s]
-    period: float = 0.02  # of corrections while it slips [s]
+    """Sigma of the motion lateral to the slip's direction, relative to that along it: loads give the direction to some
+    15°."""
+    onset_delay: float = 0.03  # how long before its detection a slip may have begun [s]
+    period: float = 0.02  # time between corrections while the object slips [s]
 
 
 SLIP_UPDATE = SlipUpdateOptions()
@@ -30,13 +31,13 @@ ISOTROPIC = np.diag(np.repeat([1.0, 1 / LENGTH**2], 3))
 
 
 class SlipUpdate:
-    """A `SlipUpdate` detects slips over time, and adds what they may have moved to the pose's covariance."""
+    """A `SlipUpdate` detects slips over time, and adds their possible motion to the pose's covariance."""
 
     def __init__(self, rig: Rig) -> None:
         """Starts without any load."""
         self.detector = SlipDetector(rig)
         self._sigma = 0.0
-        """Of how far this slip has taken the object, as far as the smoother has it [m]."""
+        """Standard deviation of this slip's motion that the smoother includes already [m]."""
 
     def copied(self) -> "SlipUpdate":
         """Returns a copy that evolves apart from this one."""
@@ -47,15 +48,15 @@ class SlipUpdate:
 
     @property
     def now(self) -> Slip:
-        """After the last observation."""
+        """Whether the object slips, after the last observation."""
         return self.detector.now
 
     def update(
         self, stamp: float, fingertips: FingertipContacts, smoother: PoseBiasSmoother
     ) -> PoseBiasSmoother:
-        """Returns the smoother after an observation's loads, the same one where the object does not slip.
+        """Returns the smoother after an observation's loads; it is unchanged where the object does not slip.
 
-        A slip goes on in one direction, so its sigma, not its variance, grows with time.
+        A slip keeps its direction, so its sigma, not its variance, grows in proportion to time.
         """
         now = self.detector.update(stamp, fingertips.fingers, fingertips.loads)
         if not now.slipping or fingertips.contacts is None or fingertips.loads is None:
@@ -71,7 +72,10 @@ class SlipUpdate:
         return smoother.restarted(state.spread(max(self._sigma**2 - before**2, 0.0) * along))
 
     def news(self, corrected: float) -> bool:
-        """Returns whether a slip has begun or ended since a correction of that stamp [s], or goes on."""
+        """Returns whether a correction is due, `corrected` being the stamp of the last one [s].
+
+        It is where a slip has begun or ended since then, and again and again while a slip lasts.
+        """
         now = self.now
         if now.slipping and self.detector.stamp - corrected >= SLIP_UPDATE.period - 1e-9:
             return True

@@ -1,4 +1,4 @@
-"""All that a tracker knows at one instant, as a value that later observations do not change."""
+"""All that a tracker knows at one instant, as a value: later observations do not change it."""
 
 import math
 from dataclasses import dataclass
@@ -30,74 +30,77 @@ NO_CONTACTS, NO_MARGINS = FingertipContacts((), None, {}), LinkMargins()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """A `Correction` is the answer of a correction, and what it was computed from."""
+    """A `Correction` is the answer of a correction, with its inputs."""
 
     estimate: PoseEstimate
     contacts: Contacts
-    """Touched by `fingers` at `stamp` [s]."""
+    """The n contacts of `fingers` at `stamp`, in the palm frame."""
     by_error: Array | None
-    """(n, 6, j) of the contacts, see `FingertipContacts`."""
+    """(n, 6, j) the effect of the joints' errors on the contacts, see `FingertipContacts.by_error`."""
     prior: PosePrior
     """The object's pose without touch."""
     fingers: tuple[str, ...]
+    """The fingers that touched the object."""
     stamp: float
+    """[s]"""
     variance: float
-    """The largest of the position of the object's middle [m²]."""
+    """Largest variance of the position of the object's middle [m²]."""
     skin: SkinContacts = NOTHING
+    """What the tactile arrays measured."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TrackState:
-    """A `TrackState` is what is known of one object in one hand after some observations, see `Follower.step`.
+    """A `TrackState` is all that is known of one object in one hand after some observations, see `Follower.step`.
 
-    It can be kept, copied and pickled. Undoing an observation is going on from the state before it.
+    It can be kept, copied and pickled. To undo an observation, continue from the state before it.
     """
 
     start: PosePrior | None = None
-    """Where the object is before the first grasp, given by the user, and again once no hand holds it; None: unknown."""
+    """The object's pose in the palm at the start of the track, given by the user; None: unknown."""
     stamp: float = -math.inf
-    """Of the last observation [s]."""
+    """Stamp of the last observation [s]."""
     label: State = "lost"
-    """How far the answer is to be trusted."""
+    """How far the answer can be trusted."""
     reason: str = NO_POSE
-    """Why no further; empty while tracking."""
+    """Why it cannot be trusted further; empty while tracking."""
     estimate: PoseEstimate | None = None
     """The object's pose in the palm; None before there was one."""
     corrections: int = 0
     """How often the pose was corrected."""
     T_world_palm: Array | None = None
-    """(4, 4) where the palm was last."""
+    """(4, 4) the last known pose of the palm; None before it was measured."""
     fingertips: FingertipContacts = NO_CONTACTS
     """What the fingertips measure."""
     skin: SkinContacts = NOTHING
     """What the tactile arrays measure."""
     processed: Observation | None = None
-    """The last observation, its vision replaced by what its image says."""
+    """The last observation, its vision replaced by the pose from its image, if it had one."""
     smoother: PoseBiasSmoother | None
-    """The pose and vision's bias by vision alone; None before there was either."""
+    """The pose and vision's bias, estimated from vision alone; None before there was a start or vision."""
     correction: Correction | None = None
-    """The last one since the object was grasped."""
+    """The last correction since the object was grasped; None before the first one."""
     grasp: GraspState
     memory: ContactMemory
     vision: VisionUpdate
     images: ImageVision
     slip: SlipUpdate
     weight: WeightSensor
-    """`images`, `slip` and `weight` change in place: a step updates copies of them."""
+    """`images`, `slip` and `weight` are objects that change in place: a step updates copies of them."""
     offsets: JointOffsets
-    """The joints' constant errors, by all grips before this one."""
+    """The joints' constant errors, learnt from all grips before this one."""
     learnt_from: Correction | None = None
-    """The last correction of the grips from which the offsets were learnt."""
+    """The last correction from which the offsets were learnt."""
     margins: LinkMargins = NO_MARGINS
-    """By how much links are smaller than their shapes."""
+    """How much smaller than their shapes links are."""
     measured_at: float = -math.inf
     """When something was last touched or detected by vision [s]."""
     fits_at: float = -math.inf
     """When contacts last fitted the estimate; the first estimate counts as a fit [s]."""
     propagated_to: float = -math.inf
-    """When the covariance was last inflated by process noise [s]."""
+    """The stamp up to which process noise has inflated the estimate's covariance [s]."""
     recovered_at: float = -math.inf
-    """When another pose was last searched for because contacts fitted none [s]."""
+    """When another pose was last searched for because the contacts did not fit the estimate [s]."""
     links_checked_at: float = -math.inf
     """When links were last compared with the object [s]."""
 
@@ -110,7 +113,7 @@ class TrackState:
 def point_uncertainty(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> tuple[Array, float]:
     """Returns the covariance (3, 3) of a point (3,) of the object in the palm [m²], and its largest eigenvalue.
 
-    A direction in which a declared symmetry leaves the information at zero is not uncertain.
+    A direction whose information is zero because of a declared symmetry counts as certain.
     """
     covariance, arm = np.empty((3, 3)), estimate.T_palm_object[:3, :3] @ point_object
     return covariance, propagation.at_point(np.array(estimate.information), model.radius, arm, covariance)

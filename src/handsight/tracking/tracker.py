@@ -1,4 +1,4 @@
-"""A tracker: observations are checked and put in order, and the state of the track is kept."""
+"""A tracker: it checks observations, handles jumps of the clock, and keeps the state of the track."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from handsight.correction import PoseEstimate, PosePrior
 from handsight.errors import InvalidInput
 from handsight.forces import ObjectWeight, Slip
 from handsight.objects import ObjectModel
-from handsight.observation import Observation, check_observation
+from handsight.observation import MAX_JUMP, Observation, check_observation
 from handsight.rig import Rig
-from handsight.tracking.clock import MAX_JUMP, TrackClock
+from handsight.tracking.clock import TrackClock
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.follower import Follower
 from handsight.tracking.joint_offsets import JointOffsets
@@ -27,22 +27,22 @@ from handsight.tracking.warm import warm_tracker
 __all__ = ["State", "Tracker", "TrackerSettings"]
 
 MAX_LEFT_OUT = 100
-"""The object is lost once so many observations in a row were late or wrong."""
+"""The object is lost once so many observations in a row were late or invalid."""
 
 
 class Tracker:
-    """A `Tracker` follows one object in one hand: it is given every observation, and answers with the object's pose.
+    """A `Tracker` follows one object in one hand: each observation updates the object's pose.
 
     Between corrections the object is fixed in the palm (the paper's assumption) with growing uncertainty; while it is
-    not grasped, it is fixed in the world. It is corrected when a finger touches or lets go, when a contact has moved,
-    when the object slips, when vision arrives, or at a set rate.
+    not grasped, it is fixed in the world. The pose is corrected when a finger touches or lets go, when a contact has
+    moved, when the object slips, when vision arrives, or at a set rate.
 
-    Stamps must increase; an observation older than the last one is late, and left out. `handsight.tracking.clock` says
-    how a clock that jumps differs from a pause: a jump ahead is undone if the next stamp contradicts it, and where the
-    clock was set back a new track starts, from `start` or from vision, which `reason` says for a second.
+    Stamps must increase; an observation older than the last one is late, and left out. `handsight.tracking.clock`
+    distinguishes a clock that jumps from a pause: a jump ahead is undone if the next stamp contradicts it. Where the
+    clock was set back, a new track starts from `start` or from vision, and `reason` says so for a second.
 
-    All that it knows of the object is one value, `track_state`, which `Follower.step` takes from one observation to the
-    next. A tracker can be copied and pickled, and `resume` lets it go on from any such value.
+    All that is known of the object is one value, `track_state`, from which `Follower.step` makes the next one. A
+    tracker can be copied and pickled, and `resume` continues from any such value.
     """
 
     def __init__(
@@ -54,9 +54,9 @@ class Tracker:
         settings: TrackerSettings | None = None,
         joint_offsets: JointOffsets | None = None,
     ) -> None:
-        """`start`: where the object is in the palm at first; None: the first pose from vision is the start.
+        """`start`: the object's pose in the palm before the first observation; None: the first pose from vision.
 
-        `joint_offsets`: those of a tracker that followed another object in this hand; None: as the rig says.
+        `joint_offsets`: those of a tracker that followed another object in this hand; None: zero, with the rig's sigma.
         """
         if not isinstance(rig, Rig) or not isinstance(model, ObjectModel):
             came = f"{type(rig).__name__} and {type(model).__name__}"
@@ -76,37 +76,37 @@ class Tracker:
         warm_tracker()
         self.rig, self.model, self.settings = rig, model, settings or TrackerSettings()
         self.follower = Follower(rig, model, self.settings)
-        """Takes one state to the next."""
+        """Makes the next state of a state and an observation."""
         self.track_state = self.follower.initial(start, offsets)
         """All that is known of the object, as a value."""
         self._clock = TrackClock()
         self.late = self.undone = self.refused = 0
-        """How many observations were left out: late ones, those undone because the next one showed that their stamps
-        were wrong, and those that were wrong in themselves."""
+        """How many observations were left out: late ones, those that were undone because the next one contradicted
+        their stamps, and invalid ones."""
         self.state: State = "lost"
         """How far to trust the answer."""
         self.reason = self.track_state.reason
-        """Why no further; empty while tracking."""
+        """Why it cannot be trusted further; empty while tracking."""
         self._left_out_in_a_row = 0
 
     def __repr__(self) -> str:
         """Returns which object is tracked, and how well."""
-        trust = f"{self.state} {self.reason}".strip()
+        trust = f"{self.state} ({self.reason})" if self.reason else self.state
         return f"<Tracker of {self.model.name}: {trust}, {self.corrections} corrections>"
 
     def update(self, observation: Observation) -> PoseEstimate | None:
-        """Returns the pose in the palm now; None before there was a start or a pose from vision.
+        """Returns the object's pose in the palm now; None before there was a start or a pose from vision.
 
         `state` and `reason` say how far to trust it. The object is also lost once `MAX_LEFT_OUT` observations in a
-        row, or all of `lost_after`, were left out. An observation older than the last one is counted in `late` and
-        changes nothing else; the class says what a jump of the clock does. Raises InvalidInput for an observation that
-        is wrong in itself, which is counted in `refused` and changes nothing else.
+        row, or all of the last `settings.lost_after` seconds, were left out. An observation older than the last one is
+        counted in `late` and changes nothing else; the class describes the effect of a jump of the clock. Raises
+        InvalidInput for an invalid observation, which is counted in `refused` and changes nothing else.
         """
         last = self.track_state
         try:
             clean = check_observation(observation)
             clock, known, undone = self._clock.at(clean.stamp, last)
-            if known is None:  # a new track, for which what was learnt of the robot is kept
+            if known is None:  # a new track, which keeps what was learnt of the robot
                 known = replace(
                     self.follower.initial(last.start, last.offsets),
                     corrections=last.corrections,
@@ -135,16 +135,16 @@ class Tracker:
         return estimate
 
     def resume(self, track_state: TrackState) -> None:
-        """Goes on from a state of this tracker, or of another one with the same rig, object and settings."""
+        """Continues from a state of this tracker, or of another one with the same rig, object and settings."""
         if not isinstance(track_state, TrackState):
             raise InvalidInput(f"track_state: expected a TrackState, got {type(track_state).__name__}")
         self.track_state, self._clock, self._left_out_in_a_row = track_state, TrackClock(), 0
         self.state, self.reason = track_state.label, track_state.reason
 
     def vision_bias(self) -> tuple[Array, Array] | None:
-        """Returns vision's constant bias (6,), as `PoseAndBias.vision_bias` has it, and its covariance (6, 6).
+        """Returns vision's constant bias (6,), see `PoseAndBias.vision_bias`, and its covariance (6, 6).
 
-        It is by vision and contacts together; None before there were both.
+        Vision and contacts together estimate it; None before there were both.
         """
         known = self.track_state
         if known.smoother is None or known.correction is None or known.vision.mount is None:
@@ -155,7 +155,7 @@ class Tracker:
 
     @property
     def stamp(self) -> float:
-        """Of the last observation [s]."""
+        """Stamp of the last observation [s]."""
         return self.track_state.stamp
 
     @property
@@ -170,7 +170,7 @@ class Tracker:
 
     @property
     def T_world_palm(self) -> Array | None:
-        """(4, 4) where the palm was last."""
+        """(4, 4) the last known pose of the palm; None before it was measured."""
         return self.track_state.T_world_palm
 
     @property
@@ -185,22 +185,22 @@ class Tracker:
 
     @property
     def processed(self) -> Observation | None:
-        """The last observation, its vision replaced by what its image says."""
+        """The last observation, its vision replaced by the pose from its image, if it had one."""
         return self.track_state.processed
 
     @property
     def vision(self) -> VisionUpdate:
-        """Takes vision's measurements, and counts those that it rejects."""
+        """The gate of vision's measurements, with the number of those that were rejected."""
         return self.track_state.vision
 
     @property
     def smoother(self) -> PoseBiasSmoother | None:
-        """The pose and vision's bias by vision alone; None before there was either."""
+        """The pose and vision's bias, estimated from vision alone; None before there was a start or vision."""
         return self.track_state.smoother
 
     @property
     def joint_offsets(self) -> JointOffsets:
-        """The joints' constant errors by all grips so far, for the tracker of the next object in this hand."""
+        """The joints' constant errors, learnt from all grips so far; the next object's tracker can start from them."""
         return self.follower.joint_offsets(self.track_state)
 
     @property
@@ -215,17 +215,18 @@ class Tracker:
 
     @property
     def weight(self) -> ObjectWeight | None:
-        """The object's weight and centre of mass; None where it was not weighed since the grasp."""
+        """The object's weight and centre of mass; None where it has not been weighed since the grasp."""
         return self.track_state.weight.of(self.estimate)
 
     @property
     def unweighed(self) -> str:
-        """Why the object is not weighed now, or why its weight is not believed; empty where it is."""
+        """Why the object is not weighed now, or why its weight cannot be trusted; empty where neither holds."""
         return self.track_state.weight.weigher.reason
 
     @property
     def images(self) -> dict[str, int]:
-        """How many depth images were `looked_at`, in how many the object was seen, ...; empty without images."""
+        """How many depth images were evaluated (`looked_at`), in how many of them the object was detected
+        (`object_seen`), how often the palm was searched for (`hand_sought`) and detected; empty without images."""
         return self.track_state.images.counts
 
     @property
@@ -235,16 +236,16 @@ class Tracker:
 
     @property
     def link_margins(self) -> dict[str, float]:
-        """By link that would be inside an object that contacts fit: how much smaller it is than its shape [m]."""
+        """By link whose shape is too large (it is inside objects that contacts fit): how much smaller it is [m]."""
         return self.track_state.margins.known
 
     @property
     def unconfirmed(self) -> int:
-        """How many of the last observations were jumps ahead that the next one may still undo."""
+        """How many jumps ahead the next observation may still undo."""
         return len(self._clock.unconfirmed)
 
     def _leave_out(self, stamp: object, reason: str) -> None:
-        """Counts an observation that was left out; the object is lost after too many."""
+        """Counts an observation that was left out, and says that the object is lost after too many."""
         self._left_out_in_a_row += 1
         age = stamp - self.stamp if type(stamp) is float and self.stamp > -math.inf else 0.0
         if self._left_out_in_a_row >= MAX_LEFT_OUT or age > self.settings.lost_after:

@@ -1,4 +1,4 @@
-"""Figures of corrections: the object before and after, contacts, the directions that touch leaves open.
+"""Figures of corrections: the object before and after, contacts, and the directions that touch leaves open.
 
 They need matplotlib.
 """
@@ -58,7 +58,7 @@ def draw_corrections(panels: Sequence[CorrectionPanel], path: Path) -> None:
 
 
 def save(figure: "Figure", path: Path) -> None:
-    """Writes a figure with one legend to an image file, whose name says its format, and closes it.
+    """Writes a figure with one legend to an image file, whose suffix is its format, and closes it.
 
     Raises HandsightError.
     """

@@ -28,12 +28,12 @@ BEST, HAND = "#ffb300", np.array([0.15, 0.55, 1.0])
 class DetectionFigureOptions(NamedTuple):
     """`DetectionFigureOptions` say how a detection is drawn."""
 
-    min_weight: float = 0.01  # of a second pose that is drawn
+    min_weight: float = 0.01  # smallest weight of a second pose that is drawn
     margin: float = 0.35  # of a picture around the object, relative to the object's size
     max_residual: float = 15.0  # of depth, at the ends of its colours [mm]
     edge_depth: float = 0.004  # how far behind the drawn surface an edge is still visible [m]
-    min_edge: float = 0.04  # of the edges that are drawn [diameters]: shorter ones are a scan's
-    max_edges: int = 2000  # that are drawn
+    min_edge: float = 0.04  # length of edges that are drawn [diameters]: shorter ones are noise of a scan
+    max_edges: int = 2000  # edges that are drawn
     max_scores: int = 3  # objects whose probability is written
     line_width: int = 45  # characters of a line beside a picture
     aspect: float = 1.35  # width of the part of a picture that is shown, relative to its height
@@ -56,7 +56,7 @@ def draw_located(rows: Sequence[Located], path: Path) -> None:
 
 
 def _draw(left: "Axes", right: "Axes", row: Located) -> None:
-    """Draws a picture with its poses on the left, and residuals, or why there is no pose, on the right."""
+    """Draws a picture with its poses on the left; on the right residuals, or the reason why there is no pose."""
     frame, found, name, scores = row.frame, row.found, row.model.name or "object", ""
     if row.recognition is not None:
         likeliest = list(row.recognition.scores.items())[: FIGURE.max_scores]
@@ -134,7 +134,7 @@ def _outline(axes: "Axes", row: Located, T: Array, color: str, style: str) -> No
 
 
 def _crop(axes: "Axes", drawn: Depth) -> None:
-    """Shows the object in `drawn` (h, w) and its surroundings, as wide as the panel."""
+    """Limits the axes to the object in its depth image `drawn` (h, w) [m] and its surroundings."""
     rows, columns = np.nonzero(np.isfinite(drawn))
     height, width = drawn.shape
     across = max(float(np.ptp(rows)), float(np.ptp(columns)) / FIGURE.aspect, 60.0)
@@ -148,7 +148,7 @@ def _crop(axes: "Axes", drawn: Depth) -> None:
 
 
 def _residual(axes: "Axes", frame: Frame, drawn: Depth) -> None:
-    """Draws how far the measured depth is behind the drawn object's, around the object."""
+    """Draws the measured depth less the depth `drawn` (h, w) of the object, around it."""
     inside = np.isfinite(drawn)
     axes.set_title("measured depth less the best pose's", fontsize=10)
     known = inside & np.isfinite(frame.depth) & (frame.depth > 0)

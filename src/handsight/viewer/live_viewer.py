@@ -1,4 +1,4 @@
-"""A tracker watched as it runs: `view(tracker)`, and a viewer with the same methods that shows nothing."""
+"""The page of a tracker that runs, by `view(tracker)`; and a viewer with the same methods that shows nothing."""
 
 import contextlib
 import math
@@ -25,9 +25,9 @@ class LiveViewerOptions(NamedTuple):
     """`LiveViewerOptions` say how often a live view is drawn."""
 
     curve_period: float = 0.25  # between two plots [s]
-    idle_pause: float = 0.1  # between checks for news of a tracker that rests [s]
-    end_timeout: float = 5.0  # for a page to end [s]
-    note_period: float = 0.1  # between notes of the past [s]
+    idle_pause: float = 0.1  # between checks for a new estimate of an idle tracker [s]
+    end_timeout: float = 5.0  # given to a page to end [s]
+    note_period: float = 0.1  # between notes for the curves [s]
     max_notes: int = 600  # notes that are kept: a minute
 
 
@@ -35,7 +35,8 @@ LIVE_VIEWER = LiveViewerOptions()
 
 
 def view(tracker: Tracker, *, port: int = PAGE.port, say: Callable[[str], None] = print) -> "Viewer":
-    """Returns a page that shows a tracker at work in any browser of this machine; `Viewer.update` shows its news.
+    """Returns a page that shows a tracker at work in any browser of this machine; `Viewer.update` shows its newest
+    estimate.
 
     ```
     tracker = hs.Tracker(rig, model)
@@ -45,7 +46,7 @@ def view(tracker: Tracker, *, port: int = PAGE.port, say: Callable[[str], None] 
         viewer.update(observation, tracker)
     ```
 
-    `say` is called with a sentence that has its address; if `port` is taken, the next free one is used. Raises
+    `say` is called with a sentence that has the page's address; if `port` is taken, the next free one is used. Raises
     MissingExtra without viser.
     """
     viewer = Viewer(tracker, port=port)
@@ -101,7 +102,7 @@ class Viewer(NullViewer):
         self._address = answer
         self._watched = self._closed = False
         self._newest: tuple[Tracker, Moment | None] | None = None
-        """The tracker to be shown, and its moment if somebody watches."""
+        """The tracker to be shown, and its moment if a browser is open."""
         self._shot: viewer_process.Shot | None = None
         self._sent: tuple[object, object] = None, None
         """The newest and the shot that the page has."""
@@ -122,13 +123,13 @@ class Viewer(NullViewer):
         return self._watched
 
     def update(self, observation: Observation, tracker: Tracker) -> None:
-        """Shows a tracker's estimate after an observation that it has just taken.
+        """Shows a tracker's estimate after an observation that it has just processed.
 
         The observation's arrays must not be changed afterwards. The tracker may be another one than before, of another
         object too: the page is then cleared.
         """
         if observation.stamp != tracker.stamp:
-            return  # the observation came late, and the tracker has not taken it
+            return  # the observation came late, and the tracker has ignored it
         now = time.monotonic()
         if now - self._noted >= LIVE_VIEWER.note_period:
             self._noted = now
@@ -175,7 +176,7 @@ class Viewer(NullViewer):
         self._watched = False
 
     def _next(self) -> viewer_process.PageUpdate | None:
-        """Returns the news that the page does not have, as soon as there are any; None once the viewer is closed."""
+        """Returns what the page does not show yet, as soon as there is anything; None once the viewer is closed."""
         while not self._closed:
             self._changed.wait(LIVE_VIEWER.idle_pause)
             self._changed.clear()
@@ -186,7 +187,7 @@ class Viewer(NullViewer):
             self._shown = tracker.rig, tracker.model
             frame = viewer_process.PageUpdate(
                 begins=None if self._shown == shown else self._shown,
-                # While nobody watched, no moment was computed.
+                # While no browser was open, no moment was computed.
                 moment=moment or Moment.now(tracker),
                 shot=None if shot is self._sent[1] else shot,
                 curves=self._curves(),

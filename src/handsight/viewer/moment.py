@@ -1,4 +1,4 @@
-"""The knowledge of a tracker at one instant, as it is shown, and one sentence about it."""
+"""A tracker's estimate and evidence at one instant, as the viewer shows them, and a sentence that sums them up."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -31,12 +31,12 @@ class Measured(NamedTuple):
     stamp: float
     """[s]"""
     T_palm_object: Array
-    """(4, 4), with vision's bias in it."""
+    """(4, 4), vision's bias included."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Moment:
-    """A `Moment` is an estimate with the observation that it is the answer to."""
+    """A `Moment` is an estimate and the observation after which it was computed."""
 
     stamp: float
     """[s]"""
@@ -55,9 +55,9 @@ class Moment:
     wrenches: Mapping[str, Array] = field(default_factory=dict)
     """The sensors' readings by finger [N, N m]."""
     vision: Measured | None = None
-    """None where vision has measured nothing for a while."""
+    """None where vision has measured nothing for `VISION_FOR`."""
     picture: Picture | None = None
-    """The last image; None where there was none."""
+    """The last image; None before the first."""
     slip: Slip = field(default_factory=Slip)
     """Whether the object slips, and how near to slipping it is."""
     skin: SkinContacts = NOTHING
@@ -65,7 +65,7 @@ class Moment:
 
     @classmethod
     def now(cls, tracker: Tracker) -> "Moment":
-        """Returns the moment of a tracker after the last observation that it has taken."""
+        """Returns the moment of a tracker after the last observation that it has processed."""
         vision = tracker.vision.in_palm(tracker.processed, tracker.T_world_palm)
         return cls._from_tracker(tracker, tracker.processed, vision)
 
@@ -76,7 +76,7 @@ class Moment:
 
     @classmethod
     def _from_tracker(
-        cls, known: Tracker | Step, taken: Observation | None, T_vision: Array | None
+        cls, known: Tracker | Step, observation: Observation | None, T_vision: Array | None
     ) -> "Moment":
         return cls(
             stamp=known.stamp,
@@ -86,15 +86,15 @@ class Moment:
             sigma=known.sigma,
             fingertips=known.fingertips,
             T_world_palm=known.T_world_palm,
-            joint_positions=None if taken is None else taken.joint_positions,
-            wrenches={} if taken is None else taken.wrenches,
+            joint_positions=None if observation is None else observation.joint_positions,
+            wrenches={} if observation is None else observation.wrenches,
             vision=None if T_vision is None else Measured(known.stamp, T_vision),
             slip=known.slip,
             skin=known.skin,
         )
 
     def after(self, last: "Moment | None", picture: Picture | None) -> "Moment":
-        """Returns this moment with a new picture, or with the picture and the vision of the last one if still fresh."""
+        """Returns this moment with a new picture, else the last one's, and vision's last pose while it is fresh."""
         if last is None:
             return replace(self, picture=picture)
         old = last.vision
@@ -111,7 +111,7 @@ class Moment:
         """Returns T_palm_link (4, 4) of the links whose pose is known, by name."""
         try:
             return rig.hand.link_poses(self.joint_positions or {})
-        except InvalidInput:  # the tracker has refused these joints, and its reason says so
+        except InvalidInput:  # the tracker rejects these joints too, and its reason says why
             return {}
 
     def forces(self, rig: Rig) -> dict[str, Array]:
@@ -139,7 +139,7 @@ class Moment:
 
     @property
     def sentence(self) -> str:
-        """The state, why it is no better, and the evidence for the estimate."""
+        """A sentence with the state, why it is no better, and the evidence for the estimate."""
         estimate, fingers = self.estimate, self.fingertips.fingers
         parts = [self.reason] if self.reason else []
         if len(fingers) > 1:

@@ -71,7 +71,7 @@ class Page:
         self._lock = threading.Lock()  # both the player and the panel's checkboxes draw
         self._aimed = False
         self._drawn: tuple[Picture | None, float, dict[Color, Array]] = None, 0.0, {}
-        """The image that is shown, the stamp of its moment [s], and its outlines."""
+        """The image on the page, the stamp of its moment [s], and T_camera_object (4, 4) of each outline by colour."""
         self.last: Moment | None = None
         """The moment that is shown."""
         with self.server.atomic():
@@ -124,7 +124,7 @@ class Page:
             return
         vision = None if moment.vision is None else moment.vision.T_palm_object
         poses = {
-            # Vision's pose came into the palm by the calibrated camera, and goes back by it.
+            # Vision's pose was brought into the palm by the calibrated camera; the same brings it back.
             "vision": (shown.T_camera_palm_calibrated, vision),
             "object": (shown.T_camera_palm, None if estimate is None else estimate.T_palm_object),
         }
@@ -168,5 +168,5 @@ class Page:
 
 
 def _silent() -> contextlib.redirect_stdout[io.StringIO]:
-    """Returns a context within which viser prints neither its banner nor its end."""
+    """Returns a context in which viser prints neither its banner nor its farewell."""
     return contextlib.redirect_stdout(io.StringIO())

@@ -147,5 +147,5 @@ def _strip(curves: Curves, now: float) -> str:
 
 
 def share(time: float, begin: float, end: float) -> str:
-    """Returns the position of a time between two others as a percentage of CSS."""
+    """Returns the position of a time between two others as a CSS percentage."""
     return f"{100 * min(max((time - begin) / max(end - begin, 1e-9), 0.0), 1.0):.2f}%"

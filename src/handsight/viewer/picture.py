@@ -1,4 +1,4 @@
-"""A camera's image, made small, with the object's outline over it, and its depth as points in the palm."""
+"""A camera's image, reduced, with the object's outline over it, and its depth as points in the palm."""
 
 import io
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ class PictureOptions(NamedTuple):
     max_points: int = 3000  # of a cloud
     jpeg_quality: int = 80  # of a JPEG
     max_range: float = 0.2  # of points from the palm [m]: farther ones are the room's
-    grey: int = 110  # of points whose colour is not known
+    grey: int = 110  # value of points whose colour is not known
 
 
 PICTURE = PictureOptions()
@@ -42,7 +42,7 @@ class Picture:
     camera: Camera | None
     """The camera of these pixels; None where it is not known."""
     image: Color | bytes
-    """Colour (h, w, 3), or depth in grey, near ones light; or that as a JPEG file."""
+    """Colour (h, w, 3), or depth in grey, the nearer the lighter; or either as a JPEG file."""
     points_palm: NDArray[np.floating]
     """(n, 3) [m]; none where the camera's pose is not known."""
     colors: Color
@@ -50,7 +50,7 @@ class Picture:
     T_camera_palm: Array | None
     """(4, 4) as measured from images of the hand, else as calibrated; None where neither is known."""
     T_camera_palm_calibrated: Array | None
-    """(4, 4) with the calibration's error, with which vision's measurements are brought into the palm."""
+    """(4, 4) by the rig's calibration, whose error it has; it brings vision's measurements into the palm."""
 
     def with_outlines(self, model: ObjectModel, outlines: Mapping[tuple[int, int, int], Array]) -> Color:
         """Returns the image with outlines of the object in given colours at T_camera_object (4, 4), the last on top."""
@@ -147,16 +147,16 @@ def palm_in_camera(rig: Rig, from_palm: CameraFromPalm, T_world_palm: Array | No
     T_mount_palm = np.eye(4) if mounted.on == "palm" else T_world_palm
     if T_mount_palm is None:
         return None
-    if from_palm.believed:
-        T_mount_palm = from_palm.believed[-1].expected(T_mount_palm)
+    if from_palm.confirmed:
+        T_mount_palm = from_palm.confirmed[-1].expected(T_mount_palm)
     return np.asarray(se3.inverse(mounted.T_mount_camera) @ T_mount_palm)
 
 
 def _window(
     camera: Camera | None, T_camera_palm: Array | None, shape: tuple[int, int]
 ) -> tuple[slice, slice]:
-    """Returns the rows and columns that are shown of an image (h, w): around the hand if it is visible, and not too
-    many."""
+    """Returns the rows and columns of an image (h, w) that are shown: around the hand if it is visible, at most
+    `max_width` columns."""
     rows, columns = slice(0, shape[0]), slice(0, shape[1])
     if camera is not None and T_camera_palm is not None:
         pixel, focal = camera.project(T_camera_palm[None, :3, 3])[0], camera.matrix[0, 0]

@@ -1,4 +1,4 @@
-"""A recording's moments played, paused, sought and shown at another speed."""
+"""Playback of a recording's moments, with pause, seeking and a choice of speed."""
 
 import math
 import threading
@@ -27,7 +27,7 @@ PLAYER = PlayerOptions()
 
 
 class Player:
-    """A `Player` shows the moments of a timeline, which may still grow, while somebody watches."""
+    """A `Player` shows the moments of a timeline, which may still grow, while a browser is open on the page."""
 
     def __init__(self, page: Page, timeline: Timeline, curves: Callable[[], Curves]) -> None:
         """`curves` computes what is plotted of the timeline so far."""
@@ -48,7 +48,7 @@ class Player:
         speed = gui.add_dropdown("speed", speeds, initial_value="1x", order=CONTROLS + 2)
 
         def moved(event: "GuiEvent") -> None:
-            if event.client is not None:  # else it is the player that has moved it
+            if event.client is not None:  # else the player itself has moved it
                 self._moved = time.monotonic()
                 self.seek(self._slider.value)
 
@@ -71,7 +71,7 @@ class Player:
         self._wake.set()
 
     def play(self, playing: bool) -> None:
-        """Plays, from the beginning if the end was reached; or stops."""
+        """Plays, from the beginning if the end was reached, or pauses."""
         if playing and not self._growing and self.time >= self._timeline.length:
             self.time = 0.0
         self.playing = playing
@@ -90,7 +90,7 @@ class Player:
             self._thread.join()
 
     def _run(self) -> None:
-        """Plays and shows until the player is closed, and waits while nothing is to be done."""
+        """Plays until the player is closed, and waits while there is nothing to do."""
         last = time.monotonic()
         while not self._closed:
             if not (self.playing and self._watched):
@@ -111,7 +111,7 @@ class Player:
 
     @property
     def _watched(self) -> bool:
-        """Whether there is something to show, and somebody to show it to."""
+        """Whether there is a moment to show, and a browser that shows it."""
         return bool(self._timeline.moments) and self._page.watched
 
     def _show(self) -> None:

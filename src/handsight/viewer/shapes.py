@@ -1,4 +1,4 @@
-"""Shapes that are drawn of an object and an estimate: sharp edges, silhouette, flat directions, uncertainty."""
+"""Shapes to be drawn for an object and an estimate: sharp edges, silhouette, flat directions, uncertainty."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""The moments of a recording in order of stamp, how a tracker fills them in, and their curves over time."""
+"""The moments of a recording in order of stamp, computed by a tracker, and their curves over time."""
 
 import bisect
 import math
@@ -25,7 +25,7 @@ class TimelineOptions(NamedTuple):
 
     frame: float = 1 / 30  # between two moments [s]
     image_period: float = 0.1  # between two images [s]: each takes 40 kB
-    time_tolerance: float = 1e-3  # stamps nearer to each other are the same [s]
+    time_tolerance: float = 1e-3  # difference below which two stamps are the same [s]
     max_plotted: int = 300  # moments in a plot
 
 
@@ -67,8 +67,8 @@ class Timeline:
 def follow(
     observations: Iterable[Observation], tracker: Tracker, tally: Tally, timeline: Timeline
 ) -> Iterator[Moment]:
-    """Fills a timeline with a tracker's estimates, those of `handsight track`, and yields the moments that are kept."""
-    taken = deque[Observation](maxlen=MAX_UNCONFIRMED + 2)  # an estimate may wait for so many observations
+    """Fills a timeline with the estimates that `handsight track` gives, and yields the moments that are kept."""
+    taken = deque[Observation](maxlen=MAX_UNCONFIRMED + 2)  # an estimate may wait for that many observations
 
     def remembered() -> Iterator[Observation]:
         for observation in observations:
@@ -100,9 +100,9 @@ class Curves(NamedTuple):
     errors: Array | None
     """(n,) of the object's middle [mm], NaN where the truth is not known; None where it never is."""
     states: Sequence[State]
-    """n of them."""
+    """n states of the track."""
     slips: Sequence[tuple[float, float]] = ()
-    """From when to when the object slipped [s]."""
+    """Begin and end of each time that the object slipped [s]."""
 
 
 def curves(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Curves:
@@ -132,7 +132,7 @@ def curves(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Cur
 
 
 def in_mm(sigmas: Sequence[float]) -> Array:
-    """Returns standard deviations (n,) [mm] of such [m], NaN for infinite ones."""
+    """Returns standard deviations (n,) in millimetres of those in metres; NaN for infinite ones."""
     found = 1e3 * np.array(sigmas)
     found[~np.isfinite(found)] = np.nan
     return found

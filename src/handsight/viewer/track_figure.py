@@ -42,7 +42,7 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
         axes[k].set_ylim(low - 0.1 * (high - low) - 0.5, high + 0.1 * (high - low) + 0.5)
         axes[k].grid(alpha=0.3)
         axes[k].set_ylabel(f"{axis} [cm]")
-    # A strip in the colours of the states; each state lasts to the next stamp.
+    # A strip in the colours of the states; a state lasts until the next stamp.
     colors = {"tracking": "#2e7d32", "uncertain": "#e0a100", "lost": "#b71c1c"}
     edges = np.array([step.stamp for step in (*steps, steps[-1])]) - steps[0].stamp
     strip = [[list(colors).index(step.state) for step in steps]]
@@ -65,9 +65,9 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
 
 
 def _curves(model: ObjectModel, steps: Sequence[Step], truths: Truths) -> Array:
-    """Returns (4, n, 3) [cm]: positions of the base tracked, by vision and true, and sigma of the tracked one.
+    """Returns (4, n, 3) [cm]: the base's position as tracked, by vision and true, and sigma of the tracked one.
 
-    They are NaN where they are not known.
+    What is not known is NaN.
     """
     curves = np.full((4, len(steps), 3), np.nan)
     for i, step in enumerate(steps):

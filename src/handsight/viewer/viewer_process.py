@@ -1,8 +1,8 @@
-"""The page of a tracker that runs, in a process of its own: drawing takes nothing of the tracker's time.
+"""The page of a tracker that runs, in a process of its own, so that drawing does not delay the tracker.
 
-In the tracker's own process the page would hold Python's lock for a fifth of the time, for milliseconds each. So a
-tracker's knowledge goes through a pipe, a frame each time that the page asks for one: 30 times a second at most, less
-on a busy machine, and never while nobody watches.
+In the tracker's own process the page would hold Python's lock for a fifth of the time, for milliseconds each. Instead,
+estimates go through a pipe, one whenever the page asks for it: at most 30 a second, fewer on a busy machine, and none
+while no browser is open.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ from handsight.viewer.timeline import TIMELINE, Curves
 
 
 class Shot(NamedTuple):
-    """A `Shot` is an observation with images, and where the camera was believed to be then."""
+    """A `Shot` is an observation with images, and the camera's pose as estimated then."""
 
     observation: Observation
     from_palm: CameraFromPalm
@@ -36,15 +36,15 @@ class Shot(NamedTuple):
 
 
 class PageUpdate(NamedTuple):
-    """A `PageUpdate` is what the page is to draw."""
+    """A `PageUpdate` is one frame for the page to draw."""
 
     begins: tuple[Rig, ObjectModel] | None
-    """Another hand and object; None: they are unchanged."""
+    """The rig and the object, if they have changed; else None."""
     moment: Moment
     shot: Shot | None
-    """The newest; None: it is unchanged."""
+    """The newest image, if there is a new one; else None."""
     curves: Curves | None
-    """None: they are unchanged."""
+    """The curves, if they have changed; else None."""
 
 
 def begin() -> tuple[Connection, "subprocess.Popen[bytes] | None"]:
@@ -67,7 +67,7 @@ main(pipe)
 
 
 def main(pipe: "Connection[Any, Any]") -> None:
-    """Serves the page until the process at the other end of the pipe is gone; Ctrl-C is for that one."""
+    """Serves the page until the process at the other end of the pipe ends, to which Ctrl-C is left."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(5)  # a robot's own work goes first
     serve(pipe)
@@ -89,9 +89,9 @@ def serve(pipe: "Connection[Any, Any]") -> None:
 
 
 def _draw(page: Page, rig: Rig, pipe: "Connection[Any, Any]") -> None:
-    """Draws frames: it asks for each with True, and sends False when nobody watches.
+    """Draws frames until one is None, or until a message arrives that was not asked for.
 
-    It ends with a frame that is None, or with a message that comes unasked.
+    It asks for each frame with True, and sends False when no browser is open.
     """
     last: Moment | None = None
     while True:

@@ -6,12 +6,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import se3
+from handsight._deprecated import renamed_members
 from handsight.camera import Camera
 from handsight.checks import Mask
 from handsight.errors import InvalidInput
 from handsight.vision.pixels import Color
 
 
+@renamed_members(seen="visible")
 class Registered(NamedTuple):
     """A `Registered` has the colours of a depth image's pixels."""
 

@@ -1,6 +1,7 @@
-"""Contacts as evidence: distance and normal residuals of each, whitened together, added to the normal equations.
+"""Contacts as evidence: the distance and normal residuals of each, whitened together, added to the normal equations.
 
-Residual rows are by a step (τ, radius ω) about a frame's center: the pose's shift and turn, both along the palm's axes.
+A row has the derivatives of a residual by a step (τ, radius ω), the shift and the turn of the pose about a frame's
+center, along the palm's axes, and then the residual.
 """
 
 from typing import Any
@@ -11,6 +12,7 @@ from handsight._kernels.math.simd import accumulate
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
+    add,
     add33,
     block,
     cross,
@@ -23,6 +25,7 @@ from handsight._kernels.math.vec3 import (
     scale,
     scale33,
     skew,
+    store,
     sub,
     sub33,
     tmul,
@@ -35,10 +38,10 @@ from handsight._kernels.runtime.compilation import inner
 Pose = tuple[Mat33, Vec3]
 """R and p of T_palm_object."""
 Frame = tuple[Vec3, float]
-"""A center and a radius: a step is a shift τ and `radius` times a turn ω about the center."""
+"""A center and a radius: a step is a shift τ, and a turn ω about the center multiplied by the radius."""
 Surface = tuple[float, Vec3, Vec3, Mat33, Vec3]
-"""Near a palm point: distance, its gradient, unit normal, curvature (the normal's derivative), all along the palm's
-axes, and the point in the object's frame."""
+"""The surface near a palm point: distance, its gradient, unit normal and curvature (the normal's derivative), all along
+the palm's axes, and the point in the object's frame."""
 Covariance = tuple[float, Vec3, Mat33]
 """Of (distance, normal): variance of the distance, its covariance with the normal, covariance of the normal."""
 Factor = tuple[float, Vec3, Vec3, Vec3]
@@ -60,6 +63,29 @@ def surface_at(nodes: Any, field: Any, point: Vec3, pose: Pose) -> Surface:
 
 
 @inner
+def load_terms(contacts: Any, terms: Any) -> Vec3:
+    """Returns the centroid of the contacts (n,); fills in their TERM (n,)."""
+    center = (0.0, 0.0, 0.0)
+    for i in range(len(contacts)):
+        contact, term = contacts[i], terms[i]
+        C, own = contact.covariance, term.contact
+        # Field by field: numba cannot assign a nested record, and assigning arrays compiles long checks of shapes.
+        store(vector(contact.point), own.point)
+        store(vector(contact.normal), own.normal)
+        own.has_normal, own.used, own.of_residual = contact.has_normal, contact.used, contact.of_residual
+        point, normal, off = C[0, 0] + C[1, 1] + C[2, 2], C[3, 3] + C[4, 4] + C[5, 5], 0.0
+        for j in range(6):
+            for k in range(6):
+                own.covariance[j, k] = C[j, k]
+                if j < 3:
+                    off = max(off, abs(C[j, k] - (point / 3 if j == k else 0.0)))
+        term.isotropic = off <= 1e-12 * point
+        term.variance_point, term.variance_normal = point / 3, normal / 2
+        center = add(center, scale(vector(contact.point), 1 / len(contacts)))
+    return center
+
+
+@inner
 def add_contact(term: Any, surface: Surface, frame: Frame, equations: Any) -> None:
     """Adds a contact's rows at its surface, weighted by `term.weight`."""
     d, g, n, K, _ = surface
@@ -70,7 +96,7 @@ def add_contact(term: Any, surface: Surface, frame: Frame, equations: Any) -> No
     turned = skew(scale(n, 1 / radius))
     by_distance = neg(g)
     a, b, c = neg(K[0]), neg(K[1]), neg(K[2])
-    # The derivative by a turn is the lever's cross product with that by a shift; a normal turns by itself too.
+    # The derivative by a turn is the lever's cross product with that by a shift; the surface's normal turns itself too.
     rows = (
         by_distance + cross(lever, by_distance) + (d,),
         a + sub(cross(lever, a), turned[0]) + (error[0],),
@@ -82,7 +108,8 @@ def add_contact(term: Any, surface: Surface, frame: Frame, equations: Any) -> No
 
 @inner
 def add_contacts(evidence: Any, field: Any, pose: Pose, frame: Frame, rewhiten: bool, equations: Any) -> None:
-    """Adds the rows of all contacts in use, weighted by their covariance here, or else as they were last."""
+    """Adds the rows of all contacts in use, weighted by the inverse of their covariance: at this pose if `rewhiten`,
+    else at the pose of the last rewhitening."""
     for i in range(len(evidence.terms)):
         term = evidence.terms[i]
         if term.contact.used:
@@ -97,7 +124,7 @@ def add_contacts(evidence: Any, field: Any, pose: Pose, frame: Frame, rewhiten: 
 
 @inner
 def contact_cost(evidence: Any, pose: Pose) -> float:
-    """Returns squared residuals of all contacts in use, and the log determinants of what whitens them, on the fine
+    """Returns the squared residuals of all contacts in use, plus the log determinants of their covariances, on the fine
     field."""
     model, nodes, field, total = evidence.model, evidence.nodes, evidence.model.fine, 0.0
     for i in range(len(evidence.terms)):
@@ -112,12 +139,12 @@ def contact_cost(evidence: Any, pose: Pose) -> float:
 
 @inner
 def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: Surface) -> Covariance:
-    """Returns the covariance of a contact's (distance, normal) residuals: B Σ Bᵀ with B = [g 0; K -1], and what model
-    and field add.
+    """Returns the covariance of a contact's (distance, normal) residuals: B Σ Bᵀ with B = [g 0; K -1], plus the errors
+    of model and field.
 
-    A point that slides by its noise over a curved surface meets another normal, so curvature carries point noise into
-    the normal: this is what tells a normal near an edge from one on a face. Where the covariance is of the residuals
-    already, nothing is carried and nothing added but the coarse field's own error.
+    Along a curved surface the normal changes with the point. So curvature propagates the noise of the point into the
+    residual of the normal, which has less weight near an edge than on a face. If the contact's covariance is that of
+    its residuals already, nothing is propagated, and only the coarse field's own error is added.
     """
     _, g, _, K, place = surface
     contact = term.contact
@@ -139,8 +166,8 @@ def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: 
     of_distance += field.variance_distance
     of_normal += field.variance_normal
     tangential = (normal[0][0] + normal[1][1] + normal[2][2] + 3 * of_normal) / 2
-    # Along the normal itself, where a unit vector has no first-order noise, the mean tangential variance keeps large
-    # angles from going unpunished; where there is no normal, a one keeps the matrix from being singular.
+    # Along the normal itself a unit vector has no first-order noise; the mean tangential variance there makes large
+    # angles cost. Without a normal, a one keeps the matrix from being singular.
     n = vector(contact.normal)
     rest = of_normal + (0.0 if contact.has_normal else 1.0)
     ball = (rest, 0.0, 0.0), (0.0, rest, 0.0), (0.0, 0.0, rest)
@@ -149,8 +176,7 @@ def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: 
 
 @inner
 def field_error(error: Any, nodes: Any, place: Vec3) -> tuple[float, float]:
-    """Returns how far the fine field is off the surface near an object point: variances of its distance and its
-    normal."""
+    """Returns the error of the fine field near a point of the object: variances of its distance and its normal."""
     if error.inverse_cell == 0.0:
         return error.least_distance, error.least_normal
     distance, normal = model_error(error, nodes, place, 0)
@@ -159,8 +185,10 @@ def field_error(error: Any, nodes: Any, place: Vec3) -> tuple[float, float]:
 
 @inner
 def model_error(error: Any, nodes: Any, place: Vec3, first: int) -> tuple[float, float]:
-    """Returns two of the four variances of a model's error near an object point, from the `first` on; linear between
-    nodes."""
+    """Returns two of the four variances of a model's error near a point of the object, linear between nodes.
+
+    `first` 0: of distance [m²] and normal [rad²]; 2: of the bumps' slope [rad²] and curvature [1/m²], times 3.84.
+    """
     one, other = 0.0, 0.0
     nx, ny, nz = error.shape[0], error.shape[1], error.shape[2]
     u = scale(sub(place, vector(error.origin)), error.inverse_cell)
@@ -178,6 +206,7 @@ def model_error(error: Any, nodes: Any, place: Vec3, first: int) -> tuple[float,
 
 @inner
 def _between(u: float, most: float) -> float:
+    """Returns u limited to 0 to `most`; of a NaN, 0."""
     low = u if u > 0.0 else 0.0
     return low if low < most else most
 
@@ -198,14 +227,14 @@ def factored(S: Covariance) -> Factor:
 
 @inner
 def log_determinant(factor: Factor, has_normal: bool) -> float:
-    """Returns the log determinant of what is in use of the covariance: without a normal, the distance alone."""
+    """Returns the log determinant of the covariance; without a normal, that of the distance alone."""
     d0, _, d, _ = factor
     return np.log((d0 * d[0]) * (d[1] * d[2])) if has_normal else np.log(d0)
 
 
 @inner
 def invert_covariance(factor: Factor, has_normal: bool, out: Any) -> None:
-    """Fills `out` (4, 4) with the inverse; of the distance alone where there is no normal."""
+    """Fills `out` (4, 4) with the inverse of the covariance; without a normal, that of the distance alone."""
     d0, low, d, (l21, l31, l32) = factor
     if not has_normal:
         out[:] = 0.0
@@ -231,7 +260,7 @@ def invert_covariance(factor: Factor, has_normal: bool, out: Any) -> None:
 
 @inner
 def mahalanobis2(contact: Any, surface: Surface, factor: Factor) -> float:
-    """Returns squared whitened residuals of a contact."""
+    """Returns the squared whitened residuals of a contact."""
     distance, _, facing, _, _ = surface
     d0, low, d, (l21, l31, l32) = factor
     square = distance * distance / d0
@@ -241,37 +270,3 @@ def mahalanobis2(contact: Any, surface: Surface, factor: Factor) -> float:
         z = error[2] - l31 * error[0] - l32 * y
         square += error[0] * error[0] / d[0] + y * y / d[1] + z * z / d[2]
     return square
-
-
-@inner
-def at_edge(model: Any, contact: Any, surface: Surface) -> bool:
-    """Returns whether the surface bends as sharply as an edge, and the contact's normal tells the face."""
-    K = surface[3]
-    bend = dot(K[0], K[0]) + dot(K[1], K[1]) + dot(K[2], K[2])
-    return bend > model.edge_curvature2 and contact.has_normal != 0
-
-
-@inner
-def flattened(contact: Any, surface: Surface) -> Surface:
-    """Returns a plane along the contact's normal in place of an edge.
-
-    A contact that the prior has pushed to an edge is stopped on one side only; the sharp bend there is a wall, not a
-    measurement of the way back.
-    """
-    n = vector(contact.normal)
-    return surface[0], n, n, FLAT, surface[4]
-
-
-@inner
-def prepare_term(contact: Any, term: Any) -> None:
-    """Fills in what a correction works out of a contact."""
-    C = contact.covariance
-    point, normal, off = 0.0, 0.0, 0.0
-    for k in range(3):
-        point += C[k, k]
-        normal += C[3 + k, 3 + k]
-    for k in range(3):
-        for j in range(6):
-            off = max(off, abs(C[k, j] - (point / 3 if j == k else 0.0)))
-    term.isotropic = off <= 1e-12 * point
-    term.variance_point, term.variance_normal = point / 3, normal / 2

@@ -1,10 +1,10 @@
 """Points of the hand, which cannot be inside the object: one-sided evidence, one residual row for each link.
 
-All points x_i of a link share the link's position error e. The link is outside of the object if d(x_i + e) ≥ 0 for all
-of them, and its cost is the least squared Mahalanobis length of such an e. Where all points are pushed out the same way
-that is the deepest point's residual alone. The residual of a link is therefore the POWER-norm of its points'
-residuals, a smooth maximum: no kink arises where two points are in turn the deepest, and a link of one point costs
-that point's square.
+All points x_i of a link share the link's position error e. The link is outside the object if d(x_i + e) ≥ 0 for all of
+them, and its cost is the smallest squared Mahalanobis length of such an e. Where all points are pushed out in the same
+direction, that is the squared residual of the deepest point alone. The residual of a link is therefore the POWER-norm
+of its points' residuals, a smooth maximum: there is no kink where another point becomes the deepest, and a link of one
+point costs the square of its residual.
 """
 
 from typing import Any
@@ -18,18 +18,19 @@ from handsight._kernels.mesh.field import field_at
 from handsight._kernels.runtime.compilation import inner
 
 POWER = 8
-"""The norm's exponent, an even number; a hundred points equally deep count as 1.8 times one of them."""
+"""Exponent of the norm, an even number; a hundred points of the same depth count as 1.8 times one of them."""
 _NAN = np.nan, np.nan, np.nan
 NEVER_MEASURED: tuple[Pose, int] = ((_NAN, _NAN, _NAN), _NAN), 0
 """The state of `nearby` before its first call."""
-CLEARANCE_REACH, MAX_FIELD_SLOPE = 0.2, 1.25
-"""Clearances are measured anew when the object has moved by this much [radii]; a grid's distance rises by at most so
-many metres a metre."""
+CLEARANCE_REACH = 0.2
+"""Clearances are measured again when the object has moved by this many radii."""
+MAX_FIELD_SLOPE = 1.25
+"""Upper bound of the gradient's length on a grid, whose distance is not exact everywhere."""
 
 
 @inner
 def _beyond_bounds(model: Any, place: Vec3) -> float:
-    """Returns how far a point of the object's frame is outside of the box around the object [m]; 0 within."""
+    """Returns how far a point of the object's frame is outside the box around the object [m]; 0 within."""
     square = 0.0
     for k in range(3):
         off = max(model.bounds[0, k] - place[k], place[k] - model.bounds[1, k])
@@ -48,19 +49,20 @@ def largest_move(model: Any, pose: Pose, other: Pose) -> float:
     for i in range(3):
         for j in range(3):
             turn += (R[i][j] - Q[i][j]) * (R[i][j] - Q[i][j])
-    # A turn moves what is at an arm's end by 2 sin(θ/2) arms, and |R - Q|² = 8 sin²(θ/2).
+    # A turn by θ moves the end of an arm by at most 2 sin(θ/2) arm lengths, and |R - Q|² = 8 sin²(θ/2).
     return norm(shift) + np.sqrt(turn / 2) * norm(sub(high, middle))
 
 
 @inner
 def nearby(evidence: Any, field: Any, pose: Pose, state: tuple[Pose, int], near: Any) -> tuple[Pose, int]:
-    """Fills `near` with the rows of OUTSIDE that can matter at a pose; returns where they were measured, and how many.
+    """Fills `near` with the rows of OUTSIDE that can matter at a pose; returns the pose at which their clearances were
+    measured, and the number of rows. `state` is what the last call returned.
 
-    `state` is what the last call returned. A point that was farther from the object than any part of the object has
-    moved since is outside. So each point's `clearance` is measured only when the object has moved by CLEARANCE_REACH;
-    until then points beyond it are left out of `near`, and of the others those that cannot have been reached are marked
-    `far`. The cost is that of all points, as long as a grid's distance rises by at most MAX_FIELD_SLOPE a metre. Planes
-    always count.
+    A point that was farther from the object than any part of the object has moved since then is outside. So each
+    point's `clearance` is measured only when the object has moved by CLEARANCE_REACH; until then points beyond that
+    reach are left out of `near`, and of the others those that the object cannot have reached are marked `far`. Neither
+    changes the cost, as long as the distance of a grid rises by at most MAX_FIELD_SLOPE per metre. Planes are always
+    in `near`.
     """
     measured_at, count = state
     move, reach = largest_move(evidence.model, pose, measured_at), CLEARANCE_REACH * evidence.model.radius
@@ -72,14 +74,14 @@ def nearby(evidence: Any, field: Any, pose: Pose, state: tuple[Pose, int], near:
 
 @inner
 def mark_far(near: Any, move: float) -> None:
-    """Marks the points that no part of the object, which has moved this far [m] since they were measured, can reach."""
+    """Marks the points that the object cannot reach, having moved this far [m] since they were measured."""
     for i in range(len(near)):
         near[i].far = near[i].clearance > move
 
 
 @inner
 def measure_clearances(evidence: Any, field: Any, pose: Pose, reach: float, near: Any) -> int:
-    """Fills `near` with the rows of OUTSIDE nearer to the object than a reach [m], and returns how many they are."""
+    """Fills `near` with the rows of OUTSIDE that are nearer to the object than a reach [m]; returns their number."""
     R, p = pose
     count = 0
     for i in range(len(evidence.outside)):

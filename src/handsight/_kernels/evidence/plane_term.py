@@ -1,4 +1,4 @@
-"""Planes that the object cannot cross, such as a table: one-sided evidence, a row from the lowest point of each."""
+"""Planes that the object cannot cross, such as a table: one-sided evidence, a row for each."""
 
 from typing import Any
 
@@ -11,15 +11,16 @@ from handsight._kernels.mesh.field import field_at
 from handsight._kernels.records import BOX, CYLINDER, SPHERE
 from handsight._kernels.runtime.compilation import inner
 
-STEPS, STEP, GROWTH = 10, 0.25, 3.0
-"""Of the search for the lowest point: how many, how far the first goes down [radii], and how each that was lower
-lengthens the next. On scans, whose fields are round at edges, it ends a little high."""
-
 
 @inner
 def lowest_point(evidence: Any, up: Vec3) -> Vec3:
-    """Returns the point of the surface that is lowest along a unit direction, both in the object's frame."""
-    field = evidence.model.fine
+    """Returns the point of the surface that is lowest along a unit direction, both in the object's frame.
+
+    On a grid it is found from the lowest sample: on to the surface's closest point to a place a step below, as long as
+    that is lower. On a convex body this is the proximal point algorithm, which reaches a polyhedron's lowest corner in
+    finitely many steps; on scans, whose fields are round at edges, it ends a little high.
+    """
+    model, field, none = evidence.model, evidence.model.fine, np.float32(0.0)
     half = vector(field.origin)
     if field.kind == BOX:
         return -np.copysign(half[0], up[0]), -np.copysign(half[1], up[1]), -np.copysign(half[2], up[2])
@@ -28,27 +29,16 @@ def lowest_point(evidence: Any, up: Vec3) -> Vec3:
         return side * up[0], side * up[1], -np.copysign(half[1], up[2])
     if field.kind == SPHERE:
         return scale(up, -half[0])
-    return _followed_down(evidence, field, up)
-
-
-@inner
-def _followed_down(evidence: Any, field: Any, up: Vec3) -> Vec3:
-    """Returns what `lowest_point` does, of a grid.
-
-    From the lowest sample on to the closest point of what lies a step below, as long as that is lower: on a convex body
-    these are steps of the proximal point algorithm, which ends at a polyhedron's lowest corner after finitely many.
-    """
-    model, none = evidence.model, np.float32(0.0)
     query = none, np.float32(up[0]), np.float32(up[1]), np.float32(up[2]), none, none, none
-    low, step = vector(model.samples[scan(model.scan, query), 0]), STEP * model.radius
-    for _ in range(STEPS):
+    low, step = vector(model.samples[scan(model.scan, query), 0]), 0.25 * model.radius
+    for _ in range(10):
         lower = sub(low, scale(up, step))
-        for _ in range(2):  # once would do, were a grid's distance exact as far out as that
+        for _ in range(2):  # twice, because a grid's distance is not exact far from the surface
             d, g, _ = field_at(evidence.nodes, field, lower)
             lower = sub(lower, scale(g, d))
         if dot(lower, up) < dot(low, up):
             low = lower
-            step *= GROWTH
+            step *= 3.0
         else:
             step *= 0.5
     return low
@@ -56,8 +46,8 @@ def _followed_down(evidence: Any, field: Any, up: Vec3) -> Vec3:
 
 @inner
 def _height(evidence: Any, pose: Pose, plane: Any) -> tuple[float, Vec3]:
-    """Returns how far the object stays above a plane [m], or less where it does; below zero, its lowest point in the
-    palm."""
+    """Returns the height of the object's lowest point above a plane [m], or a positive lower bound of it, and, where it
+    is negative, that point in the palm."""
     (R, p), bounds = pose, evidence.model.bounds
     normal = vector(plane.normal)
     up, height = tmul(R, normal), dot(normal, sub(p, vector(plane.point)))
@@ -74,8 +64,9 @@ def _height(evidence: Any, pose: Pose, plane: Any) -> tuple[float, Vec3]:
 def add_planes(evidence: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     """Adds `min(0, height) / sigma` of each plane.
 
-    A plane that is `sigma` off along its normal is off for the whole object: one row, however much of it is below.
-    The lowest point may change with the pose, yet the height changes as that point does (the envelope theorem).
+    A plane's error along its normal is the same for the complete object: one row, however much of it is below. As the
+    pose changes, another point may become the lowest; the derivative of the height is that of the present lowest
+    point's all the same (envelope theorem).
     """
     center, radius = frame
     for i in range(len(evidence.outside)):

@@ -1,16 +1,17 @@
-"""All evidence of a correction: what it is made of, and every term named once, for all solvers.
+"""All evidence of a correction, and the sums over all its terms that every solver uses.
 
 A term is of one kind, by how a solver has to treat it:
 
 * CONTACTS lie on the surface. Their covariance depends on the pose, and they alone may be rejected as outliers.
-* WALLS are one-sided: they cost where the object is beyond them, and say nothing of the way back.
-* LOADS are the object's weight, felt by touch, whose cost is nearly quadratic.
+* WALLS are one-sided: they cost where the object is beyond them, and do not tell how far in front it is.
+* FIXED_NOISE is measured beside the contacts, with the same noise at every pose: the object's weight, depth points.
 * PRIOR is the pose known before touch.
 """
 
 from typing import Any, NamedTuple
 
 from handsight._kernels.evidence.contact_term import Frame, Pose, add_contacts, contact_cost
+from handsight._kernels.evidence.depth_points_term import add_depth_points, depth_points_cost
 from handsight._kernels.evidence.outside_term import add_outside, outside_cost
 from handsight._kernels.evidence.plane_term import add_planes, plane_cost
 from handsight._kernels.evidence.prior_term import add_prior, prior_cost
@@ -18,12 +19,12 @@ from handsight._kernels.evidence.weight_term import add_weight, weight_cost
 from handsight._kernels.math.vec3 import Vec3
 from handsight._kernels.runtime.compilation import inner
 
-CONTACTS, WALLS, LOADS, PRIOR = 1, 2, 4, 8
-ALL = CONTACTS | WALLS | LOADS | PRIOR
+CONTACTS, WALLS, FIXED_NOISE, PRIOR = 1, 2, 4, 8
+ALL = CONTACTS | WALLS | FIXED_NOISE | PRIOR
 
 
 class Evidence(NamedTuple):
-    """`Evidence` is all that is known of a pose."""
+    """`Evidence` is all evidence on one pose."""
 
     model: Any
     """MODEL."""
@@ -33,8 +34,8 @@ class Evidence(NamedTuple):
     """(n,) TERM, the contacts."""
     outside: Any
     """(m,) OUTSIDE, points of the hand and planes."""
-    weight: Any
-    """OBJECT_WEIGHT."""
+    constraints: Any
+    """CONSTRAINTS: the weight and the depth points of it are used here; its prior is in `prior`."""
     prior: Any
     """PRIOR_TERM."""
     center: Vec3
@@ -47,19 +48,19 @@ def add_evidence(
 ) -> None:
     """Adds the rows of all terms of some kinds at a pose to normal equations by a step (τ, radius ω) about a frame.
 
-    `rewhiten`: whether contacts are weighted by their covariance at this pose; else as they were last, so that the
-    costs of one descent compare.
+    `rewhiten`: whether contacts are weighted by their covariance at this pose; otherwise they keep their last weights,
+    so that the costs of one descent can be compared.
     """
     if kinds & CONTACTS:
         add_contacts(evidence, field, pose, frame, rewhiten, equations)
     if kinds & WALLS:
         add_outside(evidence, field, pose, frame, equations)
-    if kinds & WALLS:
         add_planes(evidence, pose, frame, equations)
     if kinds & PRIOR:
         add_prior(evidence.prior, pose, frame, equations)
-    if kinds & LOADS:
-        add_weight(evidence.weight, pose, frame, equations)
+    if kinds & FIXED_NOISE:
+        add_weight(evidence.constraints.weight, pose, frame, equations)
+        add_depth_points(evidence, field, pose, frame, equations)
 
 
 @inner
@@ -68,12 +69,12 @@ def evidence_cost(evidence: Evidence, kinds: int, pose: Pose) -> float:
     total = 0.0
     if kinds & WALLS:
         total += outside_cost(evidence, evidence.model.fine, pose)
-    if kinds & WALLS:
         total += plane_cost(evidence, pose)
     if kinds & CONTACTS:
         total += contact_cost(evidence, pose)
     if kinds & PRIOR:
         total += prior_cost(evidence.prior, pose)
-    if kinds & LOADS:
-        total += weight_cost(evidence.weight, pose)
+    if kinds & FIXED_NOISE:
+        total += weight_cost(evidence.constraints.weight, pose)
+        total += depth_points_cost(evidence, pose)
     return total

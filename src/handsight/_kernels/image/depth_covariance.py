@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame
-from handsight._kernels.evidence.prior_term import IDENTITY, rotation_exp
 from handsight._kernels.math.dense6 import eigen, factor, solve
+from handsight._kernels.math.so3 import IDENTITY, rotation_exp
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame, Pose
-from handsight._kernels.evidence.prior_term import IDENTITY, add_prior
+from handsight._kernels.evidence.prior_term import add_prior
 from handsight._kernels.image.depth_covariance import congruence, inform, pose_covariance, pose_jacobian
 from handsight._kernels.math.simd import accumulate, local
+from handsight._kernels.math.so3 import IDENTITY
 from handsight._kernels.math.symmetry import pose_of, store_pose
 from handsight._kernels.math.vec3 import (
     Vec3,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.prior_term import rotation_exp
+from handsight._kernels.math.so3 import rotation_exp
 from handsight._kernels.math.symmetry import store_pose
 from handsight._kernels.math.vec3 import (
     Mat33,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.prior_term import IDENTITY
+from handsight._kernels.math.so3 import IDENTITY
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,

@@ -9,9 +9,10 @@ from handsight._kernels.runtime.compilation import inner
 
 @inner
 def factor(matrix: Any, n: int, ridge: float, out: Any) -> bool:
-    """Writes the Cholesky factor of a matrix (n, n) plus `ridge` times the identity; returns False where it has none.
+    """Writes the Cholesky factor of a matrix (n, n) plus `ridge` times the identity.
 
-    The lower triangle of the matrix is read. The diagonal of `out` holds the reciprocals of the factor's.
+    Returns False where that sum is not positive definite. Only the lower triangle of the matrix is read. The diagonal
+    of `out` holds the reciprocals of the factor's.
     """
     for i in range(n):
         for j in range(i):
@@ -90,8 +91,25 @@ def _rotate(matrix: Any, p: int, q: int, vectors: Any) -> None:
 
 
 @inner
-def in_metres(information: Any, radius: float, out: Any) -> None:
-    """Writes to `out` (6, 6) [1/m²] the information of (δp, radius δθ), given that of (δp, δθ)."""
+def scale_turns(matrix: Any, by: float, out: Any) -> None:
+    """Fills `out` (6, 6) with a matrix by (δp, δθ), the rows and columns of δθ multiplied by a number."""
     for i in range(6):
         for j in range(6):
-            out[i, j] = information[i, j] * ((1.0 if i < 3 else 1 / radius) * (1.0 if j < 3 else 1 / radius))
+            out[i, j] = matrix[i, j] * ((1.0 if i < 3 else by) * (1.0 if j < 3 else by))
+
+
+@inner
+def in_metres(information: Any, radius: float, out: Any) -> None:
+    """Fills `out` (6, 6) with an information by (δp, δθ) as one by (δp, radius δθ) [1/m²]."""
+    scale_turns(information, 1 / radius, out)
+
+
+@inner
+def from_eigen(values: Any, vectors: Any, turn: float, out: Any) -> None:
+    """Fills `out` (6, 6) with V diag(values) Vᵀ, the rows and columns of δθ multiplied by `turn`."""
+    for i in range(6):
+        for j in range(6):
+            total = 0.0
+            for k in range(6):
+                total += vectors[i, k] * values[k] * vectors[j, k]
+            out[i, j] = total * ((1.0 if i < 3 else turn) * (1.0 if j < 3 else turn))

@@ -1,9 +1,9 @@
 """Vector code and stack memory, which numba does not offer, as intrinsics that write LLVM's code.
 
 `spline` (value and derivatives of a grid), `accumulate` (rows of evidence to normal equations) and `scan` (the nearest
-of many samples) use LLVM's vectors, as numba's loops over so few elements stay scalar, and a correction takes twice as
-long. Where a processor's vectors are shorter, the compiler splits these. `local` is a record on the stack: numba makes
-arrays on the heap only, and frees one while a record of it is still in use.
+of many samples) use LLVM's vectors; numba leaves loops over so few elements scalar, with which a correction takes twice
+as long. Where a processor's vectors are shorter, the compiler splits these. `local` is a record on the stack: numba
+makes arrays on the heap only, and frees one while a record of it is still in use.
 """
 
 from typing import Any

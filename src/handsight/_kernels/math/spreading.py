@@ -44,7 +44,7 @@ def _farthest(features: Any, columns: Any, chosen: Any) -> None:
             chosen[j, k] = features[farthest, k]
         _gaps2(columns, chosen, j, now)
         for i in range(len(features)):
-            # The mean itself is not among the chosen.
+            # The gaps from the mean only served to choose the first point.
             gap[i] = now[i] if j == 0 else min(gap[i], now[i])
 
 
@@ -63,7 +63,7 @@ def spread_out(features: Any, n: int, steps: int) -> Any:
             for k in range(WIDE):
                 sums[owner, k] += features[i, k]
         for j in range(n):
-            # One without features of its own stays where it is.
+            # A point to which no feature is nearest stays where it is.
             if count[j] > 0:
                 for k in range(WIDE):
                     chosen[j, k] = sums[j, k] / count[j]

@@ -1,11 +1,11 @@
-"""Poses as kernels have them, and equivalent poses of a symmetric object."""
+"""Poses to and from records and matrices, and the equivalent poses of a symmetric object."""
 
 from typing import Any
 
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.prior_term import IDENTITY, rotation_log
+from handsight._kernels.math.so3 import IDENTITY, rotation_log
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
@@ -59,8 +59,8 @@ def store_transform(pose: Pose, T: Any) -> None:
 
 @inner
 def _equivalent(symmetry: Any, k: int, pose: Pose, reference: Pose) -> Pose:
-    """Returns the pose after the k-th element of the group and, with an axis, after the turn that brings it nearest to
-    the reference."""
+    """Returns a pose times the k-th element of the symmetry group and, for an object with an axis, spun about it to be
+    nearest to the reference."""
     element, (R, p) = symmetry.rotation[k], pose
     shift = element[0, 3], element[1, 3], element[2, 3]
     turned = matmul(R, matrix(element))

@@ -129,8 +129,6 @@ def _beyond(edge: Values, way: Vec3) -> Values:
     slope = dot(g, way)
     # Along the grid's edge the gradient changes by the Hessian; across it, the way is added below.
     p = add(g, _where_zero(way, mul(H, way)))
-    if way[0] == 0 and way[1] == 0 and way[2] == 0:
-        return edge
     if not m > 0:
         return m + slope, p, H  # NaN in, NaN out
     f = np.sqrt(max(m * m + 2 * m * slope + dot(way, way), 1e-300))

@@ -9,7 +9,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.runtime.threads import in_parts
 
 FAR_PATCH, FAR_TRIANGLE = 2.0, 4.0
-"""From so many of its radii on, a patch or a triangle is taken for one dipole."""
+"""At a distance of this many of its radii, a patch or a triangle is approximated by one dipole."""
 
 
 @inner

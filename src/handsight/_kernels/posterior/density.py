@@ -1,22 +1,29 @@
-"""The posterior at a pose: its information, its cost, and what each contact gains by being left out."""
+"""The posterior at a pose: its information, its cost, and by how much that falls when a contact is left out."""
 
 from typing import Any
 
 from handsight._kernels.evidence.contact_term import (
     Pose,
     add_contact,
-    at_edge,
     factored,
-    flattened,
     invert_covariance,
     log_determinant,
     mahalanobis2,
     residual_covariance,
     surface_at,
 )
-from handsight._kernels.evidence.terms import ALL, LOADS, PRIOR, WALLS, Evidence, add_evidence, evidence_cost
+from handsight._kernels.evidence.terms import (
+    ALL,
+    FIXED_NOISE,
+    PRIOR,
+    WALLS,
+    Evidence,
+    add_evidence,
+    evidence_cost,
+)
 from handsight._kernels.math.dense6 import factor, solve
-from handsight._kernels.math.vec3 import vector
+from handsight._kernels.math.vec3 import dot, vector
+from handsight._kernels.mesh.field import FLAT
 from handsight._kernels.posterior.spurious_information import (
     add_spurious_information,
     subtract_spurious_information,
@@ -27,10 +34,8 @@ from handsight._kernels.runtime.compilation import inner
 
 @inner
 def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[float, float]:
-    """Returns χ² of the contacts and log det of what whitened them; writes every term's equations by (δp, δθ).
-
-    Adds to `spurious` those of what the model's bumps lend.
-    """
+    """Returns χ² of the contacts, and the log determinant of the covariances that whiten them; writes every term's
+    equations by (δp, δθ), and adds their spurious information to `spurious`."""
     model, field, frame = evidence.model, evidence.model.fine, (pose[1], 1.0)
     chi2, log_spread = 0.0, 0.0
     for i in range(len(evidence.terms)):
@@ -43,10 +48,15 @@ def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[
             invert_covariance(factor4, has_normal, term.weight)
             log_spread += log_determinant(factor4, has_normal)
             add_spurious_information(model, evidence.nodes, term, surface, pose, spurious)
-            if at_edge(model, term.contact, surface):
-                square = mahalanobis2(term.contact, surface, factor4)
-                add_contact(term, flattened(term.contact, surface), frame, term.equations)
-                # What it pulls at is beyond the edge: only its own residuals count.
+            K = surface[3]
+            bend = dot(K[0], K[0]) + dot(K[1], K[1]) + dot(K[2], K[2])
+            if bend > model.edge_curvature2 and has_normal:
+                # A contact that the prior has pushed to an edge is stopped on one side only: the sharp bend is a wall,
+                # and no information about the other direction. It is replaced by a plane with the contact's normal,
+                # and the gradient is set to zero, as it would pull the contact over the edge.
+                square, n = mahalanobis2(term.contact, surface, factor4), vector(term.contact.normal)
+                plane = surface[0], n, n, FLAT, surface[4]
+                add_contact(term, plane, frame, term.equations)
                 for k in range(6):
                     term.equations[6, k] = 0.0
                 term.equations[6, 6] = square
@@ -60,10 +70,11 @@ def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[
 def information(
     evidence: Evidence, pose: Pose, by_touch: Any, total: Any, equations: Any
 ) -> tuple[float, float]:
-    """Returns χ², and cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of all.
+    """Returns χ², and the cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of
+    all evidence.
 
-    Both are without what the model's bumps lend; the terms' equations, and in `equations` the weight's and the prior's,
-    are whole. The weight is touch.
+    Weight and depth points count as touch, as all evidence that corrects the prior. Spurious information is subtracted
+    from both, but not from the terms' equations nor from `equations`, which hold the other evidence's.
     """
     equations[:] = 0.0
     chi2, log_spread = contact_information(evidence, pose, equations)
@@ -75,11 +86,11 @@ def information(
                 value += evidence.terms[k].equations[i, j]
             by_touch[i, j] = by_touch[j, i] = value
     subtract_spurious_information(by_touch, equations, model.radius)
-    # Walls: they cost, but say nothing of the way back.
+    # Walls are part of the cost, but not of the information.
     chi2 += evidence_cost(evidence, WALLS, pose)
     equations[:] = 0.0
     frame = pose[1], 1.0
-    add_evidence(evidence, LOADS, model.fine, pose, frame, False, equations)
+    add_evidence(evidence, FIXED_NOISE, model.fine, pose, frame, False, equations)
     for i in range(6):
         for j in range(i + 1):
             total[i, j] = by_touch[i, j]
@@ -101,10 +112,10 @@ def posterior_cost(evidence: Evidence, pose: Pose) -> float:
 
 @inner
 def largest_gain(evidence: Evidence, u: Any) -> float:
-    """Returns the most that χ² falls, to first order, when one contact is left out and the pose gives way.
+    """Returns the most that χ² falls, to first order, when one contact is left out and the pose adapts to that.
 
     With a contact's share of Hessian and gradient, H_i and g_i, and its squared residuals: rᵀr + gᵀ (H - H_i)⁻¹ g. The
-    prior's and the weight's share is in `u.equations`; what bumps lend is part of the cost, and stays.
+    share of other evidence is in `u.equations`; spurious information is part of the cost, and is not subtracted.
     """
     total, most = u.wider, 0.0
     for r in range(6):

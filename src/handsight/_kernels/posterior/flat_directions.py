@@ -1,6 +1,7 @@
-"""Along what a mode is integrated: where its posterior is no Gaussian, and the lattice of places that is laid there.
+"""The flat directions of a mode, in which its posterior is not Gaussian, and the lattice of points that is laid there.
 
-Coordinates are (s, radius θ) [m], straight along the object (`uncertainty.retract_body`).
+A mode is integrated along them. Coordinates are (s, radius θ) [m], straight along the object
+(`uncertainty.retract_body`).
 """
 
 from typing import Any
@@ -9,7 +10,7 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
 from handsight._kernels.evidence.outside_term import largest_move, mark_far
-from handsight._kernels.evidence.terms import LOADS, PRIOR, Evidence, evidence_cost
+from handsight._kernels.evidence.terms import FIXED_NOISE, PRIOR, Evidence, evidence_cost
 from handsight._kernels.math.dense6 import eigen, in_metres
 from handsight._kernels.math.vec3 import cross, mul, norm, scale, vector
 from handsight._kernels.posterior.density import information, posterior_cost
@@ -19,18 +20,21 @@ from handsight._kernels.records import WEAK_PRIOR
 from handsight._kernels.runtime.compilation import inner
 
 SPIN = 1e6
-"""What stands for a spin about a declared axis, in traces of a matrix, so that it is told from what is open."""
+"""Information that is added for a spin around a declared axis, in traces of the matrix: so large that the spin is not
+taken for an unobservable direction."""
 TURN = np.array([
     np.eye(3),
     [[0.8960, -0.4440, 0.0], [0.4440, 0.8960, 0.0], [0.0, 0.0, 1.0]],
     [[0.6816, -0.5834, 0.4416], [0.7267, 0.6105, -0.3150], [-0.0858, 0.5356, 0.8401]],
 ])  # fmt: skip
-"""How lattices along one, two or three directions lie: turned, so that their rows do not end at a wall together."""
+"""Orientation of lattices along one, two or three directions: turned, so that the rows of points do not all end at a
+wall together."""
 
 
 @inner
 def mark_spins(model: Any, pose: Pose, matrix: Any) -> float:
-    """Returns what eigenvalues of spins are above, after they were added to a matrix (6, 6) by (δp, radius δθ)."""
+    """Adds the spins about declared axes to a matrix (6, 6) by (δp, radius δθ); returns a bound that only their
+    eigenvalues exceed."""
     R, size = pose[0], 0.0
     for i in range(6):
         size += matrix[i, i]
@@ -47,7 +51,8 @@ def mark_spins(model: Any, pose: Pose, matrix: Any) -> float:
 
 @inner
 def choose(evidence: Evidence, pose: Pose, flat: Any, u: Any) -> None:
-    """Fills in what is along the slide, and what is across; where nothing departs from a Gaussian, the widest is along.
+    """Fills in the flat directions (`along`) and those across; where nothing departs from a Gaussian, the widest is
+    flat.
 
     A spin about a declared axis is neither.
     """
@@ -77,15 +82,15 @@ def choose(evidence: Evidence, pose: Pose, flat: Any, u: Any) -> None:
 
 @inner
 def _copy_column(source: Any, k: int, out: Any, n: int) -> None:
-    """Copies a column; a slice would take two seconds to compile, for what it says of another shape."""
+    """Copies a column: assigning a slice would take two seconds to compile, most of it for errors about shapes."""
     for i in range(6):
         out[i, n] = source[i, k]
 
 
 @inner
 def _rises(evidence: Evidence, pose: Pose, slopes: Any, calibrated: Any, rises: Any, u: Any) -> None:
-    """Fills in the eigenvalues [1/m²] of the information at a mode (its spins': infinite), as it is and as the cost has
-    it, and how the cost departs from a Gaussian's along its vectors, `u.vectors`; of spins below 0."""
+    """Fills in the eigenvalues [1/m²] of the information at a mode, as it is (infinite for spins) and calibrated by the
+    cost, and the ratio of the cost's rise to a Gaussian's along its eigenvectors `u.vectors` (negative for spins)."""
     model = evidence.model
     information(evidence, pose, u.by_touch, u.wider, u.equations)
     in_metres(u.wider, model.radius, u.matrix)
@@ -110,7 +115,8 @@ def _rises(evidence: Evidence, pose: Pose, slopes: Any, calibrated: Any, rises: 
 
 @inner
 def _before(rises: Any, slopes: Any, k: int, other: int) -> bool:
-    """Returns whether a direction is integrated along rather than another: one that departs, then the wider one."""
+    """Returns whether a direction is to be integrated along before another: one that departs from a Gaussian comes
+    first, then the wider one."""
     if (rises[k] > INTEGRATION.max_gaussian_rise) != (rises[other] > INTEGRATION.max_gaussian_rise):
         return rises[k] > INTEGRATION.max_gaussian_rise
     return slopes[k] < slopes[other]
@@ -124,8 +130,8 @@ def at_coordinates(mode: Pose, radius: float, six: Any) -> Pose:
 
 @inner
 def moved_to(evidence: Evidence, mode: Pose, six: Any) -> Pose:
-    """Returns what `at_coordinates` does; outside points, looked at from the mode, are passed over where they are too
-    far."""
+    """Returns the pose at coordinates (6) from a mode, and marks the outside points, measured at the mode, that are too
+    far away to matter there."""
     pose = at_coordinates(mode, evidence.model.radius, six)
     if len(evidence.outside):
         mark_far(evidence.outside, largest_move(evidence.model, pose, mode))
@@ -134,22 +140,22 @@ def moved_to(evidence: Evidence, mode: Pose, six: Any) -> Pose:
 
 @inner
 def without_bumps(evidence: Evidence, flat: Any, pose: Pose, cost: float) -> float:
-    """Returns the cost of a pose over a scan's bumps: in a dent contacts fit by chance, and what is no worse than
-    chance explains is alike."""
+    """Returns the cost of a pose without the dents of a scan: there contacts fit by chance, so that all costs below the
+    level that chance explains count the same."""
     if flat.bump_margin > 0.0:
-        by_prior = evidence_cost(evidence, PRIOR | LOADS, pose)
+        by_prior = evidence_cost(evidence, PRIOR | FIXED_NOISE, pose)
         cost = by_prior + max(cost - by_prior, flat.level)
     return cost
 
 
 @inner
 def measure(evidence: Evidence, mode: Pose, flat: Any, here: float) -> None:
-    """Brings the places of a slide as close as they need be, by how far its cost, `here` at the mode, lets each
-    direction go.
+    """Sets the spacing of the lattice along each flat direction, by how far the cost, `here` at the mode, lets the pose
+    move.
 
-    Between where it has risen by RISE on one side and on the other there are 2.8 deviations of a Gaussian and 3.5 of
-    an interval; all along several directions spreads wider than what is along one. A mode may lie in a corner, so each
-    is followed from the middle of the one before, twice.
+    Between the two sides at which it has risen by `INTEGRATION.rise` lie 2.8 standard deviations of a Gaussian, and 3.5
+    of an interval; a spread over several directions is wider than along one of them. A mode may lie in a corner, so
+    each direction is followed from the middle of the one before, twice.
     """
     radius, middle, six = evidence.model.radius, np.zeros(6), np.zeros(6)
     for m in range(flat.count * (INTEGRATION.sweeps if flat.count > 1 else 1)):
@@ -172,15 +178,14 @@ def measure(evidence: Evidence, mode: Pose, flat: Any, here: float) -> None:
         for i in range(6):
             middle[i] += 0.5 * flat.along[i, n] * (ends[0] - ends[1])
         flat.spacing[n] = 0.5 * (ends[0] + ends[1])
+    sigma, points = INTEGRATION.sigma_of_reach[flat.count - 1], INTEGRATION.points_per_sigma[flat.count - 1]
     for n in range(flat.count):
-        flat.spacing[n] *= (
-            INTEGRATION.sigma_of_reach[flat.count - 1] / INTEGRATION.points_per_sigma[flat.count - 1]
-        )
+        flat.spacing[n] *= sigma / points
 
 
 @inner
 def build_lattice(flat: Any) -> float:
-    """Returns log of the lattice's cell [m^count]; fills in its steps."""
+    """Fills in the lattice's steps; returns the logarithm of the volume of its cell [m^count]."""
     cell = 0.0
     for n in range(flat.count):
         cell += np.log(flat.spacing[n])
@@ -194,7 +199,7 @@ def build_lattice(flat: Any) -> float:
 
 @inner
 def coordinates_at(flat: Any, point: Any, out: Any) -> None:
-    """Fills `out` (6) with the coordinates of a place."""
+    """Fills `out` (6) with the coordinates of a lattice point."""
     for i in range(6):
         value = 0.0
         for n in range(flat.count):
@@ -206,7 +211,8 @@ def coordinates_at(flat: Any, point: Any, out: Any) -> None:
 
 @inner
 def fine_enough(flat: Any, sums: Any, radius: float) -> bool:
-    """Returns whether deviations along the slide have places enough; else brings these closer together."""
+    """Returns whether a standard deviation along each flat direction has enough points; where not, their spacing is
+    made smaller."""
     fine, wanted = True, INTEGRATION.points_per_sigma[flat.count - 1]
     for k in range(flat.count):
         mean = square = 0.0

@@ -1,6 +1,6 @@
-"""One place of a slide's lattice: the best of its other coordinates, its weight, and what it adds to the sums.
+"""One point of the lattice along the flat directions: its best other coordinates, its weight, its part of the sums.
 
-weight = exp(-cost / 2) / √det H,    H: Gauss-Newton Hessian across the slide, walls in it
+weight = exp(-cost / 2) / √det H,    H: Gauss-Newton Hessian across the flat directions, walls in it
 """
 
 from typing import Any
@@ -23,8 +23,11 @@ from handsight._kernels.runtime.compilation import inner
 
 @inner
 def _relax(flat: Any, E: Mat33, u: Any) -> bool:
-    """Returns whether a step across the slide is determined; `u.column`: the step, of `u.values` the gradient,
-    `u.matrix` the Hessian by it, `u.wider` its directions (τ, radius ω) after the turn E that led to the place."""
+    """Returns whether the step across the flat directions is determined.
+
+    Written: `u.wider`, these directions (τ, radius ω) after the turn E that led to the point; `u.values` and
+    `u.matrix`, gradient and Hessian along them; `u.column`, the step.
+    """
     count = flat.count_across
     for a in range(count):
         shift = mul(E, (flat.across[0, a], flat.across[1, a], flat.across[2, a]))
@@ -57,9 +60,9 @@ def _relax(flat: Any, E: Mat33, u: Any) -> bool:
 
 @inner
 def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, sums: Any, u: Any) -> float:
-    """Returns log weight of a place, its other coordinates made the best there; adds it to the sums.
+    """Returns the log weight of a point, whose coordinates across become the best ones; adds it to the sums.
 
-    The cost is what the step across promises: what S changes on the way is left out.
+    The cost is that which the step across predicts: the contacts' covariances are taken as before the step.
     """
     count, fine = flat.count_across, evidence.model.fine
     coordinates_at(flat, point, u.row)
@@ -79,10 +82,10 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, sums: Any, u: A
     cost = without_bumps(evidence, flat, at_coordinates(mode, evidence.model.radius, u.row), cost)
     half = 0.5 * norm((u.row[3], u.row[4], u.row[5])) / evidence.model.radius
     if half > 0.5 * np.pi:
-        return -np.inf  # a place met before, from the other side
+        return -np.inf  # this pose is also reached by the turn the other way round
     log_weight = -0.5 * cost
     if half > 1e-6:
-        log_weight += 2 * np.log(np.sin(half) / half)  # of rotations there are fewer, the larger the turn
+        log_weight += 2 * np.log(np.sin(half) / half)  # the volume of rotations shrinks with the turn
     for a in range(count):
         log_weight += np.log(u.factor[a, a])
     _add(flat, mode, evidence.model.radius, log_weight, sums, u)
@@ -91,7 +94,7 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, sums: Any, u: A
 
 @inner
 def _add(flat: Any, mode: Pose, radius: float, log_weight: float, sums: Any, u: Any) -> None:
-    """Adds a place, whose coordinates `u.row` are, with its Gaussian across the slide, both by (δp, δθ)."""
+    """Adds the point at the coordinates `u.row` with its Gaussian across the flat directions, both by (δp, δθ)."""
     count, shift = flat.count_across, sub(at_coordinates(mode, radius, u.row)[1], mode[1])
     if log_weight > sums.best:
         before = np.exp(sums.best - log_weight)
@@ -108,7 +111,7 @@ def _add(flat: Any, mode: Pose, radius: float, log_weight: float, sums: Any, u: 
         turn = scale((u.wider[3, a], u.wider[4, a], u.wider[5, a]), 1 / radius)
         moved = scale(add((u.wider[0, a], u.wider[1, a], u.wider[2, a]), cross(turn, shift)), flat.stretch[a])
         column = moved + scale(turn, flat.stretch[a])
-        # The columns of L⁻¹ Gᵀ, of which the product with itself is G H⁻¹ Gᵀ.
+        # The columns of A = L⁻¹ Gᵀ: Aᵀ A = G H⁻¹ Gᵀ.
         for i in range(6):
             value = column[i]
             for b in range(a):
@@ -127,7 +130,7 @@ def _add(flat: Any, mode: Pose, radius: float, log_weight: float, sums: Any, u: 
 
 @inner
 def cover(flat: Any, others: Any, u: Any) -> None:
-    """Marks other modes (n, 7), coordinates and a mark, that lie beside the place that was visited last."""
+    """Marks those of the other modes (n, 7), coordinates and a mark, that lie beside the point visited last."""
     for n in range(len(others)):
         beside = True
         for k in range(flat.count):

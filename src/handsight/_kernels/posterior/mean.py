@@ -1,12 +1,13 @@
-"""A mode's mean and covariance where it is no Gaussian: a slide that contacts bound and do not fix, or an edge.
+"""A mode's mean and covariance where it is not Gaussian: along a flat direction that is bounded, or at an edge.
 
 Coordinates are (s, radius θ) [m], straight along the object (`retract_body`). Along the few directions in which the
 posterior departs from a Gaussian a lattice is flooded from the mode on, as far as there is density. At each of its
-places a Gauss-Newton step leads to the best of the other directions, which count as Gaussian there (Laplace):
+points a Gauss-Newton step leads to the best of the other directions, which count as Gaussian there (Laplace):
 
-    weight = exp(-cost / 2) / √det H,    H: Gauss-Newton Hessian across the slide, walls in it
+    weight = exp(-cost / 2) / √det H,    H: Gauss-Newton Hessian across the flat directions, walls in it
 
-Along a slide over a scan's bumps the mode is in the deepest dent: there touch's cost counts from what dents explain on.
+Along a flat direction over a scan's bumps the mode is in the deepest dent: there the cost of contacts counts only from
+the level that dents explain.
 """
 
 from typing import Any
@@ -15,10 +16,10 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
 from handsight._kernels.evidence.outside_term import measure_clearances
-from handsight._kernels.evidence.prior_term import rotation_log
-from handsight._kernels.evidence.terms import LOADS, PRIOR, Evidence, evidence_cost
-from handsight._kernels.math.dense6 import eigen
+from handsight._kernels.evidence.terms import FIXED_NOISE, PRIOR, Evidence, evidence_cost
+from handsight._kernels.math.dense6 import eigen, from_eigen, scale_turns
 from handsight._kernels.math.simd import local
+from handsight._kernels.math.so3 import rotation_log
 from handsight._kernels.math.symmetry import nearest, pose_of
 from handsight._kernels.math.vec3 import matmul, scale, sub, tmul, transpose
 from handsight._kernels.posterior.density import posterior_cost
@@ -44,17 +45,14 @@ from handsight._kernels.records import (
     WEAK_PRIOR,
 )
 from handsight._kernels.runtime.compilation import entry, inner
-from handsight._kernels.solve.batch import fill_prior, load_terms
+from handsight._kernels.solve.batch import load_evidence
 
 
 @inner
 def _flood(evidence: Evidence, mode: Pose, flat: Any, others: Any, sums: Any) -> bool:
-    """Returns whether all that has density was visited, from the mode on."""
-    u, points, reach = (
-        local(UNCERTAINTY),
-        np.zeros(INTEGRATION.max_points, LATTICE_POINT),
-        INTEGRATION.max_extent[flat.count - 1],
-    )
+    """Returns whether all places with density were visited, from the mode on."""
+    u, points = local(UNCERTAINTY), np.zeros(INTEGRATION.max_points, LATTICE_POINT)
+    reach = INTEGRATION.max_extent[flat.count - 1]
     side = 2 * reach + 1
     visited = np.zeros(side**flat.count, np.bool_)
     sums.total, sums.best = 0.0, -np.inf
@@ -90,19 +88,16 @@ def _flood(evidence: Evidence, mode: Pose, flat: Any, others: Any, sums: Any) ->
 
 
 @inner
-def _integrated(evidence: Evidence, mode: Pose, others: Any, flat: Any, sums: Any) -> bool:
+def _integrate_mode(evidence: Evidence, mode: Pose, others: Any, flat: Any, sums: Any) -> bool:
     """Returns whether a lattice was fine enough, and small enough to be covered; fills in the sums over its places."""
     choose(evidence, mode, flat, local(UNCERTAINTY))
     rows = np.empty(len(evidence.outside), OUTSIDE)
     measure_clearances(evidence, evidence.model.fine, mode, np.inf, rows)
-    near = Evidence(
-        evidence.model, evidence.nodes, evidence.terms, rows, evidence.weight, evidence.prior, evidence.center
-    )
-    flat.bump_margin, here = (
-        INTEGRATION.bump_sigmas * cost_deviation(evidence, mode),
-        posterior_cost(evidence, mode),
-    )
-    by_prior = evidence_cost(evidence, PRIOR | LOADS, mode)
+    nodes, terms, given = evidence.nodes, evidence.terms, evidence.constraints
+    near = Evidence(evidence.model, nodes, terms, rows, given, evidence.prior, evidence.center)
+    flat.bump_margin = INTEGRATION.bump_sigmas * cost_deviation(evidence, mode)
+    here = posterior_cost(evidence, mode)
+    by_prior = evidence_cost(evidence, PRIOR | FIXED_NOISE, mode)
     flat.level = here - by_prior + flat.bump_margin
     measure(near, mode, flat, here + flat.bump_margin)
     for _ in range(INTEGRATION.max_lattices):
@@ -121,8 +116,8 @@ def _integrated(evidence: Evidence, mode: Pose, others: Any, flat: Any, sums: An
 
 @inner
 def _store_mean(model: Any, mode: Pose, flat: Any, sums: Any, row: Any) -> None:
-    """Writes the answer's pose, covariance and information; those of a direction that is not known, blind, stay the
-    mode's."""
+    """Writes the answer's pose, covariance and information; where a direction is unknown, as may be without vision, the
+    latter two stay the mode's."""
     u, radius = local(UNCERTAINTY), model.radius
     for i in range(6):
         u.row[i] = sums.first[i] / sums.total
@@ -136,41 +131,25 @@ def _store_mean(model: Any, mode: Pose, flat: Any, sums: Any, row: Any) -> None:
         return
     for i in range(6):
         for j in range(6):
-            value = (sums.second[i, j] + sums.within[i, j]) / sums.total - mean[i] * mean[j]
-            row.covariance[i, j] = value
-            u.matrix[i, j] = value * ((1.0 if i < 3 else radius) * (1.0 if j < 3 else radius))
+            row.covariance[i, j] = (sums.second[i, j] + sums.within[i, j]) / sums.total - mean[i] * mean[j]
+    scale_turns(row.covariance, radius, u.matrix)
     limit = mark_spins(model, (R, (0.0, 0.0, 0.0)), u.matrix)
     eigen(u.matrix, u.values, u.vectors)
-    for i in range(6):
-        for j in range(6):
-            value = 0.0
-            for k in range(6):
-                if u.values[k] < limit:
-                    value += u.vectors[i, k] * u.vectors[j, k] / u.values[k]
-            row.information[i, j] = value * ((1.0 if i < 3 else radius) * (1.0 if j < 3 else radius))
-
-
-@inner
-def _coordinates(model: Any, pose: Pose, mode: Pose, out: Any) -> None:
-    """Returns (s, radius θ) of a pose, or its nearest equivalent, from a mode."""
-    R, p = nearest(model, pose, mode)
-    E = matmul(R, transpose(mode[0]))
-    six = tmul(E, sub(p, mode[1])) + scale(rotation_log(E), model.radius)
-    for i in range(6):
-        out[i] = six[i]
+    for k in range(6):
+        u.values[k] = 1 / u.values[k] if u.values[k] < limit else 0.0
+    from_eigen(u.values, u.vectors, radius, row.information)
 
 
 @entry
 def integrate(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, answers: Any) -> None:
-    """Makes means of the first of the answers (K,) that depart from a Gaussian; the first set of contacts counts.
+    """Turns the first of the answers (K,), where they depart from a Gaussian, into means.
 
-    Another mode that is reached along a slide is part of that mean: its weight becomes -1. `log_weight` becomes the
-    integral's logarithm, as `mode_weights` has it. An answer's `pose` remains the mode.
+    The first set of contacts is used. Another mode that is reached along the flat directions is part of that mean: its
+    weight becomes -1. `log_weight` becomes the logarithm of the integral. An answer's `pose` remains the mode.
     """
     term, flat, sums = local(PRIOR_TERM), local(FLAT_DIRECTIONS), local(SUMS)
     terms, others = np.empty(contacts.shape[1], TERM), np.empty((len(answers), 7))
-    center = load_terms(contacts[0], terms)
-    fill_prior(model[0], constraints[0], center, term)
+    load_evidence(model[0], contacts[0], constraints[0], terms, term)
     floor = (1.0 if term.kind == WEAK_PRIOR else 1e-9) / model[0].radius ** 2
     best = -np.inf
     for k in range(min(len(answers), INTEGRATION.max_modes)):
@@ -183,9 +162,14 @@ def integrate(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: 
             continue
         mode = pose_of(row.pose)
         for n in range(k + 1, len(answers)):
-            _coordinates(model[0], pose_of(answers[n].pose), mode, others[n])
-        evidence = Evidence(model[0], nodes, terms, outside, constraints[0].weight, term, mode[1])
-        if _integrated(evidence, mode, others[k + 1 :], flat, sums):
+            # Coordinates (s, radius θ), from the mode, of the other mode's nearest equivalent.
+            Q, q = nearest(model[0], pose_of(answers[n].pose), mode)
+            E = matmul(Q, transpose(mode[0]))
+            six = tmul(E, sub(q, mode[1])) + scale(rotation_log(E), model[0].radius)
+            for i in range(6):
+                others[n, i] = six[i]
+        evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, mode[1])
+        if _integrate_mode(evidence, mode, others[k + 1 :], flat, sums):
             _store_mean(model[0], mode, flat, sums, row)
             spins = 6 - flat.count - flat.count_across
             row.log_weight = np.log(sums.total) + sums.best - 0.5 * spins * np.log(floor)

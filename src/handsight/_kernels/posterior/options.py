@@ -1,4 +1,4 @@
-"""How the posterior around a mode is read, and how a mode that is not Gaussian is integrated."""
+"""Options: how the information of a mode is calibrated, and how a mode that is not Gaussian is integrated."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ class CalibrationOptions(NamedTuple):
     stride: float = 1.5
     """How many standard deviations from a mode its cost is read."""
     secant_passes: int = 3
-    """How often it is read at most, each time at the last standard deviation."""
+    """How often the cost is read at most, each time at the standard deviation found last."""
     min_factor: float = 0.05
     """The most by which one pass lowers an information."""
     wide_sigma: float = 0.02
@@ -26,7 +26,7 @@ class IntegrationOptions(NamedTuple):
     max_gaussian_rise: float = 1.5
     """A mode is not Gaussian when the cost beside it rises by more than this factor times a Gaussian's."""
     wall_stride: float = 2.3
-    """At how many standard deviations walls are looked for, too."""
+    """The cost is also read at so many standard deviations, where walls may be."""
     narrow_sigma: float = 0.02
     """A direction is integrated over only above this standard deviation, as a part of the radius."""
     max_directions: int = 3
@@ -36,10 +36,10 @@ class IntegrationOptions(NamedTuple):
     points_per_sigma: tuple[float, float, float] = (4.0, 2.0, 1.3)
     """Lattice points in a standard deviation, along one, two or three directions."""
     max_cost: float = 6.0
-    """From a point that costs this much more than the best the lattice grows no further."""
+    """The lattice does not grow from a point that costs this much more than the best."""
     bump_sigmas: float = 3.0
-    """By how many standard deviations of a noisy model's cost its deepest minimum may be below the right pose: 1.5
-    below what is usual, as the least of ten or so is, which is 1.5 above the right one."""
+    """By how many standard deviations of a noisy model's cost its deepest dent may be below the right pose: 1.5 from
+    the mean to the least of about ten dents, and 1.5 from the mean to the cost at the right pose."""
     max_lattices: int = 5
     """Lattices that are tried until one is fine enough."""
     max_points: int = 600
@@ -49,15 +49,16 @@ class IntegrationOptions(NamedTuple):
     rise: float = 2.0
     """A direction reaches as far as its cost rises by this."""
     max_probes: int = 6
-    """How often the cost is read to either side to find that."""
+    """How often the cost is read to either side to find where."""
     sweeps: int = 2
     """How often all directions are measured."""
     sigma_of_reach: tuple[float, float, float] = (0.6, 0.8, 0.8)
-    """A standard deviation as a part of that reach, along one, two or three directions."""
+    """A standard deviation as a part of the reach, along one, two or three directions."""
     min_log_weight: float = 7.0
-    """A mode whose log weight is this much less than another's stays its maximum."""
+    """A mode whose log weight is less than another's by more than this is not integrated."""
     same_mode: float = 16.0
-    """A mode this near to a lattice point, in squared standard deviations across the flat directions, belongs to it."""
+    """Another mode this near to a lattice point, in squared standard deviations across the flat directions, is part of
+    the same mean."""
 
 
 CALIBRATION, INTEGRATION = CalibrationOptions(), IntegrationOptions()

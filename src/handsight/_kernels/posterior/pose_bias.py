@@ -1,8 +1,9 @@
-"""The steps of the smoother: what vision should measure, how far a pose is from that, and the posterior of all of them.
+"""The smoother's steps: what vision should measure, the distance of a measurement from that, and the posterior.
 
-A state is `Ts` (2, 4, 4): `T_palm_object`, and vision's bias `T_measured_true`, along the mount's axes, both about a
-pivot; its covariance (12, 12) is of the perturbations (δp, δθ) of the pose, along the palm's axes, and of the bias. A
-measurement's rows are `H | innovation` (6, 13), innovation = measured less expected = H (true less state) + noise.
+A state is `Ts` (2, 4, 4): `T_palm_object`, and vision's bias `T_measured_true` about a pivot, along the axes of the
+mount (what the camera is fixed to). Its covariance (12, 12) is of the perturbations (δp, δθ) of the pose, along the
+palm's axes, and of the bias. A measurement's rows are `H | innovation` (6, 13), where innovation = measured - expected
+= H (truth - state) + noise.
 """
 
 from typing import Any
@@ -10,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.prior_term import rotation_exp, rotation_log
 from handsight._kernels.math.dense6 import factor, solve
+from handsight._kernels.math.so3 import rotation_exp, rotation_log
 from handsight._kernels.math.symmetry import store_transform, transform_of
 from handsight._kernels.math.vec3 import (
     Vec3,
     add,
+    dot,
     matmul,
     matrix,
     mul,
@@ -23,26 +25,20 @@ from handsight._kernels.math.vec3 import (
     skew,
     store,
     sub,
+    sub33,
     transpose,
     vector,
 )
 from handsight._kernels.runtime.compilation import entry, inner
 
 STATE = 12
-"""Numbers of a perturbation of pose and bias."""
-GAUSS_NEWTON_STEPS = 2
-"""For each measurement; what they leave comes with the next."""
-SMALL_STEP = 1e-4
-"""χ² of what a step leaves to the next: a hundredth of a standard deviation. Of a step that turns by an angle, at most
-that part of it is left."""
-LENGTH_PER_TURN = 0.1
-"""What a radian counts as [m] when palms are compared."""
+"""Size of a perturbation of pose and bias."""
 
 
 @inner
-def _measured(Ts: Any, pivot: Vec3, T_mount_palm: Any) -> Pose:
-    """Returns where vision should see the object from a palm: E (T_mount_palm T_palm_object), E the bias about the
-    pivot."""
+def _expected(Ts: Any, pivot: Vec3, T_mount_palm: Any) -> Pose:
+    """Returns the pose of the object that vision should measure from a palm: E (T_mount_palm T_palm_object), E being
+    the bias about the pivot."""
     (R, p), (Q, q), (E, e) = transform_of(T_mount_palm), transform_of(Ts[0]), transform_of(Ts[1])
     place = add(p, mul(R, q))
     return matmul(E, matmul(R, Q)), add(add(pivot, e), mul(E, sub(place, pivot)))
@@ -57,7 +53,7 @@ def _store_difference(pose: Pose, reference: Pose, out: Any) -> None:
 
 @inner
 def _move(T: Any, step: Any) -> None:
-    """Moves a pose (4, 4) after the perturbation (δp, δθ) (6)."""
+    """Moves a pose (4, 4) by the perturbation (δp, δθ) (6)."""
     R, p = transform_of(T)
     turn = rotation_exp(vector(step[3:]))
     store_transform((matmul(turn, R), add(p, vector(step))), T)
@@ -65,12 +61,13 @@ def _move(T: Any, step: Any) -> None:
 
 @inner
 def linearize(Ts: Any, pivot: Vec3, one: Any, rows: Any) -> None:
-    """Fills `rows` (6, 13) of a MEASUREMENT.
+    """Fills in the rows `H | innovation` (6, 13) of a MEASUREMENT.
 
-    With the palm in the mount R, the bias E, e: a shift of the object moves what is measured by E R, a turn turns it by
-    as much; the bias shifts and turns it by itself, about the pivot, from which it is ℓ off: [I, -[ℓ]x; 0, I].
+    With R the palm's rotation in the mount and E, e the bias: a shift and a turn of the object appear in the
+    measurement turned by E R; a perturbation of the bias moves it about the pivot, from which it is ℓ away:
+    [I, -[ℓ]x; 0, I].
     """
-    expected = _measured(Ts, pivot, one.T_mount_palm)
+    expected = _expected(Ts, pivot, one.T_mount_palm)
     _, e = transform_of(Ts[1])
     by_object = matmul(matrix(Ts[1]), matrix(one.T_mount_palm))
     by_turn = skew(sub(sub(expected[1], pivot), e))
@@ -89,7 +86,7 @@ def linearize(Ts: Any, pivot: Vec3, one: Any, rows: Any) -> None:
 
 @inner
 def _whiten(factored: Any, rows: Any) -> None:
-    """Turns `rows` (6, m) into L⁻¹ rows, of a covariance L Lᵀ that is `factored`."""
+    """Turns `rows` (6, m) into L⁻¹ rows, where `factored` holds the factor of their covariance L Lᵀ."""
     for i in range(6):
         for k in range(i):
             for j in range(rows.shape[1]):
@@ -99,8 +96,9 @@ def _whiten(factored: Any, rows: Any) -> None:
 
 
 @inner
-def _take_in(rows: Any, mean: Any, covariance: Any) -> float:
-    """Returns a Gaussian after a whitened measurement (6, 13), one number at a time (Kalman); its χ² before."""
+def _update(rows: Any, mean: Any, covariance: Any) -> float:
+    """Turns a Gaussian (n) into its posterior after a whitened measurement `H | innovation` (6, n + 1), one row at a
+    time (Kalman); returns the χ² of the measurement before."""
     n, gain, chi2 = len(mean), np.empty(len(mean)), 0.0
     for m in range(len(rows)):
         innovation, variance = rows[m, n], 1.0
@@ -123,34 +121,35 @@ def _take_in(rows: Any, mean: Any, covariance: Any) -> float:
 @entry
 def expect(Ts: Any, pivot: Any, T_mount_palm: Any, T: Any) -> None:
     """Fills `T` (4, 4) with the pose that vision should measure, in the mount."""
-    store_transform(_measured(Ts, vector(pivot), T_mount_palm), T)
+    store_transform(_expected(Ts, vector(pivot), T_mount_palm), T)
 
 
 @entry
 def distance2(Ts: Any, covariance: Any, pivot: Any, measurement: Any) -> float:
-    """Returns χ² (six degrees of freedom) of a MEASUREMENT (1) against what a state expects; infinite where its noise
-    is no covariance."""
+    """Returns χ² (six degrees of freedom) of a MEASUREMENT (1), given a state with its covariance; infinite where the
+    covariance of its noise is not positive definite."""
     rows, factored, spread = np.empty((6, STATE + 1)), np.empty((6, 6)), covariance.copy()
     linearize(Ts, vector(pivot), measurement[0], rows)
     if not factor(measurement[0].covariance, 6, 0.0, factored):
         return np.inf
     _whiten(factored, rows)
-    return _take_in(rows, np.zeros(STATE), spread)
+    return _update(rows, np.zeros(STATE), spread)
 
 
 @entry
 def smooth(Ts_prior: Any, prior: Any, pivot: Any, measurements: Any, Ts: Any, covariance: Any) -> bool:
-    """Returns the posterior when the last of the measurements came; False where the noise of one is no covariance.
+    """Writes the posterior at the time of the last measurement; returns False where the covariance of a measurement's
+    noise is not positive definite.
 
     `Ts`, the last answer, becomes the maximum a posteriori of a prior with covariance `prior` and all `measurements`
     (k) MEASUREMENT, by Gauss-Newton; `covariance` is written. A step is a Kalman filter over the measurements, in the
-    order of time, with every derivative taken at one state: what the object has walked since an older one is common to
-    all that are as old.
+    order of time, with every derivative taken at one state. So the object's random walk since an older measurement is
+    an error common to all that are as old.
     """
     rows, factored, step = np.empty((6, STATE + 1)), np.empty((6, 6)), np.empty(STATE)
     joint, back = np.empty((STATE, STATE)), np.empty(STATE)
     center = vector(pivot)
-    for _ in range(GAUSS_NEWTON_STEPS):
+    for _ in range(2):  # steps for each new measurement; the error that they leave is removed with the next
         for i in range(2):
             _store_difference(transform_of(Ts_prior[i]), transform_of(Ts[i]), step[6 * i : 6 * i + 6])
         for i in range(STATE):
@@ -165,7 +164,7 @@ def smooth(Ts_prior: Any, prior: Any, pivot: Any, measurements: Any, Ts: Any, co
             if not factor(one.covariance, 6, 0.0, factored):
                 return False
             _whiten(factored, rows)
-            _take_in(rows, step, covariance)
+            _update(rows, step, covariance)
         for i in range(2):
             _move(Ts[i], step[6 * i : 6 * i + 6])
         turned = max(norm(vector(step[3:])), norm(vector(step[9:])))
@@ -174,68 +173,42 @@ def smooth(Ts_prior: Any, prior: Any, pivot: Any, measurements: Any, Ts: Any, co
             left = 0.0
             for i in range(STATE):
                 left += step[i] * back[i]
-            if turned * turned * left < SMALL_STEP:
+            # A step that turns by an angle leaves at most that fraction of itself: here a χ² of a hundredth of a
+            # standard deviation, squared.
+            if turned * turned * left < 1e-4:
                 break
     return True
 
 
 @inner
-def _copy(one: Any, out: Any) -> None:
-    """Copies a measurement, field by field, for numba assigns no record whole."""
-    for i in range(4):
-        for j in range(4):
-            out.T_mount_palm[i, j] = one.T_mount_palm[i, j]
-            out.T_mount_object[i, j] = one.T_mount_object[i, j]
-    for i in range(6):
-        out.process_noise[i] = one.process_noise[i]
-        for j in range(6):
-            out.covariance[i, j] = one.covariance[i, j]
+def _average(old: Any, new: Any, Ts: Any, pivot: Vec3) -> bool:
+    """Replaces the newer of two measurements by their mean, weighted by their information, as one from the older's palm
+    pose; returns whether that was possible.
 
-
-@inner
-def _age(one: Any, process_noise: Any, covariance: Any) -> None:
-    """Writes the `covariance` (6, 6) of a measurement, were it from when the object had walked by `process_noise`
-    (6)."""
-    R = matrix(one.T_mount_palm)
+    The older is first brought to the newer's time: its covariance grows by the object's random walk in between.
+    """
+    R, expected = matrix(old.T_mount_palm), _expected(Ts, pivot, old.T_mount_palm)
+    both, factored, rows = np.empty((6, 6)), np.empty((6, 6)), np.zeros((6, 7))
+    innovation, other = np.empty(6), np.empty(6)
+    _store_difference(transform_of(old.T_mount_object), expected, innovation)
+    _store_difference(transform_of(new.T_mount_object), _expected(Ts, pivot, new.T_mount_palm), other)
     for i in range(6):
+        rows[i, i], rows[i, 6] = 1.0, other[i]
         for j in range(6):
-            covariance[i, j] = one.covariance[i, j]
+            both[i, j] = old.covariance[i, j]
     for a in range(0, 6, 3):
         for i in range(3):
             for j in range(3):
                 for k in range(3):
-                    motion_variance = process_noise[a + k] - one.process_noise[a + k]
-                    covariance[a + i, a + j] += R[i][k] * motion_variance * R[j][k]
-
-
-@inner
-def _average(old: Any, new: Any, Ts: Any, pivot: Vec3) -> bool:
-    """Returns the newer of two measurements becomes both, from the older's palm: innovations weighted by their
-    information."""
-    expected = _measured(Ts, pivot, old.T_mount_palm)
-    aged, factored, rows = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 7))
-    innovation, other = np.empty(6), np.empty(6)
-    _store_difference(transform_of(old.T_mount_object), expected, innovation)
-    _store_difference(transform_of(new.T_mount_object), _measured(Ts, pivot, new.T_mount_palm), other)
-    _age(old, new.process_noise, aged)
-    # With A the older's covariance, L Lᵀ that of the difference and W = L⁻¹ A: A - Wᵀ W is that of both.
-    for i in range(6):
-        for j in range(6):
-            rows[i, j] = aged[i, j]
-            factored[i, j] = aged[i, j] + new.covariance[i, j]
-        rows[i, 6] = other[i] - innovation[i]
-    if not factor(factored.copy(), 6, 0.0, factored):
+                    drift = new.process_noise[a + k] - old.process_noise[a + k]
+                    both[a + i, a + j] += R[i][k] * drift * R[j][k]
+    if not factor(new.covariance, 6, 0.0, factored):
         return False
     _whiten(factored, rows)
-    for i in range(6):
-        for k in range(6):
-            innovation[i] += rows[k, i] * rows[k, 6]
-        for j in range(6):
-            for k in range(6):
-                aged[i, j] -= rows[k, i] * rows[k, j]
+    _update(rows, innovation, both)
     for i in range(6):
         for j in range(6):
-            new.covariance[i, j] = (aged[i, j] + aged[j, i]) / 2
+            new.covariance[i, j] = (both[i, j] + both[j, i]) / 2
     for i in range(4):
         for j in range(4):
             new.T_mount_palm[i, j] = old.T_mount_palm[i, j]
@@ -244,33 +217,27 @@ def _average(old: Any, new: Any, Ts: Any, pivot: Vec3) -> bool:
     return True
 
 
-@inner
-def _angles_between(a: Any, b: Any) -> tuple[float, float]:
-    """Returns how far palms (4, 4) are from each other [m], [rad]."""
-    shift, square = sub((a[0, 3], a[1, 3], a[2, 3]), (b[0, 3], b[1, 3], b[2, 3])), 0.0
-    for i in range(3):
-        for j in range(3):
-            square += (a[i, j] - b[i, j]) ** 2
-    # Two rotations differ by √8 times the sine of half the angle between them.
-    return norm(shift), 2 * np.arcsin(min(np.sqrt(square / 8), 1.0))
-
-
 @entry
 def merge(measurements: Any, most: int, same: Any, Ts: Any, pivot: Any) -> int:
-    """Returns how many of the measurements (k + 1) MEASUREMENT are left when the last, which is new, has become one
-    with that of the nearest palm, if there are more than `most` or it is nearer than `same` [m], [rad]; in the order
-    of time."""
-    last, best, least = len(measurements) - 1, 0, np.inf
-    new, near = measurements[last], False
+    """Returns how many of the measurements (k + 1) MEASUREMENT, in the order of time, are left after the last, which is
+    new, was merged with that of the nearest palm: if there are more than `most`, or if it is nearer than `same` [m],
+    [rad]."""
+    last, best, least, near = len(measurements) - 1, 0, np.inf, False
+    length_per_turn = 0.1  # that a radian counts as [m]
+    new = measurements[last]
     for k in range(last):
-        shift, turn = _angles_between(measurements[k].T_mount_palm, new.T_mount_palm)
-        if shift + LENGTH_PER_TURN * turn < least:
-            best, least = k, shift + LENGTH_PER_TURN * turn
-            near = not (shift > same[0] or turn > same[1])
+        (R, p), (Q, q) = transform_of(measurements[k].T_mount_palm), transform_of(new.T_mount_palm)
+        # Two rotations differ, entry by entry, by √8 times the sine of half the angle between them.
+        rest = sub33(R, Q)
+        square = dot(rest[0], rest[0]) + dot(rest[1], rest[1]) + dot(rest[2], rest[2])
+        shift, turn = norm(sub(p, q)), 2 * np.arcsin(min(np.sqrt(square / 8), 1.0))
+        if shift + length_per_turn * turn < least:
+            best, least = k, shift + length_per_turn * turn
+            near = shift <= same[0] and turn <= same[1]
     if last == 0 or not (near or last >= most):
         return last + 1
     if not _average(measurements[best], new, Ts, vector(pivot)):
         return last + 1
     for k in range(best, last):
-        _copy(measurements[k + 1], measurements[k])
+        measurements[k] = measurements[k + 1]
     return last

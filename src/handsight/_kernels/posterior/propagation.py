@@ -1,4 +1,4 @@
-"""What a pose's uncertainty becomes as the object walks in the palm, and what it is at a point of the object."""
+"""A pose's information after process noise, and its covariance at a point of the object."""
 
 from typing import Any
 
@@ -10,15 +10,12 @@ from handsight._kernels.math.vec3 import add, cross, scale, vector
 from handsight._kernels.records import UNCERTAINTY
 from handsight._kernels.runtime.compilation import entry
 
-NEGLIGIBLE = 1e-9
-"""Of the largest eigenvalue: below it a declared symmetry leaves the information at zero."""
-
 
 @entry
 def inflate(information: Any, variance: Any) -> None:
-    """Inflates an information (6, 6), which may be singular, after process noise (6): (I⁻¹ + Q)⁻¹, an axis at a time.
+    """Lowers an information I (6, 6), which may be singular, by process noise of variances Q (6): (I⁻¹ + Q)⁻¹.
 
-    Of q along e that is I - q I e eᵀ I / (1 + q eᵀ I e) (Sherman and Morrison).
+    One axis e after the other, of variance q: I - q I e eᵀ I / (1 + q eᵀ I e) (Sherman and Morrison).
     """
     column = np.empty(6)
     for k in range(6):
@@ -32,10 +29,10 @@ def inflate(information: Any, variance: Any) -> None:
 
 @entry
 def at_point(information: Any, radius: float, lever: Any, covariance: Any) -> float:
-    """Returns the largest eigenvalue of the `covariance` (3, 3), written, of where a point is that the object's
-    origin carries at the end of a `lever` (3).
+    """Writes the `covariance` (3, 3) of the position of a point at the end of a `lever` (3) from the object's origin;
+    returns its largest eigenvalue.
 
-    What a declared symmetry leaves at zero in the information (6, 6) is no uncertainty.
+    A direction that a declared symmetry leaves at zero in the information (6, 6) adds no uncertainty.
     """
     u, arm, most = local(UNCERTAINTY), vector(lever), 0.0
     in_metres(information, radius, u.matrix)
@@ -45,7 +42,7 @@ def at_point(information: Any, radius: float, lever: Any, covariance: Any) -> fl
         for j in range(6):
             u.matrix[i, j] = 0.0
     for k in range(6):
-        if u.values[k] > NEGLIGIBLE * most:
+        if u.values[k] > 1e-9 * most:  # else it is a declared symmetry's zero
             shift = u.vectors[0, k], u.vectors[1, k], u.vectors[2, k]
             turn = scale((u.vectors[3, k], u.vectors[4, k], u.vectors[5, k]), 1 / radius)
             moved = scale(add(shift, cross(turn, arm)), 1 / np.sqrt(u.values[k]))

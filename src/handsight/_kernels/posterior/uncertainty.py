@@ -1,6 +1,6 @@
-"""What is known of a pose: its calibrated information, its covariance, and the directions that are open.
+"""The uncertainty of a pose: its calibrated information, its covariance, and the unobservable directions.
 
-Information is judged in metres: coordinates (δp, radius δθ), so that a turn counts by what it moves.
+Information is judged in metres: coordinates (δp, radius δθ), so that a turn counts by how far it moves the surface.
 """
 
 from typing import Any
@@ -9,22 +9,21 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
 from handsight._kernels.evidence.outside_term import NEVER_MEASURED, nearby
-from handsight._kernels.evidence.prior_term import IDENTITY
+from handsight._kernels.evidence.prior_term import about_point
 from handsight._kernels.evidence.terms import Evidence
-from handsight._kernels.math.dense6 import eigen, factor, in_metres, solve
+from handsight._kernels.math.dense6 import eigen, factor, from_eigen, in_metres, solve
 from handsight._kernels.math.simd import local
+from handsight._kernels.math.so3 import rotation_exp
 from handsight._kernels.math.vec3 import (
     Vec3,
     add,
-    add33,
     cross,
+    dot,
     matmul,
     matrix,
     mul,
-    norm,
     scale,
     scale33,
-    skew,
     sub,
     vector,
 )
@@ -35,19 +34,16 @@ from handsight._kernels.runtime.compilation import inner
 
 
 @inner
-def retract_body(pose: Pose, flat: tuple[Vec3, Vec3]) -> Pose:
-    """Returns the pose after a slide (s, δθ), straight along the object: `exp(δθ) R` and `p + exp(δθ) s`."""
-    (R, p), (s, w) = pose, flat
-    half = 0.5 * norm(w)
-    ratio = np.sin(half) / half if half > 1e-9 else 1.0
-    S = skew(w)
-    E = add33(IDENTITY, add33(scale33(S, ratio * np.cos(half)), scale33(matmul(S, S), 0.5 * ratio * ratio)))
+def retract_body(pose: Pose, step: tuple[Vec3, Vec3]) -> Pose:
+    """Returns the pose after a step (s, δθ) that is straight along the object: `exp(δθ) R` and `p + exp(δθ) s`."""
+    (R, p), (s, turn) = pose, step
+    E = rotation_exp(turn)
     return matmul(E, R), add(p, mul(E, s))
 
 
 @inner
 def _column(vectors: Any, k: int, length: float, radius: float) -> tuple[Vec3, Vec3]:
-    """Returns the slide of a length [m] along the k-th eigenvector."""
+    """Returns the step (s, δθ) of a length [m] along the k-th eigenvector."""
     shift, turn = (vectors[0, k], vectors[1, k], vectors[2, k]), (vectors[3, k], vectors[4, k], vectors[5, k])
     return scale(shift, length), scale(turn, length / radius)
 
@@ -56,16 +52,16 @@ def _column(vectors: Any, k: int, length: float, radius: float) -> tuple[Vec3, V
 def calibrated_information(
     evidence: Evidence, pose: Pose, stride: float, values: Any, vectors: Any, rises: Any
 ) -> None:
-    """Lowers the eigenvalues of an information [1/m²] to what the posterior's own cost does a stride away.
+    """Lowers the eigenvalues of an information [1/m²] to what the posterior's cost shows at a stride from the mode.
 
-    At an edge, on a bumpy scan or along a bounded slide the slope of the residuals at the mode tells little about a
-    standard deviation away. Along each eigenvector the cost is read on both sides at `stride` deviations, where a
-    Gaussian's has risen by its square; the eigenvalue is scaled by what it did, again where that was more than halving
-    it. `rises` (6): how much more than a Gaussian's the cost rose to the steeper side, as a ratio; infinite where a
-    deviation is an open direction's, and 0 where nothing is known.
+    At an edge, on a bumpy scan or along a bounded flat direction the slope of the residuals at the mode says little
+    about the cost a standard deviation away. So the cost is read along each eigenvector on both sides, `stride`
+    deviations away, where a Gaussian's has risen by the square of that; the eigenvalue is scaled by the ratio of the
+    two, and again where that more than halved it. Written to `rises` (6) is that ratio on the steeper side: infinite
+    where a deviation is as large as in an unobservable direction, and 0 where nothing is known.
     """
     model, largest, here = evidence.model, 0.0, 0.0
-    radius = model.radius
+    radius, nodes, terms = model.radius, evidence.nodes, evidence.terms
     near, clearances, rows = evidence, NEVER_MEASURED, np.empty(len(evidence.outside), OUTSIDE)
     for k in range(6):
         largest = max(largest, values[k])
@@ -77,20 +73,14 @@ def calibrated_information(
             length = stride * min(1 / np.sqrt(values[max(k, 0)]), radius / 2)
             change = steeper = 0.0
             for side in range(2):
-                # Before the eigenvectors, the mode itself: one place evaluates, for it is long to compile.
-                flat = _column(vectors, max(k, 0), (-length if side else length) if k >= 0 else 0.0, radius)
-                beside = retract_body(pose, flat)
+                # The mode itself comes first, as k = -1: only one place evaluates, for it is long to compile.
+                step = _column(vectors, max(k, 0), (-length if side else length) if k >= 0 else 0.0, radius)
+                beside = retract_body(pose, step)
                 if len(rows):
                     clearances = nearby(evidence, model.fine, beside, clearances, rows)
                     left = rows[: clearances[1]]
                     near = Evidence(
-                        model,
-                        evidence.nodes,
-                        evidence.terms,
-                        left,
-                        evidence.weight,
-                        evidence.prior,
-                        evidence.center,
+                        model, nodes, terms, left, evidence.constraints, evidence.prior, evidence.center
                     )
                 there = posterior_cost(near, beside)
                 if k < 0:
@@ -110,7 +100,7 @@ def calibrated_information(
 
 @inner
 def _departure(model: Any, values: Any, rises: Any) -> float:
-    """Returns the largest of the rises along slides; infinite where more is unknown than turns about declared axes."""
+    """Returns the largest rise along a wide direction; infinite if more is unknown than spins about declared axes."""
     most, unknown = 0.0, 0
     for k in range(6):
         if values[k] * (CALIBRATION.wide_sigma * model.radius) ** 2 < 1:
@@ -121,34 +111,34 @@ def _departure(model: Any, values: Any, rises: Any) -> float:
 
 @inner
 def second_order_information(model: Any, least: float, row: Any, u: Any) -> bool:
-    """Returns whether all is known of a posterior that is Gaussian along the object; writes its information and
-    covariance.
+    """Returns whether every direction is known of a posterior that is Gaussian along the object; writes its information
+    and covariance.
 
-    From `u.values` [1/m²] and `u.vectors`; known is what is above `least`. The contacts are linear in a slide `s` along
-    the object's own, turned, axes: `δp = exp(δθ) s ≈ s + δθ × s`. Along the palm's axes a long slide with an uncertain
-    turn is therefore an arc, wider than the first order says by the covariance of `δθ × s`. Deviations count up to the
-    radius: what touches cannot slide further. Unknown directions stay unknown.
+    From the eigenvalues `u.values` [1/m²] and `u.vectors`; known is what is above `least`. The contacts are linear in a
+    step `s` along the object's own, turned, axes: `δp = exp(δθ) s ≈ s + δθ × s`. Along the palm's axes a long step with
+    an uncertain turn is therefore an arc, wider than the first order by the covariance of `δθ × s`. Deviations count up
+    to the radius: what touches cannot move further. Unknown directions stay unknown.
     """
-    radius, values, vectors = model.radius, u.values, u.vectors
-    known, complete = _keep_known(values, vectors, least)
-    for k in range(known):
-        u.row[k] = min(1 / values[k], radius * radius)
-    for i in range(6):
-        for j in range(6):
-            value = 0.0
-            for k in range(known):
-                value += vectors[i, k] * u.row[k] * vectors[j, k]
-            u.matrix[i, j] = value * ((1.0 if i < 3 else 1 / radius) * (1.0 if j < 3 else 1 / radius))
+    radius, values, vectors, largest, known = model.radius, u.values, u.vectors, 0.0, 0
+    for k in range(6):
+        largest = max(largest, values[k])
+    complete = True
+    for k in range(6):  # the known ones move to the first columns
+        u.row[k] = 0.0
+        complete = complete and values[k] > least
+        if values[k] > CALIBRATION.negligible * largest:
+            values[known], u.row[known] = values[k], min(1 / values[k], radius * radius)
+            for i in range(6):
+                vectors[i, known] = vectors[i, k]
+            known += 1
+    from_eigen(u.row, vectors, 1 / radius, u.matrix)
     _arc_covariance(u.matrix, u.arc)
     arc = scale33(matrix(u.arc), 0.0 if row.first_order else 1.0)
     for a in range(known):
         va = vectors[0, a], vectors[1, a], vectors[2, a]
         for b in range(a + 1):
-            along = mul(arc, (vectors[0, b], vectors[1, b], vectors[2, b]))
-            value = (
-                va[0] * along[0] + va[1] * along[1] + va[2] * along[2] + (1 / values[a] if a == b else 0.0)
-            )
-            u.wider[a, b] = u.wider[b, a] = value
+            bent = dot(va, mul(arc, (vectors[0, b], vectors[1, b], vectors[2, b])))
+            u.wider[a, b] = u.wider[b, a] = bent + (1 / values[a] if a == b else 0.0)
     factor(u.wider, known, 0.0, u.factor)
     for j in range(known):
         for i in range(known):
@@ -158,30 +148,12 @@ def second_order_information(model: Any, least: float, row: Any, u: Any) -> bool
             u.matrix[i, j] = u.column[i]
     _sandwich(vectors, known, u.matrix, radius, row.information)
     _sandwich(vectors, known, u.wider, 1 / radius, row.covariance)
-    return complete
-
-
-@inner
-def _keep_known(values: Any, vectors: Any, least: float) -> tuple[int, bool]:
-    """Returns how many directions are known, moved to the first columns; whether all are, better than `least`."""
-    largest, known = 0.0, 0
-    for k in range(6):
-        largest = max(largest, values[k])
-    for k in range(6):
-        if values[k] > CALIBRATION.negligible * largest:
-            values[known] = values[k]
-            for i in range(6):
-                vectors[i, known] = vectors[i, k]
-            known += 1
-    complete = known == 6
-    for k in range(known):
-        complete = complete and values[k] > least
-    return known, complete
+    return complete and known == 6
 
 
 @inner
 def _sandwich(vectors: Any, known: int, middle: Any, turn: float, out: Any) -> None:
-    """Computes `vectors @ middle @ vectorsᵀ`, turns scaled by `turn`."""
+    """Fills `out` (6, 6) with V M Vᵀ, V the first `known` vectors, the rows and columns of δθ multiplied by `turn`."""
     for i in range(6):
         for j in range(i + 1):
             value = 0.0
@@ -195,7 +167,7 @@ def _sandwich(vectors: Any, known: int, middle: Any, turn: float, out: Any) -> N
 
 @inner
 def _arc_covariance(C: Any, out: Any) -> None:
-    """Fills `out` (3, 3) with the covariance of `δθ × s` for (s, δθ) Gaussian with covariance C (Isserlis)."""
+    """Fills `out` (3, 3) with the covariance of `δθ × s`, (s, δθ) being Gaussian with covariance C (Isserlis)."""
     for k in range(3):
         i, j = 3 + (k + 1) % 3, 3 + (k + 2) % 3
         for n in range(3):
@@ -211,66 +183,44 @@ def _arc_covariance(C: Any, out: Any) -> None:
 
 @inner
 def unobservable(model: Any, by_touch: Any, pose: Pose, out: Any, u: Any) -> int:
-    """Returns how many directions touch leaves open; writes them, orthonormal (δp, radius δθ) at the origin, to rows
-    of `out`.
+    """Returns how many directions touch leaves open; writes them, orthonormal (δp, radius δθ) about the origin, to the
+    first rows of `out`.
 
-    Judged at the object's center: an origin far from the object swings by metres where the object itself hardly turns.
+    They are judged about the object's center: an origin far from the object swings by metres where the object itself
+    hardly turns.
     """
-    radius = model.radius
+    radius, count = model.radius, 0
     limit = 1 / (CALIBRATION.open_sigma * radius) ** 2
     lever = mul(pose[0], vector(model.center))
-    _at_center(by_touch, lever, u.matrix)
+    about_point(by_touch, lever, u.matrix)
     in_metres(u.matrix, radius, u.wider)
     if factor(u.wider, 6, -limit, u.factor):
         return 0
     eigen(u.wider, u.values, u.vectors)
-    count = 0
     for k in range(6):
         if u.values[k] < limit:
             shift, turn = _column(u.vectors, k, 1.0, radius)
             # δp at the origin is that of the center less the turn's part.
-            moved = sub(shift, cross(turn, lever)) + scale(turn, radius)
+            moved, row, square = sub(shift, cross(turn, lever)) + scale(turn, radius), out[count], 0.0
             for i in range(6):
-                out[count, i] = moved[i]
-            _orthonormalize(out, count)
+                row[i] = moved[i]
+            for earlier in range(count):  # Gram-Schmidt
+                along = 0.0
+                for i in range(6):
+                    along += row[i] * out[earlier, i]
+                for i in range(6):
+                    row[i] -= along * out[earlier, i]
+            for i in range(6):
+                square += row[i] * row[i]
+            for i in range(6):
+                row[i] /= np.sqrt(square)
             count += 1
     return count
 
 
 @inner
-def _orthonormalize(rows: Any, n: int) -> None:
-    """Makes row n, at right angles to those before it and of unit length."""
-    row = rows[n]
-    for earlier in range(n):
-        along = 0.0
-        for i in range(6):
-            along += row[i] * rows[earlier, i]
-        for i in range(6):
-            row[i] -= along * rows[earlier, i]
-    square = 0.0
-    for i in range(6):
-        square += row[i] * row[i]
-    for i in range(6):
-        row[i] /= np.sqrt(square)
-
-
-@inner
-def _at_center(matrix: Any, lever: Vec3, out: Any) -> None:
-    """Fills `out` = FᵀMF for F = [1, [lever]x; 0, 1]."""
-    for i in range(6):
-        row = (matrix[i, 0], matrix[i, 1], matrix[i, 2])
-        turned = cross(row, lever)
-        for j in range(3):
-            out[i, j], out[i, 3 + j] = row[j], matrix[i, 3 + j] + turned[j]
-    for j in range(6):
-        turned = cross((out[0, j], out[1, j], out[2, j]), lever)
-        for i in range(3):
-            out[3 + i, j] += turned[i]
-
-
-@inner
 def summarize(evidence: Evidence, pose: Pose, row: Any) -> None:
-    """Fills in everything that an answer says beside its pose."""
+    """Fills in an ANSWER of a pose, all but the pose itself."""
     model, u = evidence.model, local(UNCERTAINTY)
     chi2, cost = information(evidence, pose, u.by_touch, row.information, u.equations)
     row.chi2, row.posterior_cost = chi2, cost
@@ -288,4 +238,5 @@ def summarize(evidence: Evidence, pose: Pose, row: Any) -> None:
         contact = evidence.terms[i].contact
         if contact.used:
             row.rows += 3 if contact.has_normal else 1
-    row.rows += 3 if evidence.weight.known else 0
+    row.rows += 3 if evidence.constraints.weight.known else 0
+    row.rows += min(evidence.constraints.depth.count, 6)  # together they are one measurement of the pose

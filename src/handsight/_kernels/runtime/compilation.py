@@ -1,8 +1,8 @@
 """How kernels are compiled: `inner` ones for other kernels, `entry` ones for Python.
 
-By itself numba optimises an inner function and makes machine code of it, with all that it calls, once for each level
-of calls above it. The entry that it is linked into inlines and optimises all of it anyway; where only that is done, a
-third of the time is saved.
+By default numba optimises every function together with all its callees, and generates machine code for it, at each
+level of the call tree. An entry inlines and optimises all its callees anyway. Inner functions are therefore only
+lowered to LLVM code and linked, which saves a third of the compile time.
 """
 
 import sys
@@ -18,7 +18,7 @@ from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 
 # Numba asks once whether SciPy's BLAS can be imported, which no kernel of handsight calls; loading it takes a third of
-# the time to the first correction. An empty module stands for it while numba asks; later imports get SciPy's own.
+# the time to the first correction. An empty module takes its place during that check; later imports get SciPy's own.
 if "numba.np.arraymath" not in sys.modules and "scipy.linalg.cython_blas" not in sys.modules:
     sys.modules["scipy.linalg.cython_blas"] = ModuleType("scipy.linalg.cython_blas")
     try:
@@ -53,7 +53,7 @@ def entry(function: F) -> F:
 
 
 class _LinkOnlyLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
-    """A `_LinkOnlyLibrary` is code to be linked into others: neither optimised as a whole nor made machine code."""
+    """A `_LinkOnlyLibrary` is code to be linked into others, neither optimised by itself nor made machine code."""
 
     def _optimize_final_module(self) -> None:
         pass
@@ -64,7 +64,7 @@ class _LinkOnlyLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _LinkOnlyLowering(typed_passes.BaseNativeLowering):  # type: ignore[misc]
-    """`_LinkOnlyLowering` stands for the last of numba's passes, and lowers into a `_LinkOnlyLibrary`."""
+    """`_LinkOnlyLowering` replaces the last of numba's passes, and lowers into a `_LinkOnlyLibrary`."""
 
     _name = "lowering_to_link"
 

@@ -1,9 +1,10 @@
 """Where the machine code of kernels is kept on disk.
 
 Numba's own cache numbers the files of a function, with an index beside them. It looks at the source of that function
-alone, so that it would go on using a kernel whose callee in another file has changed; processes that save at the same
-time mix the numbers up; and LLVM ends the process on damaged machine code instead of raising. So here one stamp over
-all kernels names the folder, and each file is named and sealed by what it is for.
+alone, and would go on using a kernel whose callee in another file has changed; processes that save at the same time mix
+the numbers up; and LLVM ends the process on damaged machine code instead of raising an error. So here the folder's name
+is a hash of all kernels' sources (the stamp), and the name and the seal of a file contain the kernel's name, its
+signature and the processor.
 """
 
 import contextlib
@@ -24,7 +25,7 @@ from numba.core import compiler, serialize
 from handsight import cache_folder, checks
 
 on_compile: list[Callable[[], object]] = []
-"""Called once each when the first kernel that is not on disk is about to be compiled, which takes a while."""
+"""Functions that are called once, before the first kernel that is not on disk is compiled, which takes a while."""
 
 
 class KernelWarning(UserWarning):
@@ -75,7 +76,7 @@ class KernelCache:
         return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Writes a compiled kernel; where that is not possible, one warning says so."""
+        """Writes a compiled kernel; warns once where that is not possible."""
         if compiled.library.has_dynamic_globals:  # addresses of this process
             return
         try:

@@ -23,7 +23,7 @@ _alone = ContextVar("alone", default=False)
 
 @contextlib.contextmanager
 def alone() -> Iterator[None]:
-    """Keeps `in_parts` to the caller's thread inside; for worker processes, of which there is one for each core."""
+    """Makes `in_parts` use the caller's thread only, within the context; for worker processes, one on each core."""
     before = _alone.set(True)
     try:
         yield

@@ -1,15 +1,15 @@
-"""What Python calls: one correction after another, or one stage of many descents, in one call.
+"""The entries of a correction: many corrections one after another, or one stage of many descents, in one call.
 
 `model` is an object's record in an array of one, `nodes` its grids' nodes. `contacts` (sets, n) are the contacts of a
-problem, each set with its own `used`. `constraints` is one CONSTRAINTS. What ranges over
-descents or problems takes a slice of them, so that several threads share the work.
+problem, each set with its own `used`. `constraints` is an array of one CONSTRAINTS. Arguments that range over descents
+or problems may be a slice of them, so that several threads share the work.
 """
 
 from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.contact_term import Pose, prepare_term, surface_at
+from handsight._kernels.evidence.contact_term import Pose, load_terms, surface_at
 from handsight._kernels.evidence.prior_term import prior_cost, prior_width, vision_prior, weak_position_prior
 from handsight._kernels.evidence.terms import Evidence
 from handsight._kernels.math.dense6 import eigen, in_metres
@@ -22,7 +22,7 @@ from handsight._kernels.math.symmetry import (
     store_transform,
     transform_of,
 )
-from handsight._kernels.math.vec3 import Vec3, add, cross, dot, norm, scale, store, vector
+from handsight._kernels.math.vec3 import Vec3, cross, dot, norm, vector
 from handsight._kernels.posterior.density import information, largest_gain, posterior_cost
 from handsight._kernels.posterior.uncertainty import summarize
 from handsight._kernels.records import PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
@@ -35,37 +35,21 @@ LIMITS = DESCENT.coarse, DESCENT.fine
 
 
 @inner
-def load_terms(contacts: Any, terms: Any) -> Vec3:
-    """Returns the centroid of the contacts; fills in their terms."""
-    center = (0.0, 0.0, 0.0)
-    for i in range(len(contacts)):
-        contact, term = contacts[i], terms[i]
-        # Field by field: numba assigns no record whole, and checks shapes at length where it assigns arrays.
-        store(vector(contact.point), term.contact.point)
-        store(vector(contact.normal), term.contact.normal)
-        term.contact.has_normal, term.contact.used = contact.has_normal, contact.used
-        term.contact.of_residual = contact.of_residual
-        for j in range(6):
-            for k in range(6):
-                term.contact.covariance[j, k] = contact.covariance[j, k]
-        prepare_term(contact, term)
-        center = add(center, scale(vector(contact.point), 1 / len(contacts)))
+def load_evidence(model: Any, contacts: Any, constraints: Any, terms: Any, prior: Any) -> Vec3:
+    """Returns the centroid of the contacts (n,); fills in their TERM (n,), and the PRIOR_TERM of the constraints' prior
+    or, where they have none, of the weak prior on the position."""
+    center = load_terms(contacts, terms)
+    if constraints.has_prior:
+        vision_prior(model, constraints.prior, prior, local(UNCERTAINTY))
+    else:
+        weak_position_prior(model, center, prior)
     return center
 
 
 @inner
-def fill_prior(model: Any, constraints: Any, center: Vec3, term: Any) -> None:
-    """Fills in the evidence of the prior, or where there is none the weak prior on the position in its place."""
-    if constraints.has_prior:
-        vision_prior(model, constraints.prior, term, local(UNCERTAINTY))
-    else:
-        weak_position_prior(model, center, term)
-
-
-@inner
 def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
-    """Returns the minimum that both phases lead to from a pose, or the fine field alone; writes costs, steps,
-    convergence."""
+    """Returns the minimum that a pose leads to in both phases, or, if it `follows`, on the fine field alone; writes
+    costs, steps and convergence."""
     model, steps = evidence.model, 0
     if not follows:
         pose, steps = match(evidence, pose)
@@ -73,7 +57,7 @@ def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
     for phase in range(1 if follows else 0, 2):
         answer.coarse_cost = cost
         field = model.fine if phase else model.coarse
-        pose, cost, more, converged = descend(evidence, field, pose, LIMITS[phase], phase >= 0)
+        pose, cost, more, converged = descend(evidence, field, pose, LIMITS[phase], True)
         steps += more
     answer.cost, answer.iterations, answer.converged = cost, steps, converged
     return pose
@@ -81,7 +65,8 @@ def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
 
 @inner
 def _residual(model: Any, nodes: Any, contact: Any, pose: Pose) -> tuple[float, float]:
-    """Returns distance [m] of a contact to the surface, and the angle [rad] between the normals; NaN without one."""
+    """Returns distance [m] of a contact to the surface, and the angle [rad] between the normals, NaN without
+    a normal."""
     distance, _, facing, _, _ = surface_at(nodes, model.fine, vector(contact.point), pose)
     if not contact.has_normal:
         return distance, np.nan
@@ -91,13 +76,14 @@ def _residual(model: Any, nodes: Any, contact: Any, pose: Pose) -> tuple[float, 
 
 @inner
 def _store_answer(pose: Pose, answer: Any) -> None:
+    """Writes the pose of an ANSWER, as a POSE and as a matrix (4, 4)."""
     store_pose(pose, answer.pose)
     store_transform(pose, answer.T_palm_object)
 
 
 @entry
 def width(model: Any, constraints: Any) -> float:
-    """Returns what `prior_width` does, of an object and a prior alone."""
+    """Returns the `prior_width` of the constraints' prior."""
     return prior_width(model[0], constraints[0].prior)
 
 
@@ -109,26 +95,32 @@ def equivalent(model: Any, T: Any, T_reference: Any, out: Any) -> None:
 
 @entry
 def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: Any, residuals: Any) -> None:
-    """Answers every problem from its prior's own pose, where that is narrow enough for one start; else its width only.
+    """Solves every problem whose prior is narrow enough for one start, at the prior's pose; of the others it fills in
+    the width only.
 
-    A problem that `follows` begins at a pose near by that was right, however wide the prior is. `contacts` (n,) of all
-    problems one after another; `residuals` (n, 2) of each: distance [m], angle [rad].
+    A problem that `follows` begins at its `start` instead, however wide the prior is; of one that is `pose_only` only
+    the pose is computed, for benchmarks. `contacts` (n,) are those of all problems one after another; `residuals`
+    (n, 2) are written: distance [m], angle [rad].
     """
-    prior, room = local(PRIOR_TERM), local(UNCERTAINTY)
+    prior = local(PRIOR_TERM)
     for k in range(len(problems)):
         problem, answer = problems[k], problems[k].answer
-        answer.width = 0.0 if problem.follows else prior_width(model[0], problem.constraints.prior)
+        constraints = problem.constraints
+        any_width = problem.follows or problem.pose_only
+        answer.width = 0.0 if any_width else prior_width(model[0], constraints.prior)
         if not answer.width < SEARCH.single_start_width:
             continue
         terms = np.empty(problem.last - problem.first, TERM)
-        center = load_terms(contacts[problem.first : problem.last], terms)
-        vision_prior(model[0], problem.constraints.prior, prior, room)
-        evidence = Evidence(model[0], nodes, terms, outside, problem.constraints.weight, prior, center)
-        prior_pose = pose_of(problem.constraints.prior.pose)
+        own = contacts[problem.first : problem.last]
+        center = load_evidence(model[0], own, constraints, terms, prior)
+        evidence = Evidence(model[0], nodes, terms, outside, constraints, prior, center)
+        prior_pose = pose_of(constraints.prior.pose)
         start = pose_of(problem.start) if problem.follows else prior_pose
         pose = _solve(evidence, start, problem.follows != 0, answer)
         pose = nearest(model[0], pose, prior_pose)
         _store_answer(pose, answer)
+        if problem.pose_only:
+            continue
         answer.first_order, answer.weight = 0, 1.0
         summarize(evidence, pose, answer)
         for i in range(len(terms)):
@@ -137,33 +129,17 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
 
 
 @entry
-def two_phases(model: Any, nodes: Any, contacts: Any, outside: Any, problems: Any) -> None:
-    """Works as `correct_all`, the poses alone: nothing of what an answer says beside it."""
-    prior, room = local(PRIOR_TERM), local(UNCERTAINTY)
-    for k in range(len(problems)):
-        problem, answer = problems[k], problems[k].answer
-        terms = np.empty(problem.last - problem.first, TERM)
-        center = load_terms(contacts[problem.first : problem.last], terms)
-        vision_prior(model[0], problem.constraints.prior, prior, room)
-        evidence = Evidence(model[0], nodes, terms, outside, problem.constraints.weight, prior, center)
-        start = pose_of(problem.constraints.prior.pose)
-        pose = _solve(evidence, start, problem.follows != 0, answer)
-        store_pose(pose, answer.pose)
-
-
-@entry
 def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, descents: Any) -> None:
-    """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, their cost, and what a contact gains at most.
+    """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, their cost, and the largest gain of a contact.
 
-    Of the first set of contacts. Σ over the directions known better than the prior, or, without vision, than the
-    object's own size. With a prior the poses are replaced by their equivalents nearest to it.
+    The first set of contacts is used. Σ is over the directions that are known better than by the prior or, without
+    vision, better than the object's own size. With a prior the poses are replaced by their equivalents nearest to it.
     """
     term, u, terms = local(PRIOR_TERM), local(UNCERTAINTY), np.empty(contacts.shape[1], TERM)
     radius = model[0].radius
     floor = (1e-9 if constraints[0].has_prior else 1.0) / (radius * radius)
-    center = load_terms(contacts[0], terms)
-    fill_prior(model[0], constraints[0], center, term)
-    evidence = Evidence(model[0], nodes, terms, outside, constraints[0].weight, term, center)
+    center = load_evidence(model[0], contacts[0], constraints[0], terms, term)
+    evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, center)
     for k in range(len(descents)):
         descent = descents[k]
         pose = pose_of(descent.pose)
@@ -186,11 +162,11 @@ def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any,
 def summarize_all(
     model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, answers: Any
 ) -> None:
-    """Completes answers (K,) whose pose is there; of the first set of contacts, with their gains at the first pose."""
+    """Completes answers (K,) whose pose is filled in, with the first set of contacts; the contacts' gains at the first
+    pose are written too."""
     term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
-    center = load_terms(contacts[0], terms)
-    fill_prior(model[0], constraints[0], center, term)
-    evidence = Evidence(model[0], nodes, terms, outside, constraints[0].weight, term, center)
+    center = load_evidence(model[0], contacts[0], constraints[0], terms, term)
+    evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, center)
     for k in range(len(answers)):
         pose = pose_of(answers[k].pose)
         _store_answer(pose, answers[k])
@@ -201,11 +177,10 @@ def summarize_all(
 
 @entry
 def cost_all(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, descents: Any) -> None:
-    """Fills in minus two log of the posterior density of descents (K,), by the first set of contacts."""
+    """Fills in minus two log of the posterior density of descents (K,), with the first set of contacts."""
     term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
-    center = load_terms(contacts[0], terms)
-    fill_prior(model[0], constraints[0], center, term)
-    evidence = Evidence(model[0], nodes, terms, outside, constraints[0].weight, term, center)
+    center = load_evidence(model[0], contacts[0], constraints[0], terms, term)
+    evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, center)
     for k in range(len(descents)):
         descents[k].posterior_cost = posterior_cost(evidence, pose_of(descents[k].pose))
 
@@ -219,9 +194,9 @@ def residuals_at(model: Any, nodes: Any, contacts: Any, descent: Any, residuals:
 
 @entry
 def distinct(model: Any, descents: Any, order: Any, limits: Any, chosen: Any) -> int:
-    """Returns how many descents, in the given order, are no repeat of an earlier one; fills `chosen` with them.
+    """Returns how many descents, in the given order, repeat no earlier one; fills `chosen` with their indices.
 
-    `limits` (2,): apart are poses that differ by more than a shift [m] or a turn [rad].
+    `limits` (2,): two poses are distinct when they differ by more than a shift [m] or a turn [rad].
     """
     count = 0
     for index in order:

@@ -1,4 +1,4 @@
-"""Which of many poses are apart from all better ones, modulo the object's symmetries."""
+"""Non-maximum suppression: which of many poses are not near a better one, modulo the object's symmetries."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 
 @inner
 def _cosine(symmetries: Any, R: Any) -> float:
-    """Returns the cosine of the least angle that a rotation is by, spun about the continuous axes."""
+    """Returns the cosine of the least angle of a rotation followed by any spin about the continuous axes."""
     axes = symmetries[1]
     if len(axes) > 1:
         return 1.0
@@ -27,7 +27,7 @@ def _cosine(symmetries: Any, R: Any) -> float:
 
 @inner
 def _alike(symmetries: Any, about: Vec3, radius: float, limit: float, poses: tuple[Pose, Pose]) -> bool:
-    """Returns whether a symmetry brings the second pose to within the limit of the first, by shift and turn."""
+    """Returns whether a symmetry brings the second pose to within a limit [m] of the first, by shift and turn."""
     (R, p), (R1, p1) = poses
     place = add(mul(R, about), p)
     for k in range(len(symmetries[0])):
@@ -45,11 +45,11 @@ def _alike(symmetries: Any, about: Vec3, radius: float, limit: float, poses: tup
 
 @entry
 def distinct_candidates(symmetries: Any, limits: Any, candidates: Any, order: Any, kept: Any) -> int:
-    """Fills in `kept` (most,) with those CANDIDATE, in an order (k,), that are apart from all before; how many there
-    are.
+    """Returns how many CANDIDATE, in an order (k,), are not near an earlier one; fills `kept` (most,) with indices.
 
-    symmetries: discrete ones (r, 4, 4), directions of continuous axes (a, 3). limits: a point (3,) on these axes, or
-    any where there are none, the object's radius [m], how far apart [m]: that point's shift and radius times a turn.
+    symmetries: discrete ones (r, 4, 4), directions of continuous axes (a, 3). limits (5,): a point on these axes, or
+    any where there are none; the object's radius [m]; the distance [m] of two poses that are not near each other, by
+    that point's shift and radius times the turn.
     """
     about, count = (limits[0], limits[1], limits[2]), 0
     for n in order:

@@ -1,4 +1,4 @@
-"""Phase 2: Levenberg-Marquardt on a field, one pose at a time."""
+"""Phase 2: Levenberg-Marquardt on a distance field, one pose at a time; its step and retraction for other solvers."""
 
 from typing import Any
 
@@ -15,19 +15,19 @@ from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.options import DESCENT
 
 LONGEST_STEP = 1e3, DESCENT.max_turn
-"""The most that one step shifts [m] and turns [rad]: beyond, the turn's derivative says nothing."""
+"""The longest step: shift [m], in effect unlimited, and turn [rad], beyond which the linearisation does not hold."""
 IMAGE_DAMPING = 1.7e-4
-"""Damping of a step to where points of an image lie: what they do not see stays."""
+"""Damping of a step towards the points of an image: it keeps the pose along directions that they do not observe."""
 
 
 @inner
 def damped_step(
     equations: Any, radius: float, damping: float, longest: tuple[float, float], workspace: Any
 ) -> tuple[Vec3, Vec3]:
-    """Returns a Levenberg-Marquardt step (τ, radius ω) of normal equations (7, 8); what nothing observes stays.
+    """Returns a Levenberg-Marquardt step (τ, radius ω) of normal equations (7, 8), 0 in unobserved directions.
 
-    damping: by the trace of the information; longest: the most that a step shifts [m] and turns [rad]. The step is NaN
-    where the equations have no solution, and so is its cost: nobody takes it.
+    damping: as a part of the trace of the information; longest: the most that a step shifts [m] and turns [rad]. Where
+    the equations have no solution the step is NaN; then so is the cost after it, and the step is not taken.
     """
     trace = 0.0
     for k in range(6):
@@ -60,7 +60,7 @@ def retract(pose: Pose, step: tuple[Vec3, Vec3], center: Vec3, radius: float) ->
 
 @inner
 def step_size(equations: Any, step: tuple[Vec3, Vec3]) -> tuple[float, float]:
-    """Returns of a step its largest component [m], and its square in standard deviations."""
+    """Returns the largest component of a step [m], and its squared length in standard deviations."""
     six = step[0] + step[1]
     longest, square = 0.0, 0.0
     for i in range(6):
@@ -75,11 +75,11 @@ def step_size(equations: Any, step: tuple[Vec3, Vec3]) -> tuple[float, float]:
 def descend(
     evidence: Evidence, field: Any, pose: Pose, limits: tuple[int, float], rewhiten: bool
 ) -> tuple[Pose, float, int, bool]:
-    """Returns the minimum below a pose: where, its cost, steps tried, whether the last was small.
+    """Returns where a descent from a pose ends, the cost there, the number of steps tried, and whether it converged.
 
     `limits`: most steps, and the step [standard deviations] that is small. A step is taken only when it lowers the
-    cost; only a step that was taken can end a descent as converged. `rewhiten`: weigh the contacts as they are at the
-    pose, else as they were last.
+    cost; only a step that was taken can end a descent as converged. `rewhiten`: whether the contacts are weighted by
+    their covariance at the first pose; otherwise they keep their last weights.
     """
     workspace, model, center = local(WORKSPACE), evidence.model, evidence.center
     radius = model.radius
@@ -91,21 +91,14 @@ def descend(
     while True:
         if len(rows):
             clearances = nearby(evidence, field, candidate, clearances, rows)
-            # No function can answer with it: it holds a record.
-            near = Evidence(
-                model,
-                evidence.nodes,
-                evidence.terms,
-                rows[: clearances[1]],
-                evidence.weight,
-                evidence.prior,
-                center,
-            )
-        # One place evaluates, the first pose as well as every candidate: it is most of what there is to compile.
+            # Built here, for no function can return it: it holds records.
+            left, nodes, terms = rows[: clearances[1]], evidence.nodes, evidence.terms
+            near = Evidence(model, nodes, terms, left, evidence.constraints, evidence.prior, center)
+        # Only this place evaluates, the first pose as well as every candidate: it takes most of the time to compile.
         new[:] = 0.0
         add_evidence(near, ALL, field, candidate, (center, radius), rewhiten and tried < 0, new)
         tried += 1
-        # At rounding level the cost cannot tell better from worse; such a step counts as taken.
+        # A change of the cost within rounding is neither better nor worse; such a step is taken.
         if tried == 0 or new[6, 6] <= now[6, 6] + 1e-12 * (1 + now[6, 6]):
             if tried > 0:
                 longest, square = step_size(now, step)

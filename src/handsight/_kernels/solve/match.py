@@ -5,13 +5,15 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame, Pose
-from handsight._kernels.evidence.terms import LOADS, PRIOR, Evidence, add_evidence
+from handsight._kernels.evidence.terms import FIXED_NOISE, PRIOR, Evidence, add_evidence
 from handsight._kernels.math.simd import accumulate, local, scan
 from handsight._kernels.math.vec3 import Vec3, cross, dot, mul, neg, norm, scale, skew, sub, tmul, vector
 from handsight._kernels.records import WORKSPACE
 from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.levenberg import LONGEST_STEP, damped_step, retract
 from handsight._kernels.solve.options import MATCH
+
+f4 = np.float32
 
 
 @inner
@@ -21,23 +23,15 @@ def nearest_sample(model: Any, contact: Any, pose: Pose) -> tuple[Vec3, Vec3]:
     x = scale(tmul(R, sub(vector(contact.point), p)), -2.0)
     n = scale(tmul(R, vector(contact.normal)), -2 * model.normal_weight2)
     # |a - b|² without |a|², which is the same for every sample.
-    query = (
-        np.float32(1.0),
-        np.float32(x[0]),
-        np.float32(x[1]),
-        np.float32(x[2]),
-        np.float32(n[0]),
-        np.float32(n[1]),
-        np.float32(n[2]),
-    )
-    best = scan(model.scan, query)
-    sample = model.samples[best]
+    query = f4(1.0), f4(x[0]), f4(x[1]), f4(x[2]), f4(n[0]), f4(n[1]), f4(n[2])
+    sample = model.samples[scan(model.scan, query)]
     return vector(sample[0]), vector(sample[1])
 
 
 @inner
 def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -> None:
-    """Adds a contact against its sample's plane and normal, and against its place beyond a band around the sample."""
+    """Adds a contact's rows: the distance to its sample's plane, the distance along the plane beyond a band around the
+    sample, and the difference of the normals."""
     (R, p), (center, radius), contact = pose, frame, term.contact
     place, normal = nearest_sample(model, contact, pose)
     point, n = vector(contact.point), mul(R, normal)
@@ -48,17 +42,12 @@ def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -
     lever = scale(sub(point, center), 1 / radius)
     by_distance, by_reach = neg(n), scale(lateral, -1 / max(reach, 1e-300))
     turned, error = skew(scale(n, -1 / radius)), sub(n, vector(contact.normal))
-    facing = 0.0
+    plane, band = 1 / (term.variance_point + model.sample_variance_distance), 0.0
+    facing, still = 0.0, (0.0, 0.0, 0.0)
+    if reach > model.band:
+        band = model.tangential_weight
     if contact.has_normal:
         facing = 1 / max(term.variance_normal + model.sample_variance_normal, 1e-12)
-    weights = (
-        1 / (term.variance_point + model.sample_variance_distance),
-        model.tangential_weight if reach > model.band else 0.0,
-        facing,
-        facing,
-        facing,
-    )
-    still = (0.0, 0.0, 0.0)
     rows = (
         by_distance + cross(lever, by_distance) + (distance,),
         by_reach + cross(lever, by_reach) + (reach - model.band,),
@@ -66,12 +55,12 @@ def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -
         still + turned[1] + (error[1],),
         still + turned[2] + (error[2],),
     )
-    accumulate(weights, rows, equations)
+    accumulate((plane, band, facing, facing, facing), rows, equations)
 
 
 @inner
 def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
-    """Returns the pose after Gauss-Newton steps on nearest samples, and how many."""
+    """Returns the pose after Gauss-Newton steps on nearest samples, and the number of steps."""
     workspace = local(WORKSPACE)
     model, equations = evidence.model, workspace.now
     frame = (evidence.center, model.radius)
@@ -81,8 +70,8 @@ def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
             term = evidence.terms[i]
             if term.contact.used:
                 add_match(model, term, pose, frame, equations)
-        # Walls would hold the object back on the way to its place: they hurt from far away.
-        add_evidence(evidence, PRIOR | LOADS, model.coarse, pose, frame, False, equations)
+        # Without walls: they would stop the object on the way to its place, as their cost is large from far away.
+        add_evidence(evidence, PRIOR | FIXED_NOISE, model.coarse, pose, frame, False, equations)
         step = damped_step(equations, model.radius, 1e-9, LONGEST_STEP, workspace)
         pose = retract(pose, step, evidence.center, model.radius)
         longest = 0.0

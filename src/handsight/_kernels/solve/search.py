@@ -1,7 +1,7 @@
 """Descents from many starts: where they begin, how promising each is, and the distinct minima that they lead to.
 
-Work comes in blocks: starts (B, M), each block for one set of contacts. What is a repeat is judged within a block and
-by nothing else, so that the answer is the same on any number of threads.
+Starts come in blocks (B, M), each for one set of contacts. Repeats are looked for within a block only, so that the
+answer is the same on any number of threads.
 """
 
 from typing import Any
@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose, surface_at
-from handsight._kernels.evidence.prior_term import rotation_exp
 from handsight._kernels.evidence.terms import PRIOR, Evidence, evidence_cost
 from handsight._kernels.math.dense6 import factor
 from handsight._kernels.math.simd import local
+from handsight._kernels.math.so3 import rotation_exp
 from handsight._kernels.math.symmetry import are_distinct, pose_of, store_pose
 from handsight._kernels.math.vec3 import (
     Mat33,
@@ -31,7 +31,7 @@ from handsight._kernels.math.vec3 import (
 )
 from handsight._kernels.records import NO_PRIOR, POSE, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
 from handsight._kernels.runtime.compilation import entry, inner
-from handsight._kernels.solve.batch import fill_prior, load_terms
+from handsight._kernels.solve.batch import load_evidence
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
 from handsight._kernels.solve.options import DESCENT, SEARCH
@@ -39,32 +39,26 @@ from handsight._kernels.solve.options import DESCENT, SEARCH
 LIMITS = DESCENT.coarse, DESCENT.fine
 COSINE = float(np.cos(SEARCH.same_after_match[1]))
 WORST = 1e300
-"""The cost of what is no number: a descent all the same, where there is no better one."""
+"""The cost in place of a NaN or a larger one: such a descent is still an answer where there is no better one."""
 
 
-@inner
-def _root(prior: Any, R: Mat33, u: Any) -> None:
-    """Fills `u.factor` and `u.row` with the Cholesky factor of a prior's correlation along the object's axes; its
-    deviations."""
+@entry
+def draw(constraints: Any, draws: Any, descents: Any) -> None:
+    """Puts descents (K,) at a prior's pose moved by standard normal draws (K, 6) along the object's own axes."""
+    prior, u = constraints[0].prior, local(UNCERTAINTY)
+    R, p = pose_of(prior.pose)
     for a in range(0, 6, 3):
         for b in range(0, 6, 3):
             turned = matmul(transpose(R), matmul(block(prior.covariance, a, b), R))
             for i in range(3):
                 for j in range(3):
                     u.matrix[a + i, b + j] = turned[i][j]
+    # In `u.row` the standard deviations, in `u.factor` the Cholesky factor of the correlation.
     for i in range(6):
         u.row[i] = np.sqrt(max(u.matrix[i, i], 0.0)) + 1e-12
         for j in range(i + 1):
             u.wider[i, j] = u.matrix[i, j] / (u.row[i] * u.row[j])
     factor(u.wider, 6, 1e-9, u.factor)
-
-
-@entry
-def draw(constraints: Any, draws: Any, descents: Any) -> None:
-    """Puts descents (K,) where standard normal draws (K, 6) lead from a prior's pose, along the object's own axes."""
-    prior, u = constraints[0].prior, local(UNCERTAINTY)
-    R, p = pose_of(prior.pose)
-    _root(prior, R, u)
     for k in range(len(descents)):
         for i in range(6):
             value = draws[k, i] / u.factor[i, i]
@@ -93,11 +87,11 @@ def _frame(z: Vec3, hint: Vec3) -> Mat33:
 def spin(model: Any, anchors: Any, descents: Any) -> None:
     """Lays every surface sample on every anchor, spun about its normal: descents (anchors, spins, samples).
 
-    anchors (A,) POSE: a contact, and a frame whose third column is its normal.
+    `anchors` (A, 3, 3): a contact's point and normal, and a direction from which the angles of the spin are counted.
     """
     samples, center = model[0].samples, vector(model[0].center)
     for a in range(len(anchors)):
-        palm, point = pose_of(anchors[a])
+        point, palm = vector(anchors[a, 0]), _frame(vector(anchors[a, 1]), vector(anchors[a, 2]))
         for k in range(descents.shape[1]):
             angle = 2 * np.pi * k / descents.shape[1]
             c, s = np.cos(angle), np.sin(angle)
@@ -110,7 +104,7 @@ def spin(model: Any, anchors: Any, descents: Any) -> None:
 
 @entry
 def score(model: Any, nodes: Any, contacts: Any, sigmas: Any, descents: Any, costs: Any) -> None:
-    """Fills in what each contact (n,) says of each descent (K,): `costs` (K, n).
+    """Fills in the squared residuals of each contact (n,) at each descent (K,): `costs` (K, n).
 
     `sigmas`: of distance [m] and normal [rad], as coarse as the starts are.
     """
@@ -129,30 +123,27 @@ def score(model: Any, nodes: Any, contacts: Any, sigmas: Any, descents: Any, cos
 
 
 @inner
-def _is_near(model: Any, a: Pose, b: Pose) -> bool:
-    """Returns whether two poses are the same, but for what another descent would hardly change; no symmetry is looked
-    at."""
-    (R, p), (Q, q) = a, b
-    gap = add(sub(p, q), sub(mul(R, vector(model.center)), mul(Q, vector(model.center))))
-    trace = dot(R[0], Q[0]) + dot(R[1], Q[1]) + dot(R[2], Q[2])
-    return dot(gap, gap) < SEARCH.same_after_match[0] ** 2 and trace > 1 + 2 * COSINE
-
-
-@inner
 def _repeats(model: Any, rows: Any, k: int, pose: Pose, earlier: Any) -> bool:
-    """Returns whether phase 1 led to the pose before; `earlier` (M,) POSE: where it led those of the first k that
-    went on."""
+    """Returns whether phase 1 led an earlier row nearly to this pose, not counting symmetries; if not, stores the pose.
+
+    `earlier` (M,) POSE: where phase 1 led those of the first k rows that were not repeats.
+    """
+    (R, p), center = pose, vector(model.center)
     for j in range(k):
-        if rows[j, 0].cost < np.inf and _is_near(model, pose, pose_of(earlier[j])):
-            return True
+        if rows[j, 0].cost < np.inf:
+            Q, q = pose_of(earlier[j])
+            gap = add(sub(p, q), sub(mul(R, center), mul(Q, center)))
+            trace = dot(R[0], Q[0]) + dot(R[1], Q[1]) + dot(R[2], Q[2])
+            if dot(gap, gap) < SEARCH.same_after_match[0] ** 2 and trace > 1 + 2 * COSINE:
+                return True
     store_pose(pose, earlier[k])
     return False
 
 
 @inner
 def _select(model: Any, rows: Any, chosen: Any) -> int:
-    """Returns how many descents are no repeats of cheaper ones, modulo symmetry; fills `chosen` with them, cheapest
-    first."""
+    """Returns how many descents are no repeats of cheaper ones, modulo symmetry; fills `chosen` with their indices,
+    cheapest first."""
     count, taken = 0, np.zeros(len(rows), np.bool_)
     for _ in range(len(rows)):
         best = -1
@@ -182,25 +173,22 @@ def _select(model: Any, rows: Any, chosen: Any) -> int:
 
 @entry
 def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, blocks: Any) -> None:
-    """Moves starts (B, M, 1) to the minima that they lead to; what is a repeat in its block, or none, costs infinity.
+    """Moves starts (B, M, 1) to the minima that they lead to; a repeat within its block gets an infinite cost.
 
-    Phase 1 and the coarse field for all but what was a minimum of other evidence, which has steps behind it; the fine
-    field for what is left. Without vision blocks are (B, M, 2): along a
-    slide any place is a minimum, and the second of each is moved on to the most likely one by the weak prior.
+    Phase 1 and the coarse field come first, except for starts that are minima of other evidence already (`iterations`
+    above 0); then the fine field for those that are left. Without vision blocks are (B, M, 2): along a flat direction
+    any place is a minimum, and the second of each is moved on to the most likely one by the weak prior.
     """
     term, nothing, terms = local(PRIOR_TERM), local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
-    nothing.kind = NO_PRIOR
-    weight = constraints[0].weight
+    nothing.kind, given = NO_PRIOR, constraints[0]
     chosen, earlier = np.empty(blocks.shape[1], np.int64), np.empty(blocks.shape[1], POSE)
     for b in range(len(blocks)):
         rows = blocks[b]
-        center = load_terms(contacts[rows[0, 0].set], terms)
-        if b == 0:
-            fill_prior(model[0], constraints[0], center, term)
-        matching = Evidence(model[0], nodes, terms, outside, weight, term, center)
-        # The weak prior keeps phase 1 from running away, and has no say in what fits.
+        center = load_evidence(model[0], contacts[rows[0, 0].set], given, terms, term)
+        matching = Evidence(model[0], nodes, terms, outside, given, term, center)
+        # The weak prior keeps phase 1 from running away, but is no part of the cost by which minima are compared.
         weak = term.kind == WEAK_PRIOR
-        fitting = Evidence(model[0], nodes, terms, outside, weight, nothing if weak else term, center)
+        fitting = Evidence(model[0], nodes, terms, outside, given, nothing if weak else term, center)
         count, ends = len(rows), 1
         for phase in range(2):
             if phase == 1:

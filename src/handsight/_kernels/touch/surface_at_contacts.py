@@ -7,6 +7,7 @@ import numpy as np
 from handsight._kernels.evidence.contact_term import (
     factored,
     invert_covariance,
+    load_terms,
     residual_covariance,
     surface_at,
 )
@@ -14,7 +15,6 @@ from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.math.vec3 import sub, vector
 from handsight._kernels.records import TERM
 from handsight._kernels.runtime.compilation import entry
-from handsight._kernels.solve.batch import load_terms
 
 
 @entry

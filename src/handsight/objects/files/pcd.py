@@ -10,21 +10,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight.checks import Array
-from handsight.objects.files.shape import BadText, Shape, numbers, rows, text_lines
+from handsight.objects.files.shape import BadText, Shape, numbers, rows, text_lines, three_columns
 
 
 class _Header(NamedTuple):
     names: list[str]
     row: np.dtype[np.void]
-    """One point as it lies in a binary body: a field of one or several numbers for each name."""
+    """The layout of one point in a binary body: a field of one or several numbers for each name."""
     points: int
     kind: str
     body: bytes
 
 
 def pcd_shape(data: bytes) -> Shape:
-    """Returns the cloud of a PCD file, with its normals where it has them; raises BadText."""
+    """Returns the cloud in a PCD file, with its normals if the file has some; raises BadText."""
     header = _header(data)
     points, body, row = header.points, header.body, header.row
     parts = [(row[k].base, row[k].shape[0]) for k in range(len(header.names))]
@@ -43,9 +42,8 @@ def pcd_shape(data: bytes) -> Shape:
             raise BadText(f"expected {size} bytes of points, got {len(body)}")
         table = np.frombuffer(body, dtype=row, count=points)
         columns = [table[name] for name in row.names or ()]
-    elif (
-        header.kind == "binary_compressed"
-    ):  # two sizes, then field after field rather than point after point
+    elif header.kind == "binary_compressed":
+        # Two sizes, then field after field rather than point after point.
         if len(body) < 8:
             raise BadText("expected two sizes before the compressed points")
         packed, unpacked = (int(v) for v in np.frombuffer(body, dtype="<u4", count=2))
@@ -61,16 +59,10 @@ def pcd_shape(data: bytes) -> Shape:
         raise BadText(f"DATA: expected ascii, binary or binary_compressed, got {header.kind[:30]!r}")
     fields = dict(zip(header.names, columns, strict=True))
     single = {name: column[:, 0] for name, column in fields.items() if column.shape[1] == 1}
-
-    def three(*names: str) -> Array | None:
-        if not single.keys() >= set(names):
-            return None
-        return np.stack([single[name].astype(np.float64) for name in names], axis=1)
-
-    places = three("x", "y", "z")
+    places = three_columns(single, "x", "y", "z")
     if places is None:
         raise BadText(f"expected the fields x y z, got {' '.join(single)}")
-    return Shape(places, None, three("normal_x", "normal_y", "normal_z"))
+    return Shape(places, None, three_columns(single, "normal_x", "normal_y", "normal_z"))
 
 
 def _header(data: bytes) -> _Header:
@@ -87,7 +79,7 @@ def _header(data: bytes) -> _Header:
             entries[words[0].upper()] = words[1:]
 
     def integers(key: str, length: int) -> list[int]:
-        """Returns the whole numbers of an entry; raises BadText where these are not as many."""
+        """Returns the whole numbers of an entry; raises BadText where their number is not `length`."""
         words = entries.get(key, [])
         if len(words) != length or not all(word.isdecimal() and len(word) < 19 for word in words):
             raise BadText(f"{key}: expected {length} whole numbers, got {' '.join(words)[:40]!r}")
@@ -120,7 +112,7 @@ def _header(data: bytes) -> _Header:
 
 
 def lzf_unpacked(packed: bytes, size: int) -> bytes:
-    """Returns the `size` bytes that LZF packed; raises BadText where they are not that many, or damaged."""
+    """Returns the `size` bytes that LZF packed; raises BadText where these are damaged or not as many."""
     out, at = bytearray(), 0
     try:
         while at < len(packed) and len(out) <= size:

@@ -10,48 +10,58 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight.checks import Array, Indices, Mask
-from handsight.objects.files.shape import BadText, Shape, number_table, rows, text_lines, triangles
+from handsight.checks import Indices, Mask
+from handsight.objects.files.shape import (
+    BadText,
+    Shape,
+    number_table,
+    rows,
+    text_lines,
+    three_columns,
+    triangles,
+)
 
 _TYPES = {
     "char": "b", "int8": "b", "uchar": "B", "uint8": "B", "short": "h", "int16": "h", "ushort": "H", "uint16": "H",
     "int": "i", "int32": "i", "uint": "I", "uint32": "I", "int64": "q", "uint64": "Q",
     "float16": "e", "float": "f", "float32": "f", "double": "d", "float64": "d",
 }  # fmt: skip
-"""The struct module's letters, which are NumPy's too."""
+"""The letters of the struct module, which are NumPy's too, by the type names of PLY."""
 _FLOATS = "efd"
 
 
 class _Property(NamedTuple):
-    """One column of an element: a number in each row, or a list of numbers."""
+    """One column of an element's table: a number in each row, or a list of numbers in each row."""
 
     name: str
     kind: str
-    """Letter of its numbers."""
+    """Letter of the type of its numbers."""
     length: str = ""
-    """Letter of the number that says how long a list is; empty for a property that is not a list."""
+    """Letter of the type of a list's length; empty for a property that is not a list."""
 
 
 class _Element(NamedTuple):
-    """A table of the file, such as that of the vertices."""
+    """A table of the file, such as the one of the vertices."""
 
     name: str
     rows: int
     properties: list[_Property]
 
-    def cut(self, got: int) -> BadText:
+    def cut_short(self, got: int) -> BadText:
+        """Returns the error for a file that has only `got` rows of the table."""
         return BadText(f"expected {self.rows} rows of '{self.name}', got {got}: is it cut short?")
 
 
 Column = tuple[NDArray[np.generic], NDArray[np.generic] | None]
-"""The values of a property, row after row, and of a list how many of them each row has."""
+"""The values of a property, row after row, and the length of each row's list; None for a property that is no list."""
 Table = dict[str, Column]
+"""The columns of an element by the names of its properties."""
 
 
 def ply_shape(data: bytes) -> Shape:
-    """Returns the mesh of a PLY file, or the cloud where it has no faces; raises BadText.
+    """Returns the mesh in a PLY file, or the cloud if the file has no faces; raises BadText.
 
-    A cloud's property `sigma` is the standard deviation of its points.
+    The vertex property `sigma` is the standard deviation of a cloud's points.
     """
     order, elements, at = _header(data)
     lines = iter(()) if order else rows(text_lines(data[at:]))
@@ -67,19 +77,19 @@ def ply_shape(data: bytes) -> Shape:
         raise BadText("expected an element 'vertex', got none")
     vertex = {
         name: np.asarray(values, dtype=np.float64)
-        for name, (values, counts) in tables["vertex"].items()
-        if counts is None
+        for name, (values, lengths) in tables["vertex"].items()
+        if lengths is None
     }
-    points = _three(vertex, "x", "y", "z")
+    points = three_columns(vertex, "x", "y", "z")
     if points is None:
         raise BadText("expected the vertex properties x, y, z")
     if "face" in tables:
         return Shape(points, _faces(tables["face"]))
-    return Shape(points, None, _three(vertex, "nx", "ny", "nz"), sigmas=vertex.get("sigma"))
+    return Shape(points, None, three_columns(vertex, "nx", "ny", "nz"), sigmas=vertex.get("sigma"))
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int]:
-    """Returns the byte order (empty for text), the elements, and where the header ends; raises BadText."""
+    """Returns the byte order (empty for text), the elements, and the offset behind the header; raises BadText."""
     orders = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
     most = 10_000  # lines, and bytes in each
     order, elements = None, list[_Element]()
@@ -119,7 +129,7 @@ def _text_table(lines: Iterator[list[str]], element: _Element) -> Table:
     if not any(each.length for each in properties):
         table = number_table(found, len(properties), element.name)
         if len(table) < element.rows:
-            raise element.cut(len(table))
+            raise element.cut_short(len(table))
         return {each.name: (table[:, k], None) for k, each in enumerate(properties)}
 
     def ragged() -> Iterator[list[list[float]]]:
@@ -141,10 +151,11 @@ def _text_table(lines: Iterator[list[str]], element: _Element) -> Table:
 
 
 def _binary_table(data: bytes, at: int, order: str, element: _Element) -> tuple[Table, int]:
-    """Returns the rows of a binary body that begin at a byte, and where they end; raises BadText."""
+    """Returns the rows of a binary body that begin at the offset `at`, and the offset behind them; raises BadText."""
 
     def row_at(at: int) -> tuple[list[tuple[Any, ...]], int]:
-        """Returns the numbers of each property in a row, and where it ends; raises struct.error beyond the file."""
+        """Returns the numbers of each property in a row, and the offset behind it; raises struct.error where the file
+        ends before."""
         row = []
         for each in element.properties:
             n = 1
@@ -155,10 +166,11 @@ def _binary_table(data: bytes, at: int, order: str, element: _Element) -> tuple[
             at += struct.calcsize(f"{order}{n}{each.kind}")
         return row, at
 
-    try:  # lists are mostly as long in each row as in the first
+    # In most files each list is as long in every row as in the first, so that all rows have one layout.
+    try:
         first, end = row_at(at)
     except struct.error:
-        raise element.cut(0) from None
+        raise element.cut_short(0) from None
     length = end - at
     if element.rows <= (len(data) - at) // length:
         parts: list[Any] = []
@@ -196,22 +208,18 @@ def _table_of_rows(element: _Element, found: Iterator[Sequence[Sequence[Any]]]) 
                 counts[k].append(len(numbers))
             done += 1
     except struct.error:
-        raise element.cut(done) from None
+        raise element.cut_short(done) from None
     except OverflowError:
         raise BadText(f"{element.name}: expected numbers of 64 bits, got a larger one") from None
     if done < element.rows:
-        raise element.cut(done)
+        raise element.cut_short(done)
     columns = zip(element.properties, values, counts, strict=True)
     return {each.name: (np.array(v), np.array(n) if each.length else None) for each, v, n in columns}
 
 
-def _three(columns: dict[str, Array], *names: str) -> Array | None:
-    """Returns (k, 3) of the columns with these names, or None where one is missing."""
-    return np.stack([columns[name] for name in names], axis=1) if columns.keys() >= set(names) else None
-
-
 def _faces(table: Table) -> Indices:
-    """Returns the triangles (m, 3) of the faces: their list `vertex_indices`, `vertex_index`, or their only one."""
+    """Returns the triangles (m, 3) of the faces, from their list `vertex_indices` or `vertex_index`, or else from their
+    only list."""
     usual = ("vertex_indices", "vertex_index")
     lists = {
         name: (values, counts)
@@ -225,9 +233,9 @@ def _faces(table: Table) -> Indices:
 
 
 def ply_bytes(shape: Shape, scale: float, measured: Mask | None = None) -> bytes:
-    """Returns the content of a PLY file with a mesh or a cloud, its coordinates times `scale`, as doubles.
+    """Returns the content of a PLY file with a mesh or a cloud, its coordinates times `scale` as doubles.
 
-    `measured` (k,): which vertices were measured, written as a property of that name: 1, else 0.
+    `measured` (k,): which vertices were measured; it is written as the property `measured`, 1 or 0.
     """
     columns = [scale * shape.vertices]
     names = ["x", "y", "z"]

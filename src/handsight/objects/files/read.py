@@ -1,8 +1,8 @@
 """Shapes read from files: meshes from STL, OBJ, PLY and OFF, point clouds from PLY, OFF, PCD and XYZ.
 
 Only the named file is opened: no material, texture or other path inside it is followed. Text is read line by line, so
-that of a large file only the numbers are kept. Counts that a file states are compared with what it holds: a file that
-was cut, or whose header is wrong, is refused and never read in part (general mesh libraries do read it in part).
+that only the numbers of a large file are kept in memory. The counts that a file states are compared with its content: a
+file that was cut, or whose header is wrong, is refused and never read in part (general mesh libraries read it in part).
 """
 
 import codecs
@@ -29,7 +29,7 @@ from handsight.objects.files.shape import (
 )
 
 LARGEST_FILE = 500_000_000
-"""Bytes; a larger file is refused."""
+"""The largest number of bytes that a file may have."""
 
 
 def read_shape(path: str | os.PathLike[str]) -> Shape:
@@ -50,17 +50,17 @@ def content(path: str | os.PathLike[str]) -> bytes:
 
 
 def shape_of(file: Path, data: bytes) -> Shape:
-    """Returns the mesh or cloud that the content of a file with this name holds; raises InvalidFile.
+    """Returns the mesh or cloud in the content of a file with this name; raises InvalidFile.
 
-    Points of a cloud that are not finite, as sensors write missing ones, or that have no normal, are left out and
-    remarked.
+    Points of a cloud that are not finite, as sensors write missing ones, or whose normal is not valid, are left out,
+    and a remark says how many.
     """
     try:
         shape = READERS[file.suffix.lower()](data)
     except BadText as error:
         raise InvalidFile(f"{file.name}: {error}") from None
     except MemoryError:
-        raise InvalidFile(f"{file.name}: expected a shape that memory holds, got one beyond it") from None
+        raise InvalidFile(f"{file.name}: expected a shape that fits into memory, got a larger one") from None
     if not len(shape.vertices):
         raise InvalidFile(f"{file.name}: expected points or triangles, got none")
     if shape.faces is not None:
@@ -79,7 +79,7 @@ def shape_of(file: Path, data: bytes) -> Shape:
 
 
 def xyz_shape(data: bytes) -> Shape:
-    """Returns the cloud of an XYZ text: rows of 3 coordinates, or of these and a normal, parted by spaces or commas."""
+    """Returns the cloud in an XYZ text: rows of 3 coordinates, or these and a normal, separated by spaces or commas."""
     found = rows(text_lines(data), ",")
     first = next(found, None)
     if first is None:
@@ -100,7 +100,7 @@ def xyz_shape(data: bytes) -> Shape:
 
 
 def off_shape(data: bytes) -> Shape:
-    """Returns the mesh of an Object File Format text (OFF, NOFF, COFF, CNOFF), or the cloud where it has no faces."""
+    """Returns the mesh in an Object File Format text (OFF, NOFF, COFF, CNOFF), or the cloud if it has no faces."""
     found = rows(text_lines(data), ",")
     words = next(found, [""])
     header = words[0].upper()
@@ -133,9 +133,9 @@ def off_shape(data: bytes) -> Shape:
 
 
 def obj_shape(data: bytes) -> Shape:
-    """Returns the mesh of a Wavefront OBJ text; its materials, normals and groups are ignored."""
+    """Returns the mesh in a Wavefront OBJ text; materials, normals and groups are ignored."""
     vertices, corners, counts = array("d"), array("q"), array("q")
-    for ending in (b"\\\n", b"\\\r\n"):  # the line goes on
+    for ending in (b"\\\n", b"\\\r\n"):  # a line that goes on in the next
         data = data.replace(ending, b"")
     for k, words in enumerate(rows(text_lines(data))):
         try:
@@ -165,7 +165,7 @@ def obj_shape(data: bytes) -> Shape:
 
 
 def stl_shape(data: bytes) -> Shape:
-    """Returns the mesh of an STL file, binary or text; each triangle has three vertices of its own."""
+    """Returns the mesh in an STL file, binary or text; each triangle has three vertices of its own."""
     count = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
     if count and len(data) >= 84 + 50 * count:
         triangle = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -187,4 +187,4 @@ def stl_shape(data: bytes) -> Shape:
 READERS: dict[str, Callable[[bytes], Shape]] = {
     ".stl": stl_shape, ".obj": obj_shape, ".ply": ply_shape, ".off": off_shape, ".pcd": pcd_shape, ".xyz": xyz_shape,
 }  # fmt: skip
-"""The reader of each extension; a new format is a new entry."""
+"""The reader for each extension; a new format is a new entry."""

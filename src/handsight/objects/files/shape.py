@@ -1,22 +1,22 @@
-"""The shape that a file holds, and what its readers share: lines of text, tables of numbers, polygons."""
+"""The shape in a file, and the parts that the readers of formats share: lines of text, tables of numbers, polygons."""
 
 import codecs
 import io
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from handsight.checks import Array, Indices
 
 LONGEST_LINE = 1 << 20
-"""Bytes that a line may have; a polygon of a hundred thousand corners fits in."""
+"""The largest number of bytes in a line; a polygon of a hundred thousand corners fits in."""
 
 
 class BadText(Exception):
-    """A file's content is not of its format; the message names what was expected and what came."""
+    """The error that a file's content is not of its format; the message names what was expected and what came."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,9 +30,9 @@ class Shape:
     normals: Array | None = None
     """(k, 3) of a cloud, of any length; None where the file has none."""
     remarks: tuple[str, ...] = ()
-    """A sentence for each thing that was left out of the file's content."""
+    """A sentence for each kind of content that was left out."""
     sigmas: Array | None = None
-    """(k,) standard deviation of a cloud's points, which neighbours share; None where the file does not declare it."""
+    """(k,) standard deviation of a cloud's points, by errors that neighbours share; None if the file declares none."""
 
 
 def text_lines(data: bytes) -> Iterator[str]:
@@ -48,7 +48,7 @@ def text_lines(data: bytes) -> Iterator[str]:
 
 
 def rows(lines: Iterable[str], separator: str = "") -> Iterator[list[str]]:
-    """Yields the words of each line that has any, split at spaces and at `separator`; `#` starts a comment."""
+    """Yields the words of each line that is not empty, split at spaces and at `separator`; `#` starts a comment."""
     for line in lines:
         text = line.partition("#")[0] if "#" in line else line
         words = text.replace(separator, " ").split() if separator else text.split()
@@ -57,7 +57,7 @@ def rows(lines: Iterable[str], separator: str = "") -> Iterator[list[str]]:
 
 
 def numbers(words: Iterable[str]) -> Array:
-    """Returns the words as numbers (n,), NaN among them; raises BadText for a word that is none."""
+    """Returns the words as numbers (n,), which may be NaN; raises BadText for a word that is no number."""
     try:
         return np.fromiter(map(float, words), np.float64)
     except ValueError as error:
@@ -71,13 +71,20 @@ def number_table(found: Iterable[list[str]], width: int, name: str) -> Array:
     """
 
     def checked() -> Iterator[list[str]]:
-        """Yields as many words of each row; raises BadText where there are fewer."""
+        """Yields `width` words of each row; raises BadText for a row with fewer."""
         for k, words in enumerate(found):
             if len(words) < width:
                 raise BadText(f"{name} {k}: expected {width} numbers, got {len(words)}")
             yield words[:width]
 
     return numbers(chain.from_iterable(checked())).reshape(-1, width)
+
+
+def three_columns(columns: Mapping[str, NDArray[np.generic]], *names: str) -> Array | None:
+    """Returns the three columns (k,) with these names as one table (k, 3), or None where one is missing."""
+    if not columns.keys() >= set(names):
+        return None
+    return np.stack([columns[name].astype(np.float64) for name in names], axis=1)
 
 
 def triangles(corners: ArrayLike, counts: ArrayLike) -> Indices:

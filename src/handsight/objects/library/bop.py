@@ -1,4 +1,4 @@
-"""`models_info.json` as the BOP benchmark has it: the diameter and the symmetries of each object, in millimetres.
+"""`models_info.json` of the BOP benchmark: the diameter and the symmetries of each object, in millimetres.
 
 https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md
 """
@@ -17,8 +17,8 @@ from handsight.objects.symmetry import MAX_ROTATIONS, Symmetries, about, closed_
 METRES = 1e-3
 """Metres in the unit of a BOP library's files."""
 TOLERANCE = 0.01
-"""Rotation matrices whose entries, and shifts whose parts of the diameter, differ by less are meant to be equal: files
-have few digits."""
+"""Rotation matrices are meant to be equal if their entries differ by less, and shifts if they differ by less than this
+part of the diameter, because files have few digits."""
 
 Vector = tuple[float, float, float]
 Matrix = tuple[
@@ -29,15 +29,15 @@ Matrix = tuple[
 
 
 class ContinuousAxis(msgspec.Struct):
-    """A `ContinuousAxis` is a line about which any turn is a symmetry."""
+    """A `ContinuousAxis` is a line about which every turn is a symmetry."""
 
     axis: Vector
     offset: Vector = (0.0, 0.0, 0.0)
-    """A point of it [mm]."""
+    """A point on the line [mm]."""
 
 
 class Info(msgspec.Struct):
-    """An `Info` is what `models_info.json` has of an object; other keys are ignored."""
+    """An `Info` is the entry of `models_info.json` for an object; other keys are ignored."""
 
     diameter: Annotated[float, msgspec.Meta(ge=1e-4, le=1e10)]
     """[mm]"""
@@ -65,7 +65,8 @@ def info_of(model: ObjectModel) -> dict[str, object]:
 
 
 def symmetries_of(info: Info) -> Symmetries:
-    """Returns the symmetries that the file means, as an exact group; raises InvalidInput where they are no group."""
+    """Returns the symmetries that the file's rounded numbers mean, as an exact group; raises InvalidInput where they
+    form none."""
     near = TOLERANCE * info.diameter * METRES
     turns = []
     for k, matrix in enumerate(info.symmetries_discrete):
@@ -89,7 +90,7 @@ def symmetries_of(info: Info) -> Symmetries:
     symmetries = Symmetries(lines)
     point, axis = symmetries.axes[0]
     middles = []
-    for k, T in enumerate(turns):  # each keeps the axis in place, or swaps its ends about a middle
+    for k, T in enumerate(turns):  # each must keep the axis in place, or swap its ends about a middle
         shift = se3.apply(T, point[None])[0] - point
         along, cosine = float(shift @ axis), float(axis @ T[:3, :3] @ axis)
         gap = shift if symmetries.round else shift - along * axis
@@ -118,11 +119,12 @@ def _nearest_rotations(M: Array) -> Array:
 
 
 def _exact_group(turns: list[Array], near: float) -> Array:
-    """Returns the finite group (k, 4, 4) that rounded turns generate, exact to rounding; raises InvalidInput.
+    """Returns the finite group (k, 4, 4) that inexact turns generate, exact to rounding; raises InvalidInput.
 
-    The turns are multiplied until no product is new; transforms nearer than `near` [m] are one. The mean of
-    R(gh) R(h)⁻¹ over all h is then nearer to a group's R(g) than R(g) itself, by a square each time (Grove, Karcher,
-    Ruh 1974). The point that all turns leave in place is the mean of the points to which they take the origin.
+    The turns are multiplied until no product is new; transforms that differ by less than `TOLERANCE` and `near` [m]
+    are the same. The mean of R(gh) R(h)⁻¹ over all h is then closer to an exact group's R(g) than R(g) itself, and
+    repeating this squares the error each time (Grove, Karcher, Ruh 1974). The point that all turns leave in place is
+    the mean of the points to which they take the origin.
     """
 
     def distance(T: Array, others: Array) -> Array:

@@ -1,7 +1,7 @@
 """The two documents of a library, and the entries that they describe: the objects by number and name.
 
-`models_info.json` is the BOP benchmark's (`bop.py`). `handsight.json`, beside it, has what BOP has no place for: name,
-mass, centre of mass, licence, source, and the checksum of the model's file.
+`models_info.json` is the BOP benchmark's (`bop.py`). `handsight.json`, beside it, has the facts for which BOP has no
+keys: name, mass, centre of mass, licence, source, and the checksum of the model's file.
 """
 
 import re
@@ -21,17 +21,17 @@ from handsight.objects.symmetry import Symmetries
 
 INFO, FACTS = "models_info.json", "handsight.json"
 LARGEST_DOCUMENT = 20_000_000
-"""Bytes; what is known of ten thousand objects."""
+"""The largest number of bytes of a document: about ten thousand objects."""
 VERSION = 1
-"""Of the format of `handsight.json`."""
+"""Version of the format of `handsight.json`."""
 
 
 class NoLibrary(InvalidFile):
-    """A folder or a URL has no library."""
+    """The error that there is no library in a folder or at a URL."""
 
 
 class Facts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A `Facts` is what is known of an object besides its surface; raises InvalidInput for impossible values."""
+    """`Facts` are what is known of an object besides its surface; impossible values raise InvalidInput."""
 
     name: str
     """Letters, digits, blanks and `_.+-`, the first a letter or a digit, not all of them digits."""
@@ -40,13 +40,13 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     center_of_mass: tuple[float, float, float] | None = None
     """In the object's frame [m]."""
     sigma_center_of_mass: float | None = None
-    """One standard deviation per axis [m]."""
+    """One standard deviation of the centre of mass per axis [m]."""
     licence: str = ""
     source: str = ""
-    """Where the model is from."""
+    """Where the model comes from."""
 
     def __post_init__(self) -> None:
-        # A path or a terminal must not obey a name, and it must not be a number, by which objects are found too.
+        # A name must be harmless in a path and on a terminal, and no number, because objects are found by number too.
         most, max_mass, max_text = checks.MAX_NAME_LENGTH, 100.0, 500
         is_text = isinstance(self.name, str) and len(self.name) <= most
         if not is_text or not re.fullmatch(r"\w[\w .+-]*", self.name):
@@ -69,7 +69,7 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Record(Facts, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A `Record` is the facts of an object with the size [bytes] and SHA-256 of its model's file."""
+    """A `Record` is the facts of an object, and the size [bytes] and SHA-256 of its model's file."""
 
     sha256: str
     bytes: int
@@ -89,7 +89,7 @@ class FactsDocument(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Documents(NamedTuple):
-    """`Documents` are the bytes of both documents."""
+    """`Documents` are the contents of a library's two documents."""
 
     info: bytes
     facts: bytes | None
@@ -103,17 +103,22 @@ class Entry:
     number: int
     """BOP's `obj_id`."""
     name: str
-    """The name under which it was added; `obj_000005` for an object without one."""
+    """The name under which the object was added; `obj_000005` for one without a name."""
     facts: Record | None
-    """Mass, licence, ..., size and checksum of the model's file; None for an object of a BOP folder."""
+    """Mass, licence and so on, with size and checksum of the model's file; None for an object that BOP alone
+    describes."""
     info: Info
     place: str
     """Folder or URL of the library."""
 
     @property
     def file(self) -> str:
-        """The name of its model's file."""
+        """The name of the model's file."""
         return f"obj_{self.number:06d}.ply"
+
+    def is_called(self, name: str) -> bool:
+        """Returns whether a name is the object's name, its number, or its file's name without the ending."""
+        return name in (self.name, str(self.number), self.file.removesuffix(".ply"))
 
     @property
     def diameter(self) -> float:
@@ -122,13 +127,13 @@ class Entry:
 
     @property
     def size(self) -> tuple[float, float, float] | None:
-        """Extent along x, y, z [m]; None where the documents do not have it."""
+        """Extent along x, y, z [m]; None where the documents do not state it."""
         x, y, z = self.info.size_x, self.info.size_y, self.info.size_z
         return None if x is None or y is None or z is None else (METRES * x, METRES * y, METRES * z)
 
     @cached_property
     def symmetries(self) -> Symmetries:
-        """The declared symmetries; raises InvalidFile where they are no group."""
+        """The declared symmetries; raises InvalidFile where they form no group."""
         try:
             return symmetries_of(self.info)
         except InvalidInput as error:
@@ -136,13 +141,13 @@ class Entry:
 
 
 def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
-    """Returns the objects in the order of their numbers; raises InvalidFile, which begins with the place."""
+    """Returns the objects in the order of their numbers; raises InvalidFile, whose message begins with the place."""
     where, there = f"{place}: {INFO}", f"{place}: {FACTS}"
     infos = _by_number(decode(documents.info, dict[str, Info], where), where)
     records: dict[int, Record] = {}
     if documents.facts is not None:
         version = decode_object(documents.facts, there).get("version")
-        if version != VERSION:  # the keys of another version are not known here
+        if version != VERSION:  # another version may have other keys
             raise InvalidFile(f"{there}: version: expected {VERSION}, got {checks.brief(version)}")
         records = _by_number(decode(documents.facts, FactsDocument, there).objects, there)
     entries, owners = list[Entry](), dict[str, int]()
@@ -158,7 +163,10 @@ def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
 
 
 def _by_number(values: Mapping[str, Form], where: str) -> dict[int, Form]:
-    """Returns the values by their keys as numbers; raises InvalidFile for another key, which would name a file."""
+    """Returns the values by their keys as numbers; raises InvalidFile for a key that is no number.
+
+    Numbers become the names of files, so that another key could name any file.
+    """
     found: dict[int, Form] = {}
     for key, value in values.items():
         if not (key.isascii() and key.isdecimal() and len(key) < 10 and str(int(key)) == key):

@@ -1,7 +1,7 @@
-"""A library in a folder: its documents and models are read, added and changed, by one process at a time.
+"""A library in a folder: its documents and models are read by any process, and changed by one at a time.
 
-`models_info.json` is written last, and each file appears under its name at once and complete: an object that is not in
-that document is not in the library, whatever else was written before an add was interrupted.
+`models_info.json` is written last, and each file appears under its name complete or not at all: an object that is not
+in that document is not in the library, whatever else an interrupted add has written.
 """
 
 import contextlib
@@ -39,7 +39,7 @@ from handsight.objects.model import ObjectModel
 from handsight.objects.symmetry import Symmetries
 
 LOCK_SECONDS = 60.0
-"""How long a writer waits for another one; an add holds the lock for as long as three small files take to write."""
+"""How long a writer waits for another [s]; an add holds the lock while it writes three small files."""
 
 if sys.platform == "win32":
     import msvcrt
@@ -55,7 +55,7 @@ else:
 
 
 class NewObject(NamedTuple):
-    """A `NewObject` is what an add writes of an object: its part of each document, and its model as PLY."""
+    """A `NewObject` is an object to be added: its part of each document, and its model as PLY."""
 
     facts: dict[str, Any]
     info: dict[str, Any]
@@ -65,7 +65,7 @@ class NewObject(NamedTuple):
 def new_object(
     file: str | os.PathLike[str], facts: Facts, scale: float, symmetries: Symmetries | None
 ) -> NewObject:
-    """Returns what an add of the object in a file writes; raises InvalidInput and as `ObjectModel.from_file`.
+    """Returns the object in a file, ready to be added; raises InvalidInput, and the errors of `ObjectModel.from_file`.
 
     A PLY in millimetres is kept byte for byte, with its colours; any other file is converted to one.
     """
@@ -96,22 +96,22 @@ def check_inside(facts: Facts, model: ObjectModel) -> None:
 
 @dataclass(frozen=True)
 class Folder:
-    """A `Folder` is a library whose documents and models lie side by side in a folder."""
+    """A `Folder` is a library whose documents and models are side by side in a folder."""
 
     place: Path
 
     @property
     def models(self) -> Path:
-        """The folder itself where the documents are in it, else its `models`, as in a BOP data set."""
+        """The folder with the documents: the library's own, or else its `models`, as in a BOP data set."""
         return self.place if (self.place / INFO).exists() else self.place / "models"
 
     def documents(self) -> Documents:
-        """Returns the bytes of both documents; raises NoLibrary where there is none, InvalidFile."""
+        """Returns the contents of both documents; raises NoLibrary where there are none, InvalidFile."""
         models = self.models
         if not (models / INFO).exists():
             message = f"expected a library, with models/{INFO}, got none; `handsight objects add` makes one"
             raise NoLibrary(f"{self.place}: {message}")
-        # Info first: an add writes it last, so that an object in it has its facts already.
+        # Info is read first: an add writes it last, so that the facts of every object in it are already there.
         info = read_bytes(models / INFO, LARGEST_DOCUMENT)
         if not (models / FACTS).exists():
             return Documents(info, None)
@@ -133,11 +133,12 @@ class Folder:
                     owner = f"{entry.name!r}, which is that of object {entry.number}"
                     raise InvalidInput(f"name: expected a new one, got {owner}")
             infos = decode_object(documents.info, INFO)
-            # Facts that an interrupted add has left behind must not become another object's.
+            # Facts that an interrupted add has left behind must not become those of another object.
             facts = {key: value for key, value in _facts(documents).items() if key in infos}
             stems = [path.stem.removeprefix("obj_") for path in models.glob("obj_*.ply")]
             taken = [int(stem) for stem in stems if stem.isascii() and stem.isdecimal() and len(stem) < 10]
-            number = 1 + max([0, *map(int, infos), *taken])  # a file that no document lists keeps its number
+            # A file that no document lists keeps its number.
+            number = 1 + max([0, *map(int, infos), *taken])
             facts[str(number)], infos[str(number)] = new.facts, new.info
             write_file(models / f"obj_{number:06d}.ply", new.ply)
             write_file(models / FACTS, _json({"version": VERSION, "objects": facts}))
@@ -167,21 +168,23 @@ def _json(document: dict[str, Any]) -> bytes:
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Writes a file that appears under its name complete, or not at all; raises NotWritten."""
+    """Writes a file, which appears under its name complete or not at all; raises NotWritten."""
     with write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path) as file:
             file.write(data)
             file.flush()
-            os.fsync(file.fileno())  # else a machine that loses power may keep the name and lose the content
+            # Without it, a machine that loses power may keep the name and lose the content.
+            os.fsync(file.fileno())
 
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keeps other threads and processes from writing to a folder; raises NotWritten where one of them does not end.
+    """Keeps other threads and processes from writing to a folder; raises NotWritten where another holds it too long.
 
-    It is the system's lock of an open file: it ends with its process, however that ends, and between machines the file
-    server keeps it (NFS, SMB). A folder whose system has no locks is refused: two writers could lose what one added.
+    It is the operating system's lock on an open file: it ends with its process, however that ends, and file servers
+    (NFS, SMB) keep it between machines. A folder on a file system without locks is refused, because of two writers one
+    could lose what the other added.
     """
     with write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -200,7 +203,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def check_content(path: Path, sha256: str | None, size: int | None) -> None:
-    """Raises InvalidFile where a file is missing, or not of that size [bytes] and SHA-256; None allows any."""
+    """Raises InvalidFile where a file is missing, or its size [bytes] or SHA-256 is another; None allows any."""
     with open_regular(path) as file:
         came = os.fstat(file.fileno()).st_size
         if size is not None and came != size:
@@ -214,7 +217,7 @@ def check_content(path: Path, sha256: str | None, size: int | None) -> None:
 
 
 def check_sha256(name: str | Path, sha256: str, found: str) -> None:
-    """Raises InvalidFile, which begins with the name, where a file's SHA-256 is not what it was when it was added."""
+    """Raises InvalidFile, whose message begins with `name`, where the SHA-256 found is not that of the added file."""
     if found != sha256:
         message = f"expected the SHA-256 {sha256[:12]}…, got {found[:12]}…: changed since it was added"
         raise InvalidFile(f"{name}: {message}")

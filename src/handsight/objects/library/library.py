@@ -1,11 +1,12 @@
-"""Objects by name, in a folder or at a URL that has the format of the BOP benchmark, and what is known of each.
+"""Objects by name, with their symmetries and facts, in a folder or at a URL in the format of the BOP benchmark.
 
-`models/obj_000001.ply` in millimetres and `models/models_info.json` are BOP's, so that the folders of others are
-libraries as they are, and ours are BOP's. Names, masses, licences and checksums are in `models/handsight.json`.
+`models/obj_000001.ply` in millimetres and `models/models_info.json` are as BOP defines them, so that a folder of a BOP
+data set is a library, and tools for BOP read a library. Names, masses, licences and checksums are in
+`models/handsight.json`.
 """
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,10 +17,11 @@ from handsight.checks import Array
 from handsight.errors import HandsightError, InvalidFile, InvalidInput
 from handsight.objects.files import read_shape
 from handsight.objects.library.bop import METRES
-from handsight.objects.library.documents import Entry, Facts, entries
+from handsight.objects.library.documents import Entry, Facts, NoLibrary, entries
 from handsight.objects.library.folder import Folder, check_inside, new_object
 from handsight.objects.library.remote import Remote
 from handsight.objects.model import ObjectModel
+from handsight.objects.spec import ObjectSpec
 from handsight.objects.surface import diameter
 from handsight.objects.symmetry import Symmetries
 
@@ -30,13 +32,13 @@ def default_place() -> str:
     if named := os.environ.get("HANDSIGHT_LIBRARY"):
         return named
     base = os.environ.get("XDG_DATA_HOME", "")
-    if not os.path.isabs(base):  # its specification forbids the use of a relative one
+    if not os.path.isabs(base):  # the XDG specification says to ignore a relative path
         base = os.path.expanduser("~/.local/share")
     return os.path.join(base, "handsight", "library")
 
 
 class Library:
-    """A `Library` is objects by name, in a folder or at a URL; each call reads what it needs anew."""
+    """A `Library` is a set of objects by name, in a folder or at a URL; each call reads the documents anew."""
 
     def __init__(self, place: str | os.PathLike[str] | None = None) -> None:
         """`place`: a folder or a URL; None: `default_place`. Raises InvalidInput for any other value."""
@@ -52,7 +54,7 @@ class Library:
         return f"<Library {self.place}>"
 
     def entries(self) -> tuple[Entry, ...]:
-        """Returns all objects in the order of their numbers; raises InvalidFile without a library, or for a damaged
+        """Returns all objects in the order of their numbers; raises InvalidFile where there is no library, or a damaged
         one."""
         return entries(self._source.documents(), self.place)
 
@@ -60,18 +62,18 @@ class Library:
         """Returns the object with that name or number (`5`, `obj_000005`); raises InvalidInput where there is none."""
         known = self.entries()
         for entry in known:
-            if name in (entry.name, str(entry.number), entry.file.removesuffix(".ply")):
+            if entry.is_called(name):
                 return entry
         near = checks.suggestion(str(name), [entry.name for entry in known])
         raise InvalidInput(f"name: expected an object of {self.place}, got {checks.brief(name)!r}{near}")
 
     def file(self, entry: Entry) -> Path:
-        """Returns the path of its model on this machine; raises InvalidFile where it is missing or not the one that was
-        added."""
+        """Returns the path of the object's model on this machine; raises InvalidFile where that file is missing, or is
+        not the one that was added."""
         return self._source.file(entry)
 
     def model(self, name: str) -> ObjectModel:
-        """Returns the object with that name, with its symmetries and its weight; raises as `entry` and `file`."""
+        """Returns the object with that name, its symmetries and its weight; raises the errors of `entry` and `file`."""
         entry = self.entry(name)
         model = ObjectModel.from_file(self.file(entry), scale=METRES, symmetries=entry.symmetries)
         facts = entry.facts
@@ -84,13 +86,13 @@ class Library:
         return replace(model, name=entry.name)
 
     def wrong(self, entries: Iterable[Entry]) -> Iterator[str]:
-        """Yields a sentence for each of these objects with which something is wrong; reads their files."""
+        """Reads the files of these objects, and yields a sentence for each object with a fault."""
         for entry in entries:
             try:
                 points = read_shape(self.file(entry)).vertices
                 if np.isfinite(points).all() and np.ptp(points, axis=0).max() > 0:
                     measured, declared = diameter(points), entry.info.diameter
-                    # Some documents have the diagonal of the bounding box, at most √3 times too large.
+                    # Some documents state the diagonal of the bounding box, which is at most √3 times too large.
                     if not 1 / 3 < measured / declared < 3:
                         message = (
                             f"expected the diameter {declared:.4g} mm, got {measured:.4g}: another unit?"
@@ -101,10 +103,10 @@ class Library:
                 yield str(error)
 
     def fetch(self, advance: Callable[..., None] = lambda share, text="": None) -> list[str]:
-        """Copies the documents and models at a URL to this machine's cache, where they are used from then on.
+        """Copies the documents and models at a URL to this machine's cache, from which they are used from then on.
 
         Returns a sentence for each object that could not be copied. `advance(share, name)` is called before each object
-        with the share that is done. Raises InvalidInput for a folder.
+        with the share that is done, from 0 to 1. Raises InvalidInput for a folder.
         """
         if isinstance(self._source, Folder):
             raise InvalidInput(f"{self.place}: expected a URL, such as https://..., got a folder")
@@ -130,7 +132,7 @@ class Library:
 
         `scale`: metres per unit of the file. The object is in the library complete or not at all, whoever else adds
         meanwhile and however the process ends.
-        Raises InvalidInput where the name is taken or the library is at a URL, NotWritten, and as
+        Raises InvalidInput where the name is taken or the library is at a URL, NotWritten, and the errors of
         `ObjectModel.from_file`.
         """
         if isinstance(self._source, Remote):
@@ -139,7 +141,7 @@ class Library:
         return self.entry(facts.name)
 
     def weigh(self, name: str, mass: float, center_of_mass: Array, sigma_center_of_mass: float) -> Entry:
-        """Writes the mass [kg] and centre of mass (3,) [m] of an object, with its standard deviation per axis [m].
+        """Writes an object's mass [kg], its centre of mass (3,) [m], and the standard deviation of that per axis [m].
 
         Returns the entry; its other facts stay. Raises InvalidInput for an object that was not added with a name, for a
         library at a URL, and for a centre outside the object; NotWritten.
@@ -156,3 +158,36 @@ class Library:
         check_inside(facts, self.model(name))
         self._source.revise(entry.number, facts)
         return self.entry(name)
+
+
+def find_model(
+    name: str,
+    objects: Mapping[str, ObjectSpec],
+    place: str,
+    *,
+    library: Library,
+    scale: float = 1.0,
+    argument: str = "object",
+) -> ObjectModel:
+    """Returns the model of a rig's object of that name, else of the mesh file at that path, else of a library's object.
+
+    `objects`: the rig's, by name; `place`: what a message calls the rig, empty where there is none; `scale`: metres per
+    unit of the mesh file. Raises InvalidInput with `argument` in front where there is no such object, and the errors of
+    reading the one that was found.
+    """
+    if name in objects:
+        return replace(objects[name].model(), name=name)
+    if Path(name).is_file():
+        return ObjectModel.from_file(name, scale=scale)
+    try:
+        known = library.entries()
+    except NoLibrary:  # a library is optional
+        known = ()
+    for entry in known:
+        if entry.is_called(name):
+            return library.model(entry.name)
+    in_library = f"the library {library.place}" if known else f"a library (there is none at {library.place})"
+    near = checks.suggestion(name, {*objects, *(entry.name for entry in known)})
+    raise InvalidInput(
+        f"{argument}: expected a name of {place or in_library} or a mesh file, got {checks.brief(name)!r}{near}"
+    )

@@ -1,6 +1,6 @@
-"""A library at a URL, used from its copy in the cache: what is already there is not fetched again.
+"""A library at a URL, used from its copy in the cache: a file that is already there is not fetched again.
 
-Documents are kept by their URL, models' files by their SHA-256, so that a file is what the documents say or is fetched
+Documents are kept by their URL, models' files by their SHA-256: a file that is not the one in the documents is fetched
 again, and two libraries with the same file share it.
 """
 
@@ -22,14 +22,14 @@ from handsight.objects.library.folder import check_content, check_sha256, write_
 
 
 class _Copy(msgspec.Struct):
-    """What was fetched of a library."""
+    """The documents of a library as they were fetched, and the checksums of fetched files."""
 
     base: str
-    """The URL that the documents and the files are under."""
+    """The URL of the folder with the documents and the models."""
     info: bytes
     facts: bytes | None
     sha256: dict[int, str]
-    """Checksum, by number, of the fetched files for which no document states one."""
+    """SHA-256, by the object's number, of those fetched files for which no document states one."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Remote:
         return Documents(copy.info, copy.facts)
 
     def refresh(self) -> _Copy:
-        """Fetches the documents and keeps them; raises InvalidFile, and then what was fetched before stays."""
+        """Fetches the documents and keeps them; where it raises InvalidFile, those fetched before stay."""
         for base in (_under(self.url, "models"), self.url):
             info = fetched(_under(base, INFO), LARGEST_DOCUMENT)
             if info is not None:
@@ -56,12 +56,15 @@ class Remote:
         raise NoLibrary(f"{self.url}: expected a library, with models/{INFO}, got none")
 
     def file(self, entry: Entry, *, anew: bool = False) -> Path:
-        """Returns the model's file in the cache, fetched where it is not yet there; raises InvalidFile, NotWritten.
+        """Returns the model's file in the cache, fetched if it is not yet there; raises InvalidFile, NotWritten.
 
-        `anew`: fetch it also where no document states a checksum that shows the cached file to be the current one.
+        `anew`: fetch it also where no document states a checksum by which the cached file is known to be current.
         """
         copy = self._copy()
-        known = entry.facts.sha256 if entry.facts else None if anew else copy.sha256.get(entry.number)
+        if entry.facts:
+            known: str | None = entry.facts.sha256
+        else:
+            known = None if anew else copy.sha256.get(entry.number)
         if known is not None:
             path = _folder() / known / entry.file
             with contextlib.suppress(HandsightError):  # a missing or damaged file is fetched again
@@ -77,12 +80,12 @@ class Remote:
         path = _folder() / found / entry.file
         write_file(path, data)
         now = self._copy()
-        if not entry.facts and now.info == copy.info:  # else another process has fetched other documents
+        if not entry.facts and now.info == copy.info:  # otherwise another process has fetched other documents
             self._keep(msgspec.structs.replace(now, sha256={**now.sha256, entry.number: found}))
         return path
 
     def _copy(self) -> _Copy:
-        """Returns what was fetched, fetching it where it was not yet."""
+        """Returns the copy in the cache; fetches it if there is none."""
         return self._kept() or self.refresh()
 
     def _kept(self) -> _Copy | None:
@@ -105,9 +108,9 @@ def _folder() -> Path:
 
 
 def fetched(url: str, most: int) -> bytes | None:
-    """Returns the bytes at a URL, at most `most` of them, or None where nothing is there.
+    """Returns the bytes at a URL, or None where there is nothing.
 
-    Raises InvalidFile, and MissingExtra where the kind of URL needs fsspec.
+    Raises InvalidFile, also for more than `most` bytes, and MissingExtra where the kind of URL needs fsspec.
     """
     data = bytearray()
     try:
@@ -119,7 +122,7 @@ def fetched(url: str, most: int) -> bytes | None:
             left = getattr(stream, "length", None)  # bytes that an HTTP server announced and did not send
     except HandsightError:
         raise
-    except Exception as error:  # each kind of URL has errors of its own
+    except Exception as error:  # each kind of URL raises errors of its own
         reason = getattr(error, "reason", None) or error
         # Some file servers answer 403 where there is no file.
         if isinstance(reason, FileNotFoundError) or getattr(error, "code", None) in (403, 404, 410):
@@ -131,25 +134,28 @@ def fetched(url: str, most: int) -> bytes | None:
 
 
 def _opened(url: str) -> AbstractContextManager[BinaryIO]:
-    """Returns the stream of a URL: of http, https and file by the standard library, of any other kind by fsspec."""
+    """Opens a URL: http, https and file by the standard library, any other kind by fsspec."""
+    opened: AbstractContextManager[BinaryIO]
     kind = url.partition("://")[0].lower()
     if kind in ("http", "https", "file"):
         from urllib.request import Request, urlopen
 
         request = Request(url, headers={"User-Agent": "handsight"})
-        opened: AbstractContextManager[BinaryIO] = urlopen(request, timeout=30)  # seconds without a byte
+        opened = urlopen(request, timeout=30)  # seconds without a byte
         return opened
     try:
         import fsspec
     except ImportError:
         raise MissingExtra(f"{url}: {kind}:// needs fsspec: pip install 'handsight[library]'") from None
-    there: AbstractContextManager[BinaryIO] = fsspec.open(url, "rb")
-    return there
+    opened = fsspec.open(url, "rb")
+    return opened
 
 
 def _under(url: str, name: str) -> str:
-    """Returns the URL of a file below another URL; of a chain, such as `zip://models::file:///ycbv.zip`, in its first
-    link."""
+    """Returns the URL of a file below another URL.
+
+    A chained URL, such as `zip://models::file:///ycbv.zip`, is extended in its first link.
+    """
     first, chain, rest = url.partition("::")
     if not first.endswith("://"):
         first = first.rstrip("/") + "/"

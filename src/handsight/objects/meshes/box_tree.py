@@ -1,4 +1,4 @@
-"""A tree of boxes around triangles or points, and the closest points and winding numbers that are found by it.
+"""A tree of boxes around triangles or points, and closest points and winding numbers computed with it.
 
 The tree is complete and binary, with one level of boxes after another: the children of box k are 2k + 1 and 2k + 2. The
 items of a box are halved across its longest side, so the numbers of items in the leaves differ by one at most.
@@ -14,17 +14,17 @@ from handsight.objects.surface import Triangles
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxTree:
-    """A `BoxTree` is an order of items in which neighbours in space follow each other, cut into leaves."""
+    """A `BoxTree` is an order of items in which neighbours in space follow each other, divided into leaves."""
 
     order: Indices
-    """(n,) index of each item."""
+    """(n,) indices of the items in that order."""
     starts: Indices
-    """(leaves + 1,) where each leaf begins, and the end; the number of leaves is a power of two."""
+    """(leaves + 1,) the place in the order where each leaf begins, and n; the number of leaves is a power of two."""
 
     def boxes(self, low: Array, high: Array) -> Array:
-        """Returns (2 leaves - 1, 6): the least and the greatest corner of every box, beginning with the root's.
+        """Returns (2 leaves - 1, 6): the least and the greatest corner of every box, the root first.
 
-        `low`, `high` (n, 3): corners of the items' own boxes, in the tree's order; no leaf may be empty.
+        `low`, `high` (n, 3): corners of the items' boxes, in the tree's order; no leaf may be empty.
         """
         first = self.starts[:-1]
         level = np.hstack([np.minimum.reduceat(low, first), np.maximum.reduceat(high, first)])
@@ -57,10 +57,10 @@ def box_tree(centers: Array, most: int = 16) -> BoxTree:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosestPoints:
-    """A `ClosestPoints` is the points of a mesh closest to n given ones."""
+    """`ClosestPoints` are the points of a mesh closest to n given points."""
 
     distance: Array
-    """(n,) distances between them [m], not signed."""
+    """(n,) distances from the given points [m], not signed."""
     points: Array
     """(n, 3) on the surface [m]."""
     face: Indices
@@ -73,7 +73,7 @@ class ClosestPointSearch:
     """A `ClosestPointSearch` finds the closest points of a mesh, exactly, by a tree of boxes around its triangles."""
 
     def __init__(self, mesh: Triangles, tree: BoxTree | None = None) -> None:
-        """Builds the search for a mesh with at least one triangle; `tree` over it, where it exists already."""
+        """Builds the search for a mesh of at least one triangle; `tree`: over its triangles, if it was built before."""
         tree = tree or box_tree(mesh.corners.mean(axis=1))
         self._order = tree.order
         corners = mesh.corners[tree.order]
@@ -91,9 +91,10 @@ class ClosestPointSearch:
         self._tree = tree.starts, boxes, frames, turned, around
 
     def closest(self, points: Array, within: float = np.inf) -> tuple[ClosestPoints, Indices]:
-        """Returns the closest surface points of the points (n, 3) nearer than `within` [m], and the indices of these.
+        """Returns the closest surface points of those points (n, 3) that are nearer than `within` [m], and the indices
+        of these.
 
-        Of equally near triangles any one is returned. It is fastest where neighbours in space follow each other.
+        Of equally near triangles any one is returned. The search is fastest if neighbours in space follow each other.
         """
         from handsight._kernels.mesh.nearest_triangle import closest_points  # numba's import is long
 
@@ -107,9 +108,9 @@ class ClosestPointSearch:
 class Winding:
     """A `Winding` computes the winding number of a triangle mesh or an oriented cloud around a point.
 
-    It is 1 inside, 0 outside, and in between near holes. Barill, Dickson, Schmidt, Levin and Jacobson 2018, "Fast
-    winding numbers for soups and clouds": a patch that is far away counts as one dipole, its area vector at its centre;
-    in a patch that is near, every triangle counts with its solid angle.
+    It is 1 inside, 0 outside, and in between near holes. The method is that of Barill, Dickson, Schmidt, Levin and
+    Jacobson 2018, "Fast winding numbers for soups and clouds": a patch that is far away counts as one dipole, its area
+    vector at its centre; in a patch that is near, every triangle counts with its solid angle.
     """
 
     def __init__(
@@ -117,7 +118,7 @@ class Winding:
     ) -> None:
         """Builds the patches of a surface from `centers` (m, 3) [m] and outward `area_vectors` (m, 3) [m²].
 
-        `corners` (m, 3, 3): of the triangles [m]; None for points. `tree` over the centers, where it exists already;
+        `corners` (m, 3, 3): of the triangles [m]; None for points. `tree`: over the centers, if it was built before;
         its leaves are the patches.
         """
         tree = tree or box_tree(centers)
@@ -141,7 +142,7 @@ class Winding:
 
     @classmethod
     def of_mesh(cls, mesh: Triangles, tree: BoxTree | None = None) -> "Winding":
-        """Returns the winding number of a mesh; `tree` over its triangles, where it exists already."""
+        """Returns the winding number of a mesh; `tree`: over its triangles, if it was built before."""
         return cls(mesh.corners.mean(axis=1), mesh.doubled_normals / 2, mesh.corners, tree)
 
     def at(self, points: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 
 from handsight.checks import Array, Indices, Mask
 from handsight.objects.fields import Grid, grid_fields, grids
-from handsight.objects.geometry import Geometry, measured, roughened
+from handsight.objects.geometry import Geometry, geometry_of, roughened
 from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch, Winding, box_tree
 from handsight.objects.meshes.repair import components, repaired, side_samples
 from handsight.objects.scans.scan import smoothed
@@ -16,18 +16,17 @@ from handsight.objects.surface import SURFACE, Triangles, diameter
 
 
 class MeshOptions(NamedTuple):
-    """`MeshOptions` say when a mesh is closed, and how the side of a node is found."""
+    """`MeshOptions` say when a mesh is closed, and on which side of it a node of a grid is."""
 
-    closed_share: float = (
-        0.95  # of the samples of a closed mesh whose two sides have the winding numbers 1 and 0
-    )
+    closed_share: float = 0.95
+    """A mesh is closed if the winding numbers behind and in front of this share of its samples are 1 and 0."""
     slit: float = 0.1
     """Distance from an edge at which winding numbers show whether it is a rim [fine cells]. Slits up to about half as
     wide do not make a rim."""
     max_fraction: float = 0.25
-    """A winding number farther than this from an integer is that of a rim, where it is at least 0.375 from it at one of
-    four places around."""
-    voters: int = 16  # nodes of each connected set whose winding numbers are computed
+    """Where a winding number around an edge is farther than this from an integer, the edge is a rim. Of four places
+    around a rim, one has a number that is at least 0.375 from an integer."""
+    voters: int = 16  # nodes whose winding numbers are computed in each connected set of nodes
 
 
 MESH = MeshOptions()
@@ -56,30 +55,30 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
     nodes = coarse.nodes()
     values = signed(np.arange(len(nodes)), coarse, search.closest(nodes)[0])
     fields = grid_fields(coarse, values, fine, exact, sheet=not closed)
-    geometry = measured(mesh, *fields, diameter=size, closed=closed, remarks=(*remarks, *coarser))
+    geometry = geometry_of(mesh, *fields, diameter=size, closed=closed, remarks=(*remarks, *coarser))
     return geometry if roughness is None else roughened(geometry, roughness)
 
 
 def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
-    """Returns (e,) which edges of a mesh are its rim: those with one triangle, except at slits.
+    """Returns (e,) which edges of a mesh are on its rim: those with one triangle, except at slits.
 
     `cell` [m]: the cell of the fine grid. Around a point of a rim the winding number takes all values between two
     integers, a quarter of them on each quarter of a turn. Around a slit, where edges lie on each other without sharing
     vertices (a vertex of one within the other, or each its own), it is an integer.
     """
-    pairs, _, count = mesh.edges
-    rim = np.asarray(count == 1)
+    edges = mesh.edges
+    rim = np.asarray(edges.counts == 1)
     if not rim.any():
         return rim
-    start, end = mesh.vertices[pairs[rim]].swapaxes(0, 1)
+    start, end = mesh.vertices[edges.vertices[rim]].swapaxes(0, 1)
     along = end - start
     pieces = np.ceil(np.linalg.norm(along, axis=1) / cell).astype(np.int64)
     edge = np.repeat(np.arange(len(start)), pieces)
     part = np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5
     middles = start[edge] + (part / pieces[edge])[:, None] * along[edge]
     # Four places around each piece, between the directions along its triangle and across it.
-    of_edge = np.empty(len(pairs), dtype=np.int64)
-    of_edge[mesh.edges[1]] = np.arange(len(mesh.faces))[:, None]
+    of_edge = np.empty(len(rim), dtype=np.int64)
+    of_edge[edges.of_face] = np.arange(len(mesh.faces))[:, None]
     normal = mesh.doubled_normals[of_edge[rim]]
     lateral = np.cross(normal, along)
     normal, lateral = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (normal, lateral))
@@ -93,18 +92,18 @@ def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Holes:
-    """A `Holes` is the places where a surface ends: connected runs of boundary edges, with their bounding boxes."""
+    """`Holes` are the places where a surface ends: the bounding boxes of connected runs of rim edges."""
 
     middles: Array
-    """(h, 3) middle of each box [m]."""
+    """(h, 3) the middle of each box [m]."""
     extents: Array
-    """(h,) diagonal of each box [m]."""
+    """(h,) the diagonal of each box [m]."""
 
 
 def holes_of(mesh: Triangles, rim: Mask | None = None) -> Holes:
-    """Returns the holes of a mesh whose rim is the edges in `rim` (e,); None: those with one triangle."""
-    edges, _, count = mesh.edges
-    pairs = edges[count == 1 if rim is None else rim]
+    """Returns the holes of a mesh whose rim is the edges in `rim` (e,); None: all edges with one triangle."""
+    edges = mesh.edges
+    pairs = edges.vertices[edges.counts == 1 if rim is None else rim]
     if not len(pairs):
         return Holes(np.empty((0, 3)), np.empty(0))
     used, local = np.unique(pairs, return_inverse=True)
@@ -124,7 +123,7 @@ def _is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float)
     points, normals, _ = side_samples(mesh)
     step = 1e-4 * diameter
     behind, front = winding.at(points - step * normals), winding.at(points + step * normals)
-    # Where pieces overlap, the winding number is 2 and the surface is no boundary: that is closed too.
+    # Where pieces overlap, the winding number is 2 and the surface within is no boundary: that is closed too.
     good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
     return bool(good.mean() >= MESH.closed_share)
 
@@ -135,9 +134,10 @@ def signed_by_winding(
     """Returns signed distances (n,) [m] of nodes of a grid from a closed mesh: negative where its winding number is
     above one half.
 
-    `index` (n,) of the nodes, `closest` of their points. Two neighbouring nodes whose distances add up to more than the
-    step between them have no surface between them, so they share a sign, and the winding numbers of a few nodes of each
-    connected set are enough. Near holes, where inside and outside are connected, every node's is computed.
+    `index` (n,) of the nodes; `closest`: their closest points. Two neighbouring nodes whose distances add up to more
+    than the step between them have no surface between them, so they share a sign, and the winding numbers of a few
+    nodes of each connected set are enough. Near holes, where inside and outside are connected, that of every node is
+    computed.
     """
     from handsight._kernels.mesh.connected_nodes import linked  # numba's import is long
 
@@ -147,9 +147,9 @@ def signed_by_winding(
         free &= ((points - middle) ** 2).sum(axis=1) > (extent / 2 + grid.cell) ** 2
     inside = np.zeros(len(points), dtype=bool)
     todo = np.arange(len(points))
-    # Nodes are linked when their distances add up to this many steps; right across a face it is one, give or take the
-    # rounding. Where nodes of a set disagree, a distance that is a little too large has linked the two sides, and the
-    # set is linked again with a larger margin. The last margin links none.
+    # Nodes are linked if their distances add up to more than `margin` steps. Straight across a face they add up to one
+    # step, to rounding. Where nodes of a set disagree, a distance that is a little too large has linked the two sides,
+    # and the set is divided again with a larger margin; the last margin links no nodes.
     for margin in (1.001, 1.5, np.inf):
         label = linked(index[todo], grid.shape, closest.distance[todo], free[todo], margin * grid.cell)
         order = np.argsort(label, kind="stable")
@@ -170,11 +170,11 @@ def signed_by_winding(
 def signed_by_normal(normals: Array, index: Indices, grid: Grid, closest: ClosestPoints) -> Array:
     """Returns signed distances (n,) [m] of nodes of a grid from an open mesh: negative behind it, not behind its rim.
 
-    `normals` (m, 7, 3): `pseudonormals`; `index` (n,) of the nodes, `closest` of their points.
+    `normals` (m, 7, 3): `_pseudonormals`. `index` (n,) of the nodes; `closest`: their closest points.
     """
     zero = closest.weights == 0
     count = zero.sum(axis=1)
-    # Opposite corner 0 is edge 12, and so on; with two zeros the closest point is the third corner.
+    # One zero: the closest point is on the edge opposite that corner (12 for corner 0). Two: it is the third corner.
     edge = np.array([2, 3, 1])[zero.argmax(axis=1)]
     corner = 4 + (~zero).argmax(axis=1)
     feature = np.where(count == 0, 0, np.where(count == 1, edge, corner))
@@ -186,8 +186,8 @@ def signed_by_normal(normals: Array, index: Indices, grid: Grid, closest: Closes
 def _pseudonormals(mesh: Triangles, rim: Mask) -> Array:
     """Returns (m, 7, 3): each triangle's normals inside, on its edges 01, 12, 20 and at its corners, not normalised.
 
-    They are weighted by angles, so that their sign is that of the side wherever the closest point lies (Baerentzen and
-    Aanaes 2005); on the rim, edges in `rim` (e,), they are zero.
+    They are weighted by angles, so that they show the side wherever the closest point is (Baerentzen and Aanaes 2005);
+    on the rim, edges in `rim` (e,), they are zero.
     """
     faces = mesh.faces
     normal = mesh.doubled_normals / (2 * np.maximum(mesh.areas, 1e-300))[:, None]

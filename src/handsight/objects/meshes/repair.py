@@ -1,4 +1,4 @@
-"""Repair of a mesh: vertices merged, triangles made consistent and turned outwards, with a remark on each repair."""
+"""Repair of a mesh: merges vertices, makes triangles agree and turns them outwards, with a remark on each repair."""
 
 from typing import NamedTuple
 
@@ -10,19 +10,20 @@ from scipy.spatial import cKDTree
 from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidObject
 from handsight.objects.meshes.box_tree import BoxTree, Winding, box_tree
-from handsight.objects.surface import Triangles, check_extent, distinct
+from handsight.objects.surface import Edges, Triangles, check_extent, distinct
 
 
 class RepairOptions(NamedTuple):
-    """`RepairOptions` say what is repaired in a mesh."""
+    """`RepairOptions` are the limits beyond which a mesh is repaired."""
 
-    flat: float = 1e-12  # a triangle whose height is below this part of its longest side has no area
+    flat: float = 1e-12  # a triangle whose height is below this share of its longest side has no area
     side_samples: int = 400  # places at which a mesh's outside is found
     inside_out: float = -0.55
-    """Winding number in front of a piece below which it is inside out: it is -0.5 for a patch, -1 for a solid."""
+    """A piece is inside out if the winding number in front of it is below this: it is -0.5 for a patch, -1 for a solid
+    that is inside out."""
     small_piece: float = 0.01  # share of the area below which a separate piece is remarked
     same_corner: float = 1e-4
-    """Corners of edges with one triangle that are closer than this part of the extent are one, because files round."""
+    """Ends of edges with one triangle that are closer than this share of the extent are merged, because files round."""
 
 
 REPAIR = RepairOptions()
@@ -40,8 +41,8 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
     points, triangles = points[first], which[triangles]
     triangles = _distinct(points, triangles, remarks)
     edges = Triangles(points, triangles).edges
-    if (edges[2] == 1).any():
-        used = np.unique(edges[0][edges[2] == 1])
+    if (edges.counts == 1).any():
+        used = np.unique(edges.vertices[edges.counts == 1])
         extent = float(np.ptp(points, axis=0).max())
         near = cKDTree(points[used]).query_pairs(REPAIR.same_corner * extent, output_type="ndarray")
         if len(near):
@@ -65,7 +66,8 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
 
 
 def _referenced(points: Array, triangles: Indices, remarks: list[str]) -> tuple[Array, Indices]:
-    """Returns the vertices that triangles use, and these; raises InvalidObject where such a vertex is not finite."""
+    """Returns the vertices that triangles use, and the triangles with indices of these; raises InvalidObject where such
+    a vertex is not finite."""
     used, which = np.unique(triangles, return_inverse=True)
     finite = np.asarray(np.isfinite(points).all(axis=1))
     if not finite[used].all():
@@ -93,12 +95,11 @@ def _distinct(points: Array, triangles: Indices, remarks: list[str]) -> Indices:
     return triangles[np.sort(first)]
 
 
-def _consistent(faces: Indices, edges: tuple[Indices, ...]) -> tuple[Indices, int, bool]:
-    """Returns triangles turned so that neighbours agree, how many were turned, and whether all could agree."""
-    _, of_face, count = edges
-    order = np.argsort(of_face, axis=None, kind="stable")
-    # The places of each edge of just two triangles in these, which agree where they run through it in opposite ways.
-    first = (np.cumsum(count) - count)[count == 2]
+def _consistent(faces: Indices, edges: Edges) -> tuple[Indices, int, bool]:
+    """Returns triangles turned over so that neighbours agree, how many were turned, and whether all could agree."""
+    order = np.argsort(edges.of_face, axis=None, kind="stable")
+    # The two places of each edge that two triangles share; they agree if they run along it in opposite directions.
+    first = (np.cumsum(edges.counts) - edges.counts)[edges.counts == 2]
     i, j = order[first], order[first + 1]
     forward = (faces < np.roll(faces, -1, axis=1)).reshape(-1)
     agree = forward[i] != forward[j]
@@ -142,17 +143,17 @@ def side_samples(mesh: Triangles) -> tuple[Array, Array, Indices]:
 
 
 def agreeing(i: Indices, j: Indices, agree: Mask, size: int) -> tuple[Mask, bool]:
-    """Returns which of `size` triangles or normals to turn over so that linked ones agree, and whether all do.
+    """Returns which of `size` triangles or normals to turn over so that linked ones agree, and whether all can agree.
 
-    i (l,) and j (l,) are linked; `agree` (l,): whether they agree as they are. In a graph each item has two nodes, as
-    it is and turned over. Items that agree are linked side to side, others crosswise, so that the nodes connected to
-    an item "as it is" say which of its neighbours must be turned.
+    Items i (l,) and j (l,) are linked; `agree` (l,): whether they agree as they are. Each item is two nodes of a graph:
+    the item as it is, and turned over. Items that agree are linked node to like node, others crosswise, so that the
+    nodes connected to an item "as it is" show which other items must be turned.
     """
     row = np.concatenate([i, i + size])
     column = np.concatenate([np.where(agree, j, j + size), np.where(agree, j + size, j)])
     label = components(row, column, 2 * size)
     as_is, turned = label[:size], label[size:]
-    # The two halves of a piece carry two labels; the more common one "as it is" wins.
+    # The two components of a piece have two labels; of these the one with more nodes "as it is" wins.
     votes = np.bincount(as_is, minlength=label.max() + 1)
     flip = (votes[turned] > votes[as_is]) | ((votes[turned] == votes[as_is]) & (turned < as_is))
     return flip, bool((as_is != turned).all())

@@ -1,4 +1,4 @@
-"""The noise of a scan, read from its points: what quadrics leave of them in windows that widen."""
+"""The noise of a scan, estimated from the residuals of quadrics fitted to its points in windows of many sizes."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,24 +21,25 @@ Patches = NDArray[np.void]
 class NoiseOptions(NamedTuple):
     """`NoiseOptions` say how a scan's noise is separated from its shape, by windows of growing size."""
 
-    thinned: int = 300  # points to about which a window is thinned: more add little
-    neighbours: int = 8  # points by which the spacing is measured
-    sampled: int = 2000  # points at which it is
+    thinned: int = 300  # points in a window, to about which it is thinned: more add little
+    neighbours: int = 8  # nearest points from which the spacing is measured
+    sampled: int = 2000  # points at which the spacing is measured
     max_windows: int = 20  # sizes of windows
-    serial: int = 64  # patches that are not enough for another thread
-    centres: int = 1000  # windows' centres
-    first: float = 3.2  # the least window [spacings]
-    ratio: float = 1.4  # how much wider each is than the one before
-    last: float = 0.32  # the widest [diameters]
-    smoothest: float = 0.25  # share of the surface that shows the noise: its smoothest
-    noise_power: float = 0.6  # residuals that grow by less than this power of the window are noise
-    shape_power: float = 1.5  # residuals that grow by more are of shape
-    chance: float = 0.9  # the smoothest quarter of windows is by chance this much smoother than the noise is
-    start_points: int = 30  # points through which a first plane is laid
-    min_width: float = 4.0  # of a window, in deviations of the noise
-    near: float = 1.5  # points closer than this show whether noise is shared [spacings]
-    independent: float = 0.15  # a correlation below this is none
-    max_together: float = 25.0  # points that share one noise
+    serial: int = 64  # patches up to which another thread is not worth its start
+    centres: int = 1000  # windows of each size
+    first: float = 3.2  # radius of the smallest window [spacings]
+    ratio: float = 1.4  # radius of each window by that of the one before
+    last: float = 0.32  # radius of the largest window [diameters]
+    smoothest: float = 0.25  # share of the surface that shows the noise: the smoothest
+    noise_power: float = 0.6  # residuals that grow with less than this power of the window are noise
+    shape_power: float = 1.5  # residuals that grow with more than this power are shape
+    chance: float = 0.9
+    """The residuals of the smoothest quarter of windows are by chance this share of the noise."""
+    start_points: int = 30  # points of the first plane in a window
+    min_width: float = 4.0  # radius of the smallest window, in standard deviations of the noise
+    near: float = 1.5  # distance of pairs of points that show whether noise is shared [spacings]
+    independent: float = 0.15  # correlation below which noise is not shared
+    max_together: float = 25.0  # largest number of points that share one noise
 
 
 NOISE = NoiseOptions()
@@ -46,35 +47,35 @@ NOISE = NoiseOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """`Points` are noisy points of a surface in a random order, with their normals where these are known."""
+    """`Points` are noisy points of a surface in a random order, with their normals if these are known."""
 
     places: Array
     """(n, 3) [m]."""
     normals: Array
-    """(n, 3) unit, outward; NaN where they are not known."""
+    """(n, 3) unit, outward; NaN where unknown."""
     spacing: float
-    """Between neighbours [m]."""
+    """Distance between neighbours [m]."""
     diameter: float
-    """Of the object [m]."""
+    """Diameter of the object [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """A `Noise` is the error of a scan's points along the surface's normal."""
+    """A `Noise` is the error of a scan's points along the normal of the surface."""
 
     sigma: float
     """One standard deviation [m]."""
     together: float = 1.0
-    """How many neighbouring points share it: 1 where each has its own."""
+    """Number of neighbouring points that share one error; 1 where each has its own."""
     is_shape: bool = False
-    """Whether `sigma` is what the object's shape leaves, in which case the noise is smaller."""
+    """Whether `sigma` comes from the object's shape, in which case the noise is smaller."""
 
 
-def measured_noise(points: Points) -> tuple[Points, Noise]:
-    """Returns the points with the spacing that they have along the surface, and their noise.
+def estimated_noise(points: Points) -> tuple[Points, Noise]:
+    """Returns the points with their spacing measured along the surface, and their noise.
 
-    Points whose noise is larger than their spacing seem sparser than they are, and in small windows there is no
-    surface. Both are then measured again, in windows wide enough for the noise.
+    Points whose noise is larger than their spacing seem sparser than they are, and small windows show no surface. In
+    that case spacing and noise are measured again, in windows wide enough for the noise.
     """
     noise = noise_of(points, 0.0)
     if NOISE.min_width * noise.sigma > points.spacing:
@@ -84,9 +85,9 @@ def measured_noise(points: Points) -> tuple[Points, Noise]:
 
 
 def noise_of(points: Points, thickness: float) -> Noise:
-    """Returns the noise of points that are off by about `thickness` [m], from the residuals of quadrics in windows.
+    """Returns the noise of points with errors of about `thickness` [m], from the residuals of quadrics in windows.
 
-    White noise leaves the same residual in a window of any width. A residual that grows with the square of the width or
+    White noise leaves the same residual in windows of any width. A residual that grows with the square of the width or
     faster is shape; one that levels off only in wide windows is noise that neighbours share, as in depth images that
     were fused into one surface.
     """
@@ -119,9 +120,10 @@ def noise_of(points: Points, thickness: float) -> Noise:
 
 
 def _sharing_points(points: Points, patches: Patches, window: float) -> float:
-    """Returns how many points share one noise, from residuals about patches in windows of that radius [m].
+    """Returns how many points share one error, from residuals about patches in windows of that radius [m].
 
-    That number is the integral of the noise's correlation over a plane, exp(-d²/2L²) of the distance d.
+    It is the number of points on the area that is the integral, over a plane, of the correlation exp(-d²/2L²) of the
+    errors of two points at the distance d.
     """
     pairs = cKDTree(points.places).query_pairs(NOISE.near * points.spacing, output_type="ndarray")
     sums = np.zeros(4)
@@ -135,10 +137,10 @@ def _sharing_points(points: Points, patches: Patches, window: float) -> float:
 
 
 def spacing_of(places: Array, least: float = 0.0) -> float:
-    """Returns about how far points (n, 3) in a random order are from their neighbours [m], along their surface.
+    """Returns the typical distance [m] of points (n, 3), which are in a random order, from their neighbours.
 
-    It is measured on so few of the points that these are at least `least` [m] apart, because the distances of points
-    that are closer than their noise is thick are not along the surface.
+    It is measured on so few of the points that these are at least `least` [m] apart, because the distances between
+    points that are closer than the noise is thick are not along the surface.
     """
     share = 1.0
     while True:
@@ -163,29 +165,29 @@ def flat_patches(places: Array, normals: Array) -> Patches:
 
 
 def widths(least: float, most: float, ratio: float) -> Array:
-    """Returns radii of windows [m] from the least to the most, each by `ratio` larger than the one before."""
+    """Returns radii of windows from `least` to `most` [m], each `ratio` times the one before."""
     count = int(np.log(max(most / least, 1.0)) / np.log(ratio)) + 1
     return np.asarray(least * ratio ** np.arange(max(count - NOISE.max_windows, 0), count))
 
 
 def widened(points: Points, patches: Patches, windows: Array, **level: Any) -> Array:
-    """Fits the patches in place in one window (k,) [m] after another; returns the values of each fit
-    (m, k, WINDOW_VALUES).
+    """Returns the values of each fit (m, k, WINDOW_VALUES) of patches in one window after another.
 
-    `level`: fields of the kernel's LEVEL record, such as the `variance` of the noise.
+    `patches` (m,) are changed in place. `windows` (k,): radii [m]. `level`: fields of the kernel's LEVEL record, such
+    as the `variance` of the noise.
     """
     fitted = np.full((len(patches), len(windows), kernel.WINDOW_VALUES), np.nan)
     for place, window in enumerate(windows):
         given = np.zeros(1, dtype=kernel.LEVEL)
         for name, value in {**level, "window": window, "place": place}.items():
             given[name] = value
-        # As many of the points as a window needs, in the order of cells as wide as it.
+        # As many of the points as a window needs, in the order of cells that are as wide as the window's radius.
         share = NOISE.thinned / (np.pi * (window / points.spacing) ** 2)
         count = max(int(min(share, 1.0) * len(points.places)), min(len(points.places), NOISE.thinned))
         places = points.places[:count]
         low = np.minimum(places.min(axis=0), patches["point"].min(axis=0))
         high = np.maximum(places.max(axis=0), patches["point"].max(axis=0))
-        # A ring of empty cells around: no row of them runs into the next.
+        # There is a margin of empty cells all around, so that no row of cells runs into the next.
         given["origin"], given["shape"] = low - 2 * window, np.ceil((high - low) / window) + 5
         cell = ((places - given["origin"]) / window).astype(np.int64)
         keys = np.ravel_multi_index(tuple(cell.T), tuple(given["shape"][0]))

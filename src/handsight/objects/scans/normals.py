@@ -1,4 +1,4 @@
-"""Normals of points that have none."""
+"""Normals of surface points, estimated from their neighbours and turned outwards."""
 
 from typing import NamedTuple
 
@@ -14,25 +14,25 @@ from handsight.objects.meshes.repair import agreeing, components
 class NormalOptions(NamedTuple):
     """`NormalOptions` say how normals are computed from a scan's points."""
 
-    neighbours: int = 12  # points through which a plane is laid, and among which normals are made to agree
-    max_neighbours: int = 60  # the same where noise is large
-    min_width: float = 6.0  # deviations of noise that a plane must be wide to have a direction
+    neighbours: int = 12  # nearest points to which a plane is fitted, and whose normals are made to agree
+    max_neighbours: int = 60  # points to which a plane is fitted where the noise is large
+    min_width: float = 6.0  # radius that a plane needs for a normal, in standard deviations of the noise
 
 
 NORMALS = NormalOptions()
 
 
 def estimated_normals(points: Array, tree: cKDTree) -> Array:
-    """Returns unit outward normals (n, 3) of surface points (n, 3) [m]: of the plane through each one's neighbours."""
+    """Returns unit outward normals (n, 3) of surface points (n, 3) [m], by the planes through their neighbours."""
     nearest = tree.query(points, k=min(NORMALS.neighbours, len(points)))[1]
     return outwards(points, _plane_normals(points[nearest]), tree)
 
 
 def planes(points: Array, places: Array, count: int) -> Array:
-    """Returns unit normals (k, 3) of either sign: of the planes through about `count` points around the places (k, 3).
+    """Returns unit normals (k, 3), of either sign, of planes through about `count` points around the places (k, 3).
 
-    `points` (n, 3) [m] are in a random order. Where `count` is large, so many fewer of them are used, in an area as
-    large.
+    `points` (n, 3) [m] are in a random order. Where `count` is large, the points are thinned, so that a plane has fewer
+    points on the same area.
     """
     share = len(points) * NORMALS.max_neighbours // max(count, NORMALS.max_neighbours)
     thinned = points[: max(share, NORMALS.neighbours)]
@@ -41,23 +41,23 @@ def planes(points: Array, places: Array, count: int) -> Array:
 
 
 def enough_neighbours(sigma: float, spacing: float, least: int = NORMALS.neighbours) -> int:
-    """Returns how many points a plane needs where these are off by `sigma` and `spacing` apart [m]."""
+    """Returns how many points a plane needs where these have errors of `sigma` [m] and are `spacing` [m] apart."""
     return int(max(np.pi * (NORMALS.min_width * sigma / spacing) ** 2, least))
 
 
 def _plane_normals(points: Array) -> Array:
-    """Returns (n, 3) unit normals of the planes through points (n, k, 3)."""
+    """Returns unit normals (n, 3), of either sign, of the planes through points (n, k, 3)."""
     points = points - points.mean(axis=1, keepdims=True)
     return np.asarray(np.linalg.eigh(np.einsum("nki,nkj->nij", points, points))[1][:, :, 0])
 
 
 def outwards(points: Array, normals: Array, tree: cKDTree, *, turning: bool = False) -> Array:
-    """Returns unit normals (n, 3), each of which may have the wrong sign, with the signs that point outwards.
+    """Returns unit normals (n, 3) of points (n, 3), each of which may have the wrong sign, turned outwards.
 
-    They are made to agree along the tree of neighbours whose planes differ least (Hoppe et al. 1992); then each
-    connected part is turned so that its normals point away from its middle on the whole. `turning`: the points are so
-    exact that the way from one to the next shows how the surface turns between them, and normals are compared but for
-    that turn.
+    They are made to agree along the spanning tree of neighbours whose planes differ least (Hoppe et al. 1992); then
+    each connected part is turned so that on average its normals point away from its middle. `tree`: over the points.
+    `turning`: the points are so exact that the direction from one to the next shows how the surface turns between them,
+    and normals are compared after that turn.
     """
     normals = normals.copy()
 
@@ -66,7 +66,7 @@ def outwards(points: Array, normals: Array, tree: cKDTree, *, turning: bool = Fa
         cosine = (normals[i] * normals[j]).sum(axis=1)
         if not turning:
             return np.asarray(cosine)
-        # Of one normal and the other's mirror image halfway between them: 1 on any circle, and across an edge.
+        # The cosine of one normal and the mirror image of the other halfway between: 1 on a circle and across an edge.
         way = points[j] - points[i]
         product = (way * normals[i]).sum(axis=1) * (way * normals[j]).sum(axis=1)
         return np.asarray(cosine - 2 * product / np.maximum((way * way).sum(axis=1), 1e-300))

@@ -1,4 +1,4 @@
-"""The surface behind noisy points: a blend of quadrics, each fitted in a window as wide as the shape allows."""
+"""The surface behind noisy points: a blend of quadrics, each fitted in a window as large as the shape allows."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,24 +17,25 @@ from handsight.objects.scans.normals import enough_neighbours, outwards, planes
 class PatchOptions(NamedTuple):
     """`PatchOptions` say how quadrics are fitted to a scan in windows whose size the data choose (Lepski 1991)."""
 
-    patches: int = 4000  # quadrics
-    first: float = 3.0  # the least window [spacings]
-    ratio: float = 1.35  # how much wider each is than the one before
-    last: float = 0.3  # the widest [diameters]
-    max_widened: float = 9.0  # points that share one noise, by whose number the least window is widened
-    min_width: float = 3.0  # of a window, in deviations of the noise
+    patches: int = 4000  # largest number of quadrics
+    first: float = 3.0  # radius of the smallest window [spacings]
+    ratio: float = 1.35  # radius of each window by that of the one before
+    last: float = 0.3  # radius of the largest window [diameters]
+    max_widened: float = 9.0
+    """The smallest window grows with the number of points that share one error, up to this number."""
+    min_width: float = 3.0  # radius of the smallest window, in standard deviations of the noise
     min_lever: float = 5.0
-    """Width of a window in geometric means of noise and spacing, from which its normal is known to a tenth."""
-    shape_error: float = 2e-4  # what the shape may add to the noise in a quadric's residual [diameters]
-    sigma_curvature: float = 8.0  # of curvatures before anything is measured [1/diameters]
-    min_sigma: float = 1e-4  # no scan is assumed to be more exact [diameters]
-    rough_windows: int = 3  # windows that are enough to separate the faces of an object
-    min_noise: float = 0.5  # noise below which the way from a patch to the next has a direction [spacings]
-    parallel: int = 4096  # nodes that are enough for another thread
-    blended: int = 24  # patches that are averaged at a place
+    """Radius of the smallest window by the geometric mean of noise and spacing; its normal is then known to a tenth."""
+    shape_error: float = 2e-4  # residual that the shape may add to the noise in a quadric [diameters]
+    sigma_curvature: float = 8.0  # standard deviation of curvatures before any measurement [1/diameters]
+    min_sigma: float = 1e-4  # least noise that is assumed for a scan [diameters]
+    rough_windows: int = 3  # sizes of windows that are enough to separate the faces of an object
+    min_noise: float = 0.5  # noise below which patches are exact enough for `outwards(turning)` [spacings]
+    parallel: int = 4096  # nodes from which on another thread is worth its start
+    blended: int = 24  # nearest patches that are averaged at a place
     similar: float = 0.05
-    """A patch has the weight of the inverse variance of its normal plus this part of the median variance."""
-    min_trust: float = 0.02  # the least weight of a patch, and the inverse of the largest
+    """A patch's weight is the inverse of the variance of its normal plus this share of the median variance."""
+    min_trust: float = 0.02  # least weight of a patch, and the inverse of the largest weight
 
 
 PATCH_FIT = PatchOptions()
@@ -46,15 +47,15 @@ class ScannedSurface:
 
     patches: Patches
     tree: cKDTree
-    """Over the patches' points (m, 3)."""
+    """The tree over the patches' points (m, 3)."""
     around: Indices
-    """(m, k) indices of the patches nearest to each, itself first."""
+    """(m, k) indices of the patches nearest to each patch, itself first."""
     spacing: float
-    """Between neighbouring patches [m]."""
+    """Distance between neighbouring patches [m]."""
 
     @property
     def variances(self) -> Array:
-        """(m, 3): of the distance [m²], of the normal per axis [rad²], of the curvature [1/m²]."""
+        """(m, 3) variances of each patch: of the distance [m²], the normal per axis [rad²], the curvature [1/m²]."""
         v = self.patches["covariance"].diagonal(axis1=1, axis2=2)
         return np.stack([v[:, 0], (v[:, 1] + v[:, 2]) / 2, (v[:, 3] + v[:, 5]) / 2], axis=1)
 
@@ -81,7 +82,7 @@ class ScannedSurface:
 
 
 def fitted(points: Points, noise: Noise) -> ScannedSurface:
-    """Returns the surface behind noisy points; normals that are not known are estimated first."""
+    """Returns the surface behind noisy points; unknown normals are estimated first."""
     noise = replace(noise, sigma=max(noise.sigma, PATCH_FIT.min_sigma * points.diameter))
     if np.isfinite(points.normals).all():
         patches = _fits(points, points.normals[: PATCH_FIT.patches], noise)
@@ -91,7 +92,7 @@ def fitted(points: Points, noise: Noise) -> ScannedSurface:
         count = enough_neighbours(noise.sigma, points.spacing)
         normals = outwards(centres, planes(points.places, centres, count), tree)
         nearest = tree.query(points.places)[1]
-        # Quadrics separate faces better than planes do, so the signs are decided once more with their normals.
+        # Quadrics separate faces better than planes do, so signs are decided once more with the quadrics' normals.
         patches = _fits(replace(points, normals=normals[nearest]), normals, noise, PATCH_FIT.rough_windows)
         normals = patches["normal"].copy()
         if noise.sigma < PATCH_FIT.min_noise * points.spacing:
@@ -107,7 +108,7 @@ def fitted(points: Points, noise: Noise) -> ScannedSurface:
 
 
 def _fits(points: Points, normals: Array, noise: Noise, most: int | None = None) -> Patches:
-    """Returns patches fitted about the first m points, whose normals (m, 3) are given; in at most `most` windows."""
+    """Returns patches about the first m points, whose normals (m, 3) are given, fitted in at most `most` windows."""
     patches = flat_patches(points.places[: len(normals)], normals)
     shared = min(noise.together, PATCH_FIT.max_widened)
     least = max(

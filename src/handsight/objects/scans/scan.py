@@ -1,4 +1,4 @@
-"""Which clouds and meshes are noisy scans, and the surface behind one."""
+"""The surface behind a noisy scan, and the tests by which a cloud or a mesh is recognised as one."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from scipy.sparse import coo_array, diags_array
 
 from handsight.checks import Array, Indices
 from handsight.objects.geometry import Roughness
-from handsight.objects.scans.noise import NOISE, Noise, Points, measured_noise, spacing_of
+from handsight.objects.scans.noise import NOISE, Noise, Points, estimated_noise, spacing_of
 from handsight.objects.scans.patches import ScannedSurface, fitted
 from handsight.objects.scans.roughness import roughness_of
 from handsight.objects.surface import Triangles
@@ -19,14 +19,15 @@ class ScanOptions(NamedTuple):
 
     max_points: int = 20_000  # more add little about an object that fits into a hand
     min_points: int = 200  # with fewer, noise and shape cannot be separated
-    clean: float = 5e-4  # points with normals whose noise is below this are taken for surface [diameters]
-    min_vertices: int = 1000  # meshes of fewer were drawn, not scanned
-    flat_angle: float = 1e-3  # triangles that meet at less than this angle lie in one plane [rad]
+    clean: float = 5e-4  # noise below which points with normals are used as they are [diameters]
+    min_vertices: int = 1000  # a mesh with fewer was drawn, not scanned
+    flat_angle: float = 1e-3  # angle below which two triangles are in one plane [rad]
     flat_share: float = 0.1
-    """Where they do so at more than this share of the edges, the mesh was drawn: noise leaves no flat edges."""
-    outlying: float = 5.0  # deviations of noise beyond which a point is an outlier
-    own_noise: float = 0.7  # the least part of a scan's noise that neighbouring vertices do not share
-    gaussian_quarter: float = 0.3186  # of a standard deviation: a quarter of a Gaussian's draws are smaller
+    """A mesh with more than this share of its edges between triangles in one plane was drawn: noise leaves no flat
+    edges."""
+    outlying: float = 5.0  # standard deviations of noise beyond which a vertex is an outlier
+    own_noise: float = 0.7  # least share of a scan's noise that neighbouring vertices do not have in common
+    gaussian_quarter: float = 0.3186  # standard deviations within which a quarter of a Gaussian's draws are
 
 
 SCAN = ScanOptions()
@@ -34,7 +35,7 @@ SCAN = ScanOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
-    """A `Scan` is the surface behind noisy points, and how far that may be off the object."""
+    """A `Scan` is the surface behind noisy points, and the error of that surface."""
 
     noise: Noise
     surface: ScannedSurface
@@ -44,8 +45,8 @@ class Scan:
 def scanned(points: Array, normals: Array | None, diameter: float) -> Scan | None:
     """Returns the surface behind points (n, 3) [m] with unit outward normals (n, 3) or None.
 
-    Returns None where the points are taken for the surface itself: with normals and hardly any noise, or where they are
-    too few to measure noise.
+    Returns None for points that are used as they are: they have normals and hardly any noise, or are too few to measure
+    their noise.
     """
     if len(points) < SCAN.min_points:
         return None
@@ -53,7 +54,7 @@ def scanned(points: Array, normals: Array | None, diameter: float) -> Scan | Non
     places = points[order]
     unknown = np.full_like(places, np.nan)
     given = Points(places, unknown if normals is None else normals[order], spacing_of(places), diameter)
-    given, noise = measured_noise(given)
+    given, noise = estimated_noise(given)
     if normals is not None and (noise.is_shape or noise.sigma < SCAN.clean * diameter):
         return None
     surface = fitted(given, noise)
@@ -61,22 +62,22 @@ def scanned(points: Array, normals: Array | None, diameter: float) -> Scan | Non
 
 
 def smoothed(mesh: Triangles, diameter: float) -> tuple[Triangles, Roughness | None]:
-    """Returns a mesh with its vertices moved onto the surface behind their noise, and how far that surface may be off.
+    """Returns a mesh with its vertices moved onto the surface behind their noise, and the error of that surface.
 
-    A mesh without noise is returned as it is, with None.
+    A mesh that is no noisy scan is returned as it is, with None.
     """
     used, faces = np.unique(mesh.faces, return_inverse=True)
     if len(used) < SCAN.min_vertices:
         return mesh, None
-    _, of_face, count = mesh.edges
-    order = np.argsort(of_face.reshape(-1), kind="stable") // 3
-    first = (np.cumsum(count) - count)[count == 2]
+    edges = mesh.edges
+    order = np.argsort(edges.of_face.reshape(-1), kind="stable") // 3
+    first = (np.cumsum(edges.counts) - edges.counts)[edges.counts == 2]
     face_normals = mesh.doubled_normals / np.maximum(2 * mesh.areas, 1e-300)[:, None]
     differences = np.linalg.norm(face_normals[order[first]] - face_normals[order[first + 1]], axis=1)
     if not len(differences) or (differences < SCAN.flat_angle).mean() > SCAN.flat_share:
         return mesh, None
     vertices, faces = mesh.vertices[used], faces.reshape(mesh.faces.shape)
-    normals = np.zeros_like(vertices)  # means of the triangles', by area
+    normals = np.zeros_like(vertices)  # means of the triangles' normals, weighted by area
     for k in range(3):
         np.add.at(normals, faces[:, k], mesh.doubled_normals)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
@@ -87,16 +88,16 @@ def smoothed(mesh: Triangles, diameter: float) -> tuple[Triangles, Roughness | N
     there = scan.surface.blended(vertices, scan.surface.tree.query(vertices)[1])
     way = there[:, 1:] / np.linalg.norm(there[:, 1:], axis=1, keepdims=True)
     off = there[:, :1]
-    # A vertex that is further off is no noise: it is at a corner that no quadric reaches, and stays where it is.
+    # A vertex farther from the surface is no noise: it is at a corner that no quadric reaches, and stays where it is.
     vertices = np.where(np.abs(off) < SCAN.outlying * scan.noise.sigma, vertices - off * way, vertices)
     return Triangles(vertices, faces), scan.roughness
 
 
 def _independent_noise(vertices: Array, faces: Indices, normals: Array) -> float:
-    """Returns the noise [m] that each vertex has independently of its neighbours, from second differences to these.
+    """Returns the noise [m] that vertices do not share with their neighbours, from second differences to these.
 
-    It is that of the quietest part of the surface. Detail as fine as the triangles leaves the same residuals of
-    quadrics as noise does, but is smooth from vertex to vertex.
+    It is that of the smoothest part of the surface. Detail as fine as the triangles leaves the same residuals of
+    quadrics as noise does, but it is smooth from vertex to vertex.
     """
     start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     count = len(vertices)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
+from handsight._deprecated import renamed_members
 from handsight._kernels.image import depth_covariance
 from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.camera import Camera, Depth
@@ -50,6 +51,7 @@ DEPTH_TRACKER = DepthTrackerOptions()
 HIDDEN = "hardly anything of it is seen"
 
 
+@renamed_members(look="candidate")
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
     """A `Sighting` is the estimate of a tracked object's pose after one depth image."""

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handsight._deprecated import renamed_members
 from handsight._kernels.image import depth_term, pose_score, votes
 from handsight._kernels.image.vision_records import CANDIDATE, STAGE
 from handsight._kernels.solve import distinct_poses
@@ -53,6 +54,7 @@ EVIDENCE = np.array([-9.53, 14.95, -7.72, 6.6, -18.67])
 Shares alone: sums, and how close points lie, say more of drawn pictures, and mislead with a real camera's."""
 
 
+@renamed_members(looks="candidates")
 @dataclass(frozen=True, eq=False)
 class ObjectDetection:
     """An `ObjectDetection` has the poses that an object may have, the likeliest first; none, if it is not there."""

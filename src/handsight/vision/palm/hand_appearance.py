@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from handsight import se3
+from handsight._deprecated import renamed_members
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidInput
@@ -71,6 +72,7 @@ class HandAppearance:
         return PlacedHand(self, skin, vertices, axes, float(sigma_joint))
 
 
+@renamed_members(look="appearance", seen_from="visible_from")
 @dataclass(frozen=True, eq=False)
 class PlacedHand:
     """A `PlacedHand` is a hand in the palm's axes, with its joints at certain positions."""

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
+from handsight._deprecated import renamed_members
 from handsight._kernels.image import hand_term
 from handsight._kernels.image.vision_records import STAGE
 from handsight.camera import Camera, Depth
@@ -84,6 +85,7 @@ class PalmNotFound:
         return False
 
 
+@renamed_members(look="candidate")
 @dataclass(frozen=True, slots=True, eq=False)
 class PalmDetection:
     """A `PalmDetection` is the pose of the palm in one depth image."""

@@ -1,4 +1,4 @@
-"""What a sweep meets."""
+"""A sweep meets an object where independent geometry says so."""
 
 import numpy as np
 import pytest
@@ -6,15 +6,15 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blind_touches import RADIUS, area, box, can, level
 from handsight.errors import InvalidInput
 from handsight.search import Sweep, Touch, cast
+from touch_scenes import RADIUS, area, box, can, level
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000))
-def test_a_ball_stops_where_it_is_as_far_from_the_box_as_it_is_thick(seed):
-    """trimesh's closest points are the independent truth."""
+def test_a_cast_ball_stops_at_its_radius_from_the_box(seed):
+    """Against trimesh's closest points."""
     rng = np.random.default_rng(seed)
     model, T = box(), area().poses(box(), area().draw(1, rng))
     angle = rng.uniform(0, 2 * np.pi)
@@ -50,7 +50,7 @@ def test_each_sweep_meets_each_pose_by_itself():
             assert (alone[1][0, 0] == normals[i, j]).all()
 
 
-def test_a_part_of_a_sweep_lies_on_it():
+def test_a_part_of_a_sweep_is_on_the_same_line():
     sweep = Sweep(np.zeros(3), np.array([3.0, 0.0, 4.0]), 1.0)
     part = sweep.part(0.2, 0.5)
     assert part.start_world == pytest.approx([0.12, 0, 0.16])
@@ -74,7 +74,7 @@ def test_a_part_of_a_sweep_lies_on_it():
         ),
     ],
 )
-def test_what_is_no_sweep_or_touch_is_said(made, message):
+def test_an_invalid_field_of_a_sweep_or_touch_is_named(made, message):
     with pytest.raises(InvalidInput) as error:
         made()
     assert message in str(error.value)

@@ -1,4 +1,4 @@
-"""A track's state is a value: steps are pure, and a tracker can be copied, pickled, resumed and replayed from any state."""
+"""A track's state is a value: steps are pure; a tracker can be copied, pickled, and resumed from any state."""
 
 import copy
 import pickle
@@ -14,7 +14,7 @@ EVERY = 17
 
 
 def numbers(tracker):
-    """All that an answer says, as one array."""
+    """Returns the answer's numbers as one array."""
     estimate = tracker.estimate
     pose = (
         np.zeros(52)

@@ -1,4 +1,4 @@
-"""What the tests of blind touching share: an area, and touches of an object at a known pose, computed by casting."""
+"""For tests of the search by touch: an area, and touches of an object at a known pose, computed by casting."""
 
 import functools
 

@@ -1,4 +1,4 @@
-"""What the bumps of a scan lend to contacts is no information."""
+"""What the bumps of a scan add to the information of contacts is spurious."""
 
 import functools
 
@@ -47,11 +47,10 @@ def problem(model, seed, *, bare=False):
 
 @kept
 def _information(model, nodes, contacts, constraints, outside, descents, by_touch, total, equations):
-    """Of touch alone and of all, at a pose, and the sum of the contacts' whole equations."""
+    """Information of touch alone and of all, at a pose, and the sum of the contacts' own equations."""
     prior, rows = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    center = batch.load_terms(contacts, rows)
-    batch.fill_prior(model[0], constraints[0], center, prior)
-    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0].weight, prior, center)
+    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0], prior, center)
     density.information(evidence, pose_of(descents[0].pose), by_touch, total, equations)
     whole = np.zeros((6, 6))
     for k in range(len(rows)):
@@ -62,7 +61,7 @@ def _information(model, nodes, contacts, constraints, outside, descents, by_touc
 
 
 def information(given, T):
-    """(6, 6) each: of touch without what is lent, of all, and of touch as its equations have it."""
+    """(6, 6) each: of touch, of all, and of touch with its spurious information."""
     by_touch, total = np.empty((6, 6)), np.empty((6, 6))
     record = given.model.record[:2]
     arrays = given.contacts.record, given.constraints, given.outside, descents_at(T[None])
@@ -72,13 +71,13 @@ def information(given, T):
 
 @pytest.mark.parametrize("bare", [False, True])
 @pytest.mark.parametrize("sigma", [5e-4, 2e-3])
-def test_what_is_lent_is_subtracted_and_never_more(sigma, bare):
+def test_spurious_information_is_subtracted_and_never_more(sigma, bare):
     for seed in range(5):
         given, T = problem(scan(sigma), seed, bare=bare)
         by_touch, total, whole = information(given, T)
         scale = np.repeat([1.0, 1 / given.model.radius], 3)
         whole = np.tril(whole) + np.tril(whole, -1).T
-        left = scale[:, None] * (whole - oracle.lent(given, T)) * scale
+        left = scale[:, None] * (whole - oracle.spurious_information(given, T)) * scale
         values, vectors = np.linalg.eigh(left)
         expected = vectors @ np.diag(np.maximum(values, 0)) @ vectors.T
         np.testing.assert_allclose(
@@ -90,41 +89,40 @@ def test_what_is_lent_is_subtracted_and_never_more(sigma, bare):
         assert np.linalg.eigvalsh(total).min() > 0
 
 
-def test_a_model_without_bumps_lends_nothing():
+def test_a_model_without_bumps_has_none():
     given, T = problem(hs.ObjectModel.cylinder(0.033, 0.115), 0)
     by_touch, _, whole = information(given, T)
     np.testing.assert_allclose(by_touch, np.tril(whole) + np.tril(whole, -1).T, rtol=1e-12)
 
 
 @kept
-def _wavering(model, nodes, contacts, constraints, outside, descents):
+def _cost_deviation(model, nodes, contacts, constraints, outside, descents):
     prior, rows = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    center = batch.load_terms(contacts, rows)
-    batch.fill_prior(model[0], constraints[0], center, prior)
-    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0].weight, prior, center)
+    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0], prior, center)
     return spurious_information.cost_deviation(evidence, pose_of(descents[0].pose))
 
 
 @pytest.mark.parametrize("bare", [False, True])
 @pytest.mark.parametrize("sigma", [5e-4, 2e-3])
-def test_costs_waver_from_bump_to_bump_as_drawn_bumps_make_them(sigma, bare):
+def test_costs_vary_from_bump_to_bump_as_with_drawn_bumps(sigma, bare):
     for seed in range(3):
         given, T = problem(scan(sigma), seed, bare=bare)
         record = given.model.record[:2]
-        said = _wavering(
+        said = _cost_deviation(
             *record, given.contacts.record, given.constraints, given.outside, descents_at(T[None])
         )
         assert said == pytest.approx(oracle.cost_deviation(given, T), rel=0.1)
 
 
-def test_costs_of_a_model_without_bumps_do_not_waver():
+def test_costs_of_a_model_without_bumps_do_not_vary():
     for model in (
         hs.ObjectModel.cylinder(0.033, 0.115),
         hs.ObjectModel.from_points(*scenes.can().sample(3000)),
     ):
         given, T = problem(model, 0)
         arrays = given.contacts.record, given.constraints, given.outside, descents_at(T[None])
-        assert _wavering(*given.model.record[:2], *arrays) == 0
+        assert _cost_deviation(*given.model.record[:2], *arrays) == 0
 
 
 def spin_and_deviation(seed):

@@ -1,4 +1,4 @@
-"""Hands that hold an object in the air, and what their fingertips' sensors read: all exact, or wrong as asked."""
+"""Hands that hold an object in the air, and the readings of their fingertips' sensors, exact or with given errors."""
 
 import functools
 from dataclasses import dataclass, field
@@ -29,7 +29,7 @@ def rig():
 
 @dataclass
 class Held:
-    """An object in a hand whose joints, sensors and gravity may be other than the robot believes."""
+    """An object in a hand whose joints, sensors and gravity may differ from the robot's model of them."""
 
     mass: float = MASS
     center_palm: np.ndarray = field(default_factory=lambda: CENTER)
@@ -38,11 +38,11 @@ class Held:
     biases: np.ndarray = None
     """(t, 6)"""
     plumb: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """By what gravity is turned in the world."""
+    """(3,) rotation vector by which gravity is turned in the world [rad]."""
     extra_palm: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """A force on the object, fixed in the palm, that no tip's sensor feels, at its centre of mass."""
+    """(3,) force on the object at its centre of mass, fixed in the palm, beside those of the tips [N]."""
     noise: float = 0.0
-    """In sigmas of the sensors."""
+    """Noise of the readings, in sigmas of the sensors."""
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     shift_palm: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
@@ -80,7 +80,7 @@ class Held:
         hand, names = rig().hand, list(rig().fingers)
         true = self.joints(bend)
         offsets = np.zeros(len(true)) if self.offsets is None else self.offsets
-        believed = {name: angle + off for (name, angle), off in zip(true.items(), offsets, strict=True)}
+        read = {name: angle + off for (name, angle), off in zip(true.items(), offsets, strict=True)}
         Ts = [
             T @ sensor_frame(rig().fingers[name])
             for name, T in zip(names, hand.Ts_palm_tip(true), strict=True)
@@ -104,7 +104,7 @@ class Held:
             wrenches[name] = np.concatenate([force, torque])
             if self.biases is not None:
                 wrenches[name] = wrenches[name] + sign * self.biases[i]
-        return wrenches, believed
+        return wrenches, read
 
 
 def sensor_frame(finger):
@@ -112,12 +112,12 @@ def sensor_frame(finger):
 
 
 def touched(held, bend=0.0):
-    """By finger that is touched: where, and a normal; of the joints as believed."""
+    """Returns, by finger that touches, the contact's point and normal at the joint positions that are read."""
     true = held.joints(bend)
     offsets = np.zeros(len(true)) if held.offsets is None else held.offsets
-    believed = {name: angle + off for (name, angle), off in zip(true.items(), offsets, strict=True)}
+    read = {name: angle + off for (name, angle), off in zip(true.items(), offsets, strict=True)}
     found = {}
-    for name, T in zip(rig().fingers, rig().hand.Ts_palm_tip(believed), strict=True):
+    for name, T in zip(rig().fingers, rig().hand.Ts_palm_tip(read), strict=True):
         if name in ("ff", "mf", "th"):
             frame = T @ rig().fingers[name].T_frame_surface
             found[name] = frame[:3, 3], frame[:3, 2]
@@ -125,7 +125,7 @@ def touched(held, bend=0.0):
 
 
 def contacts(held, bend=0.0):
-    """The same as fingers and their contacts."""
+    """Returns the fingers that touch, and their contacts."""
     found = touched(held, bend)
     points, normals = (np.array(part) for part in zip(*found.values(), strict=True))
     return tuple(found), Contacts(points, normals)

@@ -1,0 +1,63 @@
+"""Rotations and their rotation vectors [rad]."""
+
+import numpy as np
+
+from handsight._kernels.math.vec3 import (
+    Mat33,
+    Vec3,
+    add33,
+    dot,
+    matmul,
+    norm,
+    outer,
+    scale,
+    scale33,
+    skew,
+    sub33,
+)
+from handsight._kernels.runtime.compilation import inner
+
+IDENTITY: Mat33 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@inner
+def rotation_exp(turn: Vec3) -> Mat33:
+    """Returns the rotation of a rotation vector."""
+    half = 0.5 * norm(turn)
+    ratio = np.sin(half) / half if half > 1e-9 else 1.0
+    S = skew(turn)
+    return add33(
+        IDENTITY, add33(scale33(S, ratio * np.cos(half)), scale33(matmul(S, S), 0.5 * ratio * ratio))
+    )
+
+
+@inner
+def rotation_log(Q: Mat33) -> Vec3:
+    """Returns the rotation vector of a rotation; exact near 0 and near π."""
+    v = (Q[2][1] - Q[1][2]) / 2, (Q[0][2] - Q[2][0]) / 2, (Q[1][0] - Q[0][1]) / 2
+    sine, trace = norm(v), Q[0][0] + Q[1][1] + Q[2][2]
+    cosine = (trace - 1) / 2
+    if cosine >= -0.9:
+        return scale(v, np.arctan2(sine, cosine) / sine if sine >= 1e-9 else 1.0)
+    # Near π the quaternion keeps the axis: the longest column of 4 q qᵀ, real part w last.
+    if Q[0][0] >= Q[1][1] and Q[0][0] >= Q[2][2]:
+        q, w = (1 + 2 * Q[0][0] - trace, Q[0][1] + Q[1][0], Q[0][2] + Q[2][0]), 2 * v[0]
+    elif Q[1][1] >= Q[2][2]:
+        q, w = (Q[0][1] + Q[1][0], 1 + 2 * Q[1][1] - trace, Q[1][2] + Q[2][1]), 2 * v[1]
+    else:
+        q, w = (Q[0][2] + Q[2][0], Q[1][2] + Q[2][1], 1 + 2 * Q[2][2] - trace), 2 * v[2]
+    length = norm(q)
+    angle = 2 * np.arctan2(length, abs(w))
+    return scale(q, (-angle if w < 0 else angle) / length)
+
+
+@inner
+def log_derivative(turn: Vec3) -> Mat33:
+    """Returns the derivative of a rotation vector w by a further turn: 1 - [w]x/2 + b [w]x²."""
+    square = dot(turn, turn)
+    half = 0.5 * np.sqrt(square)
+    b = 1 / 12 + half * half / 180
+    if half >= 5e-3:
+        b = (1 - half / np.tan(half)) / (4 * half * half)
+    bent = sub33(outer(turn, turn), scale33(IDENTITY, square))
+    return add33(sub33(IDENTITY, scale33(skew(turn), 0.5)), scale33(bent, b))
