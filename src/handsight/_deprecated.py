@@ -57,7 +57,7 @@ def renamed_keywords(**names: str) -> Callable[[F], F]:
 
     def decorate(function: F) -> F:
         @functools.wraps(function)
-        def call(*args: Any, **keywords: Any) -> Any:
+        def call(*args: object, **keywords: object) -> object:
             for old, new in names.items():
                 if old in keywords:
                     name = function.__qualname__
