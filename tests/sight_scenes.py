@@ -18,8 +18,7 @@ from handsight.camera import Camera
 from handsight.hand.surface import HandShape
 from handsight.objects import Symmetries, about
 from handsight.simulation import add_depth_noise
-from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
-from handsight.vision.palm.hand_mask import hand_mask
+from handsight.vision import STRUCTURED_LIGHT, DepthNoise, hand_mask
 
 Array = np.ndarray
 Rng = np.random.Generator

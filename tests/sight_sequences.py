@@ -11,8 +11,7 @@ from handsight import se3
 from handsight.camera import Camera
 from handsight.hand.surface import HandShape
 from handsight.simulation import add_depth_noise
-from handsight.vision.depth_noise import STRUCTURED_LIGHT
-from handsight.vision.palm.hand_mask import hand_mask
+from handsight.vision import STRUCTURED_LIGHT, hand_mask
 
 CAMERA = Camera(np.array([[525.0, 0, 319.5], [0, 525, 239.5], [0, 0, 1]]), (640, 480))
 RATE = 30.0

@@ -9,7 +9,7 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from handsight.simulation import add_depth_noise
-from handsight.vision.depth_noise import STRUCTURED_LIGHT
+from handsight.vision import STRUCTURED_LIGHT
 from sight_scenes import CAMERA, drawn
 
 Array = np.ndarray

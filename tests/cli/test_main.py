@@ -70,7 +70,7 @@ def test_the_choices_in_the_help_are_those_that_are_taken():
 
     from handsight.correction import ANSWERS
     from handsight.simulation.scenario import Motion
-    from handsight.vision.depth_noise import PRESETS
+    from handsight.vision import PRESETS
 
     taken = {"answer": ANSWERS, "depth_camera": PRESETS, "motion": get_args(Motion)}
     for command in commands().values():

@@ -172,7 +172,7 @@ def test_what_kinematics_does_not_ask_for_is_not_allocated(tmp_path, absurd):
     assert Hand.from_file(tmp_path / "r.xml", palm="palm", tips={"f": "b"}).moving == ("j",)
 
 
-def test_what_an_mjcf_includes_is_part_of_it_and_errors_are_told_at_its_lines(tmp_path):
+def test_what_an_mjcf_includes_is_part_of_it_and_errors_name_its_lines(tmp_path):
     (tmp_path / "r.xml").write_text(
         "<mujoco>\n<compiler meshdir='m'/><asset>\n<mesh file='a.obj'/></asset><worldbody>\n"
         "<include file='parts/arm.xml'/></worldbody></mujoco>"

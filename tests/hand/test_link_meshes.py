@@ -38,7 +38,7 @@ def test_the_shadow_hands_links_are_where_mujoco_has_them(shadow_hand, rng):
         np.testing.assert_allclose(T_palm_link, T_palm_world @ pose(name), atol=1e-9)
 
 
-def test_the_allegro_hands_links_look_as_yourdfpy_has_them(rng):
+def test_the_allegro_hands_links_have_the_meshes_of_yourdfpy(rng):
     yourdfpy = pytest.importorskip("yourdfpy")
     path = allegro_file()
     other, hand = yourdfpy.URDF.load(str(path)), Hand.from_file(path, palm="palm", tips=ALLEGRO_TIPS)
@@ -67,7 +67,7 @@ def test_a_link_has_its_visual_shapes_else_its_collision_shapes(robot):
     )  # a sphere to the eye, a cylinder to the touch
 
 
-def test_a_links_faces_look_outward(robot, shadow_hand):
+def test_a_links_faces_point_outward(robot, shadow_hand):
     for hand in (robot, shadow_hand):
         for mesh in hand.link_meshes().values():
             assert trimesh.Trimesh(*mesh).volume > 0

@@ -122,7 +122,7 @@ MISTAKES = [
 @pytest.mark.parametrize(
     ("old", "new", "expected"), MISTAKES, ids=[expected[:50] for *_, expected in MISTAKES]
 )
-def test_a_mistake_is_told_where_it_is(folder, text, old, new, expected):
+def test_a_mistake_is_reported_at_its_line(folder, text, old, new, expected):
     assert old in text
     line, message = refused(folder, text.replace(old, new, 1))
     assert message.startswith(expected.replace("{folder}", str(folder)))
@@ -147,7 +147,7 @@ def test_what_cannot_be_left_out_is_named_where_its_name_is_misspelt_and_where_i
     assert message == f"{section}: expected, got nothing"
 
 
-def test_two_tips_at_one_place_are_told_and_so_is_one_finger_twice_in_python(folder):
+def test_two_tips_at_one_place_are_refused_and_so_is_one_finger_twice_in_python(folder):
     urdf = URDF.replace("</robot>", '<link name="pad"/>{}</robot>').format(
         '<joint name="glue" type="fixed"><parent link="index_tip"/><child link="pad"/></joint>'
     )
@@ -210,7 +210,7 @@ def test_what_is_no_rig_is_reported(folder, content, expected):
     assert message.startswith(expected)
 
 
-def test_a_few_lines_that_stand_for_billions_are_told_at_once(folder):
+def test_a_few_lines_that_stand_for_billions_are_refused_at_once(folder):
     lines = ["a: &a [1, 2]"]
     for last, name in zip("abcdefghijkl", "bcdefghijklm", strict=True):
         lines.append(f"{name}: &{name} [{', '.join([f'*{last}'] * 10)}]")

@@ -8,8 +8,7 @@ import pytest
 from handsight.errors import InvalidInput
 from handsight.simulation import Scenario, rig_of, simulate
 from handsight.simulation.camera import EDGE, add_depth_noise
-from handsight.vision import DepthNoise
-from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
+from handsight.vision import PRESETS, STRUCTURED_LIGHT, DepthNoise
 from simulation.simulated import only
 
 SHAPE = (480, 640)

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from handsight.camera import Camera
 from handsight.errors import InvalidInput
-from handsight.rig import MountedCamera
-from handsight.rig.rig import DepthCamera
-from handsight.vision.depth_noise import PRESETS
+from handsight.rig import DepthCamera, MountedCamera
+from handsight.vision import PRESETS
 
 MATRIX = np.array([[300.0, 0, 158.0], [0, 310, 121.0], [0, 0, 1]])
 BARREL = (-0.28, 0.07, 2e-4, 1.6e-5, 0.0)
@@ -41,7 +40,7 @@ def test_points_fall_on_the_pixels_of_their_rays(lens):
     np.testing.assert_allclose(camera.project(points), opencv(camera, points), atol=1e-9)
 
 
-def test_what_is_behind_or_beyond_the_lens_is_not_seen():
+def test_points_behind_or_beyond_the_lens_have_no_pixel():
     camera = Camera(MATRIX, (320, 240), np.array(BARREL))
     assert np.isnan(camera.project([[0, 0, -1], [0, 0, 0], [3.0, 0, 1]])).all()
     assert np.isfinite(Camera(MATRIX, (320, 240)).project([[3.0, 0, 1]])).all()

@@ -89,7 +89,7 @@ def test_normals_of_a_plane_are_its_own(normal):
     np.testing.assert_allclose(found["point"] @ n, n @ [0, 0, 0.6], atol=1e-5)
 
 
-def test_where_little_is_seen_there_is_no_normal():
+def test_pixels_with_few_neighbours_have_no_normal():
     depth = np.zeros((240, 320), np.float32)
     depth[100, 100:110] = 0.5
     np.testing.assert_array_equal(seen_at(depth, [[100, 105]])["normal"], 0)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from handsight.errors import InvalidInput
-from handsight.vision import DepthNoise
-from handsight.vision.depth_noise import PRESETS, STEREO, STRUCTURED_LIGHT, TIME_OF_FLIGHT
+from handsight.vision import PRESETS, STEREO, STRUCTURED_LIGHT, TIME_OF_FLIGHT, DepthNoise
 
 
 def test_a_kinect_is_about_as_noisy_as_those_found_who_measured_it():

@@ -170,7 +170,7 @@ def test_in_a_grip_that_hides_all_of_it_it_stays_known_for_longer():
     assert lasted[0] > 2 * lasted[1] > 0
 
 
-def test_a_jug_whose_handle_is_not_seen_is_uncertain_for_good_and_a_can_is_not():
+def test_a_jug_whose_handle_is_hidden_stays_uncertain_and_a_can_is_not():
     can = hs.ObjectModel.cylinder(0.05, 0.12)
     shapes = {"jug": jug(), "can": (can.vertices + np.array([0, 0, 0.06]), can.faces)}
     for name, shape in shapes.items():
@@ -235,7 +235,7 @@ def test_it_does_not_matter_how_an_image_is_stored():
         np.testing.assert_array_equal(answer.T_camera_object, answers[0].T_camera_object)
 
 
-def test_where_to_begin_may_be_told():
+def test_the_initial_pose_may_be_given():
     table = Table(1)
     tracker = table.tracker(at())
     tracker.update(0.0, table.depth(at()), table=table.plane)
@@ -249,7 +249,7 @@ def test_where_to_begin_may_be_told():
     assert table.off(sighting, there) < 3e-3
 
 
-def test_wrong_input_is_told():
+def test_wrong_input_raises():
     table = Table(0)
     tracker, small = DepthTracker(model(), CAMERA), np.ones((24, 32), np.float32)
     with pytest.raises(InvalidInput, match="depth: expected 320 x 240 pixels, got 32 x 24"):

@@ -14,8 +14,8 @@ from handsight._kernels.image import depth_covariance, depth_term, pose_score, v
 from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_ERROR, DEPTH_POINT, STAGE
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects.symmetry import nearest
+from handsight.vision import STRUCTURED_LIGHT
 from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, poses_of
-from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.first_pose import distinct, first_pose
 from handsight.vision.object.region import scene_of, table_plane
@@ -228,13 +228,13 @@ def test_what_no_point_observes_is_unknown_and_the_rest_is_known_to_millimetres(
     assert np.sqrt(np.diag(covariance)[:3].max()) < 5e-3
 
 
-def test_of_a_convex_object_all_that_faces_a_side_is_seen():
+def test_of_a_convex_object_all_points_that_face_a_direction_are_visible():
     box = hs.ObjectModel.box((0.05, 0.08, 0.03))
     samples, directions, visible = appearance_of(box).sides[:3]
     np.testing.assert_array_equal(visible, directions @ samples[1].T > pose_score.MIN_FACING)
 
 
-def test_what_is_behind_another_part_of_the_object_is_not_seen():
+def test_points_behind_another_part_of_the_object_are_hidden():
     """From the side of the small block the foot of the tower is behind it; from above it is not."""
     samples, directions, visible, _ = appearance_of(model()).sides
     faces_x = (samples[1][:, 0] > 0.9) & (np.abs(samples[0][:, 0] + 0.01) < 2e-3)  # the tower's side

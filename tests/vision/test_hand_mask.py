@@ -7,7 +7,8 @@ import pytest
 from scipy.ndimage import binary_dilation
 
 from handsight import se3
-from handsight.vision.palm.hand_mask import AROUND, hand_mask
+from handsight.vision import hand_mask
+from handsight.vision.palm.hand_mask import AROUND
 from sight_scenes import CAMERA
 
 if find_spec("gymnasium_robotics") is None:  # it is not imported: only its files are used
@@ -66,7 +67,7 @@ def test_the_hand_is_masked_and_what_is_behind_or_before_it_is_not(hand):
     assert not near[~there & ~beside].any()
 
 
-def test_a_hand_out_of_the_picture_masks_nothing(hand):
+def test_a_hand_out_of_the_image_masks_nothing(hand):
     shape = hand.shape()
     T = se3.compose(np.eye(3), np.array([0, 0, -1.0]))
     depth = np.ones((240, 320), np.float32)

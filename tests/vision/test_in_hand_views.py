@@ -82,7 +82,7 @@ def test_what_is_turned_in_the_hand_is_found_without_a_piece_of_the_hand():
     assert np.abs(off).max() < 5e-3
 
 
-def test_a_hand_without_shapes_cannot_be_told_from_what_it_holds(tmp_path):
+def test_a_hand_without_shapes_cannot_be_distinguished_from_the_object_it_holds(tmp_path):
     file = tmp_path / "hand.urdf"
     file.write_text(
         '<robot name="two"><link name="palm"/><link name="tip"/><joint name="bend" type="revolute">'

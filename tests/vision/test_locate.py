@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
+from handsight.vision import locate, recognise
 from handsight.vision.object.first_pose import probabilities
-from handsight.vision.object.locate import LOCATE, locate, recognise
+from handsight.vision.object.locate import LOCATE
 from sight_scenes import CAMERA, drawn, letter, looking, mssd, noisy, on_table
 
 

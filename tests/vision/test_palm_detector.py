@@ -21,9 +21,9 @@ from handsight._kernels.image.palm_scan import PALM_SCAN
 from handsight._kernels.image.vision_records import DEPTH_ERROR, STAGE
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
+from handsight.vision import STRUCTURED_LIGHT, HandAppearance
 from handsight.vision.candidates import candidates_at, poses_of
-from handsight.vision.depth_noise import STRUCTURED_LIGHT
-from handsight.vision.palm.hand_appearance import APPEARANCE, HandAppearance
+from handsight.vision.palm.hand_appearance import APPEARANCE
 from handsight.vision.palm.hand_in_image import HandInImage
 from handsight.vision.palm.palm_search import PALM_SEARCH, Picture, _shifts, _turns, picture_of
 
@@ -88,7 +88,7 @@ def test_without_noise_the_truth_is_recovered(seed):
 
 
 @pytest.mark.slow
-def test_another_hand_is_seen_too():
+def test_another_hand_is_detected_too():
     if not ALLEGRO.exists():
         pytest.skip(f"no {ALLEGRO}")
     names = (("first", "3.0"), ("middle", "7.0"), ("ring", "11.0"), ("thumb", "15.0"))
@@ -198,7 +198,7 @@ def asked(depth, T=None, **sigmas):
     return detect_palm.detect_palm(CAMERA, depth, open_hand(), T, **{**DEFAULT, **sigmas})
 
 
-def test_a_hand_out_of_the_picture_is_refused():
+def test_a_hand_out_of_the_image_is_refused():
     depth = np.full((480, 640), 0.8, np.float32)
     for place in ([0, 0, -1.0], [3.0, 0, 0.8]):
         T = believed()
@@ -209,7 +209,7 @@ def test_a_hand_out_of_the_picture_is_refused():
 
 
 @pytest.mark.parametrize("nothing", [np.nan, 0.0, np.inf, -1.0])
-def test_a_picture_without_depth_is_refused(nothing):
+def test_an_image_without_depth_is_refused(nothing):
     refusal = asked(np.full((480, 640), nothing, np.float32))
     assert not refusal
     assert refusal.reason == "outside"
@@ -239,7 +239,7 @@ def test_a_hand_that_is_far_away_is_refused():
     assert not refusal
 
 
-def test_what_is_no_belief_and_no_picture_is_an_error():
+def test_a_wrong_pose_or_image_is_an_error():
     depth = np.ones((480, 640), np.float32)
     with pytest.raises(InvalidInput, match="sigma_position: expected a number above 0, got 0"):
         asked(depth, sigma_position=0.0)
@@ -278,7 +278,7 @@ def test_a_hand_that_is_no_longer_there_is_searched():
     assert own.detected(CAMERA, drawn.depth, None, gone, (0.04, 0.05), follow=True) is None
 
 
-def test_a_hand_that_is_followed_out_of_the_picture_is_refused():
+def test_a_hand_that_is_followed_out_of_the_image_is_refused():
     T = believed()
     T[:3, 3] = [3.0, 0, 0.8]
     assert (

@@ -47,7 +47,7 @@ def test_colour_is_red_green_blue(tmp_path, name):
 @pytest.mark.parametrize(
     "lens", [[], [-0.2, 0.05, 1e-4, 2e-4], [0.4, -2.5, 5e-4, -3e-4, 1.5, 0.3, -2.3, 1.4]]
 )
-def test_a_camera_is_what_its_file_says(tmp_path, lens):
+def test_a_camera_has_the_numbers_of_its_file(tmp_path, lens):
     camera = read_camera(saved(tmp_path, INTRINSICS | ({"lens": lens} if lens else {}), "camera.json"))
     np.testing.assert_array_equal(camera.matrix, CAMERA.matrix)
     np.testing.assert_array_equal(camera.lens, lens)

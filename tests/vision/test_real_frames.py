@@ -13,7 +13,7 @@ import pytest
 import handsight as hs
 from handsight import se3
 from handsight.camera import Camera
-from handsight.vision.object.locate import locate
+from handsight.vision import locate
 
 NAMED = os.environ.get("HANDSIGHT_DATA")
 DATA = (Path(NAMED) if NAMED else Path(__file__).parents[3] / "shared" / "data") / "m3t_rgbd"

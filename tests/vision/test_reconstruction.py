@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 import handsight as hs
 from handsight import se3
-from handsight.vision.depth_noise import STRUCTURED_LIGHT
-from handsight.vision.object.locate import locate
+from handsight.vision import STRUCTURED_LIGHT, locate
 from handsight.vision.reconstruction.completion import closed, one_object
 from handsight.vision.reconstruction.reconstruct import Reconstruction, View
 from handsight.vision.reconstruction.segmentation import on_table
@@ -56,7 +55,7 @@ def off(name, points, rng=None):
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_a_plane_that_is_seen_without_noise_is_where_it_is(seed):
+def test_a_plane_from_images_without_noise_is_exact(seed):
     """To a hundredth of a cell: along each ray the distance is exact, and it changes linearly."""
     rng = np.random.default_rng(seed)
     corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
@@ -72,14 +71,14 @@ def test_a_plane_that_is_seen_without_noise_is_where_it_is(seed):
     assert (normals[inside, 2] > 0.98).all()
 
 
-def test_where_nothing_was_seen_there_is_no_surface():
+def test_without_views_there_is_no_surface():
     volume = Volume(BOUNDS, 0.004)
     volume.fuse(CAMERA, np.zeros((240, 320), np.float32), path(1, np.random.default_rng(0))[0])
     assert len(volume.surface().points) == 0
     assert not volume.observed().any()
 
 
-def test_what_a_camera_looks_through_is_clear_and_what_is_hidden_is_not_told():
+def test_free_space_is_clear_and_hidden_space_is_unknown():
     T, (depth, *_) = views("can")[0][0], views("can")[1]
     volume = Volume(BOUNDS, 0.003)
     volume.fuse(CAMERA, depth, T)
@@ -108,7 +107,7 @@ def test_a_thing_is_found_as_it_is(name, estimate):
 
 
 @pytest.mark.slow
-def test_views_are_found_where_nobody_says_how_the_camera_moved():
+def test_the_poses_of_views_are_found_without_the_cameras_motion():
     Ts, images = views("letter", 72)
     rec, found = grown(np.repeat(Ts[:1], len(Ts), axis=0), images, estimate=True)
     assert None not in found
@@ -134,7 +133,7 @@ def test_a_view_of_something_else_does_not_fit():
 
 
 @pytest.mark.parametrize(("name", "guess"), [("can", "a body of revolution"), ("box", "a mirror image")])
-def test_what_was_not_seen_is_guessed_and_marked(name, guess):
+def test_unobserved_surface_is_guessed_and_marked(name, guess):
     """From two fifths of the way around."""
     Ts, images = views(name, 24, 0.4)
     rec, _ = grown(Ts, images, estimate=False)
@@ -170,7 +169,7 @@ def test_the_thing_on_the_table_is_found_and_nothing_where_there_is_none():
     assert on_table(CAMERA, np.where(np.isfinite(empty), empty, 0).astype(np.float32)) is None
 
 
-def test_a_reconstructed_model_is_located_in_a_picture():
+def test_a_reconstructed_model_is_located_in_an_image():
     Ts, images = views("letter")
     rec, _ = grown(Ts, images, estimate=False)
     found = closed(one_object(rec.volume.surface(), rec.volume, table=True), rec.volume, table=True)

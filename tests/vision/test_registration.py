@@ -78,7 +78,7 @@ def test_colour_is_that_of_the_place_through_any_lens(lens):
     np.testing.assert_allclose(color[seen][:, :2], expected[:, :2], atol=0.9)
 
 
-def test_a_camera_with_itself_gives_its_own_picture():
+def test_a_camera_registered_with_itself_gives_its_own_image():
     rng = np.random.default_rng(0)
     depth = rng.uniform(0.5, 0.52, (240, 320)).astype(np.float32)
     depth[::5, ::3] = np.nan
@@ -91,7 +91,7 @@ def test_a_camera_with_itself_gives_its_own_picture():
     assert not seen[np.isnan(depth)].any()
 
 
-def test_nothing_is_seen_without_depth_or_from_behind():
+def test_nothing_is_visible_without_depth_or_from_behind():
     picture = np.full((480, 640, 3), 9, np.uint8)
     nowhere = np.full((240, 320), np.nan, np.float32)
     assert not register_color(nowhere, CAMERA, picture, COLOR_CAMERA, np.eye(4)).visible.any()

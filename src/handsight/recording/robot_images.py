@@ -131,7 +131,7 @@ def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera)
     T_palm_object: Array | None = None
     for observation in observations:
         joints = observation.joint_positions
-        if observation.depth is None or joints is None or not in_hand.tells(joints):
+        if observation.depth is None or joints is None or not in_hand.has_all_joints(joints):
             continue
         depth = _depth(observation.depth, camera)
         T = pixels.palm(camera, depth, observation)

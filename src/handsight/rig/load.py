@@ -63,7 +63,7 @@ def _hand(form: RigForm, file: YamlFile) -> Hand:
         raise file.error(("hand", "file"), str(error)) from None
     except OSError as error:
         raise file.error(("hand", "file"), f"{checks.brief(name)}: {error.strerror}") from None
-    if name.startswith(PACKAGE):  # such a name is as good in a rig file elsewhere
+    if name.startswith(PACKAGE):  # such a name is valid in a rig file anywhere
         hand.file = name
     return hand
 

@@ -1,7 +1,7 @@
 """Vision: depth cameras, and the poses of object and palm in their images."""
 
 from handsight._deprecated import renamed
-from handsight.vision.depth_noise import DepthNoise
+from handsight.vision.depth_noise import PRESETS, STEREO, STRUCTURED_LIGHT, TIME_OF_FLIGHT, DepthNoise
 from handsight.vision.object.depth_points import depth_points
 from handsight.vision.object.depth_tracker import DepthTracker, Sighting
 from handsight.vision.object.first_pose import ObjectDetection
@@ -13,6 +13,10 @@ from handsight.vision.pixels import read_camera, read_color, read_depth
 from handsight.vision.registration import register_color
 
 __all__ = [
+    "PRESETS",
+    "STEREO",
+    "STRUCTURED_LIGHT",
+    "TIME_OF_FLIGHT",
     "DepthNoise",
     "DepthTracker",
     "HandAppearance",

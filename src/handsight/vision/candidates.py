@@ -10,7 +10,7 @@ from handsight.objects import ObjectModel
 
 Candidates = NDArray[np.void]
 NOTHING_KNOWN = np.zeros((6, 6))
-"""The information of a pose of which nothing is known before."""
+"""The information of a pose without prior knowledge."""
 
 
 def candidates_at(Ts: Array) -> Candidates:

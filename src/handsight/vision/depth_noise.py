@@ -36,8 +36,8 @@ class DepthNoise:
     correlation: float = 5.0
     """Distance at which their correlation has fallen to 1/e [pixels]."""
     lateral: float = 0.0
-    """How far beside itself a pixel measures, along each axis: sigma, before it is rounded to a whole number
-    [pixels]."""
+    """Sigma of the offset along each axis between a pixel and the place that it measures, before rounding to whole
+    pixels [pixels]."""
     smooth: float = 0.0
     """Constant bias that changes over the image: sigma at 1 m [m]; it grows with z²."""
     smooth_length: float = 40.0
@@ -51,12 +51,12 @@ class DepthNoise:
     dropouts: float = 0.0
     """Share of the pixels without depth elsewhere."""
     nearest: float = 0.0
-    """What is nearer has no depth [m]."""
+    """Surfaces nearer than this have no depth [m]."""
     farthest: float = LARGEST
-    """What is farther has no depth [m]."""
+    """Surfaces farther than this have no depth [m]."""
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput for what is no size, share or range."""
+        """Raises InvalidInput for a size, share or range that is not possible."""
         checks.finite(self.axial, "axial", (3,))
         for name in (*SIZES, *SHARES, "correlation", "smooth_length", "nearest", "farthest", "edge_width"):
             value = float(checks.finite(getattr(self, name), name, ()))
@@ -79,7 +79,7 @@ class DepthNoise:
         return np.hypot(self.offset, self.smooth * np.square(np.asarray(z, dtype=np.float64)))
 
     def times(self, amount: float) -> "DepthNoise":
-        """Returns the same with errors, and shares of pixels without depth, `amount` times as large; raises
+        """Returns a noise whose errors, and shares of pixels without depth, are `amount` times as large; raises
         InvalidInput."""
         amount = float(checks.finite(amount, "amount", ()))
         if amount < 0:

@@ -40,7 +40,7 @@ def pose_covariances(
     """Returns (k, 6, 6) of CANDIDATE (k,) by (δp [m], δθ [rad]) of the object's origin along the camera's axes.
 
     Of DEPTH_POINT (n,) those within a candidate's bound count, with the errors of `noise`. The error of the model and
-    that of whole pixels come on top.
+    that of whole pixels are added.
     """
     unknown = UNKNOWN[0] * model.diameter, UNKNOWN[1] * model.diameter
     errors = depth_errors(camera, noise, center_depths(model, candidates), unknown, model.sigma_point)

@@ -32,19 +32,19 @@ class DepthTrackerOptions(NamedTuple):
     """`DepthTrackerOptions` say how an object is followed from image to image."""
 
     velocity_share: float = 0.8
-    """Of its velocity, that an object in nobody's grip is expected to have until the next image."""
+    """Share of its velocity that an object outside a grip is expected to keep until the next image."""
     max_gap: float = 0.5  # between images, for a velocity to be used [s]
-    drift: tuple[float, float] = (0.15, 1.0)  # sigma of how it moves otherwise [m/s, rad/s]
-    drift_in_palm: tuple[float, float] = (0.02, 0.15)  # and in a grip [m/s, rad/s]
-    min_points: int = 15  # below so many near it an image says nothing of a pose
-    min_pixels: float = 20.0  # below so many explained by it an image says nothing of a pose
-    min_against: float = 30.0  # pixels that contradict a pose, at least, for an image to do so
-    uncertain: float = 0.08  # how far off its surface may be for a pose to be known [diameters]
-    lost: float = 0.12  # and for it to be kept while nothing is detected [diameters]
+    drift: tuple[float, float] = (0.15, 1.0)  # sigma of its other motion [m/s, rad/s]
+    drift_in_palm: tuple[float, float] = (0.02, 0.15)  # and of its motion in a grip [m/s, rad/s]
+    min_points: int = 15  # near the surface that an image must have to give a pose
+    min_pixels: float = 20.0  # explained pixels that an image must have to give a pose
+    min_against: float = 30.0  # pixels against a pose that an image must have to contradict it
+    uncertain: float = 0.08  # shift of its surface beyond which a pose is uncertain [diameters]
+    lost: float = 0.12  # and beyond which a hidden object is lost [diameters]
     min_twin: float = 0.05
-    """Weight of a pose that was found, of the likeliest's, for it to be taken where the object was turned like that."""
+    """Least weight, as a share of the likeliest pose's, of a pose that may be chosen for its rotation near the last."""
     search_period: float = 0.2  # between searches of the entire image [s]
-    min_found: float = 0.6  # share of the pixels that it would fill, for an object to be found
+    min_found: float = 0.6  # share of the expected pixels that a found object must explain
 
 
 DEPTH_TRACKER = DepthTrackerOptions()
@@ -54,7 +54,7 @@ HIDDEN = "hardly anything of it is seen"
 @renamed_members(look="candidate")
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """A `Sighting` is what a depth image says of an object that is followed."""
+    """A `Sighting` is the estimate of a tracked object's pose after one depth image."""
 
     stamp: float
     """Of the image [s]."""
@@ -63,16 +63,16 @@ class Sighting:
     covariance: Array | None
     """(6, 6) of (δp [m], δθ [rad]) of the object's origin along the camera's axes; None: lost."""
     state: State
-    """`tracking`; `uncertain`: it fits, and might as well elsewhere; `lost`: it does not fit."""
+    """`tracking`; `uncertain`: the pose fits, but others may fit as well; `lost`: no pose fits."""
     reason: str
     """Why it is not `tracking`; empty if it is."""
     candidate: NDArray[np.void]
-    """CANDIDATE (1,): the pose that was tried, and what the image says of it."""
+    """CANDIDATE (1,): the pose that was tried, and how well the image supports it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Image:
-    """An `_Image` is a depth image with what is known of it, as `DepthTracker.update` takes them."""
+    """An `_Image` has the checked arguments of `DepthTracker.update`."""
 
     stamp: float
     depth: Depth
@@ -84,7 +84,7 @@ class _Image:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Belief:
-    """A `_Belief` says where the object is thought to be at an image's stamp."""
+    """A `_Belief` is the state of the tracker at an image's stamp."""
 
     stamp: float
     pose_camera_object: GaussianPose
@@ -126,10 +126,11 @@ class DepthTracker:
     ) -> Sighting:
         """Returns where the object is in a depth image (h, w) [m], 0 or NaN where there is none.
 
-        hand: (h, w) its pixels. table: (4,) `n·P + offset = 0` in the camera, n towards it. gripped: the object moves
-        with the palm, where T_camera_palm is known. expected: T_camera_object from elsewhere, to begin from. An image
-        a little older than the last one is answered, and changes nothing. Raises InvalidInput for images of another
-        size than the camera's, InvalidTransform for poses that are none.
+        hand (h, w): whether a pixel is the hand's. table (4,): `n·P + offset = 0` in the camera, n towards it. gripped:
+        the object moves with the palm, where T_camera_palm is known. expected: T_camera_object from another source,
+        near which the object is searched. An image a little older than the last one is answered, but does not change
+        the state. Raises InvalidInput for images of another size than the camera's, InvalidTransform for matrices that
+        are no poses.
         """
         for name, image in (("depth", depth), ("hand", hand)):
             if image is not None:

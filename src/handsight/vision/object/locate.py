@@ -22,8 +22,9 @@ class LocateOptions(NamedTuple):
 
     max_plane: float = 1.5  # a plane wider than this is no part of the object [diameters]
     min_probability: float = 0.02
-    """Of the best pose, for the object to be there. It is low because images of real cameras differ more from those
-    that it was fitted to than drawn ones (`experiments/sight_recognition.py` prints what it accepts and claims)."""
+    """Least probability of the best pose at which the object counts as found. It is low because the probability was
+    fitted to drawn images, from which those of real cameras differ
+    (`experiments/sight_recognition.py` prints what it accepts and claims)."""
 
 
 LOCATE = LocateOptions()
@@ -39,12 +40,12 @@ def locate(
     table: Array | None = None,
     noise: DepthNoise = STRUCTURED_LIGHT,
 ) -> ObjectDetection:
-    """Returns where the object is in a depth image (h, w) [m], 0 or NaN where there is none; nowhere, and why, if it
-    is not.
+    """Returns the poses that the object may have in a depth image (h, w) [m], 0 or NaN where there is no depth; none,
+    with the reason, if the object is not in it.
 
-    wanted, hand: (h, w) pixels it may be in (all), and those of the hand. table: (4,) `n·P + offset = 0` in the camera,
-    n towards it; else the widest plane. noise: of the depth. Raises InvalidInput for images of another size than the
-    camera's, and for depth that is not in metres.
+    wanted (h, w): pixels that the object may be in; None: all. hand (h, w): those of the hand. table (4,):
+    `n·P + offset = 0` in the camera, n towards it; None: the widest plane. noise: of the depth. Raises InvalidInput
+    for images of another size than the camera's, and for depth that is not in metres.
     """
     extent = LOCATE.max_plane * model.diameter
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)

@@ -22,11 +22,11 @@ from handsight.vision.pose_covariance import pose_covariances
 class RefinerOptions(NamedTuple):
     """`RefinerOptions` say how a pose is refined on an image."""
 
-    within: float = 0.12  # of the expected surface, for a point to count [diameters]
+    within: float = 0.12  # distance from the expected surface within which a point counts [diameters]
     margin: float = 0.15  # around the object's silhouette, in which points are gathered [diameters]
     max_points: int = 400  # points that refine a pose
     max_pixels: int = 2000  # pixels of the window that they are chosen from
-    covariance_points: int = 50  # of them are enough for the covariance
+    covariance_points: int = 50  # of these points, by which the covariance is computed
 
 
 REFINER = RefinerOptions()

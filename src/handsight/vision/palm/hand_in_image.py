@@ -38,9 +38,9 @@ class HandInImage:
         *,
         follow: bool = False,
     ) -> PalmDetection | PalmNotFound | None:
-        """Returns the palm as `detect_palm` does, with sigmas of the believed pose [m, rad]; None for an unknown hand.
+        """Returns the palm as `detect_palm` does, with sigmas of its predicted pose [m, rad]; None where `placed` is.
 
-        With `follow` the last image has had the palm there: it is searched only where it does not fit there.
+        `follow`: the palm was found there in the last image, and is searched only if it no longer fits there.
         """
         hand = self.placed(joint_positions)
         if hand is None:
@@ -60,7 +60,7 @@ class HandInImage:
     def mask(
         self, camera: Camera, depth: Depth, joint_positions: Joints, T_camera_palm: Array
     ) -> Mask | None:
-        """Returns (h, w) whether a pixel is the hand's; None for an unknown hand."""
+        """Returns (h, w) whether a pixel is the hand's; None where `placed` is."""
         joints = joint_positions or {}
         if self._appearance is None or not joints.keys() >= set(self._shape.joints):
             return None

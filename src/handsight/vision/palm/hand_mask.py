@@ -1,4 +1,4 @@
-"""Which pixels of a depth image are the hand's: its links are drawn where the robot believes them to be."""
+"""Which pixels of a depth image are the hand's: its links are drawn at the measured joint positions."""
 
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
@@ -8,7 +8,7 @@ from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices, Mask
 
 AROUND, SLACK = 3, 0.012
-"""How far joints that are off by a degree move a link: around its drawing [pixels], in front and behind [m]."""
+"""Margins for joints that are off by a degree: around the drawn links [pixels], in front and behind [m]."""
 
 
 def hand_mask(

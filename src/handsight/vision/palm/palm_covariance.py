@@ -17,8 +17,8 @@ def palm_covariance(
 ) -> Array:
     """Returns (6, 6) of CANDIDATE (1,) by (δp, δθ) of the palm along the camera's axes.
 
-    rows (k,): the visible points; bound: Tukey's [m]. The errors of points are those of `noise`. On top come those of
-    whole pixels, and of constant errors of the joints, to first order: how the weighted fit follows a joint that is
+    rows (k,): the visible points; bound: Tukey's [m]. The errors of points are those of `noise`. Those of whole
+    pixels are added, and those of constant errors of the joints, to first order: a weighted fit follows a joint that is
     off.
     """
     T, hand, camera, compared = poses_of(candidate)[0], picture.hand, picture.camera, 150

@@ -1,9 +1,9 @@
-"""Where the palm is in the camera, from the hand in its depth image: the camera's calibration has no part in it.
+"""The pose of the palm in the camera, from the hand in its depth image and not from the camera's calibration.
 
-The hand, as it is believed to be, is turned and shifted in steps as far as the belief may be off. The best poses are
+The hand is turned and shifted in steps around its predicted pose, within its uncertainty. The best poses are
 moved to where the hand's points lie on the image (point to plane), and scored by the image as a whole: by pixels that
 the hand explains, that the camera sees past, that are hidden, and by whether the surface goes on beside the hand. A
-hand that the last image has had is only moved.
+hand that was found in the last image is only aligned.
 """
 
 from dataclasses import dataclass
@@ -51,8 +51,8 @@ class DetectorOptions(NamedTuple):
     min_pixels: float = 400.0  # that the hand explains
     min_fit: float = 0.25  # and their share of those that it should fill
     continued_weight: float = 0.3
-    """What all of the hand's outline counts, against the pixels that it should fill, where the surface continues beside
-    it."""
+    """Cost of a surface that continues beside the hand's entire outline, as a share of the pixels that the hand should
+    fill."""
     max_continued: float = 0.55
     """Share of the outline above which no answer is taken: the hand was found in a table or a wall."""
     candidate_spacing: float = 0.025  # poses farther than this from each other are different [m]
@@ -65,7 +65,7 @@ class DetectorOptions(NamedTuple):
     last_stage: AlignStage = AlignStage(0.015, 0.006, 8, 0.010)
     followed_stage: AlignStage = AlignStage(0.02, 0.006, 10, 0.010)
     followed_sigmas: tuple[float, float] = (0.010, float(np.deg2rad(3.0)))
-    """How far off a hand that is followed may be [m, rad]."""
+    """Sigmas of the predicted pose of a hand that is followed [m, rad]."""
 
 
 DETECTOR = DetectorOptions()
@@ -78,8 +78,8 @@ class PalmNotFound:
     """A `PalmNotFound` says why an image gives no pose of the palm; it is falsy."""
 
     reason: Reason
-    """outside: of the image, wherever the belief may be off to; hardly_seen: too few pixels are the hand's, most of
-    it is hidden or far; no_fit: the image does not show such a hand there; ambiguous: another pose fits as well."""
+    """outside: out of the image, at any pose within the uncertainty; hardly_seen: too few pixels are the hand's, most
+    of it is hidden or far; no_fit: the image does not show such a hand there; ambiguous: another pose fits as well."""
 
     def __bool__(self) -> bool:
         return False
@@ -112,8 +112,8 @@ def detect_palm(
 ) -> PalmDetection | PalmNotFound:
     """Returns the palm's pose in a depth image (h, w) [m], 0 or NaN where there is none, or why the image gives none.
 
-    T_camera_palm: as believed, off by `sigma_position` [m] at the hand's middle and `sigma_rotation` [rad] per axis;
-    the time that the search takes grows with these. `noise`: of the depth, for the covariance. Raises InvalidInput.
+    T_camera_palm: as predicted, with sigmas `sigma_position` [m] of the hand's middle and `sigma_rotation` [rad] per
+    axis; the time of the search grows with these. `noise`: of the depth, for the covariance. Raises InvalidInput.
     """
     T = _checked(camera, depth, T_camera_palm)
     sigmas = _positive(sigma_position, "sigma_position"), _positive(sigma_rotation, "sigma_rotation")

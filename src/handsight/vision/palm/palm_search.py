@@ -1,4 +1,4 @@
-"""Where in a depth image a hand may be, given a belief that is off: turns and shifts, tried in steps."""
+"""Candidates of the hand's pose in a depth image: turns and shifts around a predicted pose, tried in steps."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -73,13 +73,13 @@ def picture_of(camera: Camera, depth: Depth, hand: PlacedHand, T: Array, sigma: 
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """A `Belief` says where a hand is thought to be, and how far off that may be."""
+    """A `Belief` is the predicted pose of a hand, with its standard deviations."""
 
     hand: PlacedHand
     T: Array
     """(4, 4) camera from palm."""
     sigmas: tuple[float, float]
-    """Of the hand's middle and of a turn, per axis [m, rad]."""
+    """Sigmas of the hand's middle and of a turn, per axis [m, rad]."""
 
     def differences(self, middles: Array, rotations: Array) -> tuple[Array, Array]:
         """Returns how far middles (..., 3) and rotations (..., 3, 3) of the hand are off it (..., 3) [m], [rad]."""

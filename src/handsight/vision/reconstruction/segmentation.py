@@ -73,7 +73,7 @@ class InHandView:
         self._hand, self._chains, self._sigma_joint = hand, hand.shape().chains, sigma_joint
         self._points, _, self._bodies = skin_points(hand, SEGMENTATION.skin_points)
 
-    def tells(self, joint_positions: Mapping[str, float] | None) -> bool:
+    def has_all_joints(self, joint_positions: Mapping[str, float] | None) -> bool:
         """Returns whether every joint of the hand has a position."""
         return (joint_positions or {}).keys() >= {*self._chains.joints, *self._hand.joint_names}
 
