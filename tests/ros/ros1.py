@@ -154,20 +154,26 @@ def graph(folder):
         running.close()
 
 
-def read_until(reader, stamp):
-    """The poses by stamp that a reader of PoseWithCovarianceStamped receives, until one of that time [s].
+def read_until(reader, kind, stamp):
+    """The messages that a reader receives, of a kind with a header or of transforms, until one of that time [s].
 
     None is lost, unlike by `rosbag record`, whose queue of 100 overflows on a busy machine when the first seconds of
     answers come at once.
     """
-    kind, found = "geometry_msgs/msg/PoseWithCovarianceStamped", {}
+    found, last = [], -1.0
     with reader.makefile("rb") as file:
         file.read(int.from_bytes(file.read(4), "little"))  # the publisher's header
-        while not found or max(found) < stamp - 1e-6:
+        while last < stamp - 1e-6:
             data = file.read(int.from_bytes(file.read(4), "little"))
             assert data, "the publisher ended"
-            found |= by_stamp([typestore("ros1").deserialize_ros1(data, kind)])
+            found.append(typestore("ros1").deserialize_ros1(data, kind))
+            last = stamp_of(getattr(found[-1], "transforms", found[-1:])[-1])
     return found
+
+
+def stamp_of(message):
+    """When a message with a header was stamped [s]."""
+    return round(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec, 6)
 
 
 def messages_of(path, topic):
@@ -185,8 +191,10 @@ def poses_of(path):
 
 def by_stamp(messages):
     """Position and quaternion of PoseWithCovarianceStamped by stamp."""
-    found = {}
-    for message in messages:
-        stamp, p, q = message.header.stamp, message.pose.pose.position, message.pose.pose.orientation
-        found[round(stamp.sec + 1e-9 * stamp.nanosec, 6)] = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
-    return found
+    poses = {stamp_of(message): message.pose.pose for message in messages}
+    return {
+        stamp: np.array(
+            [p.position.x, p.position.y, p.position.z, *(getattr(p.orientation, a) for a in "xyzw")]
+        )
+        for stamp, p in poses.items()
+    }

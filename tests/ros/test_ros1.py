@@ -18,7 +18,7 @@ from handsight.messages import RosType
 from handsight.messages.decode import typestore
 from tests.live.recorded import in_ros1, said, tracked
 from tests.ros.pages import free_port, gone, served
-from tests.ros.ros1 import PACKAGE, graph, messages_of, needs_ros1, poses_of, read_until
+from tests.ros.ros1 import PACKAGE, by_stamp, graph, messages_of, needs_ros1, poses_of, read_until, stamp_of
 
 pytestmark = [needs_ros1, pytest.mark.slow]
 RIG = DATA / "can.rig.yaml"
@@ -59,9 +59,14 @@ def test_poses_are_those_of_track_and_ctrl_c_ends_within_a_second(tmp_path):
         node = running.node(RIG, object="can", equal="true", **options)
         address = served(node) if options else ""
         recorder = running.record(*topics)
-        with running.reader("/handsight/pose", "geometry_msgs/PoseWithCovarianceStamped") as reader:
+        with (
+            running.reader("/handsight/pose", "geometry_msgs/PoseWithCovarianceStamped") as poses,
+            running.reader("/tf", "tf2_msgs/TFMessage") as transforms,
+        ):
             play(running, played)
-            found = read_until(reader, max(expected))  # answered a second after the last message
+            # The last is answered a second after its message.
+            found = by_stamp(read_until(poses, "geometry_msgs/msg/PoseWithCovarianceStamped", max(expected)))
+            links = read_until(transforms, "tf2_msgs/msg/TFMessage", max(expected))
         ended = running.interrupt(node)
         assert (node.returncode, "Traceback" in node.log.read_text()) == (0, False)
         running.wait_for(lambda: not options or gone(address), "the page's end")
@@ -73,10 +78,8 @@ def test_poses_are_those_of_track_and_ctrl_c_ends_within_a_second(tmp_path):
             rtol=0,
             atol=1e-9,
         )
-        links = [link for each in messages_of(path, "/tf") for link in each.transforms]
-        own = [link for link in links if link.child_frame_id == "object"]
-        stamps = [link.header.stamp for link in own]
-        assert max(found) in {round(stamp.sec + 1e-9 * stamp.nanosec, 6) for stamp in stamps}
+        own = [link for each in links for link in each.transforms if link.child_frame_id == "object"]
+        assert [stamp_of(link) for link in own] == sorted(found)
         assert max(found) in poses_of(path)
         assert len(messages_of(path, "/handsight/markers")) > 5
         statuses = [s for each in messages_of(path, "/diagnostics") for s in each.status]
