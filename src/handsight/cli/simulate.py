@@ -207,10 +207,13 @@ def _search_grasp(scenario: "Scenario", path: Path) -> "Grasp":
 def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     """Returns the object as the robot describes it, with the size error `object_scale`."""
     from handsight.objects import ObjectSpec
+    from handsight.simulation.robot import declared_weight
 
     spec = rig.objects.get(scenario.object) or ObjectSpec(mesh=Path(scenario.object))
-    k = scenario.nuisances.object_scale
-    if scenario.nuisances.object_off_center:
+    n, k = scenario.nuisances, scenario.nuisances.object_scale
+    if n.declared_mass:
+        spec = dataclasses.replace(spec, center_of_mass="homogeneous", **declared_weight(n))
+    elif n.object_off_center:
         spec = dataclasses.replace(
             spec, center_of_mass=None, sigma_center_of_mass=None
         )  # the robot does not know it
