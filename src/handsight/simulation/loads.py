@@ -57,7 +57,10 @@ class Payload:
         n, rng = scenario.nuisances, np.random.default_rng((int(scenario.seed), 10))
         off, force = rng.normal(size=3), rng.normal(size=3)
         of_contacts: dict[str, Any] = {"friction": float(n.friction), "softness": float(n.contact_softness)}
-        of_contacts |= {"pyramidal": bool(n.pyramidal_friction), "tip_errors": tip_errors(n, int(scenario.seed))}
+        of_contacts |= {
+            "pyramidal": bool(n.pyramidal_friction),
+            "tip_errors": tip_errors(n, int(scenario.seed)),
+        }
         usual = scene(scenario.object, **of_contacts)
         low, high = usual.bounds_object
         point = (low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low)

@@ -108,7 +108,7 @@ def model_of(scenario: Scenario) -> ObjectModel:
 
 
 def declared_weight(nuisances: Nuisances) -> dict[str, float]:
-    """Returns the mass that the robot believes the object to have [kg], and the true sigma of its homogeneous centre."""
+    """Returns the object's mass as the robot has it [kg], and the true sigma of its homogeneous centre [m]."""
     n = nuisances
     sigma = float(np.hypot(1e-3, n.object_off_center / np.sqrt(3)))
     mass = n.declared_mass * (n.object_mass or SCENARIO.object_mass)

@@ -115,8 +115,8 @@ class Nuisances:
     force_gain: float = 0.0
     """Sigma of the constant relative error of the gain of each axis of each force/torque sensor."""
     force_backlash: float = 0.0
-    """Half the width of the hysteresis of each axis of force [N]: a reading stays until the true force is this far away,
-    and follows it at this distance."""
+    """Half the width of the hysteresis of each axis of force [N]: a reading stays until the true force is this far
+    away, and follows it at this distance."""
     torque_backlash: float = 0.0
     """The same of each axis of torque [N m]."""
     vision_drift_position: float = 0.0
@@ -130,8 +130,8 @@ class Nuisances:
     """Probability that a message is lost: a joint state, and with it the observation; a finger's wrench; a pose of
     vision, or an image."""
     stamp_jitter: float = 0.0
-    """How much later than the measurement an observation's stamp may be, drawn uniformly from 0 to this [s]. Stamps stay
-    in order: at most nine tenths of the time to the next observation."""
+    """How much later than the measurement an observation's stamp may be, drawn uniformly from 0 to this [s]. Stamps
+    stay in order: at most nine tenths of the time to the next observation."""
     tip_size: float = 0.0
     """Sigma of the constant error of each true tip's radius, and of its length, against the rig's ellipsoid; at most
     twice this [m]."""
@@ -204,9 +204,9 @@ HARSH = {
     "torque_backlash": (0.0, 2.5e-4),
     "tip_compliance": (2e-5, 5e-5),
     "tip_size": (1e-4, 3e-4),
-    "contact_softness": (0.0, 2.0),
+    "contact_softness": (0.0, 0.6),
     "pyramidal_friction": (0, 1),
-    "friction": (0.5, 1.2),
+    "friction": (0.7, 1.2),
     "object_mass": (math.log(0.05), math.log(0.5)),
     "object_off_center": (0.0, 0.02),
     "declared_mass": (0.9, 1.1),

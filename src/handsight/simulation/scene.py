@@ -137,7 +137,7 @@ def scene(
     spec.option.iterations, spec.option.tolerance = 100, 1e-10
     cones = mujoco.mjtCone
     spec.option.cone = cones.mjCONE_PYRAMIDAL if pyramidal else cones.mjCONE_ELLIPTIC
-    spec.option.impratio = 10.0
+    spec.option.impratio = 50.0 if pyramidal else 10.0  # else a pyramid lets a held object creep
     _change_hand(mujoco, spec, friction, softness, tip_errors)
     _add_table_and_camera(mujoco, spec)
     bounds = _add_object(mujoco, spec, name, softness)

@@ -66,7 +66,9 @@ class Sensors:
             off = _errors(n.vision_position, n.vision_rotation, self._vision)
             vision = PoseMeasurement(se3.moved(T_camera_world @ T_world_object, off), "camera")
         if self._renderer is not None and self._due(30.0):
-            color, exact = self._renderer.take(configuration, se3.inverse(T_camera_world @ self.T_world_scene))
+            color, exact = self._renderer.take(
+                configuration, se3.inverse(T_camera_world @ self.T_world_scene)
+            )
             depth = add_depth_noise(exact, self._depth_noise, self._image_noise, int(self.scenario.seed))
         self._samples += 1
         # A deflected tip, which the joints do not measure, looks like joints turned the other way.
@@ -112,10 +114,8 @@ class Sensors:
     def _drifted(self) -> Array:
         """Returns the wandering part of vision's error at this observation, a motion (4, 4) in the world."""
         n = self.nuisances
-        if self._samples and n.vision_drift_time:
-            kept = np.exp(-1 / (self.scenario.rate * n.vision_drift_time))
-        else:
-            kept = 0.0
+        passed = 1 / (self.scenario.rate * n.vision_drift_time) if n.vision_drift_time else np.inf
+        kept = np.exp(-passed) if self._samples else 0.0
         self._drift = kept * self._drift + np.sqrt(1 - kept**2) * self._wander.normal(size=6)
         return moved_about_target(
             n.vision_drift_position * self._drift[:3], n.vision_drift_rotation * self._drift[3:]
@@ -168,7 +168,7 @@ class ConstantErrors:
 
 
 def constant_errors(nuisances: Nuisances, seed: int, joints: int = 24) -> ConstantErrors:
-    """Returns the constant errors that a seed draws; each has a random stream of its own, or is drawn in a fixed order."""
+    """Returns the constant errors that a seed draws for a hand of that many joints, of the sizes of the nuisances."""
     n, rng = nuisances, np.random.default_rng((seed, 2))
     offsets = n.joint_offset * rng.normal(size=joints)
     bias = UNLOADED + _errors(n.force_bias, n.torque_bias, rng, len(FINGERS))
