@@ -223,6 +223,8 @@ def print_diagnosis(diagnosis: "Diagnosis") -> None:
         kinds.append(f"{len(joints)} joints")
     kinds += [name for name in others if name not in joints]
     text = f"{diagnosis.instants} different grasps were compared."
-    if kinds:
+    if diagnosis.message:
+        text += f" They were not compared with joints, tips and size: {diagnosis.message}."
+    elif kinds:
         text += f" The recording does not measure {', '.join(kinds)}."
     print_out(text, soft_wrap=True)

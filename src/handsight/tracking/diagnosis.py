@@ -44,12 +44,14 @@ class DiagnosisOptions(NamedTuple):
     min_force: float = 0.3  # each presses by so much [N]: fingers that close are not at rest yet
     max_instants: int = 200  # most instants that are kept
     enlarged: float = 1e-4  # by so much a radius is changed for a difference quotient [m]
-    passes: int = 4  # of Gauss and Newton's method
-    sigma_size: float = 0.01  # of an object's size, as a share: models do not declare it
+    passes: int = 3  # of Gauss and Newton's method
+    max_errors: float = 10.0
+    """Errors of more of their declared sigmas are no small errors of this hand and this object."""
+    sigma_size: float = 0.03  # of an object's size, as a share, which models do not declare
     sigma_pose: float = 0.02  # sigma of an instant's pose about the tracked one [m]; see `sigma_turn`
     sigma_turn: float = float(np.deg2rad(20.0))  # [rad]
-    measured: float = 0.8
-    """A value is measured where the recording's own sigma is below this share of the declared one."""
+    measured: float = 1.0
+    """A value is measured where the recording's own sigma is below so many declared ones."""
     significant: float = 3.0  # a difference of fewer of the recording's own sigmas is not mentioned
     level: float = 0.01
     """Probability that any right value of a recording is called wrong."""
@@ -58,6 +60,9 @@ class DiagnosisOptions(NamedTuple):
 DIAGNOSIS = DiagnosisOptions()
 UNITS = {"mm": 1e3, "°": 180 / math.pi, "%": 100.0, "N": 1.0, "kg": 1.0, "ms": 1e3, "": 1.0}
 """So many of each unit are one in SI."""
+UNLIKE = (
+    "no small errors of hand and object explain the contacts: another object, or a finger that is far off"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +106,7 @@ class Diagnosed:
     @property
     def verdict(self) -> str:
         """What to think of the value, in words."""
-        if not self.measured:
+        if not self.measured and not self.wrong:
             return "not measured by this recording"
         more = self.estimated - self.believed
         unit = "" if self.unit == "°" else " "
@@ -120,6 +125,8 @@ class Diagnosis:
     values: tuple[Diagnosed, ...]
     instants: int
     """The number of different grasps that were compared."""
+    message: str = ""
+    """Why the contacts were not compared with what is declared; empty where they were."""
 
     @property
     def wrong(self) -> tuple[Diagnosed, ...]:
@@ -231,13 +238,14 @@ class Diagnoser:
 
     def diagnosis(self) -> Diagnosis:
         """Returns the diagnosis of all that was watched."""
-        values = [*self._contact_values(), *self._vision_values()]
+        errors, covariance = self._solve()
+        far = bool(np.abs(errors / self._sigmas).max() > DIAGNOSIS.max_errors)
+        by_touch = () if far else self._contact_values(errors, covariance)
+        values = [*by_touch, *self._vision_values()]
         # Bonferroni: that any of n right values is called wrong has at most the stated probability.
         level = DIAGNOSIS.level / max(len(values), 1)
-        judged = (
-            replace(value, wrong=value.measured and float(chdtrc(1, value.chi2)) < level) for value in values
-        )
-        return Diagnosis(tuple(judged), len(self._instants))
+        judged = (replace(value, wrong=float(chdtrc(1, value.chi2)) < level) for value in values)
+        return Diagnosis(tuple(judged), len(self._instants), UNLIKE if far else "")
 
     def _is_new(self, fingers: tuple[str, ...], contacts: Contacts) -> bool:
         """Returns whether a finger touches elsewhere than in all kept instants with the same fingers."""
@@ -274,9 +282,8 @@ class Diagnoser:
                 Ts[k] = se3.moved(Ts[k], turned)
         return errors, np.linalg.inv(H)
 
-    def _contact_values(self) -> Iterator[Diagnosed]:
-        """Yields what contacts tell of joints, tips and the object's size."""
-        errors, covariance = self._solve()
+    def _contact_values(self, errors: Array, covariance: Array) -> Iterator[Diagnosed]:
+        """Yields what contacts tell of joints, tips and the object's size; the arguments are those of `_solve`."""
         sigmas = np.sqrt(covariance.diagonal())
         fingers = self.tracker.rig.fingers
         named = [(f"joint {joint}", "°", 0.0) for joint in self._offsets.joints]
