@@ -61,14 +61,14 @@ def test_what_is_declared_rightly_is_not_called_wrong() -> None:
     measured = [value for value in found(0.0).values() if value.name.startswith("tip") and value.measured]
     # The simulated tips are soft: they give way by up to 0.4 mm.
     assert len(measured) >= 3
-    assert all(abs(value.estimated - value.believed) < 0.5 for value in measured)
+    assert all(abs(value.estimated - value.declared) < 0.5 for value in measured)
 
 
 @pytest.mark.parametrize("radius", [0.0015, -0.0015])
 def test_a_tip_of_another_radius_is_named_with_its_error(radius: float) -> None:
     tip = found(radius)["tip mf radius"]
     assert tip.wrong
-    assert abs(tip.estimated - tip.believed - 1e3 * radius) < 0.4
+    assert abs(tip.estimated - tip.declared - 1e3 * radius) < 0.4
     assert ("larger" if radius > 0 else "smaller") in tip.verdict
 
 

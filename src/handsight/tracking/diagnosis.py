@@ -72,7 +72,7 @@ class Diagnosed:
     name: str
     """Such as `tip ff radius` or `joint robot0:FFJ2`."""
     unit: str
-    believed: float
+    declared: float
     sigma: float
     """Standard deviation that is declared, or assumed, of the value."""
     estimated: float
@@ -91,14 +91,14 @@ class Diagnosed:
 
     def numbers(self) -> dict[str, object]:
         """Returns the value as it is written to a file; None where the recording tells nothing."""
-        told = math.isfinite(self.sigma_estimated)
+        known = math.isfinite(self.sigma_estimated)
         return {
             "name": self.name,
             "unit": self.unit,
-            "declared": self.believed,
+            "declared": self.declared,
             "sigma": self.sigma,
-            "estimated": self.estimated if told else None,
-            "sigma_estimated": self.sigma_estimated if told else None,
+            "estimated": self.estimated if known else None,
+            "sigma_estimated": self.sigma_estimated if known else None,
             "chi2": self.chi2,
             "verdict": self.verdict,
         }
@@ -108,7 +108,7 @@ class Diagnosed:
         """What to think of the value, in words."""
         if not self.measured and not self.wrong:
             return "not measured by this recording"
-        more = self.estimated - self.believed
+        more = self.estimated - self.declared
         unit = "" if self.unit == "°" else " "
         differs = f"{abs(more):.{1 if abs(more) < 10 else 0}f}{unit}{self.unit} {'larger' if more > 0 else 'smaller'}"
         if self.wrong:
@@ -291,10 +291,10 @@ class Diagnoser:
             (f"tip {name} radius", "mm", float(np.mean(f.tip.semi_axes))) for name, f in fingers.items()
         ]
         named.append(("object size", "%", 1.0))
-        for (name, unit, believed), declared, error, sigma in zip(
+        for value, prior, error, sigma in zip(
             named, self._sigmas.tolist(), errors.tolist(), sigmas.tolist(), strict=True
         ):
-            yield diagnosed(name, unit, believed, declared, error, sigma)
+            yield diagnosed(*value, prior, error, sigma)
 
     def _vision_values(self) -> Iterator[Diagnosed]:
         """Yields what the palm's motion tells of the camera's constant error, at the object, along its mount's axes."""
@@ -309,28 +309,20 @@ class Diagnoser:
             yield diagnosed(name, unit, 0.0, float(sigmas[i]), float(bias[i]), found)
 
 
-def diagnosed(
-    name: str, unit: str, believed: float, declared: float, error: float, sigma: float
-) -> Diagnosed:
-    """Returns a value from its estimate with the declared sigma as prior, in SI units.
+def diagnosed(name: str, unit: str, declared: float, prior: float, error: float, sigma: float) -> Diagnosed:
+    """Returns a value from its estimate, in SI units.
 
-    `declared`: sigma of the declared value; `error`: estimated less declared value, with its own `sigma`.
+    `declared`: the value, with its sigma `prior`; `error`: estimated less declared value, with its `sigma`, where that
+    estimate includes the declared value as its prior.
     """
     factor = UNITS[unit]
-    own = 1 / sigma**2 - 1 / declared**2
-    if own * declared**2 < 1e-6:  # the recording tells nothing
-        return Diagnosed(name, unit, factor * believed, factor * declared, math.nan, math.inf, 0.0)
-    alone, sigma_alone = error / sigma**2 / own, own**-0.5
-    chi2 = error**2 / (declared**2 - sigma**2)
-    return Diagnosed(
-        name,
-        unit,
-        factor * believed,
-        factor * declared,
-        factor * (believed + alone),
-        factor * sigma_alone,
-        chi2,
-    )
+    own = 1 / sigma**2 - 1 / prior**2
+    if own * prior**2 < 1e-6:  # the recording tells nothing
+        return Diagnosed(name, unit, factor * declared, factor * prior, math.nan, math.inf, 0.0)
+    estimated, sigma_estimated = declared + error / sigma**2 / own, own**-0.5
+    chi2 = error**2 / (prior**2 - sigma**2)
+    numbers = declared, prior, estimated, sigma_estimated
+    return Diagnosed(name, unit, *(factor * number for number in numbers), chi2)
 
 
 def _enlarged(finger: Finger) -> Finger:
