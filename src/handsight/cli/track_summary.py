@@ -222,9 +222,9 @@ def print_diagnosis(diagnosis: "Diagnosis") -> None:
     if joints:
         kinds.append(f"{len(joints)} joints")
     kinds += [name for name in others if name not in joints]
-    text = f"{diagnosis.instants} different grasps were compared."
+    text = f"Different grasps that were compared: {diagnosis.instants}."
     if diagnosis.message:
         text += f" They were not compared with joints, tips and size: {diagnosis.message}."
     elif kinds:
         text += f" The recording does not measure {', '.join(kinds)}."
-    print_out(text, soft_wrap=True)
+    print_out(text)

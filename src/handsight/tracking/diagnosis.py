@@ -321,8 +321,15 @@ def diagnosed(name: str, unit: str, declared: float, prior: float, error: float,
         return Diagnosed(name, unit, factor * declared, factor * prior, math.nan, math.inf, 0.0)
     estimated, sigma_estimated = declared + error / sigma**2 / own, own**-0.5
     chi2 = error**2 / (prior**2 - sigma**2)
-    numbers = declared, prior, estimated, sigma_estimated
-    return Diagnosed(name, unit, *(factor * number for number in numbers), chi2)
+    return Diagnosed(
+        name,
+        unit,
+        factor * declared,
+        factor * prior,
+        factor * estimated,
+        factor * sigma_estimated,
+        chi2,
+    )
 
 
 def _enlarged(finger: Finger) -> Finger:
