@@ -20,6 +20,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from scipy.special import chdtri
@@ -91,10 +92,13 @@ def table_off(height: float, tilt_deg: float) -> Callable[[Problem], Problem]:
         T = se3.compose(se3.rotation_exp(np.deg2rad([tilt_deg, 0.0, 0.0])), np.array([0.0, 0.0, -height]))
         rig, camera = problem.rig, problem.rig.camera
         assert camera is not None
-        samples = [
-            replace(s, observation=replace(s.observation, T_world_palm=T @ s.observation.T_world_palm))
-            for s in problem.samples
-        ]
+        samples = []
+        for sample in problem.samples:
+            assert sample.observation.T_world_palm is not None
+            T_world_palm = T @ sample.observation.T_world_palm
+            samples.append(
+                replace(sample, observation=replace(sample.observation, T_world_palm=T_world_palm))
+            )
         camera = replace(camera, T_mount_camera=T @ camera.T_mount_camera)
         return replace(
             problem, samples=samples, rig=replace(rig, camera=camera, gravity=T[:3, :3] @ rig.gravity)
@@ -261,9 +265,9 @@ def lines(rows: Rows) -> Iterator[Row]:
 
 def misses(line: Row) -> list[str]:
     """Returns a sentence for each target that a row misses."""
-    other = line["row"] == "other"
-    columns = ("unsaid", "named") if other else ("inside", "worst", "unsaid", "trusted")
-    columns += ("last",) if line["row"] == "usual" else ()
+    columns = ["inside", "worst", "unsaid", "trusted"] + ["last"] * (line["row"] == "usual")
+    if line["row"] == "other":
+        columns = ["unsaid", "named"]
     found = []
     for name in columns:
         sign, limit = TARGETS[name]
@@ -274,7 +278,7 @@ def misses(line: Row) -> list[str]:
     return found
 
 
-def figure(rows: Rows, path: object) -> None:
+def figure(rows: Rows, path: Path) -> None:
     """Draws a point for each run: its share inside, and its error, by row."""
     plt = figures.pyplot()
     keys = report.distinct(rows, "row")

@@ -258,7 +258,8 @@ def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     spec = rig.objects.get(scenario.object) or ObjectSpec(mesh=Path(scenario.object))
     n, k = scenario.nuisances, scenario.nuisances.object_scale
     if n.declared_mass:
-        spec = dataclasses.replace(spec, center_of_mass="homogeneous", **declared_weight(n))
+        mass, sigma = declared_weight(n)
+        spec = dataclasses.replace(spec, mass=mass, center_of_mass="homogeneous", sigma_center_of_mass=sigma)
     elif n.object_off_center:
         spec = dataclasses.replace(
             spec, center_of_mass=None, sigma_center_of_mass=None

@@ -104,15 +104,17 @@ def model_of(scenario: Scenario) -> ObjectModel:
         rng = np.random.default_rng((seed, 8))
         noisy = points + n.object_scan * rng.normal(size=points.shape)
         model = ObjectModel.from_points(noisy, normals, symmetries=model.symmetries)
-    return model.with_weight(center_of_mass=center, **declared_weight(n)) if n.declared_mass else model
+    if n.declared_mass > 0:
+        mass, sigma = declared_weight(n)
+        model = model.with_weight(mass=mass, center_of_mass=center, sigma_center_of_mass=sigma)
+    return model
 
 
-def declared_weight(nuisances: Nuisances) -> dict[str, float]:
+def declared_weight(nuisances: Nuisances) -> tuple[float, float]:
     """Returns the object's mass as the robot has it [kg], and the true sigma of its homogeneous centre [m]."""
     n = nuisances
     sigma = float(np.hypot(1e-3, n.object_off_center / np.sqrt(3)))
-    mass = n.declared_mass * (n.object_mass or SCENARIO.object_mass)
-    return {"mass": mass, "sigma_center_of_mass": sigma}
+    return n.declared_mass * (n.object_mass or SCENARIO.object_mass), sigma
 
 
 @cache
