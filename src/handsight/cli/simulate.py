@@ -106,14 +106,8 @@ def simulate(
         raise InvalidInput(f"--world: expected usual or harsh, got {world!r:.60}")
     start = Nuisances.harsh(seed) if world == "harsh" else Nuisances()
     chosen: dict[str, Any] = {"motion": motion, "depth_camera": depth_camera}  # Scenario refuses unknown ones
-    scenario = Scenario(
-        object=object,
-        seed=seed,
-        images=images,
-        skin=skin,
-        nuisances=nuisances(nuisance or [], start),
-        **chosen,
-    )
+    chosen |= {"images": images, "skin": skin, "nuisances": nuisances(nuisance or [], start)}
+    scenario = Scenario(object=object, seed=seed, **chosen)
     if blind and images:
         raise InvalidInput("--images: expected none with --blind, which has no camera, got some")
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")

@@ -8,7 +8,7 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.simulation.scenario import SCENARIO, Nuisances, Profile, Scenario
-from handsight.simulation.scene import FINGERS, PALM, SimulatedScene, scene
+from handsight.simulation.scene import FINGERS, PALM, SimulatedScene, TipErrors, scene
 
 if TYPE_CHECKING:
     from mujoco import MjData
@@ -56,12 +56,9 @@ class Payload:
         """Returns the payload drawn by the scenario's seed; raises as `scene` does."""
         n, rng = scenario.nuisances, np.random.default_rng((int(scenario.seed), 10))
         off, force = rng.normal(size=3), rng.normal(size=3)
-        of_contacts: dict[str, Any] = {"friction": float(n.friction), "softness": float(n.contact_softness)}
-        of_contacts |= {
-            "pyramidal": bool(n.pyramidal_friction),
-            "tip_errors": tip_errors(n, int(scenario.seed)),
-        }
-        usual = scene(scenario.object, **of_contacts)
+        touch: dict[str, Any] = {"friction": float(n.friction), "pyramidal": bool(n.pyramidal_friction)}
+        touch |= {"softness": float(n.contact_softness), "tip_errors": tip_errors(n, int(scenario.seed))}
+        usual = scene(scenario.object, **touch)
         low, high = usual.bounds_object
         point = (low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low)
         force *= n.unsensed_force / np.linalg.norm(force)
@@ -71,7 +68,7 @@ class Payload:
         if mass != SCENARIO.object_mass or n.object_off_center:
             most = (high - low) / 3
             shift = np.clip(n.object_off_center * off / np.linalg.norm(off), -most, most)
-            usual = scene(scenario.object, mass, tuple(shift.tolist()), **of_contacts)
+            usual = scene(scenario.object, mass, tuple(shift.tolist()), **touch)
         return cls(usual, force, point, n.support_force, base)
 
     def press(self, data: "MjData") -> None:
@@ -86,7 +83,7 @@ class Payload:
         body.xfrc_applied[:3], body.xfrc_applied[3:] = sum(forces), torque
 
 
-def tip_errors(nuisances: Nuisances, seed: int) -> tuple[tuple[float, float], ...]:
+def tip_errors(nuisances: Nuisances, seed: int) -> TipErrors:
     """Returns by how much each finger's true radius and length differ from the rig's [m]."""
     draws = np.clip(np.random.default_rng((seed, 14)).normal(size=(len(FINGERS), 2)), -2, 2)
     return tuple((float(wider), float(longer)) for wider, longer in nuisances.tip_size * draws)
