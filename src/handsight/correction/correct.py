@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import outliers, paper, starts
+from handsight.correction import conflicts, outliers, paper, starts
 from handsight.correction.depth import DepthPoints
 from handsight.correction.estimate import PoseEstimate, PosePrior, Vision, checked_prior
 from handsight.correction.mean import checked_answer, mean_by_sampling, with_means
@@ -153,9 +153,10 @@ def _problem(
         skin = SkinEvidence(None, np.empty((0, 3)), np.asarray(outside.skin))
     if skin is not None and skin.contacts is not None:
         contacts = contacts.joined(skin.contacts)
+    taxels = 0 if skin is None or skin.contacts is None else len(skin.contacts)
     weight = None if weight is None else weight.of(model)
     rows = outside_records(model, contacts, outside, skin)
-    return Problem(model, contacts, prior, rows, weight, depth), skin
+    return Problem(model, contacts, prior, rows, weight, depth, taxels), skin
 
 
 def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, samples: int) -> PoseEstimate:
@@ -211,11 +212,15 @@ def _weighed(
     if estimate.consistent and not contradicted:
         return replace(estimate, weight_fits=True)
     without = solved(replace(problem, weight=None))
-    if not estimate.consistent and not without.consistent and not contradicted:
-        return replace(
-            estimate, weight_fits=True
-        )  # something else is inconsistent, with the weight and without
-    return replace(without, weight_fits=False)
+    named, others = ({c.evidence for c in e.conflicts if not c.excluded} for e in (estimate, without))
+    if not estimate.consistent and not without.consistent:
+        # Something else is inconsistent, with the weight and without; it may also pull the pose away from the weight.
+        if not contradicted or (named == others and named and "weight" not in named):
+            return replace(estimate, weight_fits=True)
+    used = np.ones((1, len(problem.contacts)), dtype=bool)
+    used[0, list(without.outliers)] = False
+    wrong = conflicts.excluded(problem, without.answer, used, "weight")
+    return replace(without, weight_fits=False, conflicts=(*without.conflicts, wrong))
 
 
 def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:

@@ -14,7 +14,7 @@ from handsight import checks, se3
 from handsight._kernels.posterior import mean
 from handsight._kernels.posterior.options import INTEGRATION
 from handsight.checks import Array, Mask
-from handsight.correction import modes, solve
+from handsight.correction import conflicts, modes, solve
 from handsight.correction.estimate import PoseEstimate
 from handsight.correction.problem import Problem, descents_at
 from handsight.errors import InvalidInput
@@ -75,8 +75,10 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEst
     share = np.exp(rows["log_weight"] - rows["log_weight"][0])
     rows["weight"] = share / share.sum()
     residuals = solve.residuals(problem, descents_at(rows["T_palm_object"][:1]))
-    consistent = modes.fits(rows[0]["chi2"], problem.freedom(used))
-    return PoseEstimate(rows[0], tuple(rows), residuals, consistent, estimate.outliers)
+    consistent, contradictions = conflicts.judged(problem, rows[0], used)
+    return PoseEstimate(
+        rows[0], tuple(rows), residuals, consistent, estimate.outliers, conflicts=contradictions
+    )
 
 
 def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, samples: int) -> PoseEstimate:

@@ -91,27 +91,28 @@ def fits(chi2: float, freedom: int, alarm: float = MODES.alarm) -> bool:
     return bool(chi2 <= chi2_limit(max(freedom, 1), alarm))
 
 
-@lru_cache(maxsize=1024)
-def chi2_limit(freedom: int, alarm: float) -> float:
-    """Returns the 1 - alarm quantile of χ² with `freedom` degrees of freedom.
+def chi2_survival(chi2: float, freedom: int) -> float:
+    """Returns the probability that χ² with `freedom` degrees of freedom is larger.
 
-    SciPy's would add a third of a second of import to the first correction. This one bisects the survival function,
-    which is a finite sum for whole degrees of freedom (Abramowitz and Stegun, 26.4.4 and 26.4.5).
+    SciPy's would add a third of a second of import to the first correction. For whole degrees of freedom it is a finite
+    sum (Abramowitz and Stegun, 26.4.4 and 26.4.5).
     """
-
-    odd = freedom % 2
+    if not chi2 > 0:
+        return 1.0
+    half, odd = chi2 / 2, freedom % 2
     exponents = np.arange(freedom // 2) + 0.5 * odd
     log_gamma = np.array([math.lgamma(m + 1) for m in exponents])
+    terms = np.exp(exponents * math.log(half) - half - log_gamma)  # half^m e^-half / Γ(m + 1)
+    return float(terms.sum()) + (math.erfc(math.sqrt(half)) if odd else 0.0)
 
-    def survival(chi2: float) -> float:
-        half = chi2 / 2
-        terms = np.exp(exponents * math.log(half) - half - log_gamma)  # half^m e^-half / Γ(m + 1)
-        return float(terms.sum()) + (math.erfc(math.sqrt(half)) if odd else 0.0)
 
+@lru_cache(maxsize=1024)
+def chi2_limit(freedom: int, alarm: float) -> float:
+    """Returns the 1 - alarm quantile of χ² with `freedom` degrees of freedom, by bisection."""
     low, high = 0.0, freedom + 10 * math.sqrt(2 * freedom) + 100.0
     while high - low > 1e-13 * high:
         middle = (low + high) / 2
         if not low < middle < high:
             break
-        low, high = (middle, high) if survival(middle) > alarm else (low, middle)
+        low, high = (middle, high) if chi2_survival(middle, freedom) > alarm else (low, middle)
     return (low + high) / 2

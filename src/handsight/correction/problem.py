@@ -75,6 +75,8 @@ class Problem:
     """(m,) OUTSIDE."""
     weight: WeightEvidence | None = None
     depth: DepthPoints | None = None
+    taxels: int = 0
+    """How many of the contacts, the last ones, are pressed taxels of tactile arrays."""
     starts: Array | None = None
     """(K, 4, 4) poses to descend from on the fine field; None: draws from the prior, in two phases."""
 
