@@ -10,7 +10,18 @@ from batch.box_problem import BOX, changed
 from handsight import se3
 from handsight.batch.problems import Reader, answer_text
 from handsight.correction import DepthPoints, TwoPhase, WeightEvidence, refine_pose
-from scenes import ERROR, NOISE, anywhere_on, box, can, on_box_faces, on_can_side, random_scene, touched
+from scenes import (
+    ERROR,
+    NOISE,
+    anywhere_on,
+    box,
+    can,
+    on_box_faces,
+    on_can_side,
+    random_scene,
+    region,
+    touched,
+)
 
 SIGMA = np.repeat([3.3e-4, np.deg2rad(1)], 3)
 """Of a narrow prior, per axis: .33 mm and 1°."""
@@ -65,6 +76,29 @@ def test_the_fall_of_chi2_is_that_of_the_innovation_where_all_is_linear():
     innovation = se3.difference(blind.T_palm_object, vision.T_palm_object)
     square = innovation @ np.linalg.solve(vision.covariance + blind.covariance, innovation)
     assert conflict.chi2 == pytest.approx(square, rel=0.05)
+
+
+def test_a_prior_that_is_contradicted_hardly_moves_the_answer():
+    """Five contacts on a box, and vision 12 sigma off: the answer is within what contacts alone would give."""
+    off, inside, count = [], 0, 0
+    for seed in range(20):
+        rng = np.random.default_rng([5, seed])
+        T, surface = se3.random(rng, spread=0.1), on_box_faces(rng, 6)
+        contacts = touched(T, surface, (1e-3, NOISE[1]), rng)
+        error = SIGMA * rng.normal(size=6)
+        error[:3] += 30 * SIGMA[0] * (T[:3, :3] @ surface[1][0])
+        found = hs.correct_pose(box(), contacts, vision=hs.PosePrior(se3.moved(T, error), np.diag(SIGMA**2)))
+        if named(found) != {"vision"}:
+            continue
+        along = T[:3, :3] @ surface[1][0]
+        off.append(abs((found.T_palm_object[:3, 3] - T[:3, 3]) @ along))
+        inside += region(box(), found, T)["in 95%"]
+        count += 1
+        assert not found.consistent
+        assert found.covariance[0, 0] > SIGMA[0] ** 2
+    assert count > 10
+    assert np.median(off) < 1.5e-3
+    assert inside > 0.7 * count
 
 
 def test_all_functions_that_correct_name_the_same():

@@ -20,13 +20,15 @@ from handsight.checks import Array, Mask
 from handsight.correction import modes
 from handsight.correction.estimate import Conflict
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import Problem, Records
+from handsight.correction.problem import Problem
 
 KINDS = ("vision", "weight", "depth", "skin", "outside")
 POOL, KIND, EACH = 0.5 * modes.MODES.alarm, 0.25 * modes.MODES.alarm / len(KINDS), 0.25 * modes.MODES.alarm
 """Levels of the test of all evidence together, of that of one kind, and of those of single contacts together: their sum
 over all tests is `MODES.alarm`, so by Bonferroni's inequality at most so many honest answers are called inconsistent.
 """
+LEAST = modes.chi2_limit(1, EACH)
+"""The smallest limit of a test of one kind or one contact."""
 
 
 def judged(problem: Problem, answer: np.void, used: Mask) -> tuple[bool, tuple[Conflict, ...]]:
@@ -48,13 +50,15 @@ def suspicious(problem: Problem, answer: np.void) -> bool:
     """Returns whether a kind of evidence may contradict the rest, to first order; what is left out can lower χ² by no
     more than all of it."""
     chi2, gain, prior, outside, rows = answer[["chi2", "gain", "prior_gain", "outside_gain", "rows"]].item()
+    if problem.taxels or problem.depth is not None:
+        return bool(chi2 > LEAST)
+    if chi2 <= LEAST or max(gain, prior, outside) <= LEAST:
+        return False
     n = len(problem.contacts)
-    return chi2 > modes.chi2_limit(1, KIND) and (
+    return bool(
         prior > modes.chi2_limit(_prior_freedom(problem, rows), KIND)
         or outside > modes.chi2_limit(1, KIND)
         or gain > modes.chi2_limit(3 if rows >= 3 * n else 1, EACH / n)
-        or problem.taxels > 0
-        or problem.depth is not None
     )
 
 

@@ -34,6 +34,8 @@ from handsight.objects import ObjectModel
 USUAL = TwoPhase()
 MOST_SAMPLES = 1_000_000
 """Posterior samples of one correction: so many take ten seconds and a hundred megabytes."""
+MOST_WIDENED = 3
+"""How often the prior of a correction is widened at most where the rest contradicts it."""
 METHODS: dict[str, TwoPhase | PaperMethod] = {
     "handsight": USUAL,
     "paper-lm": PaperMethod(optimizer="lm"),
@@ -160,6 +162,31 @@ def _problem(
 
 
 def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, samples: int) -> PoseEstimate:
+    """Returns the answer to a problem; where the rest contradicts vision, with a wider prior.
+
+    Vision's errors have heavier tails than a Gaussian, and a prior that is far off drags a pose along all directions in
+    which contacts yield. A conflict of χ² with k degrees of freedom is likeliest where the covariance is χ² / k times
+    as large. The answer says that the evidence is inconsistent all the same.
+    """
+    searched = partial(_searched, options=options, limit=limit, answer=answer, samples=samples)
+    first = estimate = searched(problem)
+    for _ in range(MOST_WIDENED):
+        wrong = [c for c in estimate.conflicts if c.evidence == "vision"]
+        if not wrong or problem.vision is None or limit.cut_short:
+            break
+        covariance = max(wrong[0].chi2 / wrong[0].freedom, 1.0) * problem.vision.covariance
+        problem = replace(problem, vision=PosePrior.trusted(problem.vision.T_palm_object, covariance))
+        estimate = searched(problem)
+    if estimate is first:
+        return first
+    excluded = tuple(c for c in estimate.conflicts if c.excluded)
+    conflicts_in_use = tuple(c for c in first.conflicts if not c.excluded)
+    return replace(estimate, consistent=False, conflicts=conflicts_in_use + excluded)
+
+
+def _searched(
+    problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, samples: int
+) -> PoseEstimate:
     """Returns the answer to a problem, from one start where that is enough, else from many."""
     if options is USUAL and not samples and problem.starts is None:
         estimate = solve_single_start(problem)
@@ -213,10 +240,10 @@ def _weighed(
         return replace(estimate, weight_fits=True)
     without = solved(replace(problem, weight=None))
     named, others = ({c.evidence for c in e.conflicts if not c.excluded} for e in (estimate, without))
-    if not estimate.consistent and not without.consistent:
-        # Something else is inconsistent, with the weight and without; it may also pull the pose away from the weight.
-        if not contradicted or (named == others and named and "weight" not in named):
-            return replace(estimate, weight_fits=True)
+    elsewhere = not estimate.consistent and not without.consistent
+    # Something else is inconsistent, with the weight and without; it may also pull the pose away from the weight.
+    if elsewhere and (not contradicted or (named == others and named and "weight" not in named)):
+        return replace(estimate, weight_fits=True)
     used = np.ones((1, len(problem.contacts)), dtype=bool)
     used[0, list(without.outliers)] = False
     wrong = conflicts.excluded(problem, without.answer, used, "weight")

@@ -96,6 +96,12 @@ class Problem:
             record = record if evidence is None else evidence.added_to(record)
         return record
 
+    @property
+    def rows(self) -> int:
+        """The rows of evidence beside the prior."""
+        everyone = np.ones((1, len(self.contacts)), dtype=bool)
+        return self.freedom(everyone) + (6 if self.blind else 0)
+
     def arguments(self, used: Mask) -> tuple[Records, Any, Records, Records, Records]:
         """Returns model, nodes, contacts, constraints and outside rows as kernels take them, the contacts once for each
         row of `used` (K, n)."""

@@ -99,6 +99,8 @@ def _accepted(problem: Problem, answer: np.void, residuals: Array, *, searched: 
     else:
         accepted = modes.beyond_doubt(cost, coarse_cost, freedom, width / SEARCH.single_start_width)
         accepted = accepted and modes.unsuspicious(cost, freedom, gain)
+        if width > modes.MODES.weak_width:
+            accepted = accepted and not modes.several_minima(problem.model, freedom)
     if not accepted:
         return None
     if conflicts.suspicious(problem, answer):
@@ -245,7 +247,14 @@ def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
     minima, used = found.minima, found.used
     order, chosen = np.argsort(-minima["log_weight"], kind="stable"), minima
     if len(minima) > 1:
-        chosen = taken(minima, distinct(problem.model, minima, order, modes.MODES.max_modes, modes.SAME_MODE))
+        each = distinct(problem.model, minima, order, modes.MODES.max_modes, modes.SAME_MODE)
+        if not problem.blind:  # with those beside a mode, as they are parts of its mean
+            likely = order[
+                minima["log_weight"][order] > minima["log_weight"][order[0]] - modes.MODES.unlikely
+            ]
+            beside = distinct(problem.model, minima, likely, modes.MODES.max_minima, modes.SAME_MINIMUM)
+            each = np.union1d(each, beside)
+        chosen = taken(minima, each[np.argsort(-minima["log_weight"][each], kind="stable")])
     answers = summaries(problem, chosen, used)
     share = np.exp(chosen["log_weight"] - chosen["log_weight"][0])
     answers["weight"], answers["log_weight"] = share / share.sum(), chosen["log_weight"]

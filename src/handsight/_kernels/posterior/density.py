@@ -155,11 +155,13 @@ def group_gain(evidence: Evidence, group: Any, u: Any) -> float:
     and their ratio is rounding. So a fiftieth of the group's own information stays, which lowers the gain only where
     the rest knows less than that.
     """
+    gain = group[6, 6]
+    if gain == 0.0:
+        return 0.0
     for r in range(6):
         for c in range(r + 1):
             u.matrix[r, c] = u.wider[r, c] + u.walls[r, c] - 0.98 * group[r, c]
-    gain = group[6, 6]
-    if gain > 0 and factor(u.matrix, 6, 0.0, u.factor):
+    if factor(u.matrix, 6, 0.0, u.factor):
         solve(u.factor, 6, group[6], u.row)
         for k in range(6):
             gain += u.row[k] * group[6, k]
