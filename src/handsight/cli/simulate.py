@@ -89,7 +89,7 @@ def simulate(
     In a harsh world sensors' gains are wrong and their readings stick, joints are off by up to twice what the rig
     states, the camera is late and its error wanders, messages are lost, tips, table, size and mass are not as declared,
     contacts are soft, and friction is lower. The rig knows nothing of it: does the tracker notice? OUTPUT.world.json
-    has all that was drawn. About half of the seeds drop the object.
+    has all that was drawn. With many seeds the hand drops the object.
 
     ```
     handsight simulate can --output can.mcap
