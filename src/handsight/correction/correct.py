@@ -171,10 +171,10 @@ def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, 
     searched = partial(_searched, options=options, limit=limit, answer=answer, samples=samples)
     first = estimate = searched(problem)
     for _ in range(MOST_WIDENED):
-        wrong = [c for c in estimate.conflicts if c.evidence == "vision"]
-        if not wrong or problem.vision is None or limit.cut_short:
+        wrong = estimate.conflicts[0] if estimate.conflicts else None  # the least probable one
+        if wrong is None or wrong.evidence != "vision" or problem.vision is None or limit.cut_short:
             break
-        covariance = max(wrong[0].chi2 / wrong[0].freedom, 1.0) * problem.vision.covariance
+        covariance = max(wrong.chi2 / wrong.freedom, 1.0) * problem.vision.covariance
         problem = replace(problem, vision=PosePrior.trusted(problem.vision.T_palm_object, covariance))
         estimate = searched(problem)
     if estimate is first:
