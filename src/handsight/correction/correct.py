@@ -185,9 +185,7 @@ def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, 
     return replace(estimate, consistent=False, conflicts=in_use + excluded)
 
 
-def _searched(
-    problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, samples: int
-) -> PoseEstimate:
+def _searched(problem: Problem, options: TwoPhase, limit: Budget, answer: str, samples: int) -> PoseEstimate:
     """Returns the answer to a problem, from one start where that is enough, else from many."""
     if options is USUAL and not samples and problem.starts is None:
         estimate = solve_single_start(problem)
