@@ -60,6 +60,8 @@ class LoadSum:
     """(6, j) derivative of the wrench by the error of each joint."""
     by_bias: Array
     """(6, 6 t) derivative of the wrench by the force and torque of each tip's bias."""
+    readings: Array
+    """(6 t,) force [N] and torque [N m] that each sensor measures, with its tip's own weight, in its own axes."""
     noise: Array
     """(6, 6) covariance of the wrench due to errors that change from reading to reading."""
     acceleration: float
@@ -122,7 +124,7 @@ def load_sum(
     step = (observations[-1].stamp - observations[0].stamp) / max(n - 1, 1)
     acceleration, turning = accelerations(Ts_world_palm, middle, step)
     gravity = np.einsum("nji,nj->i", Ts_world_palm[:, :3, :3], rig.gravity - acceleration) / n
-    wrench, by_joint, by_bias, forces = _summed(
+    wrench, by_joint, by_bias, readings, forces = _summed(
         rig, observations, gravity, sensors, hand.jacobians(places, tips)
     )
     B = by_bias * np.concatenate([[f.sigma_force] * 3 + [f.sigma_torque] * 3 for f in rig.fingers.values()])
@@ -133,6 +135,7 @@ def load_sum(
         R_palm_world=Ts_world_palm[n // 2, :3, :3].T,
         by_joint=by_joint,
         by_bias=by_bias,
+        readings=readings,
         noise=(B @ B.T + rig.sigma_joint**2 * by_joint @ by_joint.T) / n,
         acceleration=float(np.sqrt((acceleration**2).mean())),
         turning=float(np.sqrt((turning**2).mean())),
@@ -167,19 +170,22 @@ def _second_derivative(n: int, length: int) -> Array:
 
 def _summed(
     rig: Rig, observations: Sequence[Observation], gravity: Array, sensors: Array, J: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Returns the sum of mean loads (6,), its derivatives by joints (6, j) and biases (6, 6 t), and the forces (t, 3).
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Returns the sum of mean loads (6,), its derivatives by joints (6, j) and biases (6, 6 t), readings (6 t,), forces.
 
     `gravity` is that of a `LoadSum`, `sensors` (t, 4, 4) are the sensors' poses in the palm, and `J` (t, 6, j) the
     Jacobians at their origins.
     """
     t = len(sensors)
     wrench, by_joint = np.zeros(6), np.zeros((6, J.shape[2]))
-    by_bias, forces = np.zeros((6, 6 * t)), np.zeros((t, 3))
+    by_bias, readings, forces = np.zeros((6, 6 * t)), np.zeros(6 * t), np.zeros((t, 3))
     for i, (name, finger) in enumerate(rig.fingers.items()):
         reading = np.mean([o.wrenches[name] for o in observations], axis=0)
         R, s = sensors[i, :3, :3], sensors[i, :3, 3]
-        f, m = (R @ part for part in compensate(reading[:3], reading[3:], R.T @ gravity, finger.calibration))
+        known, own = finger.calibration, R.T @ gravity * finger.calibration.mass
+        load = np.concatenate(compensate(reading[:3], reading[3:], R.T @ gravity, known))
+        readings[6 * i : 6 * i + 6] = load + np.concatenate([own, np.cross(known.center_of_mass, own)])
+        f, m = R @ load[:3], R @ load[3:]
         # The reading turns with the tip, the tip's own weight does not.
         F, S, M = se3.skew(f + finger.calibration.mass * gravity), se3.skew(s), se3.skew(m)
         wrench += np.concatenate([f, m + S @ f])
@@ -188,7 +194,7 @@ def _summed(
         by_bias[:3, 6 * i : 6 * i + 3] = R
         by_bias[3:, 6 * i : 6 * i + 3], by_bias[3:, 6 * i + 3 : 6 * i + 6] = S @ R, R
         forces[i] = f
-    return wrench, by_joint, by_bias, forces
+    return wrench, by_joint, by_bias, readings, forces
 
 
 def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:

@@ -45,7 +45,9 @@ class WeigherOptions(NamedTuple):
     """Sigma of the object's motion in addition to that of the tips and of creep, per axis after a second, where two or
     more tips hold it [m]; it grows with the root of time.
     """
-    loose_object_creep: float = 2e-3  # the same where fewer tips hold it
+    loose_object_creep: float = 3e-3
+    """The same where fewer tips hold it, because the others do not touch it or are at their limits of friction: boxes of
+    .3 to .5 kg move 3 to 6 mm in a second then, always the same way."""
     sigma_gravity: float = float(
         np.deg2rad(1.0)
     )  # error of gravity's direction in the world, about each axis [rad]
@@ -85,6 +87,8 @@ class Weigher:
         sensors = [[finger.sigma_force] * 3 + [finger.sigma_torque] * 3 for finger in rig.fingers.values()]
         self._biases = np.array(sensors).reshape(-1)
         """(6 t,) sigmas of the biases that calibration leaves: about as large as a reading's noise [N, N m]."""
+        self._gains = np.repeat([finger.sigma_gain for finger in rig.fingers.values()], 6)
+        """(6 t,) sigmas of the relative errors of the readings."""
         self.tare = np.zeros((len(rig.fingers), 6))
         """(t, 6) the biases, read while the tips touched nothing, in their sensors' frames [N, N m]."""
         self._lifted = False
@@ -92,6 +96,8 @@ class Weigher:
         self._kept: tuple[Kept, ...] = ()
         self._last: LoadSum | None = None
         self._fits_at = -np.inf
+        self._loose = False
+        """Whether the object could turn about one finger at any time since the last load."""
         self._doubted = False
         """Whether the kept instants were dropped because loads contradicted them, and no weighing was trusted since."""
 
@@ -127,12 +133,16 @@ class Weigher:
         fingers: tuple[str, ...],
         contacts: Contacts | None,
         joints: tuple[Array, Array],
+        *,
+        pivots: bool = False,
     ) -> bool:
         """Returns whether there is a new weighing, after an observation of an object in the air.
 
         `fingers` touch it, and `contacts` are theirs in the palm, in the same order. `joints`: the estimated constant
-        errors of the joints, their mean (j,) and L (j, j), where L Lᵀ is their covariance [rad].
+        errors of the joints, their mean (j,) and L (j, j), where L Lᵀ is their covariance [rad]. `pivots`: fewer than
+        two of the fingers are below their limits of friction (`Slip.pivots`).
         """
+        self._loose = self._loose or pivots
         if not self._lifted:
             self._lifted, self._window = True, ()
         window = self._full_window(observation)
@@ -143,13 +153,14 @@ class Weigher:
             return False
         places = [] if contacts is None else zip(contacts.points_palm, contacts.normals_palm, strict=True)
         load = load_sum(self.rig, window, dict(zip(fingers, places, strict=False)), joints[0])
-        load = replace(load, wrench=load.wrench - load.by_bias @ self.tare.ravel())
+        tare = self.tare.ravel()
+        load = replace(load, wrench=load.wrench - load.by_bias @ tare, readings=load.readings - tare)
         if np.linalg.norm(load.wrench[:3]) < WEIGHER.min_weight:
             self.reason = f"less than {WEIGHER.min_weight:g} N hangs on the fingertips"
             return False
         if self._last is not None:
-            self._kept = _carried_on(self._kept, self._last, load)
-        self._last = load
+            self._kept = _carried_on(self._kept, self._last, load, loose=self._loose)
+        self._last, self._loose = load, pivots
         self._weigh(load, joints[1])
         if load.acceleration <= WEIGHER.max_acceleration and load.turning <= WEIGHER.max_turning:
             self._keep(load)
@@ -176,7 +187,7 @@ class Weigher:
             k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > WEIGHER.new_direction
         ]
         instants = [*others, Carried(load)]
-        unknowns = Unknowns(root, self._biases, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity)
+        unknowns = Unknowns(root, self._biases, self._gains, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity)
         found = weigh(instants, unknowns, self.weighing)
         self.reason = ""
         if found.mass <= 0:
@@ -214,13 +225,13 @@ class Weigher:
             self._kept = (*self._kept[:near], new, *self._kept[near + 1 :])
 
 
-def _carried_on(kept: tuple[Kept, ...], last: LoadSum, load: LoadSum) -> tuple[Kept, ...]:
+def _carried_on(kept: tuple[Kept, ...], last: LoadSum, load: LoadSum, *, loose: bool) -> tuple[Kept, ...]:
     """Returns the kept instants after the object's motion in the grip between two loads."""
     if not kept:
         return kept
     motion = moved_with_tips(last, load)
     T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
-    sigma = WEIGHER.loose_object_creep if motion is None else WEIGHER.object_creep
+    sigma = WEIGHER.loose_object_creep if loose or motion is None else WEIGHER.object_creep
     sigma *= float(np.sqrt(max(load.stamp - last.stamp, 0.0)))
     return tuple(replace(each, carried=each.carried.moved(T, creep, sigma)) for each in kept)
 
@@ -287,10 +298,11 @@ class WeightSensor:
         grasped: bool,
         lifted: bool,
         finger_on_table: bool,
+        pivots: bool,
     ) -> None:
         """Weighs the object if it is grasped and in the air; else measures the sensors' biases.
 
-        `touch` (fingers and their contacts) and `joints` are those of `Weigher.update`.
+        `touch` (fingers and their contacts), `joints` and `pivots` are those of `Weigher.update`.
         """
         reason = ""
         if not grasped:
@@ -303,7 +315,7 @@ class WeightSensor:
             self.weigher.forget(reason)
             self.weigher.listen(observation)
         else:
-            self.weigher.update(observation, *touch, joints)
+            self.weigher.update(observation, *touch, joints, pivots=pivots)
 
     @property
     def news(self) -> bool:

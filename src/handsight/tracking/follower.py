@@ -157,6 +157,7 @@ class Follower:
                 grasped=state.grasp.grasped,
                 lifted=state.grasp.lifted,
                 finger_on_table="on the table" in touch.reasons.values(),
+                pivots=state.slip.now.pivots,
             )
 
         # Vision.
