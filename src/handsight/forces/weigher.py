@@ -51,7 +51,9 @@ class WeigherOptions(NamedTuple):
     sigma_gravity: float = float(
         np.deg2rad(1.0)
     )  # error of gravity's direction in the world, about each axis [rad]
-    wrong_mass: float = 3.3  # a mass that is farther off than so many sigmas contradicts the declared one
+    wrong_mass: float = 2.33
+    """A mass that is farther off than so many sigmas contradicts the declared one: by chance in 2 %, whose share of the
+    sigmas is mostly that of the declared mass, so that more directions are not more chances."""
     biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
     restart_after: float = 3.0
     """How long loads may contradict the kept instants before these are dropped [s]."""
@@ -60,6 +62,9 @@ class WeigherOptions(NamedTuple):
 
 
 WEIGHER = WeigherOptions()
+
+PULLED_UP = "the object seems to be pulled up: does gravity point the other way?"
+ASSUMED = "the loads fit a weight only if sensors have wrong gains, or a small force is not measured"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +89,8 @@ class Weigher:
         """The last weighing; None before the first one since the object was grasped."""
         self.reason = "nothing is lifted"
         """Why there is no weighing, or why it is not trusted; empty where it is trusted."""
+        self.assumed = ""
+        """What the rig does not have, and a trusted weighing still has to assume."""
         sensors = [[finger.sigma_force] * 3 + [finger.sigma_torque] * 3 for finger in rig.fingers.values()]
         self._biases = np.array(sensors).reshape(-1)
         """(6 t,) sigmas of the biases that calibration leaves: about as large as a reading's noise [N, N m]."""
@@ -110,7 +117,7 @@ class Weigher:
         """Drops all weighings and kept instants, for a reason such as that the object was released or has slipped."""
         if self._last is not None or self.reason != reason:
             self._window, self._kept, self._last, self.weighing, self.reason = (), (), None, None, reason
-            self._doubted = False
+            self._doubted, self.assumed = False, ""
 
     @property
     def biased(self) -> tuple[str, ...]:
@@ -187,11 +194,15 @@ class Weigher:
             k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > WEIGHER.new_direction
         ]
         instants = [*others, Carried(load)]
-        unknowns = Unknowns(root, self._biases, self._gains, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity)
-        found = weigh(instants, unknowns, self.weighing)
+        constants = self._biases, self._gains, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity
+        unknowns, before = Unknowns(root, *constants), self.weighing
+        found = weigh(instants, unknowns, before)
+        if before is None or before.directions != found.directions:
+            exact = weigh(instants, replace(unknowns, gains=0 * self._gains), before)
+            self.assumed = "" if exact.consistent else ASSUMED
         self.reason = ""
-        if found.mass <= 0:
-            self.reason = "the object seems to be pulled up: does gravity point the other way?"
+        if found.mass < -WEIGHER.wrong_mass * found.sigma_mass:
+            self.reason = PULLED_UP
         elif self.mass is not None:
             known = found.given_mass(self.mass, self.sigma_mass)
             off = abs(found.mass - self.mass) / np.hypot(found.sigma_mass, self.sigma_mass)
@@ -207,7 +218,8 @@ class Weigher:
             )
         self._doubted = self._doubted and bool(self.reason)
         self.weighing = found
-        if not self.reason or self._fits_at == -np.inf:
+        # Where only the declared mass contradicts them, the loads still fit those that were kept.
+        if not self.reason or (found.consistent and not self._doubted) or self._fits_at == -np.inf:
             self._fits_at = load.stamp
         if load.stamp - self._fits_at > WEIGHER.restart_after:
             self._kept, self._fits_at, self._doubted = (), load.stamp, True
@@ -263,6 +275,9 @@ class ObjectWeight:
     """Why the weight is not trusted; empty where it is trusted."""
     biased: tuple[str, ...]
     """Fingers whose sensors have larger biases in the air than calibration leaves; these are subtracted."""
+    assumed: str
+    """What the weighing has to assume, because the loads would not fit a weight if the readings were exact to the rig's
+    noise: wrong gains, or a small force that no sensor measures. Empty where they would."""
 
     def kept_by_symmetries(self, model: ObjectModel) -> tuple[Array, float]:
         """Returns the centre of mass (3,) that the object's symmetries allow, and its largest sigma [m]."""
@@ -348,10 +363,6 @@ class WeightSensor:
         T = estimate.T_palm_object
         R, center = T[:3, :3], T[:3, :3].T @ (found.center_palm - T[:3, 3])
         by_pose = GaussianPose(T, estimate.bounded_covariance).at_point(center).covariance[:3, :3]
-        reason, declared = self.weigher.reason, self.model.center_of_mass
-        if not reason and estimate.weight_fits is False and declared is not None:
-            off = 1e3 * float(np.linalg.norm(center - declared))
-            reason = f"contacts and vision have the centre of mass elsewhere, by {off:.0f} mm"
         return ObjectWeight(
             mass=found.mass,
             sigma_mass=found.sigma_mass,
@@ -360,6 +371,29 @@ class WeightSensor:
             center_palm=found.center_palm,
             covariance_palm=found.covariance_center,
             directions=found.directions,
-            reason=reason,
+            reason=self.weigher.reason or self._elsewhere(estimate),
             biased=self.weigher.biased,
+            assumed=self.weigher.assumed,
         )
+
+    def doubt(self, estimate: PoseEstimate) -> str:
+        """Returns why the loads make an estimated pose doubtful; empty where they do not.
+
+        Gravity of the wrong sign makes the tips' own weight wrong too, and with it every contact. Loads that fit one
+        weight in several directions are strong evidence: what contradicts them may be wrong itself.
+        """
+        if self.weigher.reason == PULLED_UP:
+            return PULLED_UP
+        found = self.weigher.believed
+        strong = found is not None and found.directions >= WEIGHER.trusted_directions
+        return self._elsewhere(estimate) if strong else ""
+
+    def _elsewhere(self, estimate: PoseEstimate) -> str:
+        """Returns how far the weight's centre is from where the rest has it, where a correction found the two to differ."""
+        found, declared = self.weigher.weighing, self.model.center_of_mass
+        if estimate.weight_fits is not False or found is None or declared is None:
+            return ""
+        T = estimate.T_palm_object
+        off = 1e3 * float(np.linalg.norm(T[:3, :3] @ declared + T[:3, 3] - found.center_palm))
+        return f"contacts, vision and the table have the centre of mass {off:.0f} mm from where the weight has it"
+
