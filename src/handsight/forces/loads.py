@@ -8,8 +8,8 @@ A tip that moves through the air bears only its own weight. If the rest of its r
 the way, it is the sensor's bias: the load of a touched object would change.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -19,7 +19,8 @@ from scipy.special import chdtri
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import compensate
+from handsight.contact import calibrate_wrench, compensate
+from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig import Rig
 
@@ -33,6 +34,8 @@ class LoadOptions(NamedTuple):
     saturated: float = 0.99  # a reading beyond this share of the sensor's full scale is not used
     min_travel: float = 0.005
     """A tip that moves this far in the palm during a window is in the air, not pressed against something [m]."""
+    still: float = 0.3  # length of the means by which a sensor is calibrated [s]
+    still_turn: float = float(np.deg2rad(0.5))  # a hand whose sensors turn less than this meanwhile is still [rad]
     max_bias: float = 0.5  # a larger reading in the air is a load, or a broken sensor [N]
     unsteady_p: float = 0.001
     """Readings vary by more than noise where noise would exceed their spread with less than this probability."""
@@ -223,6 +226,45 @@ def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
         if spread < limit and np.linalg.norm(mean[:3]) < LOADS.max_bias:
             found[i] = mean
     return found
+
+
+def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
+    """Returns the rig with its sensors calibrated by a hand that touches nothing, still in several orientations.
+
+    `calibrate_wrench` takes the means over `LOADS.still` seconds in which the sensors hardly turned. The fingers' sigmas
+    become what it leaves, with the noise of single readings (`Finger.calibrated`). Raises InvalidInput, which names the
+    finger, where there are too few orientations.
+    """
+    tips, Ts_tip_sensor, window = _tips(rig), _Ts_tip_sensor(rig), list[Observation]()
+    rows: dict[str, list[Array]] = {name: [] for name in rig.fingers}
+    for observation in observations:
+        if observation.joint_positions is None or observation.T_world_palm is None:
+            continue
+        window.append(observation)
+        if observation.stamp - window[0].stamp < LOADS.still:
+            continue
+        ends = window[0], window[-1]
+        first, last = (
+            o.T_world_palm @ rig.hand.kinematics(dict(o.joint_positions or {})).Ts_palm_tip[tips] @ Ts_tip_sensor
+            for o in ends
+        )
+        readings, window = window, []
+        turned = np.linalg.norm(se3.rotation_log(first[:, :3, :3].swapaxes(1, 2) @ last[:, :3, :3]), axis=1)
+        if turned.max() > LOADS.still_turn or lacking(rig, readings):
+            continue
+        for R, (name, means) in zip(last[:, :3, :3], rows.items(), strict=True):
+            wrenches = np.array([o.wrenches[name] for o in readings])
+            means.append(np.concatenate([wrenches.mean(axis=0), R.T @ rig.gravity, wrenches.var(axis=0, ddof=1)]))
+    fingers = {}
+    for name, finger in rig.fingers.items():
+        F, M, G, v = np.split(np.array(rows[name]).reshape(-1, 15), [3, 6, 9], axis=1)
+        try:
+            found = calibrate_wrench(F, M, G, reading=finger.calibration.reading)
+        except InvalidInput as error:
+            raise InvalidInput(f"finger {name}: {error}") from None
+        noise = np.sqrt([v[:, :3].mean(), v[:, 3:].mean()])
+        fingers[name] = finger.calibrated(found, *np.maximum(noise, [1e-3, 5e-6]).tolist())
+    return replace(rig, fingers=fingers)
 
 
 def _tips(rig: Rig) -> list[int]:

@@ -68,6 +68,18 @@ class Finger:
             checks.sigma(getattr(self, name), name)
         _check_sigmas(self, "sigma_point", "sigma_normal", "sigma_gain")
 
+    def calibrated(
+        self, found: WrenchCalibration, noise_force: float = 1e-3, noise_torque: float = 5e-6
+    ) -> "Finger":
+        """Returns the finger with a calibration of its sensor, and with sigmas that cover what that leaves.
+
+        Real sensors leave .1 to .5 N where their noise is a few millinewton, because a bias that depends on the
+        direction of gravity fits no calibration. `noise_force` [N] and `noise_torque` [N m]: of a single reading.
+        """
+        left = [np.mean(np.square(part)) for part in (found.residual_force, found.residual_torque)]
+        sigma_force, sigma_torque = np.sqrt(left + np.square([noise_force, noise_torque])).tolist()
+        return replace(self, calibration=found, sigma_force=sigma_force, sigma_torque=sigma_torque)
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MountedCamera:

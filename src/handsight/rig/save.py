@@ -54,6 +54,12 @@ def pose_text(T: Array) -> str:
     return _inline(_pose(T))
 
 
+def sensor_text(finger: Finger) -> str:
+    """Returns what a calibration changes of a finger's sensor, as the rig file has it below `sensor`."""
+    sensor = _finger(finger)["sensor"]
+    return "\n".join(f"{name}: {_inline(sensor[name])}" for name in ("noise", "bias", "tip_mass", "tip_center"))
+
+
 def _values(kind: type[Form], part: object, **given: object) -> Values:
     """Returns the values of a form's keys: those that are given, else the part's attributes; angles in degrees."""
     values = Values()
