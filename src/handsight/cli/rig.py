@@ -169,8 +169,8 @@ def sensors(recording: RecordingPath, rig: RigPath = None) -> None:
         after = calibrate_sensors(before, opened.observations())
     typer.echo("fingers:")
     for name, finger in after.fingers.items():
-        lines = sensor_text(finger).splitlines()
-        typer.echo(printable("\n".join([f"  {name}:", "    sensor:", *(f"      {line}" for line in lines)])))
+        for line in (f"  {name}:", "    sensor:", *(f"      {line}" for line in sensor_text(finger))):
+            typer.echo(printable(line))
         was = before.fingers[name]
         if finger.sigma_force > was.sigma_force or finger.sigma_torque > was.sigma_torque:
             say(

@@ -35,7 +35,9 @@ class LoadOptions(NamedTuple):
     min_travel: float = 0.005
     """A tip that moves this far in the palm during a window is in the air, not pressed against something [m]."""
     still: float = 0.3  # length of the means by which a sensor is calibrated [s]
-    still_turn: float = float(np.deg2rad(0.5))  # a hand whose sensors turn less than this meanwhile is still [rad]
+    still_turn: float = float(
+        np.deg2rad(0.5)
+    )  # a hand whose sensors turn less than this meanwhile is still [rad]
     max_bias: float = 0.5  # a larger reading in the air is a load, or a broken sensor [N]
     unsteady_p: float = 0.001
     """Readings vary by more than noise where noise would exceed their spread with less than this probability."""
@@ -174,7 +176,7 @@ def _second_derivative(n: int, length: int) -> Array:
 def _summed(
     rig: Rig, observations: Sequence[Observation], gravity: Array, sensors: Array, J: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Returns the sum of mean loads (6,), its derivatives by joints (6, j) and biases (6, 6 t), readings (6 t,), forces.
+    """Returns the sum of mean loads (6,), its derivatives by joints and biases, the readings, and the forces (t, 3).
 
     `gravity` is that of a `LoadSum`, `sensors` (t, 4, 4) are the sensors' poses in the palm, and `J` (t, 6, j) the
     Jacobians at their origins.
@@ -231,9 +233,9 @@ def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
 def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
     """Returns the rig with its sensors calibrated by a hand that touches nothing, still in several orientations.
 
-    `calibrate_wrench` takes the means over `LOADS.still` seconds in which the sensors hardly turned. The fingers' sigmas
-    become what it leaves, with the noise of single readings (`Finger.calibrated`). Raises InvalidInput, which names the
-    finger, where there are too few orientations.
+    `calibrate_wrench` takes the means over `LOADS.still` seconds in which the sensors hardly turned. The fingers'
+    sigmas become what it leaves, with the noise of single readings (`Finger.calibrated`). Raises InvalidInput, which
+    names the finger, where there are too few orientations.
     """
     tips, Ts_tip_sensor, window = _tips(rig), _Ts_tip_sensor(rig), list[Observation]()
     rows: dict[str, list[Array]] = {name: [] for name in rig.fingers}
@@ -243,10 +245,11 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
         window.append(observation)
         if observation.stamp - window[0].stamp < LOADS.still:
             continue
-        ends = window[0], window[-1]
         first, last = (
-            o.T_world_palm @ rig.hand.kinematics(dict(o.joint_positions or {})).Ts_palm_tip[tips] @ Ts_tip_sensor
-            for o in ends
+            np.array(o.T_world_palm)
+            @ rig.hand.kinematics(dict(o.joint_positions or {})).Ts_palm_tip[tips]
+            @ Ts_tip_sensor
+            for o in (window[0], window[-1])
         )
         readings, window = window, []
         turned = np.linalg.norm(se3.rotation_log(first[:, :3, :3].swapaxes(1, 2) @ last[:, :3, :3]), axis=1)
@@ -254,7 +257,9 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
             continue
         for R, (name, means) in zip(last[:, :3, :3], rows.items(), strict=True):
             wrenches = np.array([o.wrenches[name] for o in readings])
-            means.append(np.concatenate([wrenches.mean(axis=0), R.T @ rig.gravity, wrenches.var(axis=0, ddof=1)]))
+            means.append(
+                np.concatenate([wrenches.mean(axis=0), R.T @ rig.gravity, wrenches.var(axis=0, ddof=1)])
+            )
     fingers = {}
     for name, finger in rig.fingers.items():
         F, M, G, v = np.split(np.array(rows[name]).reshape(-1, 15), [3, 6, 9], axis=1)

@@ -46,14 +46,16 @@ class WeigherOptions(NamedTuple):
     more tips hold it [m]; it grows with the root of time.
     """
     loose_object_creep: float = 3e-3
-    """The same where fewer tips hold it, because the others do not touch it or are at their limits of friction: boxes of
-    .3 to .5 kg move 3 to 6 mm in a second then, always the same way."""
+    """The same where fewer tips hold it, because the others do not touch it or are at their limits of friction: boxes
+    of .3 to .5 kg move 3 to 6 mm in a second then, always the same way.
+    """
     sigma_gravity: float = float(
         np.deg2rad(1.0)
     )  # error of gravity's direction in the world, about each axis [rad]
     wrong_mass: float = 2.33
     """A mass that is farther off than so many sigmas contradicts the declared one: by chance in 2 %, whose share of the
-    sigmas is mostly that of the declared mass, so that more directions are not more chances."""
+    sigmas is mostly that of the declared mass, so that more directions are not more chances.
+    """
     biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
     restart_after: float = 3.0
     """How long loads may contradict the kept instants before these are dropped [s]."""
@@ -194,11 +196,11 @@ class Weigher:
             k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > WEIGHER.new_direction
         ]
         instants = [*others, Carried(load)]
-        constants = self._biases, self._gains, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity
-        unknowns, before = Unknowns(root, *constants), self.weighing
-        found = weigh(instants, unknowns, before)
+        exactly = Unknowns(root, self._biases, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity)
+        before = self.weighing
+        found = weigh(instants, replace(exactly, gains=self._gains), before)
         if before is None or before.directions != found.directions:
-            exact = weigh(instants, replace(unknowns, gains=0 * self._gains), before)
+            exact = weigh(instants, exactly, before)
             self.assumed = "" if exact.consistent else ASSUMED
         self.reason = ""
         if found.mass < -WEIGHER.wrong_mass * found.sigma_mass:
@@ -275,9 +277,10 @@ class ObjectWeight:
     """Why the weight is not trusted; empty where it is trusted."""
     biased: tuple[str, ...]
     """Fingers whose sensors have larger biases in the air than calibration leaves; these are subtracted."""
-    assumed: str
-    """What the weighing has to assume, because the loads would not fit a weight if the readings were exact to the rig's
-    noise: wrong gains, or a small force that no sensor measures. Empty where they would."""
+    assumed: str = ""
+    """What the weighing has to assume, because the loads would not fit a weight if gains were exact: wrong gains, or a
+    small force that no sensor measures. Empty where they would.
+    """
 
     def kept_by_symmetries(self, model: ObjectModel) -> tuple[Array, float]:
         """Returns the centre of mass (3,) that the object's symmetries allow, and its largest sigma [m]."""
@@ -389,11 +392,10 @@ class WeightSensor:
         return self._elsewhere(estimate) if strong else ""
 
     def _elsewhere(self, estimate: PoseEstimate) -> str:
-        """Returns how far the weight's centre is from where the rest has it, where a correction found the two to differ."""
+        """Returns how far the weight's centre is from where the rest has it; empty where they do not differ."""
         found, declared = self.weigher.weighing, self.model.center_of_mass
         if estimate.weight_fits is not False or found is None or declared is None:
             return ""
         T = estimate.T_palm_object
         off = 1e3 * float(np.linalg.norm(T[:3, :3] @ declared + T[:3, 3] - found.center_palm))
         return f"contacts, vision and the table have the centre of mass {off:.0f} mm from where the weight has it"
-

@@ -65,14 +65,14 @@ class Unknowns:
     """(j, j) L, where L Lᵀ is the covariance of the joints' constant errors [rad], or [m] for prismatic joints."""
     biases: Array
     """(6 t,) sigmas of the force [N] and torque [N m] of each tip's bias."""
-    gains: Array
-    """(6 t,) sigmas of the relative errors of each tip's readings, an axis of its sensor each."""
     creep: float
     """Sigma of the speed at which contacts creep [m/(N s)]."""
     gravity: Array
     """(3,) nominal gravity in the world [m/s²]."""
     sigma_gravity: float
     """Sigma of gravity's direction, about each axis [rad]."""
+    gains: Array = field(default_factory=lambda: np.zeros(1))
+    """(6 t,) sigmas of the relative errors of each tip's readings, one for each axis of its sensor; zero: none."""
 
 
 @renamed_members(chance="p_value", chance_fixed="p_fixed")

@@ -1,6 +1,7 @@
 """A `Rig` as the text of a `rig.yaml`, with a comment beside each key; reading the text gives the same rig again."""
 
 import json
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -54,10 +55,14 @@ def pose_text(T: Array) -> str:
     return _inline(_pose(T))
 
 
-def sensor_text(finger: Finger) -> str:
-    """Returns what a calibration changes of a finger's sensor, as the rig file has it below `sensor`."""
+def sensor_text(finger: Finger) -> list[str]:
+    """Returns what a calibration finds of a finger's sensor, as the rig file's lines below `sensor`."""
     sensor = _finger(finger)["sensor"]
-    return "\n".join(f"{name}: {_inline(sensor[name])}" for name in ("noise", "bias", "tip_mass", "tip_center"))
+    lines = (f"{name}: {_inline(sensor[name])}" for name in ("noise", "bias", "tip_mass", "tip_center"))
+    return [
+        re.sub(r"\d+\.\d+(e-\d+)?", lambda number: _inline(float(f"{float(number[0]):.4g}")), line)
+        for line in lines
+    ]
 
 
 def _values(kind: type[Form], part: object, **given: object) -> Values:

@@ -100,8 +100,12 @@ def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, contact:
 
 @inner
 def _sigmas(finger: Any, load: Vec6) -> Vec6:
-    """Returns the standard deviations of a reading: noise, and an error of each axis' gain in proportion to its load."""
-    s, (x, y, z), (u, v, w) = finger.sigmas, scale(load[0], finger.sigma_gain), scale(load[1], finger.sigma_gain)
+    """Returns the sigmas of a reading: its noise, and the error of each axis' gain in proportion to the load."""
+    s, (x, y, z), (u, v, w) = (
+        finger.sigmas,
+        scale(load[0], finger.sigma_gain),
+        scale(load[1], finger.sigma_gain),
+    )
     return (
         (np.hypot(s[0], x), np.hypot(s[1], y), np.hypot(s[2], z)),
         (np.hypot(s[3], u), np.hypot(s[4], v), np.hypot(s[5], w)),
