@@ -186,6 +186,8 @@ def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:
     text = f"{1e3 * weight.mass:.0f} ± {1e3 * weight.sigma_mass:.0f} g, centre [{place}] ± {sigma:.0f} mm in the object"
     if weight.biased:
         text += f"; the excess force of {', '.join(weight.biased)} in the air is subtracted"
+    if weight.assumed:
+        text += f"; {weight.assumed}"
     return f"not believed: {weight.reason} ({text})" if weight.reason else text
 
 
@@ -199,6 +201,7 @@ def weight_numbers(weight: "ObjectWeight") -> dict[str, object]:
         "directions": weight.directions,
         "not_believed": weight.reason,
         "biased": list(weight.biased),
+        "assumed": weight.assumed,
     }
 
 

@@ -57,6 +57,12 @@ class Slip:
         """The least ratio, that of the finger that holds the object best; None where no ratio is known."""
         return min(self.ratios.values(), default=None)
 
+    @property
+    def pivots(self) -> bool:
+        """Whether fewer than two fingers are below their limits: what one finger holds can turn about it, slowly."""
+        holding = sum(ratio < SLIP.begin_ratio for ratio in self.ratios.values())
+        return bool(self.ratios) and holding < 2
+
 
 class SlipDetector:
     """A `SlipDetector` detects slips from loads over time.

@@ -159,6 +159,7 @@ class TipForm(Form):
 class SensorNoiseForm(Form):
     sigma_force: Load | None = field(name="force", default=None)
     sigma_torque: Load | None = field(name="torque", default=None)
+    sigma_gain: Annotated[float, Meta(ge=0, le=1)] | None = field(name="gain", default=None)
 
 
 class BiasForm(Form):

@@ -50,6 +50,8 @@ class Finger:
     """Noise of a force reading [N]."""
     sigma_torque: float = 5e-5
     """Noise of a torque reading [N m]."""
+    sigma_gain: float = 0.02
+    """Constant relative error of the readings of each axis, such as of its calibration matrix."""
     sigma_point: float = 5e-4
     """Error of a contact's position beside those of joints and sensor: calibration, a soft tip [m]."""
     sigma_normal: float = np.deg2rad(1.0)
@@ -64,7 +66,19 @@ class Finger:
         se3.check(self.T_frame_surface, "T_frame_surface")
         for name in ("sigma_force", "sigma_torque"):
             checks.sigma(getattr(self, name), name)
-        _check_sigmas(self, "sigma_point", "sigma_normal")
+        _check_sigmas(self, "sigma_point", "sigma_normal", "sigma_gain")
+
+    def calibrated(
+        self, found: WrenchCalibration, noise_force: float = 1e-3, noise_torque: float = 5e-6
+    ) -> "Finger":
+        """Returns the finger with a calibration of its sensor, and with sigmas that cover what that leaves.
+
+        Real sensors leave .1 to .5 N where their noise is a few millinewton, because a bias that depends on the
+        direction of gravity fits no calibration. `noise_force` [N] and `noise_torque` [N m]: of a single reading.
+        """
+        left = [np.mean(np.square(part)) for part in (found.residual_force, found.residual_torque)]
+        sigma_force, sigma_torque = np.sqrt(left + np.square([noise_force, noise_torque])).tolist()
+        return replace(self, calibration=found, sigma_force=sigma_force, sigma_torque=sigma_torque)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

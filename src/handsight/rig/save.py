@@ -1,6 +1,7 @@
 """A `Rig` as the text of a `rig.yaml`, with a comment beside each key; reading the text gives the same rig again."""
 
 import json
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -52,6 +53,16 @@ def text(rig: Rig) -> str:
 def pose_text(T: Array) -> str:
     """Returns a pose (4, 4) as the rig file has it."""
     return _inline(_pose(T))
+
+
+def sensor_text(finger: Finger) -> list[str]:
+    """Returns what a calibration finds of a finger's sensor, as the rig file's lines below `sensor`."""
+    sensor = _finger(finger)["sensor"]
+    lines = (f"{name}: {_inline(sensor[name])}" for name in ("noise", "bias", "tip_mass", "tip_center"))
+    return [
+        re.sub(r"\d+\.\d+(e-\d+)?", lambda number: _inline(float(f"{float(number[0]):.4g}")), line)
+        for line in lines
+    ]
 
 
 def _values(kind: type[Form], part: object, **given: object) -> Values:

@@ -157,6 +157,7 @@ class Follower:
                 grasped=state.grasp.grasped,
                 lifted=state.grasp.lifted,
                 finger_on_table="on the table" in touch.reasons.values(),
+                pivots=state.slip.now.pivots,
             )
 
         # Vision.
@@ -347,6 +348,8 @@ class Follower:
             return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
         if not estimate.consistent:
             return "uncertain", "the contacts do not fit the object at its estimated pose"
+        if doubt := state.weight.doubt(estimate):
+            return "uncertain", doubt
         if state.correction is None and not state.vision.camera_from_palm.confirmed:
             return "uncertain", "nothing is touched: the pose is vision's"
         if (sigma := self.sigma(state)) > self.settings.uncertain_position:
