@@ -56,14 +56,19 @@ class Finger:
     """The same of a contact's normal [rad]."""
     full_scale: tuple[float, float] | None = None
     """Largest force [N] and torque [N m] that the sensor can read; such a reading is no measurement."""
+    friction: float | None = None
+    """Coefficient of friction between tip and objects; None where it is to be learnt."""
+    sigma_friction: float = 0.1
+    """Standard deviation of that coefficient."""
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput for a wrong pose or standard deviation."""
+        """Raises InvalidInput for a wrong pose, standard deviation or coefficient of friction."""
         se3.check(self.T_frame_surface, "T_frame_surface")
         for name in ("sigma_force", "sigma_torque"):
             checks.sigma(getattr(self, name), name)
+        check_friction(self.friction, self.sigma_friction, "friction")
         _check_sigmas(self, "sigma_point", "sigma_normal")
 
 
@@ -230,6 +235,14 @@ def _check_unique(rig: Rig) -> None:
         if np.abs(Ts[one] - Ts[other]).max() < 1e-9:
             message = f"expected a place of its own, got that of fingers.{one}"
             raise NotUnique(("fingers", other, "surface"), message)
+
+
+def check_friction(friction: float | None, sigma: float, name: str) -> None:
+    """Raises InvalidInput for a coefficient of friction, or its standard deviation, that no two materials have."""
+    if friction is not None and not 0.01 <= float(checks.finite(friction, name, ())) <= 10:
+        raise InvalidInput(f"{name}: expected a number from 0.01 to 10, got {friction:g}")
+    if not 1e-4 <= float(checks.finite(sigma, f"sigma_{name}", ())) <= 10:
+        raise InvalidInput(f"sigma_{name}: expected a number from 0.0001 to 10, got {sigma:g}")
 
 
 def _check_sigmas(part: object, *names: str) -> None:
