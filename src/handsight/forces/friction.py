@@ -29,7 +29,7 @@ class FrictionOptions(NamedTuple):
     min_turns: int = 5  # fewest turns of a heap
     min_share: float = 0.1
     """The same as a share of the turns in the largest heap that is at most `max_below` bins below."""
-    max_below: int = 30
+    max_below: int = 50
     certain_turns: int = 20
     """A heap of so many turns is the limit, unless two fingers have ratios above it by more than `near_heap`."""
     noise_margin: float = 0.98
@@ -43,7 +43,9 @@ class FrictionOptions(NamedTuple):
     """As many turns as this count for a contact of which other evidence tells that it slides."""
     least_sigma: float = 0.02  # of the logarithm of μ: the limit surface is not quite an ellipsoid
     turn_sigma: float = 0.2  # the same of one turn; it falls with the root of their number
-    doubtful_sigma: float = 0.3  # the same while turns are fewer than `certain_turns`, or kept-up ratios are above them
+    doubtful_sigma: float = (
+        0.3  # the same while turns are fewer than `certain_turns`, or kept-up ratios are above them
+    )
 
 
 FRICTION = FrictionOptions()
@@ -85,11 +87,9 @@ class Friction:
         rise = 1 - math.exp(-min(since, FRICTION.keep_up) / FRICTION.keep_up)
         higher = {name: ratio for name, ratio in load.items() if ratio > self._kept_up.get(name, 0.0)}
         if higher:
-            before_rise = self._kept_up
-            self._kept_up = before_rise | {
-                name: before_rise.get(name, 0.0) + rise * (ratio - before_rise.get(name, 0.0))
-                for name, ratio in higher.items()
-            }
+            was = {name: self._kept_up.get(name, 0.0) for name in higher}
+            risen = {name: was[name] + rise * (ratio - was[name]) for name, ratio in higher.items()}
+            self._kept_up = {**self._kept_up, **risen}
         before = self._anchors
         moved = {
             name: vector

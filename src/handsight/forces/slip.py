@@ -2,14 +2,16 @@
 
 A finger's ratio is √(f_t² + (τ / e)²) / (μ f_n), which is 1 on its limit surface. One finger at its limit does not make
 the object slip: one that sticks holds the object in all six directions. So the object slips when the *least* ratio is
-at the limit.
+at the limit. It also slips where it turns about one finger while three or more others slide and bounce.
 
 While it slips, contacts chatter: they stick, break and close again within milliseconds, and the tangential force
 turns. A mean over vectors is then far within the limit, and so is one over ratios: a finger's ratio is therefore the
 mean of the upper half of its last readings.
 """
 
+import itertools
 import math
+import statistics
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -26,11 +28,15 @@ class SlipOptions(NamedTuple):
     end_ratio: float = 0.97  # and ends when it has been below this for `min_hold`
     max_sigma: float = 0.25  # share of μ; where μ is less certain no slip is reported
     stick_ratio: float = 0.4  # a slip ends at once when a ratio is below this
+    min_chatter: float = 0.08
+    """A finger at its limit bounces if its normal force changes by this share of itself from one reading to the next;
+    one that has come to rest at its limit after it slid does not."""
+    min_bouncing: int = 3  # fewest such fingers that slip while one other finger sticks
     min_hold: float = 0.008  # at the limit of slipping, ratios fluctuate [s]
     window: float = 0.016  # of the readings from which a ratio is computed; two at least [s]
-    ratio_sigma: float = 0.03
+    ratio_sigma: float = 0.04
     """Readings are averaged only as far as a ratio's noise is above this: the upper half of several is above their true
-    mean by 0.7 standard deviations, which is the margin of `begin_ratio`."""
+    mean by 0.7 standard deviations."""
     time_constant: float = 0.01  # of the running mean of vectors from which friction is learnt [s]
     max_gap: float = 0.1  # between two readings: after a longer one the mean starts anew [s]
     min_force: float = 0.2  # normal force above which a finger's ratio counts [N]
@@ -53,13 +59,22 @@ class _Ratios(NamedTuple):
     """√(f_t² + (τ / e)²), averaged as far as its noise requires [N]."""
     normal: float
     """The same of f_n [N]."""
-    last: tuple[tuple[float, float], ...]
-    """Stamps [s] and ratios of the last readings."""
+    last: tuple[tuple[float, float, float], ...]
+    """Stamps [s], ratios and normal forces [N] of the last readings."""
+
+    @property
+    def chatter(self) -> float:
+        """How much the normal force changes from one reading to the next, as a share of itself."""
+        forces = [normal for *_, normal in self.last]
+        if len(forces) < 2:
+            return 0.0
+        changes = sum(abs(after - before) for before, after in itertools.pairwise(forces)) / (len(forces) - 1)
+        return changes * len(forces) / sum(forces)
 
     @property
     def upper(self) -> float:
         """The mean ratio of the upper half of the last readings, of two at least."""
-        ratios = sorted((ratio for _, ratio in self.last), reverse=True)
+        ratios = sorted((ratio for _, ratio, _ in self.last), reverse=True)
         count = max(2, len(ratios) // 2)
         return sum(ratios[:count]) / min(count, len(ratios))
 
@@ -164,7 +179,9 @@ class SlipDetector:
         # Hysteresis, in the ratio and in time.
         was, least = self.now, min(ratios.values(), default=0.0)
         known = mu is not None and sigma is not None and sigma <= SLIP.max_sigma * mu
-        if known and least >= (SLIP.end_ratio if was.slipping else SLIP.begin_ratio):
+        if known and (
+            least >= (SLIP.end_ratio if was.slipping else SLIP.begin_ratio) or self._bounces(ratios)
+        ):
             self._at_limit = stamp
         holds_after = SLIP.min_hold if was.slipping else 0.0
         slipping = least >= SLIP.stick_ratio and stamp - self._at_limit <= holds_after
@@ -172,6 +189,13 @@ class SlipDetector:
         ended = stamp if was.slipping and not slipping else was.ended
         self.now = Slip(slipping, ratios, mu, began, ended, sigma)
         return self.now
+
+    def _bounces(self, ratios: Mapping[str, float]) -> bool:
+        """Returns whether all fingers but one are at their limit and bounce."""
+        at_limit = [name for name, ratio in ratios.items() if ratio >= SLIP.begin_ratio]
+        if len(at_limit) < max(SLIP.min_bouncing, len(ratios) - 1):
+            return False
+        return statistics.median(self._ratios[name].chatter for name in at_limit) >= SLIP.min_chatter
 
     def _read(self, name: str, stamp: float, row: Load, mu: float | None, before: _Ratios | None) -> _Ratios:
         """Returns a finger's ratios with a new reading."""
@@ -181,7 +205,7 @@ class SlipDetector:
         # A running mean with weight w for the last reading has a variance smaller by w / (2 - w).
         wanted = (SLIP.ratio_sigma * (mu or 1.0)) ** 2
         weight = min(2 * wanted / (noise**2 + wanted), 1.0)
-        last: tuple[tuple[float, float], ...] = ()
+        last: tuple[tuple[float, float, float], ...] = ()
         if before is not None:
             tangential = before.tangential + weight * (tangential - before.tangential)
             normal = before.normal + weight * (normal - before.normal)
@@ -189,7 +213,7 @@ class SlipDetector:
             first = stamp - SLIP.window - 1e-9
             if len(before.last) > 1 and before.last[-2][0] >= first:
                 last = tuple(each for each in before.last if each[0] >= first)
-        return _Ratios(tangential, normal, (*last, (stamp, tangential / normal)))
+        return _Ratios(tangential, normal, (*last, (stamp, tangential / normal, row[3])))
 
 
 def declared_friction(

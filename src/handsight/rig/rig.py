@@ -20,6 +20,7 @@ from handsight.hand import Hand
 from handsight.msgspec_errors import FieldPath as FieldPath
 from handsight.msgspec_errors import field_name
 from handsight.objects import ObjectSpec
+from handsight.objects.model import check_friction
 from handsight.representation import short_repr
 
 DepthCamera = Literal["structured_light", "time_of_flight", "stereo"]
@@ -235,14 +236,6 @@ def _check_unique(rig: Rig) -> None:
         if np.abs(Ts[one] - Ts[other]).max() < 1e-9:
             message = f"expected a place of its own, got that of fingers.{one}"
             raise NotUnique(("fingers", other, "surface"), message)
-
-
-def check_friction(friction: float | None, sigma: float, name: str) -> None:
-    """Raises InvalidInput for a coefficient of friction, or its standard deviation, that no two materials have."""
-    if friction is not None and not 0.01 <= float(checks.finite(friction, name, ())) <= 10:
-        raise InvalidInput(f"{name}: expected a number from 0.01 to 10, got {friction:g}")
-    if not 1e-4 <= float(checks.finite(sigma, f"sigma_{name}", ())) <= 10:
-        raise InvalidInput(f"sigma_{name}: expected a number from 0.0001 to 10, got {sigma:g}")
 
 
 def _check_sigmas(part: object, *names: str) -> None:
