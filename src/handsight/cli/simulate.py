@@ -32,9 +32,10 @@ def simulate(
     motion: Annotated[
         str,
         typer.Option(
-            metavar="grasp|manipulate|weigh|ramp|steps|sine",
+            metavar="grasp|manipulate|weigh|ramp|steps|sine|creep|jerks",
             help="grasp: close the hand and hold the object; manipulate: then also move, lift and turn it; weigh: lift "
-            "and tilt it; ramp, steps, sine: lift it, and pull it with a force of that shape until it slips.",
+            "and tilt it; ramp, steps, sine, creep, jerks: lift it, and pull it with a force of that shape until it "
+            "slips.",
         ),
     ] = "manipulate",
     images: Annotated[

@@ -20,6 +20,7 @@ from handsight.hand import Hand
 from handsight.msgspec_errors import FieldPath as FieldPath
 from handsight.msgspec_errors import field_name
 from handsight.objects import ObjectSpec
+from handsight.objects.model import check_friction
 from handsight.representation import short_repr
 
 DepthCamera = Literal["structured_light", "time_of_flight", "stereo"]
@@ -58,14 +59,19 @@ class Finger:
     """The same of a contact's normal [rad]."""
     full_scale: tuple[float, float] | None = None
     """Largest force [N] and torque [N m] that the sensor can read; such a reading is no measurement."""
+    friction: float | None = None
+    """Coefficient of friction between tip and objects; None where it is to be learnt."""
+    sigma_friction: float = 0.1
+    """Standard deviation of that coefficient."""
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput for a wrong pose or standard deviation."""
+        """Raises InvalidInput for a wrong pose, standard deviation or coefficient of friction."""
         se3.check(self.T_frame_surface, "T_frame_surface")
         for name in ("sigma_force", "sigma_torque"):
             checks.sigma(getattr(self, name), name)
+        check_friction(self.friction, self.sigma_friction, "friction")
         _check_sigmas(self, "sigma_point", "sigma_normal", "sigma_gain")
 
     def calibrated(

@@ -89,7 +89,10 @@ def _finger(finger: Finger) -> Values:
         tip_center=known.center_of_mass,
     )
     shape = _values(form.TipForm, tip, **size)
-    return _values(form.FingerForm, finger, surface=_pose(finger.T_frame_surface), tip=shape, sensor=sensor)
+    given: dict[str, Any] = {"surface": _pose(finger.T_frame_surface), "tip": shape, "sensor": sensor}
+    if finger.friction is None:
+        given["sigma_friction"] = None
+    return _values(form.FingerForm, finger, **given)
 
 
 def _camera(camera: MountedCamera) -> Values:

@@ -22,6 +22,8 @@ class PullOptions(NamedTuple):
     step: float = 0.5  # duration of a step of the force [s]
     rise: float = 0.05  # how long the force takes to rise to a step [s]
     frequency: float = 1.5  # of a sine [1/s]
+    jerk: float = 0.06  # duration of a jerk; one begins with each step [s]
+    creep: float = 0.1  # factor on the speed at which a creeping pull no longer follows the object
     min_speed: float = 0.03
     """Smallest draw of the speed along the tips at which the pull no longer follows the object [m/s]."""
     max_speed: float = 0.1  # largest draw of that speed [m/s]
@@ -106,6 +108,7 @@ class Pull:
         self._force = scenario.nuisances.pull_force * direction / np.linalg.norm(direction)
         self._torque = scenario.nuisances.pull_torque * axis / np.linalg.norm(axis)
         self._max_speed = rng.uniform(PULL.min_speed, PULL.max_speed)
+        self._max_speed *= PULL.creep if scenario.motion == "creep" else 1.0
         self._max_travel = rng.uniform(PULL.min_travel, PULL.max_travel)
         self._profile, self._slipped = scenario.motion, 0.0
 
@@ -126,11 +129,14 @@ class Pull:
 def pull_share(profile: str, since: float) -> float:
     """Returns the strength of a pull as a share of its greatest force, at a time after its beginning [s]."""
     share = since / PULL.duration
-    if profile == "ramp":
+    steps, within = divmod(since, PULL.step)
+    if profile in ("ramp", "creep"):
         return share
     if profile == "steps":
-        steps, within = divmod(since, PULL.step)
         return min(1.0, (steps + min(within / PULL.rise, 1.0)) * PULL.step / PULL.duration)
+    if profile == "jerks":
+        height = min(1.0, (steps + 1) * PULL.step / PULL.duration)
+        return height * math.sin(math.pi * within / PULL.jerk) ** 2 if within < PULL.jerk else 0.0
     return share * (1 - math.cos(2 * math.pi * PULL.frequency * since)) / 2
 
 

@@ -96,7 +96,7 @@ class Follower:
             memory=ContactMemory(self.settings.memory, self.process_noise),
             vision=vision,
             images=ImageVision(self.rig, self.model, on=self.settings.images),
-            slip=SlipUpdate(self.rig),
+            slip=SlipUpdate(self.rig, self.model),
             weight=WeightSensor(self.rig, self.model),
             offsets=offsets,
         )
@@ -207,7 +207,7 @@ class Follower:
             state.memory = state.memory.only(fingers)
         if (smoother := state.smoother) is not None:
             smoother = smoother if change is None else self._regrasped(state, smoother, change)
-            state.smoother = state.slip.update(stamp, state.fingertips, smoother)
+            state.smoother = state.slip.update(stamp, state.fingertips, smoother, state.vision)
         if state.slip.now.slipping:
             state.memory = state.memory.only(fingers)
             state.weight.weigher.forget("the object slips")
