@@ -16,18 +16,21 @@ from handsight.contact import Contacts
 from handsight.correction import Outside, PoseEstimate, PosePrior, correct_pose, refine_pose
 from handsight.forces import WeightSensor
 from handsight.objects import ObjectModel
+from handsight.objects.resting import resting_poses
 from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
 from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside
+from handsight.tracking.hypotheses import Alternatives, log_evidence, normalised
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
-from handsight.tracking.measurements import VisionUpdate, on_table
+from handsight.tracking.measurements import VisionUpdate
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
 from handsight.tracking.smoother import PoseBiasSmoother, process_variance
+from handsight.tracking.table import TableEvidence, supports_of
 from handsight.tracking.track_state import NO_POSE, Correction, State, TrackState, point_uncertainty
 
 
@@ -85,6 +88,9 @@ class Follower:
         """(6,) variance of the object's random walk in the palm, per second [m², rad²]."""
         self.regrasp_noise = np.repeat([s.regrasp_position**2, s.regrasp_rotation**2], 3)
         """(6,) variance of the object's motion when a finger comes or goes [m², rad²]."""
+        poses = () if rig.table is None else resting_poses(model, model.center_of_mass)
+        self.supports = supports_of(poses)
+        """What may bear the object while it is on the table."""
 
     def initial(self, start: PosePrior | None, offsets: JointOffsets) -> TrackState:
         """Returns the state before any observation; `start`: the object's pose in the palm, None where unknown."""
@@ -174,7 +180,8 @@ class Follower:
 
         # The answer: corrected, or propagated from the last correction, or vision's alone.
         if touch.contacts is not None and self._due(state, touch.contacts, vision=vision):
-            self._correct(state, touch.contacts, state.smoother, joints, vision=vision)
+            given = state.smoother if state.table is None else state.table.smoother(state.smoother)
+            self._correct(state, touch.contacts, given, joints, vision=vision)
         last = state.correction
         if state.estimate is None or last is None:  # without touch every direction is unobservable
             now = state.smoother.now
@@ -207,6 +214,9 @@ class Follower:
         if (smoother := state.smoother) is not None:
             smoother = smoother if change is None else self._regrasped(state, smoother, change)
             state.smoother = state.slip.update(stamp, state.fingertips, smoother)
+            if state.table is not None and state.smoother is not smoother:
+                slipped = state.smoother.prior.covariance - smoother.now.covariance
+                state.table = state.table.restarted(smoother, slipped[:6, :6])
         if state.slip.now.slipping:
             state.memory = state.memory.only(fingers)
             state.weight.weigher.forget("the object slips")
@@ -216,13 +226,16 @@ class Follower:
         state.offsets = self.joint_offsets(state)
         state.learnt_from = last = state.correction
         pose, T, table = smoother.now, state.T_world_palm, self.rig.table
-        if change == "released" and last is not None:
-            # What contacts have measured of the pose up to now stays true; the object's motion from now on is unknown.
-            pose = pose.given_pose(last.estimate.T_palm_object, last.estimate.information)
-            state.correction = None
+        if change == "released":
+            if last is not None:
+                # What was measured of the pose up to now stays true; the object's motion from now on is unknown.
+                pose = pose.given_pose(last.estimate.T_palm_object, last.estimate.information)
+            state.correction = state.table = None
         pose = pose.inflated(self.regrasp_noise)
         if change != "released" and table is not None and T is not None and not state.grasp.lifted:
-            pose = on_table(pose, self.model, table, T) or pose
+            state.table = TableEvidence.of(self.model, table, self.supports, pose, T, state.stamp)
+        elif state.table is not None:
+            state.table = state.table.restarted(smoother, np.diag(self.regrasp_noise))
         return smoother.restarted(pose)
 
     def _measure_by_vision(self, state: _Next, observation: Observation) -> None:
@@ -231,12 +244,18 @@ class Follower:
         T_palm_object = known.T_palm_object if known is not None and grasped else None
         result = state.images.observe(observation, state.vision.camera_from_palm, T_palm_object)
         state.processed = result.observation
+        before = state.smoother
         if result.hand is not None:
-            state.vision, state.smoother = state.vision.palm_detected(result.hand, state.smoother)
+            state.vision, state.smoother = state.vision.palm_detected(result.hand, before)
+            if state.table is not None and before is not None and state.smoother is not before:
+                state.table = state.table.informed(before, result.hand.bias(before.pivot))
         # Since the image was taken, an object in the hand has moved with the palm, another one stayed in the world.
         T = result.then.T_world_palm if result.then is not None and grasped else None
         T_world_palm = state.T_world_palm if T is None else T
-        state.vision, state.smoother = state.vision.updated(result.observation, state.smoother, T_world_palm)
+        state.vision, after = state.vision.updated(result.observation, state.smoother, T_world_palm)
+        state.smoother = after
+        if before is not None and after is not None and (after.process_noise < before.process_noise).any():
+            state.table = None  # vision has started anew, as the object was moved
 
     def _due(self, state: _Next, touched: Contacts, *, vision: bool) -> bool:
         """Returns whether a correction is due: after news of vision, touch, weight or a slip, or by the set rate."""
@@ -292,10 +311,11 @@ class Follower:
             state.links_checked_at = now
             estimate, inside = self.hand.reconciled(estimate, links, lambda weaker: correct(prior, weaker))
             state.margins = state.margins.noted(inside, now)
+        if state.table is not None:
+            estimate, prior = self._compared(state, state.table, estimate, prior, correct)
         if not estimate.consistent and now - state.recovered_at >= FOLLOWER.recovery_period:
             state.recovered_at = now
-            estimate, smoother = self._recovered(state, estimate, smoother, correct)
-            state.smoother, prior = smoother, smoother.without_touch
+            estimate, prior = self._recovered(state, estimate, prior, correct)
 
         # The errors of contacts and weight have a common cause, the joints' offsets.
         weighing = state.weight.used()
@@ -308,6 +328,8 @@ class Follower:
         ]
         if wrong:
             state.memory = state.memory.only(state.memory.last.keys() - wrong)
+        if state.table is not None and state.table.alternatives is not None:
+            estimate = state.table.alternatives.added(self.model, estimate)
         _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
         state.correction = Correction(
             estimate, touched, touch.by_error, prior, touch.fingers, now, variance, skin
@@ -315,25 +337,60 @@ class Follower:
         state.estimate, state.propagated_to = estimate, now
         state.corrections += 1
 
+    def _compared(
+        self,
+        state: _Next,
+        table: TableEvidence,
+        estimate: PoseEstimate,
+        prior: PosePrior,
+        correct: Callable[[PosePrior], PoseEstimate],
+    ) -> tuple[PoseEstimate, PosePrior]:
+        """Returns the estimate over all supports of the object on the table, and the prior of the likeliest one.
+
+        They are compared where several are relevant, where touch contradicts the likeliest, and now and then.
+        """
+        known = state.smoother
+        doubt = not estimate.consistent or bool(estimate.outliers) or estimate.weight_fits is False
+        if known is None or not table.due(state.stamp, doubt=doubt or state.weight.news):
+            return estimate, prior
+        each, best = range(len(table.supports)), table.best
+        priors = [prior if i == best else table.smoother(known, i).without_touch for i in each]
+        estimates = [estimate if i == best else correct(priors[i]) for i in each]
+        drift = process_variance(self.process_noise, state.stamp - table.stamp)
+        touch = [log_evidence(self.model, *pair) for pair in zip(estimates, priors, strict=True)]
+        shares = normalised(table.log_densities(known.now, drift) + touch)
+        order = np.argsort(-shares, kind="stable")
+        parts = [(float(shares[i]), estimates[i]) for i in order]
+        alternatives = Alternatives.of(self.model, parts)
+        state.table = replace(table, probabilities=shares, compared_at=state.stamp, alternatives=alternatives)
+        return estimates[order[0]], priors[order[0]]
+
     def _recovered(
         self,
         state: _Next,
         estimate: PoseEstimate,
-        smoother: PoseBiasSmoother,
+        prior: PosePrior,
         correct: Callable[[PosePrior], PoseEstimate],
-    ) -> tuple[PoseEstimate, PoseBiasSmoother]:
-        """Returns an estimate that contacts fit, and the smoother that is its prior; both unchanged where none fits.
+    ) -> tuple[PoseEstimate, PosePrior]:
+        """Returns an estimate that contacts fit, and its prior; both unchanged where none fits.
 
-        The priors that are tried: a wider one, and, where nothing has fitted for long, vision's last pose alone.
+        The priors that are tried: a wider one, and, where nothing has fitted for long, vision's last pose alone. The
+        smoother and the table of the one that fits replace the state's.
         """
-        now = smoother.now
-        wider = smoother.restarted(now.inflated((FOLLOWER.inflation - 1) * now.covariance.diagonal()[:6]))
+        known, more = state.smoother, (FOLLOWER.inflation - 1) * prior.covariance.diagonal()
+        if known is None:
+            return estimate, prior
+        table = None if state.table is None else state.table.restarted(known, np.diag(more))
+        tries = [(known.restarted(known.now.inflated(more)), table)]
         # Until the object was lost, contacts may have been with something else, such as the edge of the table.
-        unfitted = state.stamp - state.fits_at > FOLLOWER.lost_without_fit
-        for other in (wider, state.vision.afresh() if unfitted else None):
-            if other is not None and (found := correct(other.without_touch)).consistent:
-                return found, other
-        return estimate, smoother
+        if state.stamp - state.fits_at > FOLLOWER.lost_without_fit and (afresh := state.vision.afresh()):
+            tries.append((afresh, None))
+        for smoother, table in tries:
+            wider = (smoother if table is None else table.smoother(smoother)).without_touch
+            if (found := correct(wider)).consistent:
+                state.smoother, state.table = smoother, table
+                return found, wider
+        return estimate, prior
 
     def _trust(self, state: _Next, estimate: PoseEstimate) -> tuple[State, str]:
         """Returns how far the estimate can be trusted, and why not further."""

@@ -22,6 +22,7 @@ from handsight.tracking.measurements import VisionUpdate
 from handsight.tracking.skin import NOTHING, SkinContacts
 from handsight.tracking.slip_update import SlipUpdate
 from handsight.tracking.smoother import PoseBiasSmoother
+from handsight.tracking.table import TableEvidence
 
 State = Literal["tracking", "uncertain", "lost"]
 NO_POSE = "no pose yet: neither a start nor vision"
@@ -78,6 +79,8 @@ class TrackState:
     """The last observation, its vision replaced by the pose from its image, if it had one."""
     smoother: PoseBiasSmoother | None
     """The pose and vision's bias, estimated from vision alone; None before there was a start or vision."""
+    table: TableEvidence | None = None
+    """What the table tells of the object since it was grasped on it; None where it was not."""
     correction: Correction | None = None
     """The last correction since the object was grasped; None before the first one."""
     grasp: GraspState

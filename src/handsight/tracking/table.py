@@ -1,0 +1,202 @@
+"""The table as evidence of the object's pose: it rests on one of its sides, or it leans and the fingers hold it.
+
+Until the palm lifts the object, one of several explanations is true, its `Support`: a resting pose on the table where
+the rig says it is; the same on a table that is elsewhere; or none. Under a support, the height and the tilt of the
+object are three numbers that are measured at the grasp, with the table's noise. They never enter the tracker's
+smoother, which has vision alone, but that of the support, so that they can be withdrawn. The probability of a support
+is its prior one, times the density of the three numbers under vision's pose, times that of all touch, weight included,
+under the prior that it makes.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.gaussian_pose import GaussianPose
+from handsight.objects import ObjectModel
+from handsight.objects.resting import RestingPose, resting_poses
+from handsight.rig import Table
+from handsight.tracking.hypotheses import Alternatives, normalised
+from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
+
+
+class TableOptions(NamedTuple):
+    """`TableOptions` are the prior probabilities of what bears the object, and when these are compared."""
+
+    leans: float = 0.1  # probability that the object rests on no side of its own, but leans and is held
+    misplaced: float = 0.15  # probability that the table is not where the rig says
+    misplaced_height: float = 10.0  # factor on the height's sigma if it is not
+    misplaced_tilt: float = 3.0  # factor on the tilt's
+    negligible: float = 1e-3  # probability of a resting pose that is not compared again
+    certain: float = 0.8  # probability of the likeliest support from which on the others are compared seldom
+    period: float = 3.0  # between two such comparisons [s]
+    doubt_period: float = (
+        0.5  # between two comparisons while none is certain, or touch contradicts the likeliest [s]
+    )
+
+
+TABLE = TableOptions()
+MISPLACED = (TABLE.misplaced_height, TABLE.misplaced_tilt)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Support:
+    """A `Support` is one explanation of what bears the object until it is lifted."""
+
+    pose: RestingPose | None
+    """The side on which it rests; None: it leans, or is held."""
+    factors: tuple[float, float]
+    """On the table's sigmas of height and tilt: above 1 where the table is not where the rig says."""
+    probability: float
+    """Before anything was measured."""
+
+
+def supports_of(poses: Sequence[RestingPose]) -> tuple[Support, ...]:
+    """Returns all supports of an object with these resting poses; their probabilities sum to 1."""
+    rests, wrong = 1 - TABLE.leans, TABLE.misplaced
+    some = [
+        Support(pose, factors, rests * share * pose.probability)
+        for factors, share in (((1.0, 1.0), 1 - wrong), (MISPLACED, wrong))
+        for pose in poses
+    ]
+    return (*some, Support(None, (1.0, 1.0), 1 - sum(one.probability for one in some)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TableEvidence:
+    """A `TableEvidence` is what the table tells of an object that was grasped on it."""
+
+    model: ObjectModel
+    table: Table
+    supports: tuple[Support, ...]
+    """Those that are compared; the last is that the object does not rest."""
+    priors: tuple[PoseAndBias, ...]
+    """By support, of the pose and vision's bias at the smoother's start."""
+    T_world_palm: Array
+    """(4, 4) when the object was last known to be on the table."""
+    stamp: float
+    """Of that instant [s]."""
+    moved: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    """(6, 6) covariance of the object's motion in the palm since then, beside the random walk [m², rad²]."""
+    probabilities: Array = field(default_factory=lambda: np.ones(1))
+    """(k,) of the supports; from vision alone before the first comparison."""
+    compared_at: float = -math.inf
+    """When they were last compared [s]."""
+    alternatives: Alternatives | None = None
+    """The explanations other than the likeliest, when they were last compared."""
+
+    @property
+    def best(self) -> int:
+        """The number of the likeliest support."""
+        return int(self.probabilities.argmax())
+
+    def due(self, stamp: float, *, doubt: bool) -> bool:
+        """Returns whether the supports are to be compared again; `doubt`: whether touch contradicts the likeliest."""
+        doubt = doubt or self.probabilities.max() < TABLE.certain
+        return stamp - self.compared_at >= (TABLE.doubt_period if doubt else TABLE.period) - 1e-9
+
+    @classmethod
+    def of(
+        cls,
+        model: ObjectModel,
+        table: Table,
+        supports: tuple[Support, ...],
+        state: PoseAndBias,
+        T_world_palm: Array,
+        stamp: float,
+    ) -> "TableEvidence":
+        """Returns the evidence of an object that was just grasped; `state` is the smoother's start, without a table.
+
+        Negligible resting poses are left out.
+        """
+        every = cls(model, table, supports, (state,) * len(supports), T_world_palm, stamp)
+        shares = normalised(every.log_densities(state, np.zeros(6)))
+        kept = [i for i, share in enumerate(shares) if share > TABLE.negligible or supports[i].pose is None]
+        measured = [every.measured(state, supports[i]) for i in kept]
+        return replace(
+            every,
+            supports=tuple(supports[i] for i in kept),
+            priors=tuple(state if m is None else state.updated(*m) for m in measured),
+            probabilities=shares[kept] / shares[kept].sum(),
+        )
+
+    def smoother(self, vision: PoseBiasSmoother, number: int | None = None) -> PoseBiasSmoother:
+        """Returns the smoother of vision, given a support by its number (default: the likeliest)."""
+        number = self.best if number is None else number
+        return vision if self.supports[number].pose is None else vision.with_prior(self.priors[number])
+
+    def restarted(self, vision: PoseBiasSmoother, moved: Array) -> "TableEvidence":
+        """Returns the evidence after the object has moved in the palm, by a random step of covariance `moved` (6, 6),
+        at which vision's smoother (as it was before) was restarted."""
+        smoothers = [self.smoother(vision, number) for number in range(len(self.supports))]
+        priors = tuple(each.now.spread(moved) for each in smoothers)
+        return replace(self, priors=priors, moved=self.moved + moved)
+
+    def informed(self, vision: PoseBiasSmoother, bias: GaussianPose) -> "TableEvidence":
+        """Returns the evidence after vision's bias itself was measured (see `PoseBiasSmoother.informed`)."""
+        return replace(self, priors=tuple(vision.with_prior(p).informed(bias).prior for p in self.priors))
+
+    def measured(
+        self, state: PoseAndBias, support: Support, drift: Array | float = 0.0
+    ) -> tuple[Array, Array, Array] | None:
+        """Returns the three numbers of a support as a linear measurement of a state: H (3, 12), the residual (3,), and
+        the noise's covariance (3, 3): the height of the centre of mass [m], and two tilts [rad]. None where the object
+        does not rest.
+
+        `drift` (6,): variance of the object's random walk since it was on the table [m², rad²].
+        """
+        if support.pose is None:
+            return None
+        T, R, table = state.T_palm_object, self.T_world_palm[:3, :3], self.table
+        up = R[2]
+        arm = T[:3, :3] @ support.pose.center_object
+        side, height, spread = support.pose.near(-up @ T[:3, :3])
+        down = T[:3, :3] @ side
+        # The rotation that brings the side down, about two horizontal axes; a table does not measure the yaw.
+        axes = np.linalg.svd(up[None])[2][1:]
+        turn = np.cross(down, -up)
+        sine = float(np.linalg.norm(turn))
+        turn = turn * (np.arctan2(sine, -down @ up) / sine if sine > 1e-9 else 1.0)
+        H = np.zeros((3, 12))
+        H[0, :3], H[0, 3:6], H[1:, 3:6] = up, np.cross(arm, up), axes
+        z = up @ (T[:3, 3] + arm) + self.T_world_palm[2, 3]
+        residual = np.concatenate([[table.height + height - z], axes @ turn])
+        # A direction that differs by d turns the object by d x up.
+        by_side = axes @ se3.skew(up) @ T[:3, :3]
+        noise = np.zeros((3, 3))
+        sigma_height, sigma_tilt = np.multiply(support.factors, (table.sigma_height, table.sigma_tilt))
+        noise[0, 0] = sigma_height**2
+        noise[1:, 1:] = sigma_tilt**2 * np.eye(2) + by_side @ spread @ by_side.T
+        return H, residual, noise + H[:, :6] @ (self.moved + drift * np.eye(6)) @ H[:, :6].T
+
+    def log_densities(self, state: PoseAndBias, drift: Array) -> Array:
+        """Returns (k,) the log probability of each support by vision alone, up to a constant.
+
+        `state` is vision's, without a table, and `drift` as for `measured`. An object that leans has its centre of mass
+        at any height up to its diameter, and points in any direction.
+        """
+        rows = []
+        for support in self.supports:
+            measured = self.measured(state, support, drift)
+            if measured is None:
+                log_density = -math.log(4 * np.pi * self.model.diameter)
+            else:
+                H, residual, noise = measured
+                S = H @ state.covariance @ H.T + noise
+                chi2 = float(residual @ np.linalg.solve(S, residual))
+                log_density = -0.5 * (chi2 + float(np.linalg.slogdet(2 * np.pi * S)[1]))
+            rows.append(math.log(support.probability) + log_density)
+        return np.array(rows)
+
+
+def on_table(state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm: Array) -> PoseAndBias | None:
+    """Returns the state given that the object stands on the table as vision suggests; None where it likely does not."""
+    supports = supports_of(resting_poses(model, model.center_of_mass))
+    evidence = TableEvidence.of(model, table, supports, state, T_world_palm, 0.0)
+    best = evidence.best
+    return None if evidence.supports[best].pose is None else evidence.priors[best]
