@@ -4,7 +4,7 @@
 # A step assigns the fields of its own copy of a state, `_Next`; a `TrackState` is frozen for everybody else.
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -22,7 +22,11 @@ from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
 from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside
-from handsight.tracking.hypotheses import Alternatives, log_evidence, normalised
+from handsight.tracking.hypotheses import (
+    HYPOTHESES,
+    ambiguity,
+    with_others,
+)
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate
@@ -42,6 +46,7 @@ class FollowerOptions(NamedTuple):
     recovery_period: float = 0.5
     """Time between two such searches, and between corrections while nothing fits: each costs as much as a hundred
     others [s]."""
+    search_period: float = 3.0  # between two searches for other modes, where vision brings none about [s]
     retry_period: float = 0.1  # time between corrections while nothing fits, if other fingers touch now [s]
     lost_without_fit: float = 2.0  # how long contacts may contradict every pose before the object is lost [s]
     min_contacts_to_learn: int = 3
@@ -294,16 +299,22 @@ class Follower:
         def correct(prior: PosePrior, outside: Outside | None = links) -> PoseEstimate:
             return correct_pose(self.model, contacts, vision=prior, outside=outside, samples=samples, **given)
 
+        def refine(prior: PosePrior, T_start: Array) -> PoseEstimate | None:
+            return refine_pose(self.model, contacts, prior, T_start, outside=links, **given)
+
         # The last answer is a good start while the same fingers touch, unless vision may lead to another minimum. With
         # a pressed array a search takes long, and vision adds little, so the start is then the last answer.
-        estimate = None
+        estimate, searched_at = None, now
+        others: Sequence[np.void] = ()
         if last is not None and touch.fingers == last.fingers and not (vision and pressed is None):
-            near = last.estimate
-            if near.consistent and not near.outliers and not samples:
-                start = near.T_palm_object_maximum
-                estimate = refine_pose(self.model, contacts, prior, start, outside=links, **given)
+            near, age = last.estimate, now - last.searched_at
+            ambiguous = len(last.modes) > 1 and last.modes[1]["weight"] > HYPOTHESES.relevant
+            search = age >= (FOLLOWER.recovery_period if ambiguous else FOLLOWER.search_period)
+            if near.consistent and not near.outliers and not samples and not search:
+                estimate = refine(prior, near.T_palm_object_maximum)
+                others, searched_at = last.modes[1:], last.searched_at
         if estimate is None:
-            estimate = correct(prior)
+            estimate, others, searched_at = correct(prior), (), now
 
         # Links of the hand may be smaller than their shapes, and the contacts may belong to another pose.
         fits = estimate.consistent and not estimate.outliers
@@ -311,8 +322,12 @@ class Follower:
             state.links_checked_at = now
             estimate, inside = self.hand.reconciled(estimate, links, lambda weaker: correct(prior, weaker))
             state.margins = state.margins.noted(inside, now)
-        if state.table is not None:
-            estimate, prior = self._compared(state, state.table, estimate, prior, correct)
+        table, known = state.table, state.smoother
+        if table is not None and known is not None and table.due(now, estimate, news=state.weight.news):
+            drift = process_variance(self.process_noise, now - table.stamp)
+            state.table, estimate, prior = table.compared(
+                known, (estimate, prior), correct, refine, drift, now
+            )
         if not estimate.consistent and now - state.recovered_at >= FOLLOWER.recovery_period:
             state.recovered_at = now
             estimate, prior = self._recovered(state, estimate, prior, correct)
@@ -328,42 +343,17 @@ class Follower:
         ]
         if wrong:
             state.memory = state.memory.only(state.memory.last.keys() - wrong)
+        if others:  # those that were found by the last search
+            estimate = with_others(self.model, estimate, others)
+        modes = estimate.modes
         if state.table is not None and state.table.alternatives is not None:
             estimate = state.table.alternatives.added(self.model, estimate)
         _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
         state.correction = Correction(
-            estimate, touched, touch.by_error, prior, touch.fingers, now, variance, skin
+            estimate, touched, touch.by_error, prior, touch.fingers, now, variance, skin, modes, searched_at
         )
         state.estimate, state.propagated_to = estimate, now
         state.corrections += 1
-
-    def _compared(
-        self,
-        state: _Next,
-        table: TableEvidence,
-        estimate: PoseEstimate,
-        prior: PosePrior,
-        correct: Callable[[PosePrior], PoseEstimate],
-    ) -> tuple[PoseEstimate, PosePrior]:
-        """Returns the estimate over all supports of the object on the table, and the prior of the likeliest one.
-
-        They are compared where several are relevant, where touch contradicts the likeliest, and now and then.
-        """
-        known = state.smoother
-        doubt = not estimate.consistent or bool(estimate.outliers) or estimate.weight_fits is False
-        if known is None or not table.due(state.stamp, doubt=doubt or state.weight.news):
-            return estimate, prior
-        each, best = range(len(table.supports)), table.best
-        priors = [prior if i == best else table.smoother(known, i).without_touch for i in each]
-        estimates = [estimate if i == best else correct(priors[i]) for i in each]
-        drift = process_variance(self.process_noise, state.stamp - table.stamp)
-        touch = [log_evidence(self.model, *pair) for pair in zip(estimates, priors, strict=True)]
-        shares = normalised(table.log_densities(known.now, drift) + touch)
-        order = np.argsort(-shares, kind="stable")
-        parts = [(float(shares[i]), estimates[i]) for i in order]
-        alternatives = Alternatives.of(self.model, parts)
-        state.table = replace(table, probabilities=shares, compared_at=state.stamp, alternatives=alternatives)
-        return estimates[order[0]], priors[order[0]]
 
     def _recovered(
         self,
@@ -404,6 +394,8 @@ class Follower:
             return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
         if not estimate.consistent:
             return "uncertain", "the contacts do not fit the object at its estimated pose"
+        if ambiguous := ambiguity(self.model, estimate):
+            return "uncertain", ambiguous
         if state.correction is None and not state.vision.camera_from_palm.confirmed:
             return "uncertain", "nothing is touched: the pose is vision's"
         if (sigma := self.sigma(state)) > self.settings.uncertain_position:

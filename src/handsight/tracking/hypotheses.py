@@ -8,6 +8,7 @@ mixture. Those that are elsewhere stay hypotheses of their own.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +21,16 @@ from handsight.correction.weight import CONTRADICTS
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import tangents
 
-OVERLAP = chi2_limit(6, 0.05)
-"""Two Gaussian poses overlap if their difference is within its 95 % region."""
+
+class HypothesesOptions(NamedTuple):
+    """`HypothesesOptions` say which explanations are one, and which are reported."""
+
+    overlap: float = chi2_limit(6, 0.05)
+    """Two Gaussian poses overlap if the χ² of their difference is below this, its 95 % quantile."""
+    relevant: float = 0.05  # probability of another hypothesis from which on the answer is uncertain
+
+
+HYPOTHESES = HypothesesOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,62 +43,74 @@ class Alternatives:
     """(6,) the mean (δp, δθ) of those that overlap, relative to the likeliest [m, rad]."""
     spread: Array
     """(6, 6) what the others add to the covariance, that of the likeliest having been multiplied by `share`."""
-    others: tuple[np.void, ...] = ()
-    """ANSWER of each mode that does not overlap, the likeliest first; with the likeliest its weights sum to 1."""
+    others: tuple[np.void, ...]
+    """ANSWER of each mode that does not overlap; with the likeliest explanation their weights sum to 1."""
 
     @classmethod
     def of(cls, model: ObjectModel, parts: Sequence[tuple[float, PoseEstimate]]) -> "Alternatives":
         """Returns the alternatives of several (probability, estimate), the likeliest first, of which one is true."""
-        rows = [(p * float(row["weight"]), row) for p, estimate in parts for row in estimate.modes]
-        rows = [rows[0], *sorted(rows[1:], key=lambda one: -one[0])]
-        total = sum(p for p, _ in rows)
-        T = rows[0][1]["T_palm_object"]
-        covariance = bounded_covariance(rows[0][1]["information"])
-        near, mean, spread, others = rows[0][0] / total, np.zeros(6), np.zeros((6, 6)), list[np.void]()
-        for p, row in rows[1:]:
+        first, T = parts[0][0], parts[0][1].T_palm_object
+        covariance = parts[0][1].bounded_covariance
+        near, mean, spread, others = first, np.zeros(6), np.zeros((6, 6)), list[np.void]()
+        for probability, row in ((p * float(row["weight"]), row) for p, e in parts[1:] for row in e.modes):
             step = se3.difference(model.nearest(row["T_palm_object"], T), T)
             own = bounded_covariance(row["information"])
-            if step @ np.linalg.solve(covariance + own, step) < OVERLAP:
-                near += p / total
-                mean += p / total * step
-                spread += p / total * (own + np.outer(step, step))
+            if step @ np.linalg.solve(covariance + own, step) < HYPOTHESES.overlap:
+                near += probability
+                mean += probability * step
+                spread += probability * (own + np.outer(step, step))
             else:
-                row = row.copy()
-                row["weight"] = p / total
-                others.append(row)
+                others.append(row.copy())
+                others[-1]["weight"] = probability
         mean, spread = mean / near, spread / near
-        share = rows[0][0] / total / near
-        return cls(share, mean, spread - np.outer(mean, mean), _distinct(model, others))
+        return cls(first / near, mean, spread - np.outer(mean, mean), tuple(others))
 
     def added(self, model: ObjectModel, estimate: PoseEstimate) -> PoseEstimate:
         """Returns the likeliest explanation's estimate with its alternatives."""
-        weight = 1 - sum(float(row["weight"]) for row in self.others)
-        if self.share < 1:
-            # A direction about which nothing is known, such as a spin about a symmetry axis, stays unknown.
-            values, vectors = np.linalg.eigh(in_metres(estimate.information, model.radius))
-            known = vectors[:, values > 1e-9 * values[-1]].T * np.repeat([1.0, model.radius], 3)
-            covariance = self.share * bounded_covariance(estimate.information) + self.spread
-            information = known.T @ np.linalg.inv(known @ covariance @ known.T) @ known
-            T = se3.moved(estimate.T_palm_object, self.mean)
-            complete = estimate.covariance is not None
-            estimate = estimate.with_gaussian(T, covariance if complete else None, information)
-        answer = estimate.answer.copy()
-        answer["weight"] = weight
-        return replace(estimate, answer=answer, modes=(answer, *self.others))
+        likeliest = 1 - sum(float(row["weight"]) for row in self.others)
+        own = [row.copy() for row in estimate.modes[1:]]
+        for row in own:
+            row["weight"] *= likeliest
+        # A direction about which nothing is known, such as a spin about a symmetry axis, stays unknown.
+        values, vectors = np.linalg.eigh(in_metres(estimate.information, model.radius))
+        known = vectors[:, values > 1e-9 * values[-1]].T * np.repeat([1.0, model.radius], 3)
+        covariance = self.share * estimate.bounded_covariance + self.spread
+        information = known.T @ np.linalg.inv(known @ covariance @ known.T) @ known
+        T, complete = se3.moved(estimate.T_palm_object, self.mean), estimate.covariance is not None
+        best = estimate.with_gaussian(T, covariance if complete else None, information)
+        best.answer["weight"] *= likeliest
+        return with_others(model, best, (*own, *self.others))
 
 
-def _distinct(model: ObjectModel, rows: Sequence[np.void]) -> tuple[np.void, ...]:
-    """Returns the rows without those that are near a likelier one, whose weight they join."""
-    found: list[np.void] = []
-    for row in rows:
-        for other in found:
-            shift, turn = pose_distances(model, row["T_palm_object"][None], other["T_palm_object"])
-            if shift[0] <= SAME_MODE[0] and turn[0] <= SAME_MODE[1]:
-                other["weight"] += row["weight"]
-                break
-        else:
-            found.append(row)
-    return tuple(sorted(found, key=lambda row: -row["weight"])[: MODES.max_modes - 1])
+def with_others(model: ObjectModel, estimate: PoseEstimate, others: Sequence[np.void]) -> PoseEstimate:
+    """Returns an estimate with its best mode and the distinct ones of others (ANSWER), likeliest first.
+
+    A mode joins its weight with that of a likelier one which it is near to; all are divided by their sum.
+    """
+    found = [estimate.answer.copy()]
+    for row in sorted(others, key=lambda row: -row["weight"]):
+        Ts = np.stack([one["T_palm_object"] for one in found])
+        shift, turn = pose_distances(model, Ts, row["T_palm_object"])
+        same = np.flatnonzero((shift <= SAME_MODE[0]) & (turn <= SAME_MODE[1]))
+        if len(same):
+            found[same[0]]["weight"] += row["weight"]
+        elif len(found) < MODES.max_modes:
+            found.append(row.copy())
+    total = sum(float(row["weight"]) for row in found)
+    for row in found:
+        row["weight"] /= total
+    return replace(estimate, answer=found[0], modes=tuple(found))
+
+
+def ambiguity(model: ObjectModel, estimate: PoseEstimate) -> str:
+    """Returns how far the relevant hypotheses are apart, for a person; empty where there is one."""
+    relevant = [row for row in estimate.modes[1:] if row["weight"] > HYPOTHESES.relevant]
+    if not relevant:
+        return ""
+    Ts = np.stack([row["T_palm_object"] for row in relevant])
+    shift, turn = pose_distances(model, Ts, estimate.modes[0]["T_palm_object"])
+    count = {1: "two", 2: "three", 3: "four"}.get(len(relevant), "several")
+    return f"{count} poses explain the touch: {1e3 * shift.max():.0f} mm, {np.rad2deg(turn.max()):.0f}° apart"
 
 
 def normalised(log_weights: Array) -> Array:

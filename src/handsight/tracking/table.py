@@ -9,7 +9,7 @@ under the prior that it makes.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -17,11 +17,12 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.correction import PoseEstimate, PosePrior
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.objects.resting import RestingPose, resting_poses
 from handsight.rig import Table
-from handsight.tracking.hypotheses import Alternatives, normalised
+from handsight.tracking.hypotheses import Alternatives, log_evidence, normalised
 from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
 
 
@@ -33,6 +34,8 @@ class TableOptions(NamedTuple):
     misplaced_height: float = 10.0  # factor on the height's sigma if it is not
     misplaced_tilt: float = 3.0  # factor on the tilt's
     negligible: float = 1e-3  # probability of a resting pose that is not compared again
+    least_evidence: float = -10.0
+    """Log density of touch under a support, relative to the best, that is not lowered further: a search may fail."""
     certain: float = 0.8  # probability of the likeliest support from which on the others are compared seldom
     period: float = 3.0  # between two such comparisons [s]
     doubt_period: float = (
@@ -85,6 +88,8 @@ class TableEvidence:
     """(6, 6) covariance of the object's motion in the palm since then, beside the random walk [m², rad²]."""
     probabilities: Array = field(default_factory=lambda: np.ones(1))
     """(k,) of the supports; from vision alone before the first comparison."""
+    touch: Array | None = None
+    """(k,) the log density of touch under each support, a mean over time; None before the first comparison."""
     compared_at: float = -math.inf
     """When they were last compared [s]."""
     alternatives: Alternatives | None = None
@@ -95,10 +100,49 @@ class TableEvidence:
         """The number of the likeliest support."""
         return int(self.probabilities.argmax())
 
-    def due(self, stamp: float, *, doubt: bool) -> bool:
-        """Returns whether the supports are to be compared again; `doubt`: whether touch contradicts the likeliest."""
-        doubt = doubt or self.probabilities.max() < TABLE.certain
-        return stamp - self.compared_at >= (TABLE.doubt_period if doubt else TABLE.period) - 1e-9
+    def due(self, stamp: float, estimate: PoseEstimate, *, news: bool) -> bool:
+        """Returns whether the supports are to be compared again: now and then, and more often while none is certain,
+        while touch contradicts the likeliest, at whose prior it led to `estimate`, or where there is `news` of it."""
+        fits = estimate.consistent and not estimate.outliers and estimate.weight_fits is not False
+        certain = fits and not news and self.probabilities.max() > TABLE.certain
+        period = TABLE.period if certain else TABLE.doubt_period
+        return len(self.supports) > 1 and stamp - self.compared_at >= period - 1e-9
+
+    def compared(
+        self,
+        vision: PoseBiasSmoother,
+        likeliest: tuple[PoseEstimate, PosePrior],
+        correct: Callable[[PosePrior], PoseEstimate],
+        refine: Callable[[PosePrior, Array], PoseEstimate | None],
+        drift: Array,
+        stamp: float,
+    ) -> tuple["TableEvidence", PoseEstimate, PosePrior]:
+        """Returns the evidence after all supports were compared by touch, and estimate and prior of the likeliest one.
+
+        `likeliest`: those of the one that was likeliest before; `correct` finds the estimate of another prior, `refine`
+        from a given start; `drift` is that of `measured`.
+        """
+        each, best = range(len(self.supports)), self.best
+        priors = [likeliest[1] if i == best else self.smoother(vision, i).without_touch for i in each]
+        estimates = [likeliest[0] if i == best else correct(priors[i]) for i in each]
+        fits = [estimate for estimate in estimates if estimate.consistent]
+        if fits:  # what fits one may fit another, where a search has missed it
+            start = fits[0].T_palm_object_maximum
+            again = (e if e.consistent else refine(p, start) for e, p in zip(estimates, priors, strict=True))
+            estimates = [new or old for new, old in zip(again, estimates, strict=True)]
+        touch = np.array([log_evidence(self.model, *pair) for pair in zip(estimates, priors, strict=True)])
+        # Where touch fits none, its noise is larger than expected, and it tells that much less.
+        rows, chi2 = zip(*((e.answer["rows"], e.answer["chi2"]) for e in estimates), strict=True)
+        touch = np.maximum(touch - touch.max(), TABLE.least_evidence) * min(1.0, max(rows) / min(chi2))
+        if (
+            self.touch is not None
+        ):  # contacts at two instants are no independent measurements: their mean counts
+            touch = (touch + self.touch) / 2
+        shares = normalised(self.log_densities(vision.now, drift) + touch)
+        order = np.argsort(-shares, kind="stable")
+        alternatives = Alternatives.of(self.model, [(float(shares[i]), estimates[i]) for i in order])
+        after = replace(self, probabilities=shares, touch=touch, compared_at=stamp, alternatives=alternatives)
+        return after, estimates[order[0]], priors[order[0]]
 
     @classmethod
     def of(

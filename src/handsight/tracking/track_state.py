@@ -1,6 +1,7 @@
 """All that a tracker knows at one instant, as a value: later observations do not change it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -48,6 +49,10 @@ class Correction:
     """Largest variance of the position of the object's middle [m²]."""
     skin: SkinContacts = NOTHING
     """What the tactile arrays measured."""
+    modes: Sequence[np.void] = ()
+    """ANSWER of each mode of this prior, the estimate's own first, when other modes were last searched for."""
+    searched_at: float = -math.inf
+    """When that was [s]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
