@@ -34,7 +34,7 @@ from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
 from handsight.tracking.smoother import PoseBiasSmoother, process_variance
-from handsight.tracking.table import TableEvidence, supports_of
+from handsight.tracking.table import TableEstimate, TableEvidence, supports_of
 from handsight.tracking.track_state import NO_POSE, Correction, State, TrackState, point_uncertainty
 
 
@@ -132,6 +132,13 @@ class Follower:
         if state.estimate is None:
             return math.inf
         return math.sqrt(point_uncertainty(state.estimate, self.model, self.model.center_object)[1])
+
+    def table(self, state: TrackState) -> TableEstimate | None:
+        """Returns where the table must be, given the object's pose; None before the object was grasped on it."""
+        if state.table is None or state.estimate is None:
+            return None
+        drift = process_variance(self.process_noise, state.stamp - state.table.stamp)
+        return state.table.estimated(state.estimate, drift)
 
     def joint_offsets(self, state: TrackState) -> JointOffsets:
         """Returns the joints' constant errors, learnt from all grips so far, this one included."""

@@ -70,6 +70,24 @@ def supports_of(poses: Sequence[RestingPose]) -> tuple[Support, ...]:
     return (*some, Support(None, (1.0, 1.0), 1 - sum(one.probability for one in some)))
 
 
+@dataclass(frozen=True, slots=True)
+class TableEstimate:
+    """A `TableEstimate` is where the table must be, as the object stood on it at the grasp, and whether it is used."""
+
+    height: float
+    """Of its top in the world, along +z [m]."""
+    sigma_height: float
+    """One standard deviation [m]; it grows with time, as the object may move in the hand."""
+    tilt: float
+    """Angle between the object's base and the table of the rig [rad]."""
+    sigma_tilt: float
+    """One standard deviation about each horizontal axis [rad]."""
+    probability: float
+    """That the object rests on one of its sides, on a table where the rig says it is."""
+    reason: str
+    """Why the table is doubted; empty where it is used."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TableEvidence:
     """A `TableEvidence` is what the table tells of an object that was grasped on it."""
@@ -217,6 +235,32 @@ class TableEvidence:
         noise[0, 0] = sigma_height**2
         noise[1:, 1:] = sigma_tilt**2 * np.eye(2) + by_side @ spread @ by_side.T
         return H, residual, noise + H[:, :6] @ (self.moved + drift * np.eye(6)) @ H[:, :6].T
+
+    def estimated(self, estimate: PoseEstimate, drift: Array) -> TableEstimate | None:
+        """Returns where the table must be, given the object's pose; None where no side of it may be on a table.
+
+        `drift` is that of `measured`.
+        """
+        rests = [i for i, support in enumerate(self.supports) if support.pose is not None]
+        if not rests:
+            return None
+        told = sum(float(self.probabilities[i]) for i in rests if self.supports[i].factors == (1.0, 1.0))
+        support = self.supports[max(rests, key=lambda i: self.probabilities[i])]
+        covariance = np.zeros((12, 12))
+        covariance[:6, :6] = estimate.bounded_covariance + self.moved + drift * np.eye(6)
+        now = PoseAndBias(np.stack([estimate.T_palm_object, np.eye(4)]), covariance)
+        measured = self.measured(now, support)
+        assert measured is not None
+        H, off, _ = measured
+        sigma = np.sqrt(np.einsum("ij,jk,ik->i", H, covariance, H))
+        reason, best = "", self.supports[self.best]
+        if best.pose is None:
+            reason = "the object rests on none of its sides: it leans, or the hand holds it"
+        elif best.factors != (1.0, 1.0):
+            side = "below" if off[0] > 0 else "above"
+            reason = f"touch and vision have it {abs(1e3 * off[0]):.0f} mm {side} where the rig says"
+        height, tilt = self.table.height - float(off[0]), float(np.linalg.norm(off[1:]))
+        return TableEstimate(height, float(sigma[0]), tilt, float(sigma[1:].max()), told, reason)
 
     def log_densities(self, state: PoseAndBias, drift: Array) -> Array:
         """Returns (k,) the log probability of each support by vision alone, up to a constant.
