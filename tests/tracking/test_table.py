@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 import handsight as hs
 from handsight import se3
@@ -52,6 +53,21 @@ def test_an_object_that_leans_is_not_put_upright():
         T = se3.compose(se3.rotation_exp(np.array([np.deg2rad(tilt), 0, 0])), np.array([0.0, 0.0, 0.075]))
         state = known(T, np.diag([0.02**2] * 3 + [np.deg2rad(2.0) ** 2] * 3 + [1.0] * 6))
         assert (on_table(state, BOX, Table(height=0.0), np.eye(4)) is not None) == rests
+
+
+def test_an_object_rests_on_its_sides_however_its_frame_is_turned():
+    """A box whose file has it turned by 27°, as a banana's is: no axis of the frame is upright at rest."""
+    R = se3.rotation_exp(np.deg2rad([27.0, 0, 0]))
+    corners = np.array([[x, y, z] for x in (-0.03, 0.03) for y in (-0.045, 0.045) for z in (-0.07, 0.07)])
+    mesh = trimesh.convex.convex_hull(corners @ R.T)
+    model = hs.ObjectModel.from_mesh(mesh.vertices, mesh.faces)
+    T_true = se3.compose(R.T, np.array([0.1, 0.0, 0.07]))
+    prior = known(
+        se3.moved(T_true, np.array([0.02, 0, 0.03, 0.05, -0.06, 0])),
+        np.diag([0.05**2] * 3 + [0.1**2] * 3 + [1.0] * 6),
+    )
+    after = on_table(prior, model, Table(height=0.0), np.eye(4))
+    assert np.abs(se3.difference(after.T_palm_object, T_true)[2:5]).max() < 2e-3
 
 
 def test_probabilities_of_supports_are_shares_and_follow_what_vision_says():
