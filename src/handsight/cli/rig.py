@@ -9,7 +9,7 @@ import typer
 
 from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run
 from handsight.cli.terminal import kept_going, plain_table, print_out, say
-from handsight.cli.track_summary import refusals
+from handsight.cli.track_summary import print_diagnosis, refusals
 from handsight.errors import HandsightError, InvalidInput, printable
 
 if TYPE_CHECKING:
@@ -34,8 +34,10 @@ def check(
 ) -> None:
     """Print a rig as tables, and what a recording lacks for it.
 
-    For a recording it also lists the fingers that never touched anything, and by how much the shapes of the hand's
-    links are too large: those that would be inside the object although the contacts of the fingertips fit.
+    For a recording it also lists the fingers that never touched anything, by how much the shapes of the hand's links
+    are too large (those that would be inside the object although the contacts of the fingertips fit), and what the
+    recording tells of the values that the rig declares: its own estimate of each, and a verdict. Recordings in which
+    the hand grasps an object again and again, in different ways, and turns and tilts it, tell most.
 
     ```
     handsight rig check robot.yaml
@@ -63,25 +65,25 @@ def check(
     try:
         run = Run.of(recording, rig, object)
     except InvalidInput as error:
-        typer.echo(printable(f"The shapes of the links were not checked: {error}"))
+        typer.echo(printable(f"The links' shapes and the declared values were not checked: {error}"))
         return
-    _print_links(run)
+    _print_tracked(run)
 
 
-def _print_links(run: Run) -> None:
-    """Tracks a recording, and prints by how much the shape of each link is too large [mm]; `-`: it is not."""
-    from handsight.recording import open_recording
-    from handsight.tracking import Tracker
+def _print_tracked(run: Run) -> None:
+    """Tracks a recording, and prints by how much the shape of each link is too large [mm], and the diagnosis."""
+    from handsight.tracking.diagnosis import Diagnoser
     from handsight.tracking.replay import Tally, replay
 
-    tracker = Tracker(run.rig, run.model)
+    with run.opened() as (recording, tracker):
+        diagnoser = Diagnoser(tracker)
+        for _ in replay(recording.observations(), tracker, Tally()):
+            diagnoser.watch()
+    print_diagnosis(diagnoser.diagnosis())
     if not tracker.links:
         lacks = "the hand's file has no shapes" if run.model.closed else "the object has no inside"
         typer.echo(printable(f"No link keeps the object out: {lacks}."))
         return
-    with open_recording(run.recording, run.rig) as opened:
-        for _ in replay(opened.observations(), tracker, Tally()):
-            pass
     margins = tracker.link_margins
     rows = [(link, f"{1e3 * margins[link]:.1f}" if link in margins else "-") for link in tracker.links]
     print_out("", plain_table(("link", "shape too large by [mm]"), rows, texts=1))

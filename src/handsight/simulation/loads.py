@@ -2,13 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 
 from handsight.checks import Array
-from handsight.simulation.scenario import SCENARIO, Profile, Scenario
-from handsight.simulation.scene import PALM, SimulatedScene, scene
+from handsight.simulation.scenario import SCENARIO, Nuisances, Profile, Scenario
+from handsight.simulation.scene import FINGERS, PALM, SimulatedScene, scene
 
 if TYPE_CHECKING:
     from mujoco import MjData
@@ -55,8 +55,13 @@ class Payload:
     def of(cls, scenario: Scenario) -> "Payload":
         """Returns the payload drawn by the scenario's seed; raises as `scene` does."""
         n, rng = scenario.nuisances, np.random.default_rng((int(scenario.seed), 10))
-        friction = float(n.friction)
-        usual, off, force = scene(scenario.object, friction=friction), rng.normal(size=3), rng.normal(size=3)
+        off, force = rng.normal(size=3), rng.normal(size=3)
+        of_contacts: dict[str, Any] = {"friction": float(n.friction), "softness": float(n.contact_softness)}
+        of_contacts |= {
+            "pyramidal": bool(n.pyramidal_friction),
+            "tip_errors": tip_errors(n, int(scenario.seed)),
+        }
+        usual = scene(scenario.object, **of_contacts)
         low, high = usual.bounds_object
         point = (low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low)
         force *= n.unsensed_force / np.linalg.norm(force)
@@ -66,7 +71,7 @@ class Payload:
         if mass != SCENARIO.object_mass or n.object_off_center:
             most = (high - low) / 3
             shift = np.clip(n.object_off_center * off / np.linalg.norm(off), -most, most)
-            usual = scene(scenario.object, mass, tuple(shift.tolist()), friction=friction)
+            usual = scene(scenario.object, mass, tuple(shift.tolist()), **of_contacts)
         return cls(usual, force, point, n.support_force, base)
 
     def press(self, data: "MjData") -> None:
@@ -79,6 +84,12 @@ class Payload:
         levers = (R @ point + body.xpos - body.xipos for point in (self.point_object, self.base_object))
         torque = sum(np.cross(lever, force) for lever, force in zip(levers, forces, strict=True))
         body.xfrc_applied[:3], body.xfrc_applied[3:] = sum(forces), torque
+
+
+def tip_errors(nuisances: Nuisances, seed: int) -> tuple[tuple[float, float], ...]:
+    """Returns by how much each finger's true radius and length differ from the rig's [m]."""
+    draws = np.clip(np.random.default_rng((seed, 14)).normal(size=(len(FINGERS), 2)), -2, 2)
+    return tuple((float(wider), float(longer)) for wider, longer in nuisances.tip_size * draws)
 
 
 def center_of_mass(scene: SimulatedScene) -> Array:
