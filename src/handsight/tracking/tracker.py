@@ -21,6 +21,7 @@ from handsight.tracking.measurements import VisionUpdate
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinContacts
 from handsight.tracking.smoother import PoseBiasSmoother
+from handsight.tracking.table import TableEstimate
 from handsight.tracking.track_state import State, TrackState
 from handsight.tracking.warm import warm_tracker
 
@@ -216,6 +217,11 @@ class Tracker:
     def sigma(self) -> float:
         """The largest standard deviation of the position of the object's middle [m]; infinite without a pose."""
         return self.follower.sigma(self.track_state)
+
+    @property
+    def table(self) -> TableEstimate | None:
+        """Where the table must be, as the object was grasped on it, and why it is doubted, if it is; None without."""
+        return self.follower.table(self.track_state)
 
     @property
     def slip(self) -> Slip:
