@@ -249,4 +249,8 @@ MEASUREMENT = record(
     ("T_mount_object", "f8", (4, 4)),
     ("covariance", "f8", (6, 6)),
     ("process_noise", "f8", (6,)),
+    ("twist", "f8", (6,)),
+    ("latency", "f8"),
+    ("time", "f8"),
+    ("drift_gain", "f8"),
 )

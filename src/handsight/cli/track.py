@@ -123,6 +123,7 @@ def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> TrackR
         tracker.corrections,
         tracker.link_margins,
     )
+    result.latency, result.latency_declared = tracker.vision_latency(), tracker.vision.camera.latency
     result.reason = tracker.reason
     if not result.steps and not tally.observations:
         result.reason = "the recording has no observation"

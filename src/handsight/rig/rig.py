@@ -91,6 +91,17 @@ class MountedCamera:
     """Constant error of a detected pose's position, by a wrong extrinsic calibration [m]."""
     sigma_rotation_constant: float = np.deg2rad(6.0)
     """Constant error of its rotation [rad]."""
+    sigma_position_correlated: float = 0.005
+    """Error of a detected pose's position that images of nearly the same time share, by the object's visible side,
+    smoothing, the texture [m]. Of four published estimators it is .5 to .9 of what varies (YCB-Video)."""
+    sigma_rotation_correlated: float = np.deg2rad(3.0)
+    """The same error of its rotation [rad]."""
+    correlation_time: float = 5.0
+    """How long such an error lasts: the time in which its correlation falls by a factor of e [s]."""
+    latency: float = 0.0
+    """How much older a pose, or an image, is than its stamp says [s]."""
+    sigma_latency: float = 0.1
+    """How far the latency may be another [s]; it is estimated while the hand moves the object."""
 
     __repr__ = short_repr
 
@@ -103,6 +114,9 @@ class MountedCamera:
             came = f"{checks.brief(self.depth_camera)!r}{checks.suggestion(str(self.depth_camera), kinds)}"
             raise InvalidInput(f"depth_camera: expected one of {', '.join(kinds)}, got {came}")
         _check_sigmas(self, *(name for name in MountedCamera.__slots__ if name.startswith("sigma")))
+        checks.positive(self.correlation_time, "correlation_time")
+        if not 0 <= float(checks.finite(self.latency, "latency", ())) <= 1:
+            raise InvalidInput(f"latency: expected a number from 0 to 1, got {self.latency:g}")
 
     def with_images_of(self, camera: Camera) -> "MountedCamera":
         """Returns the same camera with these intrinsics, as a CameraInfo has them."""

@@ -17,7 +17,7 @@ from handsight.correction import Outside, PoseEstimate, PosePrior, correct_pose,
 from handsight.forces import WeightSensor
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
-from handsight.rig import Rig
+from handsight.rig import MountedCamera, Rig
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
 from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside
@@ -27,7 +27,7 @@ from handsight.tracking.measurements import VisionUpdate, on_table
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
-from handsight.tracking.smoother import PoseBiasSmoother, process_variance
+from handsight.tracking.smoother import STILL, PoseBiasSmoother, process_variance
 from handsight.tracking.track_state import NO_POSE, Correction, State, TrackState, point_uncertainty
 
 
@@ -78,6 +78,7 @@ class Follower:
     def __init__(self, rig: Rig, model: ObjectModel, settings: TrackerSettings) -> None:
         """The arguments are those of `Tracker`."""
         self.rig, self.model, self.settings, s = rig, model, settings, settings
+        self.camera = rig.camera or MountedCamera()
         self.sensors = FingertipSensors(rig)
         self.skin_sensors = SkinSensors(rig)
         self.hand = HandOutside(rig, model, s.outside)
@@ -195,7 +196,7 @@ class Follower:
                 state.smoother = state.smoother.transformed(se3.inverse(T_world_palm) @ state.T_world_palm)
             if stamp > state.stamp > -math.inf:
                 state.smoother = state.smoother.inflated(
-                    process_variance(self.process_noise, stamp - state.stamp)
+                    process_variance(self.process_noise, stamp - state.stamp), stamp - state.stamp
                 )
         if T_world_palm is not None:
             state.T_world_palm = T_world_palm
@@ -233,10 +234,21 @@ class Follower:
         state.processed = result.observation
         if result.hand is not None:
             state.vision, state.smoother = state.vision.palm_detected(result.hand, state.smoother)
+        vision = result.observation.vision
+        if vision is None:
+            return
         # Since the image was taken, an object in the hand has moved with the palm, another one stayed in the world.
-        T = result.then.T_world_palm if result.then is not None and grasped else None
-        T_world_palm = state.T_world_palm if T is None else T
-        state.vision, state.smoother = state.vision.updated(result.observation, state.smoother, T_world_palm)
+        latency = self.camera.latency if state.smoother is None else state.smoother.latency
+        stamp = observation.stamp if vision.stamp is None else vision.stamp
+        past = state.images.history.palm_at(stamp, latency) if grasped else None
+        T_world_palm, motion = past or (state.T_world_palm, STILL)
+        if (
+            vision is not observation.vision
+        ):  # an image's covariance includes what it shares with those before
+            motion = motion._replace(drift_gain=0.0)
+        state.vision, state.smoother = state.vision.updated(
+            result.observation, state.smoother, T_world_palm, motion
+        )
 
     def _due(self, state: _Next, touched: Contacts, *, vision: bool) -> bool:
         """Returns whether a correction is due: after news of vision, touch, weight or a slip, or by the set rate."""
