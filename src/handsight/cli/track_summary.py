@@ -140,8 +140,8 @@ class TrackResult:
             # Beyond 20 ms, and by more than the estimate's own error, with a level of one in twenty.
             if abs(latency - self.latency_declared) > 0.02 + 2 * sigma:
                 lines.append(
-                    f"vision's poses are {1e3 * latency:.0f} ± {1e3 * sigma:.0f} ms older than their stamps (the rig says "
-                    f"{1e3 * self.latency_declared:.0f}), which was taken into account; write it to camera.latency"
+                    f"vision's poses are {1e3 * latency:.0f} ± {1e3 * sigma:.0f} ms older than their stamps (the rig "
+                    f"says {1e3 * self.latency_declared:.0f}), which is taken into account; see camera.latency"
                 )
         if self.margins:
             by = ", ".join(f"{link} by {1e3 * margin:.1f} mm" for link, margin in self.margins.items())
