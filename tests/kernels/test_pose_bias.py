@@ -35,7 +35,7 @@ def some(rng, count, spread=0.02):
         L = SIGMAS[:, None] * (np.eye(6) + 0.3 * rng.normal(size=(6, 6)))
         one["T_mount_object"], one["covariance"] = se3.moved(at, spread * rng.normal(size=6)), L @ L.T
     measurements["process_noise"] = np.cumsum(rng.uniform(1e-6, 1e-4, size=(count, 6)), axis=0)
-    measurements["time"] = np.cumsum(rng.uniform(0.1, 1, size=count))
+    measurements["time"] = measurements["began"] = np.cumsum(rng.uniform(0.1, 1, size=count))
     return Ts, rest, root @ root.T + 1e-6 * np.eye(19), pivot, measurements
 
 
@@ -105,6 +105,7 @@ def test_neighbours_from_nearly_one_palm_become_one_that_says_what_both_did(seed
     np.testing.assert_allclose(rows[2]["T_mount_object"], se3.moved(at[0], mean), atol=1e-9)
     np.testing.assert_allclose(rows[2]["T_mount_palm"], oracle.palm(old, rest[6]), atol=1e-12)
     np.testing.assert_array_equal(rows[2]["process_noise"], new["process_noise"])
+    assert (rows[2]["began"], rows[2]["time"]) == (old["time"], new["time"])
     share = 1 - np.trace(after) / np.trace(before)
     np.testing.assert_allclose(rows[2]["drift_gain"], (1 - share) * left + share * 0.8)
     np.testing.assert_allclose(rows[2]["twist"], (1 - share) * old["twist"] + share * new["twist"])

@@ -252,5 +252,6 @@ MEASUREMENT = record(
     ("twist", "f8", (6,)),
     ("latency", "f8"),
     ("time", "f8"),
+    ("began", "f8"),
     ("drift_gain", "f8"),
 )

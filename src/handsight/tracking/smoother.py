@@ -33,9 +33,9 @@ from handsight.gaussian_pose import GaussianPose, kalman_update
 MAX_PROPAGATION = 100.0
 """Variance at which process noise stops growing [m², rad²]: the object may be anywhere."""
 MOST_MEASUREMENTS = 48
-SAME_PALM = np.array([0.01, np.deg2rad(2.0), 0.8])
-"""Neighbours in time from poses of the palm nearer to each other than this are merged [m, rad], while they share so
-much of their drift. Where more than `MOST_MEASUREMENTS` remain, the two nearest neighbours are merged as well."""
+SAME_PALM = np.array([0.01, np.deg2rad(2.0), 0.5])
+"""Neighbours in time from poses of the palm nearer to each other than this are merged [m, rad], within so many
+correlation times of the drift. Where more than `MOST_MEASUREMENTS` remain, the two nearest ones are merged as well."""
 NO_DRIFT = np.array([0.0, 0.0, 1.0])
 EYE = np.eye(19)
 
@@ -72,6 +72,13 @@ class PoseAndBias:
     """(7,) vision's drift, a shift of the object's origin [m] and a turn [rad] along the mount's axes, and its latency
     [s]."""
 
+    def __post_init__(self) -> None:
+        """Completes a covariance (12, 12) of pose and bias by a drift and a latency that are known to be `rest`."""
+        if len(self.covariance) < len(EYE):
+            covariance = np.zeros_like(EYE)
+            covariance[:12, :12] = self.covariance
+            object.__setattr__(self, "covariance", covariance)
+
     @property
     def T_palm_object(self) -> Array:
         """(4, 4) the object's pose."""
@@ -88,16 +95,14 @@ class PoseAndBias:
         return np.concatenate([self.Ts[1, :3, 3], se3.rotation_log(self.Ts[1, :3, :3])])
 
     def moved(self, step: Array) -> "PoseAndBias":
-        """Returns the state moved by a step (12,) or (19,), with the same covariance."""
-        rest = self.rest + step[12:] if len(step) > 12 else self.rest
-        return PoseAndBias(se3.moved(self.Ts, step[:12].reshape(2, 6)), self.covariance, rest)
+        """Returns the state moved by a step (19,), with the same covariance."""
+        Ts = se3.moved(self.Ts, step[:12].reshape(2, 6))
+        return PoseAndBias(Ts, self.covariance, self.rest + step[12:])
 
     def updated(self, H: Array, residual: Array, noise: Array) -> "PoseAndBias":
         """Returns the state after a linear measurement of pose and bias; the arguments are those of `kalman_update`
         with n = 12."""
-        padded = np.zeros((len(H), len(self.covariance)))
-        padded[:, : H.shape[1]] = H
-        step, covariance = kalman_update(self.covariance, padded, residual, noise)
+        step, covariance = kalman_update(self.covariance, H @ EYE[: H.shape[1]], residual, noise)
         return replace(self.moved(step), covariance=covariance)
 
     def given_pose(self, T_palm_object: Array, information: Array) -> "PoseAndBias":
@@ -123,7 +128,7 @@ class PoseAndBias:
 
     def later(self, seconds: float, drift: Array) -> "PoseAndBias":
         """Returns the state with its drift so much later; `drift` (3,) is that of a `PoseBiasSmoother`."""
-        if seconds == 0 or len(self.covariance) < len(EYE):
+        if seconds == 0:
             return self
         covariance, rest = self.covariance.copy(), self.rest.copy()
         pose_bias.propagate(covariance, rest, drift, seconds)
@@ -137,7 +142,7 @@ class PoseAndBias:
 
     def transformed(self, T_new_old: Array) -> "PoseAndBias":
         """Returns the state after the palm moved by T_new_old (4, 4) while the object stayed in the world."""
-        R = np.eye(len(self.covariance))
+        R = EYE.copy()
         R[:3, :3] = R[3:6, 3:6] = T_new_old[:3, :3]
         Ts = np.stack([T_new_old @ self.T_palm_object, self.T_measured_true])
         return PoseAndBias(Ts, R @ self.covariance @ R.T, self.rest)
@@ -279,7 +284,17 @@ class PoseBiasSmoother:
     def _measurement(self, pose: GaussianPose, T_mount_palm: Array, motion: Motion) -> tuple[object, ...]:
         """Returns the fields of a MEASUREMENT."""
         twist, latency, gain = motion
-        return T_mount_palm, pose.T_a_b, pose.covariance, self.process_noise, twist, latency, self.time, gain
+        return (
+            T_mount_palm,
+            pose.T_a_b,
+            pose.covariance,
+            self.process_noise,
+            twist,
+            latency,
+            self.time,
+            self.time,
+            gain,
+        )
 
     def _solved(self, measurements: NDArray[np.void]) -> "PoseBiasSmoother":
         """Returns the smoother at the maximum a posteriori of its prior and these measurements."""

@@ -285,7 +285,7 @@ def _average(old: Any, new: Any, Ts: Any, latency: float, pivot: Vec3, drift: An
     for i in range(6):
         new.twist[i] = (1 - share) * old.twist[i] + share * new.twist[i]
     new.drift_gain = (1 - share) * gain + share * new.drift_gain
-    new.latency = latency
+    new.latency, new.began = latency, old.began
     store_transform(palm, new.T_mount_palm)
     store_transform(expected, new.T_mount_object)
     _move(new.T_mount_object, innovation)
@@ -295,11 +295,11 @@ def _average(old: Any, new: Any, Ts: Any, latency: float, pivot: Vec3, drift: An
 @entry
 def merge(measurements: Any, most: int, same: Any, Ts: Any, latency: float, pivot: Any, drift: Any) -> int:
     """Returns how many of the measurements (k + 1) MEASUREMENT, in the order of time, are left after the last, which is
-    new, was merged with the one before it if their palms are nearer than `same` [m], [rad], and their drifts nearly the
-    same (`same[2]` of it is left); or, if there are more than `most`, after the two that follow each other from the
-    nearest palms were.
+    new, was merged with the one before it, if their palms are nearer than `same` [m], [rad], and that one began at most
+    `same[2]` correlation times ago; or, if there are more than `most`, after those two neighbours were merged whose
+    palms are nearest.
 
-    Only neighbours in time are merged: what was measured in between shares the drift of both.
+    Only neighbours in time are merged, because what was measured in between shares the drift of both.
     """
     last, best, least = len(measurements) - 1, 0, np.inf
     length_per_turn = 0.1  # that a radian counts as [m]
@@ -314,15 +314,8 @@ def merge(measurements: Any, most: int, same: Any, Ts: Any, latency: float, pivo
         rest = sub33(R, Q)
         square = dot(rest[0], rest[0]) + dot(rest[1], rest[1]) + dot(rest[2], rest[2])
         shift, turn = norm(sub(p, q)), 2 * np.arcsin(min(np.sqrt(square / 8), 1.0))
-        kept = measurements[k - 1].drift_gain * np.exp(
-            (measurements[k - 1].time - measurements[k].time) / drift[2]
-        )
-        near = (
-            k == last
-            and shift <= same[0]
-            and turn <= same[1]
-            and kept >= same[2] * measurements[k].drift_gain
-        )
+        age = (measurements[k].time - measurements[k - 1].began) / drift[2]
+        near = k == last and shift <= same[0] and turn <= same[1] and age <= same[2]
         if near or (last >= most and shift + length_per_turn * turn < least):
             best, least = k, shift + length_per_turn * turn
     if best == 0 or not _average(
