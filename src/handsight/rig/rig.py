@@ -91,11 +91,12 @@ class MountedCamera:
     """Constant error of a detected pose's position, by a wrong extrinsic calibration [m]."""
     sigma_rotation_constant: float = np.deg2rad(6.0)
     """Constant error of its rotation [rad]."""
-    sigma_position_correlated: float = 0.005
+    sigma_position_correlated: float | None = None
     """Error of a detected pose's position that images of nearly the same time share, by the object's visible side,
-    smoothing, the texture [m]. Of four published estimators it is .5 to .9 of what varies (YCB-Video)."""
-    sigma_rotation_correlated: float = np.deg2rad(3.0)
-    """The same error of its rotation [rad]."""
+    smoothing, or the texture [m]; None: twice `sigma_position`. Of published estimators it is once to three times the
+    part that is independent in each image."""
+    sigma_rotation_correlated: float | None = None
+    """The same error of its rotation [rad]; None: `sigma_rotation`."""
     correlation_time: float = 5.0
     """How long such an error lasts: the time in which its correlation falls by a factor of e [s]."""
     latency: float = 0.0
@@ -113,10 +114,19 @@ class MountedCamera:
         if self.depth_camera not in kinds:
             came = f"{checks.brief(self.depth_camera)!r}{checks.suggestion(str(self.depth_camera), kinds)}"
             raise InvalidInput(f"depth_camera: expected one of {', '.join(kinds)}, got {came}")
-        _check_sigmas(self, *(name for name in MountedCamera.__slots__ if name.startswith("sigma")))
+        sigmas = (name for name in MountedCamera.__slots__ if name.startswith("sigma"))
+        _check_sigmas(self, *(name for name in sigmas if getattr(self, name) is not None))
         checks.positive(self.correlation_time, "correlation_time")
         if not 0 <= float(checks.finite(self.latency, "latency", ())) <= 1:
             raise InvalidInput(f"latency: expected a number from 0 to 1, got {self.latency:g}")
+
+    @property
+    def drift(self) -> Array:
+        """(3,) variance of the correlated error, of a position [m²] and a rotation [rad²], and how long it lasts [s]."""
+        position, rotation = self.sigma_position_correlated, self.sigma_rotation_correlated
+        position = 2 * self.sigma_position if position is None else position
+        rotation = self.sigma_rotation if rotation is None else rotation
+        return np.array([position**2, rotation**2, self.correlation_time])
 
     def with_images_of(self, camera: Camera) -> "MountedCamera":
         """Returns the same camera with these intrinsics, as a CameraInfo has them."""

@@ -138,10 +138,8 @@ class VisionUpdate:
         # Even a camera without a constant error gets a tiny one: a covariance must be invertible.
         position, rotation = max(c.sigma_position_constant, 1e-6), max(c.sigma_rotation_constant, 1e-6)
         bias = np.diag([position**2] * 3 + [rotation**2] * 3)
-        drift = np.array([c.sigma_position_correlated**2, c.sigma_rotation_correlated**2, c.correlation_time])
-        latency = c.latency, c.sigma_latency
         smoother = PoseBiasSmoother.from_prior(
-            T_palm_object, invertible(covariance), bias, pivot, drift, latency
+            T_palm_object, invertible(covariance), bias, pivot, c.drift, (c.latency, c.sigma_latency)
         )
         for view in self.camera_from_palm.confirmed:
             smoother = smoother.informed(view.bias(pivot))
