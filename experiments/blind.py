@@ -24,7 +24,7 @@ import handsight as hs
 from handsight.correction import pose_distances
 from handsight.objects import propose_symmetries
 from handsight.search import Belief, Sweep, best_sweep
-from handsight.search.sweep_choice import level_sweep, shortened
+from handsight.search.sweep_choice import shortened
 from handsight.simulation import (
     MOTION,
     PROBE,
@@ -59,9 +59,7 @@ def through(belief: Belief, point: Array, heights: Any, rng: np.random.Generator
     """Returns a level sweep through a point (2,), in any direction, as short as possible."""
     angle = rng.uniform(0, 2 * np.pi)
     way = np.array([np.cos(angle), np.sin(angle)])
-    height = belief.area.table.height + rng.choice(heights)
-    center = (belief.area.low + belief.area.high) / 2
-    return shortened(belief, level_sweep(center, REACH, point, way, height), PROBE.radius)
+    return shortened(belief, belief.area.sweep(point, way, rng.choice(heights), REACH), PROBE.radius)
 
 
 def at_random(belief: Belief, heights: Any, rng: np.random.Generator) -> Sweep:

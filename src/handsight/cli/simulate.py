@@ -1,7 +1,8 @@
 """`handsight simulate`: a simulated scenario as a recording, with its rig beside it."""
 
+import contextlib
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,9 +13,11 @@ from handsight.cli.terminal import announce_compiling, bar, say
 from handsight.errors import InvalidFile, InvalidInput
 
 if TYPE_CHECKING:
+    from handsight.checks import Array
     from handsight.objects import ObjectSpec
     from handsight.recording.write import McapFile
     from handsight.rig import Rig
+    from handsight.search import Belief
     from handsight.simulation import Grasp, Nuisances, Sample, Scenario
 
 BEGINS = 1000.0
@@ -62,6 +65,10 @@ def simulate(
             help="No camera: a finger searches for the object on the table, and the hand then grasps it.",
         ),
     ] = False,
+    plot: Annotated[
+        Path | None,
+        typer.Option(help="File for a picture of the search of --blind: the belief after each touch."),
+    ] = None,
     grasp: Annotated[
         Path | None,
         typer.Option(
@@ -74,12 +81,13 @@ def simulate(
     The rig is written beside the recording as OUTPUT.rig.yaml, and the grasp of a mesh as OUTPUT.grasp.json: grasps are
     tried in the simulator until one holds. Everything is synthetic (MuJoCo). Errors of the measurements are set by
     nuisances, such as joint_offset [rad] and force_noise [N]; the pull is set by friction, pull_force [N] and
-    pull_torque [N m]. With `--blind`, the recording has the pose that the search found, in the world, and
-    `handsight track` starts from it.
+    pull_torque [N m]. With `--blind`, each touch and what is known after it is reported, the recording has the pose that
+    the search found, in the world, and `handsight track` starts from it; the exit code is 1 where it was not found.
 
     ```
     handsight simulate can --output can.mcap
     handsight simulate box --images --nuisance joint_offset=0 --nuisance force_noise=0.02
+    handsight simulate can --blind --plot search.png
     handsight simulate can --motion ramp --nuisance friction=0.6 --nuisance pull_force=6 --nuisance pull_torque=0.05
     ```
     """
@@ -94,9 +102,14 @@ def simulate(
         raise InvalidInput("--images: expected none with --blind, which has no camera, got some")
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
     _check_suffix(path)
-    samples, dropped = record(
-        scenario, path, read_grasp(grasp) if grasp else _search_grasp(scenario, path), blind=blind
-    )
+    if plot is not None:
+        if not blind:
+            raise InvalidInput("--plot: expected --blind, whose search it shows")
+        from handsight.viewer.correction_figures import require_matplotlib
+
+        require_matplotlib()
+    found = read_grasp(grasp) if grasp else _search_grasp(scenario, path)
+    samples, dropped = record(scenario, path, found, blind=blind, plot=plot)
     size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
     say(f"wrote {path}: {samples} observations, {size}, and {rig_beside(path).name}")
     if dropped:
@@ -138,12 +151,17 @@ def nuisances(settings: Iterable[str]) -> "Nuisances":
 
 
 def record(
-    scenario: "Scenario", path: Path, grasp: "Grasp | None" = None, *, blind: bool = False
+    scenario: "Scenario",
+    path: Path,
+    grasp: "Grasp | None" = None,
+    *,
+    blind: bool = False,
+    plot: Path | None = None,
 ) -> tuple[int, bool]:
     """Simulates a recording; returns its number of observations, and whether the object was dropped at the end.
 
     `grasp`: None for the built-in one of the object, or one that is searched for. `blind`: a finger searches for the
-    object first. The rig is written beside the recording. After Ctrl-C or an error, the part until then is kept.
+    object first, and each touch is reported; `plot`: file for a picture of them. The rig is written beside the recording. After Ctrl-C or an error, the part until then is kept.
     """
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
@@ -155,9 +173,16 @@ def record(
     # With one object only, `track` needs no name.
     rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: believed_object(scenario, rig)})
     samples, dropped = 0, False
-    with RecordingWriter(path, rig) as writer, bar("simulating") as advance:
+    with (
+        RecordingWriter(path, rig) as writer,
+        bar("simulating") as advance,
+        search_report(Path(scenario.object).stem, advance, plot) as watch,
+    ):
         write_rig(rig, rig_beside(path))
-        for sample in simulate_touch_search(scenario, grasp) if blind else simulate(scenario, advance, grasp):
+        sampled = (
+            simulate_touch_search(scenario, grasp, watch) if blind else simulate(scenario, advance, grasp)
+        )
+        for sample in sampled:
             observation = dataclasses.replace(sample.observation, stamp=BEGINS + sample.observation.stamp)
             writer.write(observation)
             writer.write_truth(observation.stamp, sample.T_palm_object)
@@ -165,6 +190,41 @@ def record(
                 write_slips(writer, observation.stamp, sample, rig)
             samples, dropped = samples + 1, sample.dropped
     return samples, dropped
+
+
+@contextlib.contextmanager
+def search_report(
+    name: str, advance: Callable[..., None], plot: Path | None
+) -> "Iterator[Callable[[Belief, Array], None]]":
+    """Yields a function that reports the beliefs of a search by touch, one after the other.
+
+    At the end, after Ctrl-C and errors too, their picture is written to `plot`, unless that is None.
+    """
+    from handsight.search import symmetry_text, touch_text
+
+    beliefs, truths = list["Belief"](), list["Array"]()
+
+    def watch(belief: "Belief", T_world_object: "Array") -> None:
+        beliefs.append(belief)
+        truths.append(T_world_object)
+        best, n = belief.modes[0], len(belief.touches)
+        if n:
+            say(touch_text(belief))
+        elif text := symmetry_text(belief.model):
+            say(f"{name}: {text}")
+        advance(None, f"touch {n + 1}, certain to {best.certainty:.2f}")
+        if best.is_certain:
+            say(f"found by {n} touches")
+            advance(None, "grasping")
+
+    try:
+        yield watch
+    finally:
+        if plot is not None and beliefs:
+            from handsight.viewer.search_figure import draw_search
+
+            draw_search(name, beliefs, truths[-1], plot)
+            say(f"wrote {plot}")
 
 
 def write_slips(writer: "McapFile", stamp: float, sample: "Sample", rig: "Rig") -> None:
@@ -206,6 +266,7 @@ def _search_grasp(scenario: "Scenario", path: Path) -> "Grasp":
 
 def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     """Returns the object as the robot describes it, with the size error `object_scale`."""
+    from handsight.checks import Array
     from handsight.objects import ObjectSpec
 
     spec = rig.objects.get(scenario.object) or ObjectSpec(mesh=Path(scenario.object))
