@@ -81,8 +81,8 @@ def simulate(
     The rig is written beside the recording as OUTPUT.rig.yaml, and the grasp of a mesh as OUTPUT.grasp.json: grasps are
     tried in the simulator until one holds. Everything is synthetic (MuJoCo). Errors of the measurements are set by
     nuisances, such as joint_offset [rad] and force_noise [N]; the pull is set by friction, pull_force [N] and
-    pull_torque [N m]. With `--blind`, each touch and what is known after it is reported, the recording has the pose that
-    the search found, in the world, and `handsight track` starts from it; the exit code is 1 where it was not found.
+    pull_torque [N m]. With `--blind`, each touch is reported with what is known after it, the recording has the pose
+    that the search found, in the world, and `handsight track` starts from it; the exit code is 1 if it found none.
 
     ```
     handsight simulate can --output can.mcap
@@ -161,7 +161,8 @@ def record(
     """Simulates a recording; returns its number of observations, and whether the object was dropped at the end.
 
     `grasp`: None for the built-in one of the object, or one that is searched for. `blind`: a finger searches for the
-    object first, and each touch is reported; `plot`: file for a picture of them. The rig is written beside the recording. After Ctrl-C or an error, the part until then is kept.
+    object first, and each touch is reported; `plot`: file for a picture of them. The rig is written beside the
+    recording. After Ctrl-C or an error, the part until then is kept.
     """
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
@@ -171,7 +172,10 @@ def record(
     _check_suffix(path)
     rig = touch_search_rig(scenario) if blind else rig_of(scenario)
     # With one object only, `track` needs no name.
-    rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: believed_object(scenario, rig)})
+    spec = believed_object(scenario, rig)
+    if blind and spec.mesh is not None:  # the search does not distinguish what touch cannot tell
+        spec = dataclasses.replace(spec, symmetries="find")
+    rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: spec})
     samples, dropped = 0, False
     with (
         RecordingWriter(path, rig) as writer,
@@ -266,7 +270,6 @@ def _search_grasp(scenario: "Scenario", path: Path) -> "Grasp":
 
 def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     """Returns the object as the robot describes it, with the size error `object_scale`."""
-    from handsight.checks import Array
     from handsight.objects import ObjectSpec
 
     spec = rig.objects.get(scenario.object) or ObjectSpec(mesh=Path(scenario.object))

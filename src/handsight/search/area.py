@@ -81,7 +81,7 @@ class Area:
         return se3.compose(R, middle - R @ model.center_object)
 
     def sweep(self, through: Array, along: Array, height: float, reach: float) -> Sweep:
-        """Returns the sweep through a point (2,) in the direction `along` (2,), a unit vector, at a height above the table.
+        """Returns the sweep at a height above the table through a point (2,) along a unit vector (2,).
 
         Its ends are `reach` from the area's middle, measured along its direction [m]. All are along the table's axes.
         """
@@ -90,7 +90,7 @@ class Area:
         return Sweep(start_world, self.R_world_table[:, :2] @ along, 2 * reach)
 
     def center_heights(self, model: ObjectModel) -> Array:
-        """Returns (k,) the height of the middle of the object's bounds in each stable pose, along the table's normal [m]."""
+        """Returns (k,) the height [m] of the bounds' middle in each stable pose, along the table's normal."""
         up = self.Rs_world_object[:, 2]
         return np.asarray(self.table.height + up @ model.center_object - (up @ model.vertices.T).min(axis=1))
 

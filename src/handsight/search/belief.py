@@ -217,7 +217,8 @@ class Belief:
         covariance = (offsets - mean).T @ (offsets - mean) / len(offsets) + np.diag(np.square(sigmas))
         at_center = GaussianPose(se3.compose(R, middle), covariance)
         # The table's errors are independent of the touches.
-        off2 = ((offsets - mean) ** 2).reshape(-1, 2, 3).sum(axis=2) + [table.sigma_height**2, 2 * table.sigma_tilt**2]
+        off2 = ((offsets - mean) ** 2).reshape(-1, 2, 3).sum(axis=2)
+        off2 += [table.sigma_height**2, 2 * table.sigma_tilt**2]
         near = (off2 < np.square([CERTAINTY.position, CERTAINTY.rotation])).all(axis=1)
         deviations = np.sqrt(np.diag(covariance))
         pose, n = at_center.at_point(-model.center_object), len(self.placements)
@@ -236,7 +237,9 @@ def placements_about(
     (0, 4), where the object is not as high as the contact in any stable pose.
     """
     covariance = contact_world.covariance[0]
-    contact_world = contact_world.moved(se3.compose(area.R_world_table.T, np.zeros(3)))  # along the table's axes
+    contact_world = contact_world.moved(
+        se3.compose(area.R_world_table.T, np.zeros(3))
+    )  # along the table's axes
     normal = contact_world.normals_palm[0]
     middle = tip_center(contact_world, radius)
     arms, outward, stable = _touching_tips(model, area, float(middle[2]), radius, rng)

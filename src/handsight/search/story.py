@@ -19,8 +19,9 @@ def touch_text(belief: Belief) -> str:
         outcome = f"contact at [{place}] mm"
     likely = sum(mode.probability >= MIN_PROBABILITY for mode in belief.modes)
     others = f", the likeliest of {likely} hypotheses {best.probability:.2f}" if likely > 1 else ""
-    known = f"position ± {1e3 * best.sigma_position:.1f} mm, yaw ± {np.rad2deg(best.sigma_yaw):.0f}°{others}"
-    return f"touch {len(belief.touches)}: {outcome}; {known}; certain to {best.certainty:.2f}"
+    yaw = np.rad2deg(best.sigma_yaw)
+    known = f"position ± {1e3 * best.sigma_position:.1f} mm" + (f", yaw ± {yaw:.0f}°" if yaw > 0.5 else "")
+    return f"touch {len(belief.touches)}: {outcome}; {known}{others}; certain to {best.certainty:.2f}"
 
 
 def open_text(belief: Belief) -> str:
@@ -32,7 +33,9 @@ def open_text(belief: Belief) -> str:
         parts = [f"the position is open (± {1e3 * best.sigma_position:.0f} mm)"]
     if best.sigma_yaw > CERTAINTY.rotation / 2:
         parts.append(f"the spin about the vertical is open (± {np.rad2deg(best.sigma_yaw):.0f}°)")
-    parts += [f"it may be {_difference(belief, best, mode)} (probability {mode.probability:.2f})" for mode in others]
+    parts += [
+        f"it may be {_difference(belief, best, mode)} (probability {mode.probability:.2f})" for mode in others
+    ]
     if text := symmetry_text(belief.model):
         parts.append(text)
     return "; ".join(parts)
@@ -44,7 +47,9 @@ def symmetry_text(model: ObjectModel) -> str:
     if symmetries.round:
         return "touch cannot tell any turn about its middle"
     if symmetries.axes:
-        return "touch cannot tell its spin about its axis" + (" nor one end from the other" if same > 1 else "")
+        return "touch cannot tell its spin about its axis" + (
+            " nor one end from the other" if same > 1 else ""
+        )
     return "" if same == 1 else f"touch cannot tell {same} of its rotations from each other"
 
 

@@ -18,7 +18,9 @@ class SweepOptions(NamedTuple):
 
     sigma_distance: float = 0.0025  # of a touch, along the normal: a degree at each joint of the finger [m]
     sigma_normal: float = float(np.deg2rad(6.0))  # of a touch's normal [rad]
-    same: float = 0.5  # poses this near to each other, relative to the limits of certainty, need not be distinguished
+    same: float = (
+        0.5  # poses this near to each other, relative to the limits of certainty, need not be distinguished
+    )
     curvature_radius: float = 0.03  # of a surface that a sweep brushes [m]
     max_sweeps: int = 256  # sweeps that are compared
     max_poses: int = 128  # particles on which each sweep is cast
@@ -41,7 +43,7 @@ def expected_information(belief: Belief, sweeps: list[Sweep], radius: float) -> 
     hit = np.isfinite(distances)
     directions = np.array([sweep.direction_world for sweep in sweeps])
     cosines = -np.einsum("snj,sj->sn", normals, directions)
-    # How far the path would have to be shifted for the outcome to be a miss instead of a hit, or a hit instead of a miss.
+    # How far the path would have to be shifted for a miss to be a hit, or a hit to be a miss.
     margins = np.where(hit, SWEEPS.curvature_radius * cosines**2 / 2, gaps)
     same = _same(belief, Ts)
     information = []

@@ -93,7 +93,7 @@ def tip_center(contact_world: Contacts, radius: float) -> Array:
 def cast(
     model: ObjectModel, Ts_world_object: Array, sweeps: list[Sweep], radius: float
 ) -> tuple[Array, Array, Array]:
-    """Returns how far a ball moves along s sweeps until it meets the object at n poses, the normals there, and the gaps.
+    """Returns how far a ball moves along s sweeps until it meets the object at n poses, the normals there, and gaps.
 
     `Ts_world_object` is (n, 4, 4), `radius` the ball's [m]. The distances (s, n) are infinite where the ball passes by
     [m]; the object's outward normals (s, n, 3) are along the world's axes. The gaps (s, n) are the least

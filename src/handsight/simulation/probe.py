@@ -16,7 +16,7 @@ from handsight.observation import Observation
 from handsight.search import Sweep, Touch
 from handsight.simulation.motion import Grasp, least_jerk
 from handsight.simulation.robot import rig_of
-from handsight.simulation.scenario import SCENARIO, Phase, Sample, Scenario
+from handsight.simulation.scenario import SCENARIO, Nuisances, Phase, Sample, Scenario
 from handsight.simulation.scene import PALM, T_MOUNT_PALM, scene
 from handsight.simulation.simulate import Sensors
 from handsight.simulation.world import World, rows
@@ -144,7 +144,7 @@ class Probe(World):
         points = np.array(found)
         points = points[np.abs(points[:, 2] - np.median(points[:, 2])) < PROBE.table_unevenness]
         # The slopes are near 0, by the table's prior. An error that all touches share moves the height only.
-        prior = PROBE.sigma_relative / self._tips.rig.table.sigma_tilt
+        prior = PROBE.sigma_relative / Nuisances().table_tilt
         rows = np.vstack([np.insert(points[:, :2], 0, 1, axis=1), prior * np.eye(3)[1:]])
         height, *slopes = np.linalg.lstsq(rows, np.append(points[:, 2], [0.0, 0.0]))[0]
         R_world_table = _frame(np.array([1.0, 0.0, slopes[0]]), np.array([0.0, 1.0, slopes[1]]))

@@ -26,7 +26,9 @@ class TouchSearchOptions(NamedTuple):
     """`TouchSearchOptions` configure the search for an object on a table by touch."""
 
     area_side: float = 0.3  # of the square that contains the object [m]
-    sigma_table_height: float = 0.0015  # of the table after it is touched: an error of the finger's joints [m]
+    sigma_table_height: float = (
+        0.0015  # of the table after it is touched: an error of the finger's joints [m]
+    )
     sigma_table_tilt: float = float(np.deg2rad(0.5))  # of the object on it, after the table is touched [rad]
     max_touches: int = 12  # before the search gives up
     pause: float = 0.5  # from the search to the open hand beside the object, which is not simulated [s]
@@ -35,8 +37,8 @@ class TouchSearchOptions(NamedTuple):
 TOUCH_SEARCH = TouchSearchOptions()
 
 TABLE_PROBES = np.kron([[0.2], [0.32]], [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-"""(8, 2) places outside the searched square where the table is touched [m]. Half of them may be beside it: the table ends
-near the object."""
+"""(8, 2) places outside the searched square where the table is touched [m]. Some may be beside it: the table ends near
+the object."""
 
 
 def touch_search_rig(scenario: Scenario) -> Rig:

@@ -49,7 +49,8 @@ def _draw_table(axes: "Axes", belief: Belief, T_world_object: Array) -> None:
     for k, T in enumerate(some):
         label = None if k else "believed poses"
         axes.plot(*_outline(belief, T), color=BLUE, lw=0.8, alpha=0.15, label=label)
-    axes.plot(*_outline(belief, best.pose_world_object.T_a_b), color=PINK, lw=1.6, label="likeliest")
+    if belief.touches:
+        axes.plot(*_outline(belief, best.pose_world_object.T_a_b), color=PINK, lw=1.6, label="likeliest")
     axes.plot(*_outline(belief, T_world_object), "--", color="black", lw=1.2, label="truth")
     title = "before the first touch"
     if belief.touches:
@@ -57,11 +58,17 @@ def _draw_table(axes: "Axes", belief: Belief, T_world_object: Array) -> None:
         title = f"touch {len(belief.touches)}: " + ("a miss" if touch.contact_world is None else "a contact")
         axes.plot(*(1e3 * touch.free_world[:, :2].T), color="#2e7d32", lw=2, label="path of the finger")
         if touch.contact_world is not None:
-            (x, y, _), (u, v, _) = 1e3 * touch.contact_world.points_palm[0], touch.contact_world.normals_palm[0]
+            (x, y, _), (u, v, _) = (
+                1e3 * touch.contact_world.points_palm[0],
+                touch.contact_world.normals_palm[0],
+            )
             axes.plot(x, y, "o", color="#e0a100", ms=6, label="contact, its normal")
-            axes.annotate("", (x + 45 * u, y + 45 * v), (x, y), arrowprops={"arrowstyle": "->", "color": "#e0a100"})
+            axes.annotate(
+                "", (x + 45 * u, y + 45 * v), (x, y), arrowprops={"arrowstyle": "->", "color": "#e0a100"}
+            )
     half = 1e3 * (max(abs(area.low).max(), abs(area.high).max()) + belief.model.radius)
     axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")
+    axes.set_xlabel("world x [mm]", fontsize=8)
     axes.tick_params(labelsize=7)
     axes.set_title(f"{title}\nwithin 8 mm and 8°: {best.certainty:.2f}", fontsize=9)
 
@@ -72,8 +79,11 @@ def _draw_certainty(axes: "Axes", beliefs: Sequence[Belief]) -> None:
     touches = range(len(best))
     axes.semilogy(touches, [1e3 * mode.sigma_position for mode in best], "o-", color=PINK, ms=4)
     axes.semilogy(touches, [np.rad2deg(mode.sigma_yaw) for mode in best], "s-", color=BLUE, ms=4)
-    axes.text(0.97, 0.95, "position ± mm", color=PINK, transform=axes.transAxes, ha="right", va="top", fontsize=9)
-    axes.text(0.97, 0.87, "yaw ± °", color=BLUE, transform=axes.transAxes, ha="right", va="top", fontsize=9)
+    axes.text(0.03, 0.04, "position ± mm", color=PINK, transform=axes.transAxes, fontsize=9)
+    axes.text(0.03, 0.12, "yaw ± °", color=BLUE, transform=axes.transAxes, fontsize=9)
+    axes.set(xticks=touches, ylim=(0.5, 200), yticks=[1, 2, 5, 10, 20, 50, 100])
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.minorticks_off()
     axes.set_xlabel("touches", fontsize=8)
     axes.tick_params(labelsize=7, which="both")
     certain = axes.twinx()
