@@ -96,7 +96,7 @@ class Follower:
             memory=ContactMemory(self.settings.memory, self.process_noise),
             vision=vision,
             images=ImageVision(self.rig, self.model, on=self.settings.images),
-            slip=SlipUpdate(self.rig),
+            slip=SlipUpdate(self.rig, self.model),
             weight=WeightSensor(self.rig, self.model),
             offsets=offsets,
         )
@@ -157,6 +157,7 @@ class Follower:
                 grasped=state.grasp.grasped,
                 lifted=state.grasp.lifted,
                 finger_on_table="on the table" in touch.reasons.values(),
+                pivots=state.slip.now.pivots,
             )
 
         # Vision.
@@ -206,7 +207,7 @@ class Follower:
             state.memory = state.memory.only(fingers)
         if (smoother := state.smoother) is not None:
             smoother = smoother if change is None else self._regrasped(state, smoother, change)
-            state.smoother = state.slip.update(stamp, state.fingertips, smoother)
+            state.smoother = state.slip.update(stamp, state.fingertips, smoother, state.vision)
         if state.slip.now.slipping:
             state.memory = state.memory.only(fingers)
             state.weight.weigher.forget("the object slips")
@@ -347,6 +348,8 @@ class Follower:
             return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
         if not estimate.consistent:
             return "uncertain", "the contacts do not fit the object at its estimated pose"
+        if doubt := state.weight.doubt(estimate):
+            return "uncertain", doubt
         if state.correction is None and not state.vision.camera_from_palm.confirmed:
             return "uncertain", "nothing is touched: the pose is vision's"
         if (sigma := self.sigma(state)) > self.settings.uncertain_position:
