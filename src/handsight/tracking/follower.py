@@ -30,6 +30,7 @@ from handsight.tracking.hypotheses import (
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate
+from handsight.tracking.misfit import MISFIT, NO_INNOVATIONS, OTHER_OBJECT
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
@@ -364,6 +365,16 @@ class Follower:
         modes = estimate.modes
         if state.table is not None and state.table.alternatives is not None:
             estimate = state.table.alternatives.added(self.model, estimate)
+        # What has not fitted the model lately inflates the answer.
+        age = 0.0 if last is None else now - last.stamp
+        watched = state.innovations if last is not None else NO_INNOVATIONS
+        watched = watched.after(age, touch.fingers, estimate, prior)
+        if last is not None and not state.slip.now.slipping:
+            noise = process_variance(self.process_noise, age)
+            if touch.fingers != last.fingers:
+                noise = noise + self.regrasp_noise
+            watched = watched.moved(age, self.model, last.estimate, estimate, noise)
+        state.innovations, estimate = watched, watched.inflated(estimate)
         _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
         state.correction = Correction(
             estimate, touched, touch.by_error, prior, touch.fingers, now, variance, skin, modes, searched_at
@@ -405,15 +416,18 @@ class Follower:
         if (since := state.stamp - state.measured_at) > self.settings.lost_after:
             return "lost", f"nothing touched and nothing seen for {since:.1f} s"
         if (since := state.stamp - state.fits_at) > FOLLOWER.lost_without_fit:
-            return "lost", f"the contacts have fitted no pose for {since:.1f} s"
+            return "lost", f"the contacts have fitted no pose for {since:.1f} s: {OTHER_OBJECT}"
         if state.slip.now.slipping:
             return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
         if not estimate.consistent:
-            return "uncertain", "the contacts do not fit the object at its estimated pose"
+            reason = "the contacts do not fit the object at its estimated pose"
+            return "uncertain", f"{reason}: {OTHER_OBJECT}" if since > MISFIT.other_after else reason
         if doubt := state.weight.doubt(estimate):
             return "uncertain", doubt
         if ambiguous := ambiguity(self.model, estimate):
             return "uncertain", ambiguous
+        if state.correction is not None and (misfit := state.innovations.worst):
+            return "uncertain", str(misfit)
         if state.correction is None and not state.vision.camera_from_palm.confirmed:
             return "uncertain", "nothing is touched: the pose is vision's"
         if (sigma := self.sigma(state)) > self.settings.uncertain_position:

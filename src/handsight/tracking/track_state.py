@@ -20,6 +20,7 @@ from handsight.tracking.hand_outside import LinkMargins
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate
+from handsight.tracking.misfit import NO_INNOVATIONS, Innovations
 from handsight.tracking.skin import NOTHING, SkinContacts
 from handsight.tracking.slip_update import SlipUpdate
 from handsight.tracking.smoother import PoseBiasSmoother
@@ -99,6 +100,8 @@ class TrackState:
     """The joints' constant errors, learnt from all grips before this one."""
     learnt_from: Correction | None = None
     """The last correction from which the offsets were learnt."""
+    innovations: Innovations = NO_INNOVATIONS
+    """How well evidence has fitted the model lately."""
     margins: LinkMargins = NO_MARGINS
     """How much smaller than their shapes links are."""
     measured_at: float = -math.inf

@@ -20,6 +20,7 @@ from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.follower import Follower
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate
+from handsight.tracking.misfit import Misfit
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinContacts
 from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
@@ -245,6 +246,11 @@ class Tracker:
     def table(self) -> TableEstimate | None:
         """Where the table must be, as the object was grasped on it, and why it is doubted, if it is; None without."""
         return self.follower.table(self.track_state)
+
+    @property
+    def misfits(self) -> dict[str, Misfit]:
+        """How well each finger, vision, and the answer's motion have fitted the model over the last second, by name."""
+        return self.track_state.innovations.misfits
 
     @property
     def slip(self) -> Slip:

@@ -1,0 +1,155 @@
+"""How well observations fit the model over the last second: what does not fit inflates the answer, and is named.
+
+One correction tests its evidence as if the model were right. Errors that never change (another radius, a late pose of
+the palm) pass that test by rejecting a finger again and again, or by moving the answer. So the normalised innovation
+squared (NIS) of each kind of evidence is averaged over a window, in time, as corrections come at any rate:
+
+* of a finger: by how much χ² rises with its contact where that contradicts the rest (`estimate.conflicts`), else zero;
+* of vision, the prior with all but contacts: d' P₀⁻¹ d, with d from the prior to the answer; if both are right, it is
+  6 - tr(P₀⁻¹ P₁) on average, with P₁ the answer's covariance;
+* of the answer's motion since the last correction: d' (P₀ + P₁)⁻¹ d, with P₀ that of the last answer propagated to now.
+
+Successive observations of one grasp have the same errors of calibration, so a window is worth one independent sample.
+With an unknown factor s² on all noise, whose prior is scaled inverse χ² with ν degrees of freedom and scale 1, a NIS of
+n degrees of freedom gives E[1/s²] = (ν + n) / (ν + NIS) (the weight of Student's t): the covariance is multiplied by
+(ν + NIS) / (ν + n) where that is above 1 and the NIS is beyond the quantile of a χ² test.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.correction import PoseEstimate, PosePrior
+from handsight.correction.modes import chi2_limit
+from handsight.objects import ObjectModel
+
+
+class MisfitOptions(NamedTuple):
+    """`MisfitOptions` say over which time observations are compared with the model, and when they do not fit it."""
+
+    window: float = 1.0  # time constant of the averages [s]
+    alarm: float = 1e-3  # level of the test of one window
+    noise_freedom: float = 4.0
+    """Degrees of freedom of the prior of the factor on the noise's variance: residuals are Student's t with so many, a
+    usual choice for measurements with outliers (Lange, Little and Taylor 1989)."""
+    rejected: float = 0.5  # a finger whose contact is rejected for a larger share of the window contradicts the others
+    other_after: float = 1.0
+    """The object may be another one once contacts have fitted no pose for so long [s]: two searches from wider priors
+    have failed then."""
+
+
+MISFIT = MisfitOptions()
+OTHER_OBJECT = "is this another object than the model?"
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """A `Misfit` says how well one kind of evidence fits the model; `str` of it is a sentence."""
+
+    name: str
+    """What is compared: the name of a finger, "vision" or "motion"."""
+    nis: float = 0.0
+    """Normalised innovation squared, averaged over the window."""
+    expected: float = 0.0
+    """The same where the model is right: the degrees of freedom."""
+    rejected: float = 0.0
+    """Share of the window in which the contact of a finger was rejected."""
+
+    @property
+    def said(self) -> bool:
+        """Whether the evidence does not fit."""
+        if self.rejected:
+            return self.rejected > MISFIT.rejected
+        return self.nis > chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm)
+
+    @property
+    def factor(self) -> float:
+        """By how much the answer's covariance is multiplied; 1 where the evidence fits."""
+        if self.nis <= chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm):
+            return 1.0
+        return (MISFIT.noise_freedom + self.nis) / (MISFIT.noise_freedom + self.expected)
+
+    def __str__(self) -> str:
+        """Returns a sentence such as "finger ff contradicts the others"."""
+        if self.name == "motion":
+            return f"the answer has moved by {math.sqrt(self.nis):.0f} sigma at once"
+        if self.name == "vision":
+            return f"contacts and vision have differed by {math.sqrt(self.nis):.0f} sigma"
+        return f"finger {self.name} contradicts the others"
+
+    def after(self, share: float, nis: float, expected: float, rejected: float = 0.0) -> "Misfit":
+        """Returns the averages with new values, whose share of the window is `share`."""
+        now = nis, expected, rejected
+        means = self.nis, self.expected, self.rejected
+        return Misfit(self.name, *(old + share * (new - old) for old, new in zip(means, now, strict=True)))
+
+
+@dataclass(frozen=True, slots=True)
+class Innovations:
+    """`Innovations` are how well all evidence has fitted the model, over a window."""
+
+    misfits: dict[str, Misfit] = field(default_factory=dict)
+    """By what is compared: fingers, "vision", "motion"."""
+
+    @property
+    def worst(self) -> Misfit | None:
+        """What fits least of all that does not fit; None where everything fits."""
+        return max((m for m in self.misfits.values() if m.said), key=lambda m: m.factor, default=None)
+
+    @property
+    def factor(self) -> float:
+        """By how much the answer's covariance is multiplied."""
+        return max((m.factor for m in self.misfits.values()), default=1.0)
+
+    def after(
+        self, age: float, fingers: tuple[str, ...], estimate: PoseEstimate, prior: PosePrior
+    ) -> "Innovations":
+        """Returns the innovations with those of a correction, `age` seconds after the last one.
+
+        `fingers`: those of the estimate's first contacts; others were remembered. Fingers that let go are forgotten.
+        """
+        share, known = 1 - math.exp(-age / MISFIT.window), self.misfits
+        new = {name: known[name] for name in ("vision", "motion") if name in known}
+        against = {c.evidence: c for c in estimate.conflicts if c.evidence.startswith("contact")}
+        for i, finger in enumerate(fingers):
+            before, conflict = known.get(finger), against.get(f"contact {i}")
+            if conflict is not None or before is not None:
+                nis, freedom = (0.0, 3) if conflict is None else (conflict.chi2, conflict.freedom)
+                before = before or Misfit(finger, expected=freedom)
+                new[finger] = before.after(share, nis, freedom, float(i in estimate.outliers))
+        inverse = np.linalg.inv(prior.covariance)
+        off = se3.difference(estimate.T_palm_object, prior.T_palm_object)
+        expected = 6.0 - float((inverse * estimate.bounded_covariance).sum())
+        expected = min(max(expected, 0.0), 6.0)
+        new["vision"] = new.get("vision", Misfit("vision", expected=expected)).after(
+            share, float(off @ inverse @ off), expected
+        )
+        return Innovations(new)
+
+    def moved(
+        self, age: float, model: ObjectModel, last: PoseEstimate, new: PoseEstimate, noise: Array
+    ) -> "Innovations":
+        """Returns the innovations with the step from the last answer to a new one, `age` seconds later.
+
+        `noise` (6,): variance of the object's motion in between [m², rad²]. The largest step counts, and fades.
+        """
+        T = last.T_palm_object
+        step = se3.difference(model.nearest(new.T_palm_object, T), T)
+        covariance = last.bounded_covariance + new.bounded_covariance
+        nis = float(step @ np.linalg.solve(covariance + np.diag(noise), step))
+        before = self.misfits.get("motion", Misfit("motion")).nis * math.exp(-age / MISFIT.window)
+        return replace(self, misfits={**self.misfits, "motion": Misfit("motion", max(nis, before), 6.0)})
+
+    def inflated(self, estimate: PoseEstimate) -> PoseEstimate:
+        """Returns the estimate with its covariance inflated until the evidence fits."""
+        if (factor := self.factor) <= 1:
+            return estimate
+        covariance = None if estimate.covariance is None else factor * estimate.covariance
+        return estimate.with_gaussian(estimate.T_palm_object, covariance, estimate.information / factor)
+
+
+NO_INNOVATIONS = Innovations()
