@@ -36,7 +36,9 @@ class MisfitOptions(NamedTuple):
     noise_freedom: float = 4.0
     """Degrees of freedom of the prior of the factor on the noise's variance: residuals are Student's t with so many, a
     usual choice for measurements with outliers (Lange, Little and Taylor 1989)."""
-    rejected: float = 0.5  # a finger whose contact is rejected for a larger share of the window contradicts the others
+    rejected: float = (
+        0.5  # a finger whose contact is rejected for a larger share of the window contradicts the others
+    )
     other_after: float = 1.0
     """The object may be another one once contacts have fitted no pose for so long [s]: two searches from wider priors
     have failed then."""
@@ -64,7 +66,7 @@ class Misfit:
         """Whether the evidence does not fit."""
         if self.rejected:
             return self.rejected > MISFIT.rejected
-        return self.nis > chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm)
+        return bool(self.nis > chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm))
 
     @property
     def factor(self) -> float:

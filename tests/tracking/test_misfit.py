@@ -1,0 +1,61 @@
+"""What contradicts the model for a while is named, and inflates the answer."""
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from handsight import se3
+from handsight.correction import PoseEstimate
+from handsight.tracking import Tracker
+from handsight.tracking.misfit import MISFIT, Innovations, Misfit
+
+
+def test_a_step_of_many_sigma_is_named_inflates_and_fades():
+    model = hs.ObjectModel.box([0.1, 0.06, 0.04])
+    old = PoseEstimate.from_gaussian(np.eye(4), 1e-6 * np.eye(6), np.empty((0, 6)))
+    far = se3.moved(np.eye(4), np.array([0.055, 0, 0, 0, 0, 0]))
+    new = PoseEstimate.from_gaussian(far, 1e-6 * np.eye(6), np.empty((0, 6)))
+    watched = Innovations().moved(0.02, model, old, new, np.zeros(6))
+    assert str(watched.worst) == "the answer has moved by 39 sigma at once"
+    step = se3.difference(new.T_palm_object, old.T_palm_object)
+    covariance = watched.inflated(new).covariance
+    assert (
+        6 < step @ np.linalg.solve(covariance, step) < 22.5
+    )  # 99.9 % of six numbers: the old answer is possible
+    later = watched.moved(10 * MISFIT.window, model, new, new, np.zeros(6))
+    assert later.worst is None
+    assert later.inflated(new) is new
+
+
+def test_a_finger_is_named_once_it_was_rejected_for_most_of_a_second():
+    finger = Misfit("ff", expected=3)
+    states = []
+    for _ in range(50):
+        finger = finger.after(1 - np.exp(-0.02 / MISFIT.window), 100.0, 3, 1.0)
+        states.append(bool(finger.said))
+    assert states[0] is False
+    assert states[-1] is True
+    assert 25 < states.index(True) < 40
+    assert str(finger) == "finger ff contradicts the others"
+
+
+def test_evidence_that_fits_is_not_named_and_leaves_the_answer_as_it_is():
+    fits = Misfit("vision", nis=6.0, expected=6.0)
+    assert not fits.said
+    assert fits.factor == 1
+
+
+@pytest.mark.parametrize("radius", [0.026, 0.040])
+def test_a_can_with_a_wrong_radius_is_not_tracked_in_silence(can, radius):
+    tracker = Tracker(can.rig, hs.ObjectModel.cylinder(radius, 0.122))
+    for seen in can.observations:
+        tracker.update(seen)
+    assert tracker.state != "tracking"
+    assert tracker.reason
+
+
+def test_the_right_model_is_tracked(can):
+    tracker = Tracker(can.rig, can.model)
+    for seen in can.observations:
+        tracker.update(seen)
+    assert tracker.state == "tracking", tracker.misfits
