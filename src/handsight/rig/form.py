@@ -269,6 +269,12 @@ class CameraForm(Section):
     pose: Annotated[PoseForm | None, key("of its optical frame (x right, y down, z forward)")] = None
     noise: Annotated[VisionNoiseForm | None, key("of a detected pose, independent in each image")] = None
     constant_error: Annotated[VisionNoiseForm | None, key("of its calibration")] = None
+    correlated_error: Annotated[VisionNoiseForm | None, key("that images of nearly the same time share")] = (
+        None
+    )
+    correlation_time: Annotated[Positive | None, key("for which it lasts [s]")] = None
+    latency: Annotated[AtLeastZero | None, key("by which a pose is older than its stamp [s]")] = None
+    sigma_latency: AtLeastZero | None = None
     depth_camera: Annotated[
         DepthCamera | None, key("structured_light, time_of_flight or stereo: how it measures depth")
     ] = None
@@ -283,7 +289,9 @@ class CameraForm(Section):
 
     def camera(self) -> MountedCamera:
         """Returns the part of the rig."""
-        constant, k = (self.constant_error or VisionNoiseForm()).sigmas(), self.intrinsics
+        k = self.intrinsics
+        errors = {"constant": self.constant_error, "correlated": self.correlated_error}
+        given = {key: getattr(self, key) for key in ("correlation_time", "latency", "sigma_latency")}
         return MountedCamera(
             on=self.fixed_to,
             T_mount_camera=(self.pose or PoseForm()).matrix(),
@@ -292,7 +300,12 @@ class CameraForm(Section):
             lens=np.array(self.lens or [], dtype=np.float64),
             depth_camera=self.depth_camera or "structured_light",
             **(self.noise or VisionNoiseForm()).sigmas(),
-            **{f"{name}_constant": value for name, value in constant.items()},
+            **{
+                f"{name}_{kind}": value
+                for kind, error in errors.items()
+                for name, value in (error or VisionNoiseForm()).sigmas().items()
+            },
+            **{key: value for key, value in given.items() if value is not None},
         )
 
 

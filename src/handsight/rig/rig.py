@@ -111,6 +111,18 @@ class MountedCamera:
     """Constant error of a detected pose's position, by a wrong extrinsic calibration [m]."""
     sigma_rotation_constant: float = np.deg2rad(6.0)
     """Constant error of its rotation [rad]."""
+    sigma_position_correlated: float | None = None
+    """Error of a detected pose's position that images of nearly the same time share, by the object's visible side,
+    smoothing, or the texture [m]; None: twice `sigma_position`. Of published estimators it is once to three times the
+    part that is independent in each image."""
+    sigma_rotation_correlated: float | None = None
+    """The same error of its rotation [rad]; None: `sigma_rotation`."""
+    correlation_time: float = 5.0
+    """How long such an error lasts: the time in which its correlation falls by a factor of e [s]."""
+    latency: float = 0.0
+    """How much older a pose, or an image, is than its stamp says [s]."""
+    sigma_latency: float = 0.1
+    """How far the latency may be another [s]; it is estimated while the hand moves the object."""
 
     __repr__ = short_repr
 
@@ -122,7 +134,19 @@ class MountedCamera:
         if self.depth_camera not in kinds:
             came = f"{checks.brief(self.depth_camera)!r}{checks.suggestion(str(self.depth_camera), kinds)}"
             raise InvalidInput(f"depth_camera: expected one of {', '.join(kinds)}, got {came}")
-        _check_sigmas(self, *(name for name in MountedCamera.__slots__ if name.startswith("sigma")))
+        sigmas = (name for name in MountedCamera.__slots__ if name.startswith("sigma"))
+        _check_sigmas(self, *(name for name in sigmas if getattr(self, name) is not None))
+        checks.positive(self.correlation_time, "correlation_time")
+        if not 0 <= float(checks.finite(self.latency, "latency", ())) <= 1:
+            raise InvalidInput(f"latency: expected a number from 0 to 1, got {self.latency:g}")
+
+    @property
+    def drift(self) -> Array:
+        """(3,) variance of the correlated error: position [m²], rotation [rad²], and how long it lasts [s]."""
+        position, rotation = self.sigma_position_correlated, self.sigma_rotation_correlated
+        position = 2 * self.sigma_position if position is None else position
+        rotation = self.sigma_rotation if rotation is None else rotation
+        return np.array([position**2, rotation**2, self.correlation_time])
 
     def with_images_of(self, camera: Camera) -> "MountedCamera":
         """Returns the same camera with these intrinsics, as a CameraInfo has them."""

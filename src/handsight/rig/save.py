@@ -108,6 +108,12 @@ def _camera(camera: MountedCamera) -> Values:
             sigma_position=camera.sigma_position_constant,
             sigma_rotation=camera.sigma_rotation_constant,
         ),
+        correlated_error=_values(
+            form.VisionNoiseForm,
+            camera,
+            sigma_position=camera.sigma_position_correlated,
+            sigma_rotation=camera.sigma_rotation_correlated,
+        ),
         intrinsics=None,
         lens=None,
     )

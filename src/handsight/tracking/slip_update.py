@@ -20,7 +20,7 @@ from handsight.objects import ObjectModel
 from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.measurements import VisionUpdate
-from handsight.tracking.smoother import PoseBiasSmoother
+from handsight.tracking.smoother import Motion, PoseBiasSmoother
 
 
 class SlipUpdateOptions(NamedTuple):
@@ -53,7 +53,7 @@ class SlipUpdate:
         """Starts without any load, and with the friction that the rig's fingers and the model declare."""
         mu = None if model is None else model.friction
         self.detector = SlipDetector(rig, None if model is None or mu is None else (mu, model.sigma_friction))
-        self._visible: tuple[GaussianPose, Array] | None = None
+        self._visible: tuple[GaussianPose, Array, Motion] | None = None
         """Vision's last pose that was compared."""
         self._anchors: Mapping[str, tuple[float, Array]] = {}
         """By finger, a stamp, and where its contact was on the object (3,) by vision then."""
@@ -100,7 +100,7 @@ class SlipUpdate:
     def _sliding(self, stamp: float, fingertips: FingertipContacts, vision: VisionUpdate) -> list[str]:
         """Returns the fingers that have slid over the object since their anchors, by vision's last pose if it is new.
 
-        Vision's constant error moves a contact by as much at both ends, so only its noise counts.
+        Vision's constant error moves a contact by as much at both ends, so only its noise and its drift count.
         """
         last, contacts = vision.last, fingertips.contacts
         if last is None or last is self._visible:
@@ -109,10 +109,15 @@ class SlipUpdate:
         if contacts is None or vision.rejected_in_a_row:
             self._anchors = {}
             return []
-        pose, T_mount_palm = last
+        pose, T_mount_palm, _ = last
         points = se3.apply(se3.inverse(pose.T_a_b) @ T_mount_palm, contacts.points_palm)
-        variances = pose.covariance.diagonal()
-        noise = 2 * (variances[:3].max() + (points**2).sum(axis=1) * variances[3:].max())
+        variances, (*drift, lasts) = pose.covariance.diagonal(), vision.camera.drift.tolist()
+        drifted = 1 - math.exp(-SLIP_UPDATE.slide_time / lasts)
+        position, rotation = (
+            variances[:3].max() + drifted * drift[0],
+            variances[3:].max() + drifted * drift[1],
+        )
+        noise = 2 * (position + (points**2).sum(axis=1) * rotation)
         sliding, anchors = list[str](), dict[str, tuple[float, Array]]()
         for name, point, variance in zip(fingertips.fingers, points, noise, strict=True):
             then, anchor = self._anchors.get(name, (-math.inf, point))
