@@ -32,7 +32,7 @@ def test_a_finger_is_named_once_it_was_rejected_for_most_of_a_second():
     states = []
     for _ in range(50):
         finger = finger.after(1 - np.exp(-0.02 / MISFIT.window), 100.0, 3, 1.0)
-        states.append(bool(finger.said))
+        states.append(bool(finger.contradicts))
     assert states[0] is False
     assert states[-1] is True
     assert 25 < states.index(True) < 40
@@ -41,7 +41,7 @@ def test_a_finger_is_named_once_it_was_rejected_for_most_of_a_second():
 
 def test_evidence_that_fits_is_not_named_and_leaves_the_answer_as_it_is():
     fits = Misfit("vision", nis=6.0, expected=6.0)
-    assert not fits.said
+    assert not fits.contradicts
     assert fits.factor == 1
 
 

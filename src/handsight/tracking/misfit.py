@@ -62,7 +62,7 @@ class Misfit:
     """Share of the window in which the contact of a finger was rejected."""
 
     @property
-    def said(self) -> bool:
+    def contradicts(self) -> bool:
         """Whether the evidence does not fit."""
         if self.rejected:
             return self.rejected > MISFIT.rejected
@@ -100,7 +100,7 @@ class Innovations:
     @property
     def worst(self) -> Misfit | None:
         """What fits least of all that does not fit; None where everything fits."""
-        return max((m for m in self.misfits.values() if m.said), key=lambda m: m.factor, default=None)
+        return max((m for m in self.misfits.values() if m.contradicts), key=lambda m: m.factor, default=None)
 
     @property
     def factor(self) -> float:
