@@ -225,7 +225,7 @@ def test_a_pose_that_touch_got_wrong_is_dropped_when_contacts_fit_none_for_long(
         tracker.update(later(last, 0.1 * k))
         states.append(tracker.state)
     assert states[0] == "uncertain"
-    assert states[-1] == "tracking"
+    assert states[-1] == "tracking", tracker.reason
     assert np.linalg.norm((tracker.estimate.T_palm_object - right)[:3, 3]) < 3 * tracker.sigma
 
 

@@ -367,9 +367,11 @@ class Follower:
             estimate = state.table.alternatives.added(self.model, estimate)
         # What has not fitted the model lately inflates the answer.
         age = 0.0 if last is None else now - last.stamp
-        watched = state.innovations if last is not None else NO_INNOVATIONS
+        afresh = estimate.consistent and now - state.fits_at > FOLLOWER.lost_without_fit  # found again
+        watched = NO_INNOVATIONS if last is None or afresh else state.innovations
         watched = watched.after(age, touch.fingers, estimate, prior)
-        if last is not None and not state.slip.now.slipping:
+        # An answer that contacts did not fit was called wrong before it moved.
+        if last is not None and last.estimate.consistent and not state.slip.now.slipping:
             noise = process_variance(self.process_noise, age)
             if touch.fingers != last.fingers:
                 noise = noise + self.regrasp_noise

@@ -115,7 +115,7 @@ class Innovations:
         `fingers`: those of the estimate's first contacts; others were remembered. Fingers that let go are forgotten.
         """
         share, known = 1 - math.exp(-age / MISFIT.window), self.misfits
-        new = {name: known[name] for name in ("vision", "motion") if name in known}
+        new = {name: misfit for name, misfit in known.items() if name in ("vision", "motion")}
         against = {c.evidence: c for c in estimate.conflicts if c.evidence.startswith("contact")}
         for i, finger in enumerate(fingers):
             before, conflict = known.get(finger), against.get(f"contact {i}")
