@@ -122,7 +122,7 @@ class MountedCamera:
 
     @property
     def drift(self) -> Array:
-        """(3,) variance of the correlated error, of a position [m²] and a rotation [rad²], and how long it lasts [s]."""
+        """(3,) variance of the correlated error, of a position [m²] and a rotation [rad²], and the time it lasts [s]."""
         position, rotation = self.sigma_position_correlated, self.sigma_rotation_correlated
         position = 2 * self.sigma_position if position is None else position
         rotation = self.sigma_rotation if rotation is None else rotation
