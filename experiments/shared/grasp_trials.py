@@ -19,7 +19,7 @@ import handsight as hs
 from handsight import se3
 from handsight.simulation import Nuisances, Sample, Scenario, model_of, rig_of, simulate
 from handsight.tracking import FingertipContacts, FingertipSensors, PoseBiasSmoother
-from handsight.tracking.measurements import on_table
+from handsight.tracking.table import on_table
 from shared.grasp_errors import pose_errors
 from testbed.report import Array
 

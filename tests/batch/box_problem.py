@@ -30,6 +30,7 @@ KEYS = [
     "unobservable",
     "consistent",
     "outliers",
+    "conflicts",
     "hypotheses",
 ]
 

@@ -1,9 +1,15 @@
 """`handsight simulate MESH`: the grasp that was searched is said, kept and used again."""
 
+import dataclasses
+import json
+
+import numpy as np
 import trimesh
 
 from cli.commands import called
-from handsight.simulation import GraspSearchResult, grasp_search, read_grasp
+from handsight.recording import Recording
+from handsight.rig import Rig
+from handsight.simulation import GraspSearchResult, Nuisances, constant_errors, grasp_search, read_grasp
 from handsight.simulation.motion import CAN
 
 
@@ -48,3 +54,24 @@ def test_where_no_grasp_holds_what_was_tried_is_said(tmp_path, monkeypatch, caps
     )
     assert read_grasp(tmp_path / "b.grasp.json").height == CAN.height
     assert grasp_search.GRASP_SEARCH.max_trials == 24
+
+
+def test_a_harsh_world_says_what_it_has_drawn_and_its_rig_does_not_know(tmp_path, monkeypatch, capsys):
+    arguments = ("simulate", "box", "--motion", "grasp", "--seed", "5", "-o", "box.mcap", "--world")
+    assert called(monkeypatch, tmp_path, *arguments, "hard") == 2
+    assert capsys.readouterr().err == "handsight: --world: expected usual or harsh, got 'hard'\n"
+    changed = ("--nuisance", "force_backlash=0.02", "--nuisance", "message_loss=0.3")
+    assert called(monkeypatch, tmp_path, *arguments, "harsh", *changed, columns=200) == 0
+    assert "wrote box.world.json: what is wrong in this world" in capsys.readouterr().err
+    told = json.loads((tmp_path / "box.world.json").read_text(encoding="utf-8"))
+    nuisances = dataclasses.replace(Nuisances.harsh(5), force_backlash=0.02, message_loss=0.3)
+    assert told["nuisances"] == dataclasses.asdict(nuisances)
+    drawn = constant_errors(nuisances, 5)
+    for field in dataclasses.fields(drawn):
+        np.testing.assert_allclose(told["drawn"][field.name], getattr(drawn, field.name))
+    rig = Rig.from_file(tmp_path / "box.rig.yaml")
+    np.testing.assert_allclose(rig.objects["box"].mass, nuisances.declared_mass * nuisances.object_mass)
+    np.testing.assert_allclose(rig.objects["box"].box, nuisances.object_scale * np.array([0.06, 0.09, 0.14]))
+    assert rig.sigma_joint_offset < nuisances.joint_offset
+    with Recording(tmp_path / "box.mcap", rig) as recording:
+        assert 100 < sum(1 for _ in recording.observations()) < 170  # of 191, three tenths are lost

@@ -45,6 +45,8 @@ def test_rig_check_prints_the_rig_and_what_the_recording_lacks(by_command, asked
     assert "640 x 480 pixels, no lens; depth by structured light" in out
     said, links = out.split("can.mcap has everything that this rig listens to.\n")
     assert "shape too large by [mm]" in links
+    assert "Different grasps that were compared: " in links
+    assert re.search(r"^camera shift y +mm +0 ± 64 ", links, re.MULTILINE)
     rows = dict(line.split() for line in links.splitlines() if line.startswith("robot0:"))
     assert rows["robot0:palm"] == rows["robot0:thmiddle"] == "-"
     assert not {finger.split()[1] for finger in said.splitlines() if "distal" in finger} & set(rows)

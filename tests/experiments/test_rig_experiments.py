@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import handsight as hs
+import harsh
 import scenes
 import sensitivity
 from experiments.experiment_runs import column, printed, rows_of, run
@@ -292,6 +293,41 @@ def test_complete_manipulations_are_tracked_with_truthful_uncertainty(tmp_path, 
     assert column(rows, "inside").mean() > 0.9
     assert np.median(column(rows, "last")) < 5
     assert column(rows, "speed").min() > 1
+
+
+def test_a_row_of_the_harsh_table_misses_a_target_beyond_its_limit_and_none_at_it():
+    met = {"inside": 0.92, "worst": 0.75, "unsaid": 0.01, "trusted": 1.5, "last": 2.5, "named": 0.0}
+    beyond = {"inside": 0.91, "worst": 0.74, "unsaid": 0.02, "trusted": 1.6, "last": 2.6}
+    for row, columns in (
+        ("usual", set(beyond)),
+        ("tip", set(beyond) - {"last"}),
+        ("other", {"unsaid", "named"}),
+    ):
+        line = {"row": row} | met | ({"named": 0.95} if row == "other" else {})
+        assert not harsh.misses(line)
+        missed = harsh.misses(line | beyond | {"named": 0.94})
+        assert {sentence.split(": ")[1].split()[0] for sentence in missed} == columns
+
+
+def test_the_errors_of_the_harsh_table_are_compared_on_the_same_grasps():
+    same = {"last": 1.0, "turn": 1.0, "tracking": 1.0, "unsaid": 0.0, "named": False, "speed": 9.0}
+    rows = [
+        {"row": row, "object": "box", "seed": seed, "mean": mm, "trusted": mm, "inside": mm / 10} | same
+        for row, seed, mm in (("usual", 0, 2.0), ("usual", 1, 6.0), ("tip", 1, 9.0))
+    ]
+    usual, tip = harsh.lines(rows)
+    assert (usual["trusted"], tip["trusted"]) == (1.0, 1.5)
+    assert (usual["worst"], usual["runs"], tip["runs"]) == (0.2, 2, 1)
+
+
+@pytest.mark.slow
+@needs_simulator
+def test_the_harsh_table_has_a_row_of_each_run_and_shows_what_a_wrong_table_costs(tmp_path):
+    rows = run("harsh", tmp_path, "--quick", "--only", "box", "--row", "table", "--row", "first")["harsh"]
+    assert [row["row"] for row in rows] == ["usual"] * 2 + ["first"] * 2 + ["table"] * 2
+    assert column(rows, "inside", row="usual").mean() > 0.9
+    assert column(rows, "speed").min() > 1
+    assert column(rows, "tracking").max() <= 1
 
 
 @pytest.mark.slow

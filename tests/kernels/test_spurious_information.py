@@ -21,7 +21,7 @@ from handsight.objects import Symmetries
 from kept_kernels import kept
 from oracles import correction as oracle
 
-PRIOR_TERM, TERM = records.PRIOR_TERM, records.TERM
+PRIOR_TERM, TERM, UNCERTAINTY = records.PRIOR_TERM, records.TERM, records.UNCERTAINTY
 
 
 @functools.cache
@@ -46,12 +46,14 @@ def problem(model, seed, *, bare=False):
 
 
 @kept
-def _information(model, nodes, contacts, constraints, outside, descents, by_touch, total, equations):
+def _information(model, nodes, contacts, constraints, outside, descents, by_touch, total):
     """Information of touch alone and of all, at a pose, and the sum of the contacts' own equations."""
     prior, rows = local(PRIOR_TERM), np.empty(len(contacts), TERM)
     center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior)
     evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0], prior, center)
-    density.information(evidence, pose_of(descents[0].pose), by_touch, total, equations)
+    u = local(UNCERTAINTY)
+    density.information(evidence, pose_of(descents[0].pose), total, u)
+    by_touch[:] = u.by_touch
     whole = np.zeros((6, 6))
     for k in range(len(rows)):
         for i in range(6):
@@ -65,7 +67,7 @@ def information(given, T):
     by_touch, total = np.empty((6, 6)), np.empty((6, 6))
     record = given.model.record[:2]
     arrays = given.contacts.record, given.constraints, given.outside, descents_at(T[None])
-    whole = _information(*record, *arrays, by_touch, total, np.empty((7, 8)))
+    whole = _information(*record, *arrays, by_touch, total)
     return by_touch, total, whole
 
 

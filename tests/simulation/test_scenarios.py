@@ -58,6 +58,7 @@ def test_without_nuisances_all_errors_are_zero_and_the_scale_is_one():
     values = {name: getattr(Nuisances.none(), name) for name in Nuisances.__slots__}
     assert values.pop("object_scale") == values.pop("friction") == 1.0
     assert values.pop("object_mass") == 0.15
+    assert values.pop("vision_drift_time") == Nuisances().vision_drift_time  # of a drift of size zero
     assert set(values.values()) == {0.0}
 
 

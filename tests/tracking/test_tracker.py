@@ -218,7 +218,7 @@ def test_a_pose_that_touch_got_wrong_is_dropped_when_contacts_fit_none_for_long(
     elsewhere = se3.moved(right, np.array([0.06, 0.05, -0.05, 0.2, 0.3, 0.1]))
     known = tracker.smoother.now.given_pose(elsewhere, np.diag([1e6] * 3 + [1e4] * 3))
     smoother = tracker.smoother.restarted(known)
-    tracker.resume(replace(tracker.track_state, smoother=smoother, correction=None))
+    tracker.resume(replace(tracker.track_state, smoother=smoother, correction=None, table=None))
     states = []
     for k in range(1, 40):
         tracker.update(later(last, 0.1 * k))

@@ -171,6 +171,8 @@ ANSWER = record(
     ("log_weight", "f8"),  # the same before it is divided by the sum
     ("departure", "f8"),  # from a Gaussian: how much more the cost rises beside the mode, as a ratio
     ("gain", "f8"),  # by how much χ² falls at most when one contact is left out
+    ("prior_gain", "f8"),  # by how much it falls when the prior is left out
+    ("outside_gain", "f8"),  # by how much it falls when all outside evidence is left out
     ("width", "f8"),  # how uncertain the prior leaves a point of the surface [diameters]
     ("rows", "i8"),  # number of rows of contact evidence
 )
@@ -199,6 +201,8 @@ WORKSPACE = record(
 UNCERTAINTY = record(
     ("by_touch", "f8", (6, 6)),
     ("equations", "f8", (7, 8)),
+    ("prior", "f8", (7, 8)),
+    ("walls", "f8", (7, 8)),
     ("matrix", "f8", (6, 6)),
     ("wider", "f8", (6, 6)),
     ("factor", "f8", (6, 6)),

@@ -199,6 +199,18 @@ def answer(problem: Problem) -> dict[str, Any]:
         "unobservable": estimate.unobservable,
         "consistent": estimate.consistent,
         "outliers": list(estimate.outliers),
+        "conflicts": [
+            {
+                "evidence": conflict.evidence,
+                "against": conflict.against,
+                "chi2": conflict.chi2,
+                "freedom": conflict.freedom,
+                "p_value": conflict.p_value,
+                "excluded": conflict.excluded,
+                "message": str(conflict),
+            }
+            for conflict in estimate.conflicts
+        ],
         "hypotheses": [
             {**_pose(h.T_palm_object), "covariance": h.covariance, "weight": h.weight}
             for h in estimate.hypotheses

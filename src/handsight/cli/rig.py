@@ -1,4 +1,4 @@
-"""`handsight rig check` and `handsight calibrate camera`: a rig file compared with a recording."""
+"""`handsight rig check` and `handsight calibrate`: a rig file compared with a recording."""
 
 import contextlib
 import math
@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run
+from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run, find_rig
 from handsight.cli.terminal import kept_going, plain_table, print_out, say
-from handsight.cli.track_summary import refusals
+from handsight.cli.track_summary import print_diagnosis, refusals
 from handsight.errors import HandsightError, InvalidInput, printable
 
 if TYPE_CHECKING:
@@ -34,8 +34,10 @@ def check(
 ) -> None:
     """Print a rig as tables, and what a recording lacks for it.
 
-    For a recording it also lists the fingers that never touched anything, and by how much the shapes of the hand's
-    links are too large: those that would be inside the object although the contacts of the fingertips fit.
+    For a recording it also lists the fingers that never touched anything, by how much the shapes of the hand's links
+    are too large (those that would be inside the object although the contacts of the fingertips fit), and what the
+    recording tells of the values that the rig declares: its own estimate of each, and a verdict. Recordings in which
+    the hand grasps an object again and again, in different ways, and turns and tilts it, tell most.
 
     ```
     handsight rig check robot.yaml
@@ -63,25 +65,25 @@ def check(
     try:
         run = Run.of(recording, rig, object)
     except InvalidInput as error:
-        typer.echo(printable(f"The shapes of the links were not checked: {error}"))
+        typer.echo(printable(f"The links' shapes and the declared values were not checked: {error}"))
         return
-    _print_links(run)
+    _print_tracked(run)
 
 
-def _print_links(run: Run) -> None:
-    """Tracks a recording, and prints by how much the shape of each link is too large [mm]; `-`: it is not."""
-    from handsight.recording import open_recording
-    from handsight.tracking import Tracker
+def _print_tracked(run: Run) -> None:
+    """Tracks a recording, and prints by how much the shape of each link is too large [mm], and the diagnosis."""
+    from handsight.tracking.diagnosis import Diagnoser
     from handsight.tracking.replay import Tally, replay
 
-    tracker = Tracker(run.rig, run.model)
+    with run.opened() as (recording, tracker):
+        diagnoser = Diagnoser(tracker)
+        for _ in replay(recording.observations(), tracker, Tally()):
+            diagnoser.watch()
+    print_diagnosis(diagnoser.diagnosis())
     if not tracker.links:
         lacks = "the hand's file has no shapes" if run.model.closed else "the object has no inside"
         typer.echo(printable(f"No link keeps the object out: {lacks}."))
         return
-    with open_recording(run.recording, run.rig) as opened:
-        for _ in replay(opened.observations(), tracker, Tally()):
-            pass
     margins = tracker.link_margins
     rows = [(link, f"{1e3 * margins[link]:.1f}" if link in margins else "-") for link in tracker.links]
     print_out("", plain_table(("link", "shape too large by [mm]"), rows, texts=1))
@@ -144,6 +146,37 @@ def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = N
         raise typer.Exit(end.exit_code)
     if touched is None and by_vision is None:
         raise InvalidInput(f"{recording}: expected an object that is held and visible, got none")
+
+
+@calibrate_app.command("sensors")
+def sensors(recording: RecordingPath, rig: RigPath = None) -> None:
+    """Estimate bias, tip mass and noise of the fingertips' force/torque sensors, from a hand that touches nothing.
+
+    The hand must have been still in several orientations, six that are as different as possible at best. Printed are
+    the lines of the rig file that change. The noise is what the calibration leaves, if that is more than the noise of
+    single readings: a bias that depends on the direction of gravity is no noise, but an error all the same.
+
+    ```
+    handsight calibrate sensors turned_in_the_air.mcap --rig robot.yaml
+    ```
+    """
+    from handsight.forces import calibrate_sensors
+    from handsight.recording import open_recording
+    from handsight.rig.save import sensor_text
+
+    before, _ = find_rig(recording, rig)
+    with open_recording(recording, before) as opened:
+        after = calibrate_sensors(before, opened.observations())
+    typer.echo("fingers:")
+    for name, finger in after.fingers.items():
+        for line in (f"  {name}:", "    sensor:", *(f"      {line}" for line in sensor_text(finger))):
+            typer.echo(printable(line))
+        was = before.fingers[name]
+        if finger.sigma_force > was.sigma_force or finger.sigma_torque > was.sigma_torque:
+            say(
+                f"{name}: readings are off by {1e3 * finger.sigma_force:.0f} mN, {1e3 * finger.sigma_torque:.2g} mN m; "
+                f"the rig has {1e3 * was.sigma_force:.0f} mN, {1e3 * was.sigma_torque:.2g} mN m"
+            )
 
 
 def _print_calibrated(by_vision: "HandCalibration | None", touched: "CameraCalibration | None") -> None:

@@ -1,6 +1,7 @@
 """`handsight simulate`: a simulated scenario as a recording, with its rig beside it."""
 
 import dataclasses
+import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -31,9 +32,10 @@ def simulate(
     motion: Annotated[
         str,
         typer.Option(
-            metavar="grasp|manipulate|weigh|ramp|steps|sine",
+            metavar="grasp|manipulate|weigh|ramp|steps|sine|creep|jerks",
             help="grasp: close the hand and hold the object; manipulate: then also move, lift and turn it; weigh: lift "
-            "and tilt it; ramp, steps, sine: lift it, and pull it with a force of that shape until it slips.",
+            "and tilt it; ramp, steps, sine, creep, jerks: lift it, and pull it with a force of that shape until it "
+            "slips.",
         ),
     ] = "manipulate",
     images: Annotated[
@@ -48,11 +50,19 @@ def simulate(
     depth_camera: Annotated[
         str, typer.Option(metavar=DEPTH_CAMERAS, help="How the camera measures depth.")
     ] = "structured_light",
+    world: Annotated[
+        str,
+        typer.Option(
+            metavar="usual|harsh",
+            help="usual: errors as the rig states them; harsh: everything wrong at once and larger, drawn by the seed.",
+        ),
+    ] = "usual",
     nuisance: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=VALUE",
-            help="Value of a nuisance, in SI units; `none` switches all off. May be given several times.",
+            help="Value of a nuisance, in SI units, in place of the world's; `none` switches all off. May be given "
+            "several times.",
         ),
     ] = None,
     blind: Annotated[
@@ -77,19 +87,28 @@ def simulate(
     pull_torque [N m]. With `--blind`, the recording has the pose that the search found, in the world, and
     `handsight track` starts from it.
 
+    In a harsh world sensors' gains are wrong and their readings stick, joints are off by up to twice what the rig
+    states, the camera is late and its error wanders, messages are lost, tips, table, size and mass are not as declared,
+    contacts are soft, and friction is lower. The rig knows nothing of it: does the tracker notice? OUTPUT.world.json
+    has all that was drawn. With many seeds the hand drops the object.
+
     ```
     handsight simulate can --output can.mcap
     handsight simulate box --images --nuisance joint_offset=0 --nuisance force_noise=0.02
     handsight simulate can --motion ramp --nuisance friction=0.6 --nuisance pull_force=6 --nuisance pull_torque=0.05
+    handsight simulate box --world harsh --seed 1
+    handsight simulate box --nuisance message_loss=0.05 --nuisance vision_delay=0.2
     ```
     """
-    from handsight.simulation import Scenario, read_grasp
+    from handsight.simulation import Nuisances, Scenario, read_grasp
 
     announce_compiling()
+    if world not in ("usual", "harsh"):
+        raise InvalidInput(f"--world: expected usual or harsh, got {world!r:.60}")
+    start = Nuisances.harsh(seed) if world == "harsh" else Nuisances()
     chosen: dict[str, Any] = {"motion": motion, "depth_camera": depth_camera}  # Scenario refuses unknown ones
-    scenario = Scenario(
-        object=object, seed=seed, images=images, skin=skin, nuisances=nuisances(nuisance or []), **chosen
-    )
+    chosen |= {"images": images, "skin": skin, "nuisances": nuisances(nuisance or [], start)}
+    scenario = Scenario(object=object, seed=seed, **chosen)
     if blind and images:
         raise InvalidInput("--images: expected none with --blind, which has no camera, got some")
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
@@ -99,19 +118,23 @@ def simulate(
     )
     size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
     say(f"wrote {path}: {samples} observations, {size}, and {rig_beside(path).name}")
+    if world == "harsh":
+        beside = path.with_suffix(".world.json")
+        write_world(scenario, beside)
+        say(f"wrote {beside}: what is wrong in this world, which the rig does not know")
     if dropped:
         say("the object has slipped out of the grasp; another --seed may hold it")
 
 
-def nuisances(settings: Iterable[str]) -> "Nuisances":
-    """Returns the default nuisances with changes `name=value`, applied in order; `none` switches all off.
+def nuisances(settings: Iterable[str], start: "Nuisances | None" = None) -> "Nuisances":
+    """Returns the default nuisances, or `start`, with changes `name=value`, in order; `none` switches all off.
 
     Raises InvalidInput.
     """
     from handsight import checks
     from handsight.simulation import Nuisances
 
-    chosen = Nuisances()
+    chosen = start or Nuisances()
     names = [field.name for field in dataclasses.fields(Nuisances)]
     for setting in settings:
         if setting == "none":
@@ -167,6 +190,24 @@ def record(
     return samples, dropped
 
 
+def write_world(scenario: "Scenario", path: Path) -> None:
+    """Writes the sizes of the scenario's nuisances, and the constant errors that its seed has drawn, in SI units.
+
+    Raises NotWritten.
+    """
+    from handsight.files import write_errors
+    from handsight.simulation import constant_errors
+
+    drawn = dataclasses.asdict(constant_errors(scenario.nuisances, int(scenario.seed)))
+    content = {
+        "seed": int(scenario.seed),
+        "nuisances": dataclasses.asdict(scenario.nuisances),
+        "drawn": {name: value.tolist() for name, value in drawn.items()},
+    }
+    with write_errors(path):
+        path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
 def write_slips(writer: "McapFile", stamp: float, sample: "Sample", rig: "Rig") -> None:
     """Writes the object's true velocity along each fingertip that touches it, in the palm's frame [m/s, rad/s].
 
@@ -207,10 +248,14 @@ def _search_grasp(scenario: "Scenario", path: Path) -> "Grasp":
 def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     """Returns the object as the robot describes it, with the size error `object_scale`."""
     from handsight.objects import ObjectSpec
+    from handsight.simulation.robot import declared_weight
 
     spec = rig.objects.get(scenario.object) or ObjectSpec(mesh=Path(scenario.object))
-    k = scenario.nuisances.object_scale
-    if scenario.nuisances.object_off_center:
+    n, k = scenario.nuisances, scenario.nuisances.object_scale
+    if n.declared_mass:
+        mass, sigma = declared_weight(n)
+        spec = dataclasses.replace(spec, mass=mass, center_of_mass="homogeneous", sigma_center_of_mass=sigma)
+    elif n.object_off_center:
         spec = dataclasses.replace(
             spec, center_of_mass=None, sigma_center_of_mass=None
         )  # the robot does not know it

@@ -10,7 +10,7 @@ import typer
 from handsight.cli import options
 from handsight.cli.options import Run, renamed, tracker_settings
 from handsight.cli.terminal import live_rows, say
-from handsight.cli.track_summary import TrackResult, weight_text
+from handsight.cli.track_summary import TrackResult, print_diagnosis, weight_text
 from handsight.errors import HandsightError, MissingExtra, printable
 from handsight.files import write_errors
 
@@ -35,6 +35,12 @@ def track(
     samples: options.Samples = 0,
     outside: options.OutsidePoints = 200,
     images: options.WithImages = True,
+    diagnose: Annotated[
+        bool,
+        typer.Option(
+            help="Print a table: what the recording tells of each value that the rig and the model declare."
+        ),
+    ] = False,
 ) -> None:
     """Track an object in the hand through a recording.
 
@@ -49,6 +55,7 @@ def track(
     handsight track can.mcap
     handsight simulate can --images --output seen.mcap && handsight track seen.mcap
     handsight track grasp.bag --rig robot.yaml --object mustard.ply --rate 100 --output-folder results
+    handsight track session.mcap --rig robot.yaml --object can --diagnose
     ```
 
     After an error or Ctrl-C, the track until then is written. The exit code is 0 only if the recording was tracked to
@@ -67,6 +74,8 @@ def track(
     finally:
         for sentence in (*result.messages, *result.sentences(), *wrote):
             say(sentence)
+        if diagnose and result.diagnosis is not None:
+            print_diagnosis(result.diagnosis)
     if code := result.exit_code:
         raise typer.Exit(code)
 
@@ -102,12 +111,15 @@ def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> TrackR
     After an error or Ctrl-C, the result has the steps until then. A HandsightError before the first step is raised.
     """
     from handsight.evaluation import Truths, track_errors
+    from handsight.tracking.diagnosis import Diagnoser
     from handsight.tracking.replay import Tally, replay
 
     with run.opened() as (recording, tracker):
         result = TrackResult(printable(run.recording.name), Tally(), Truths([]))
+        diagnoser = Diagnoser(tracker)
         with result.part() as end:
             for step in replay(recording.observations(), tracker, result.tally):
+                diagnoser.watch()
                 result.steps.append(step)
                 result.weight = tracker.weight or result.weight
                 watch(result.tally, step, tracker)
@@ -124,7 +136,7 @@ def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> TrackR
         tracker.link_margins,
     )
     result.latency, result.latency_declared = tracker.vision_latency(), tracker.vision.camera.latency
-    result.reason = tracker.reason
+    result.reason, result.diagnosis = tracker.reason, diagnoser.diagnosis()
     if not result.steps and not tally.observations:
         result.reason = "the recording has no observation"
     elif not result.steps and tally.refused.total() == tally.observations:

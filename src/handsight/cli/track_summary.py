@@ -9,12 +9,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from handsight.cli.terminal import FAILED, End, kept_going
+from handsight.cli.terminal import FAILED, End, kept_going, plain_table, print_out
 from handsight.files import write_errors
 
 if TYPE_CHECKING:
     from handsight.evaluation import TrackErrors, Truths
     from handsight.forces import ObjectWeight
+    from handsight.tracking.diagnosis import Diagnosis
     from handsight.tracking.replay import Step, Tally
 
 
@@ -46,6 +47,8 @@ class TrackResult:
     """What the rig says of it [s]."""
     weight: "ObjectWeight | None" = None
     """The object's weight, as measured last in the air."""
+    diagnosis: "Diagnosis | None" = None
+    """What the recording tells of the values that the rig and the model declare."""
     ends: list[End] = field(default_factory=list)
     """The ends of the parts of the command that ended early."""
 
@@ -102,6 +105,9 @@ class TrackResult:
             "link_margins_mm": {link: round(1e3 * margin, 1) for link, margin in self.margins.items()},
             "depth_images": self.images,
             "vision_latency_ms": None if self.latency is None else [round(1e3 * x, 1) for x in self.latency],
+            "diagnosis": []
+            if self.diagnosis is None
+            else [value.numbers() for value in self.diagnosis.values],
             "weight": None if self.weight is None else weight_numbers(self.weight),
             "recording_says": self.messages,
             "friction": self.friction,
@@ -151,6 +157,8 @@ class TrackResult:
             )
         if self.weight is not None:
             lines.append(f"weight: {weight_text(self.weight)}")
+        for value in () if self.diagnosis is None else self.diagnosis.wrong:
+            lines.append(f"{value.name}: {value.verdict}")
         lines += [end.message for end in self.ends if end.message]
         for name, errors in self.errors.items():
             n = errors.summary()
@@ -191,6 +199,8 @@ def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:
     text = f"{1e3 * weight.mass:.0f} ± {1e3 * weight.sigma_mass:.0f} g, centre [{place}] ± {sigma:.0f} mm in the object"
     if weight.biased:
         text += f"; the excess force of {', '.join(weight.biased)} in the air is subtracted"
+    if weight.assumed:
+        text += f"; {weight.assumed}"
     return f"not believed: {weight.reason} ({text})" if weight.reason else text
 
 
@@ -204,9 +214,33 @@ def weight_numbers(weight: "ObjectWeight") -> dict[str, object]:
         "directions": weight.directions,
         "not_believed": weight.reason,
         "biased": list(weight.biased),
+        "assumed": weight.assumed,
     }
 
 
 def refusals(tally: "Tally") -> list[str]:
     """Returns a sentence for each of the five most frequent reasons for which observations were left out."""
     return [f"{count} observations left out: {message}" for message, count in tally.refused.most_common(5)]
+
+
+def print_diagnosis(diagnosis: "Diagnosis") -> None:
+    """Prints a line for each value that a recording measures, the most doubtful first, and names the others."""
+    measured = sorted((v for v in diagnosis.values if v.measured), key=lambda v: (not v.wrong, -v.chi2))
+    rows = [
+        (v.name, v.unit, f"{v.declared:.4g} ± {v.sigma:.2g}", f"{v.estimated:.4g} ± {v.sigma_estimated:.2g}",
+         f"{v.chi2:.1f}", v.verdict)
+        for v in measured
+    ]  # fmt: skip
+    if rows:
+        print_out("", plain_table(("value", "in", "declared", "recording", "χ²", "verdict"), rows, texts=2))
+    others = [v.name for v in diagnosis.values if not v.measured]
+    joints, kinds = [name for name in others if name.startswith("joint ")], []
+    if joints:
+        kinds.append(f"{len(joints)} joints")
+    kinds += [name for name in others if name not in joints]
+    text = f"Different grasps that were compared: {diagnosis.instants}."
+    if diagnosis.message:
+        text += f" They were not compared with joints, tips and size: {diagnosis.message}."
+    elif kinds:
+        text += f" The recording does not measure {', '.join(kinds)}."
+    print_out(text)

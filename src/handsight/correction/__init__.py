@@ -2,7 +2,14 @@
 
 from handsight.correction.correct import METHODS, MOST_SAMPLES, correct_pose, correct_poses, refine_pose
 from handsight.correction.depth import DepthPoints
-from handsight.correction.estimate import Hypothesis, PoseEstimate, PosePrior, Residuals, bounded_covariance
+from handsight.correction.estimate import (
+    Conflict,
+    Hypothesis,
+    PoseEstimate,
+    PosePrior,
+    Residuals,
+    bounded_covariance,
+)
 from handsight.correction.mean import ANSWERS
 from handsight.correction.modes import pose_distances
 from handsight.correction.outside import MOST_PLANES, MOST_POINTS, Outside, Plane
@@ -18,6 +25,7 @@ __all__ = [
     "MOST_PLANES",
     "MOST_POINTS",
     "MOST_SAMPLES",
+    "Conflict",
     "DepthPoints",
     "Hypothesis",
     "Outside",

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import outliers, paper, starts
+from handsight.correction import conflicts, outliers, paper, starts
 from handsight.correction.depth import DepthPoints
 from handsight.correction.estimate import PoseEstimate, PosePrior, Vision, checked_prior
 from handsight.correction.mean import checked_answer, mean_by_sampling, with_means
@@ -34,6 +34,8 @@ from handsight.objects import ObjectModel
 USUAL = TwoPhase()
 MOST_SAMPLES = 1_000_000
 """Posterior samples of one correction: so many take ten seconds and a hundred megabytes."""
+MOST_WIDENED = 3
+"""How often the prior of a correction is widened at most where the rest contradicts it."""
 METHODS: dict[str, TwoPhase | PaperMethod] = {
     "handsight": USUAL,
     "paper-lm": PaperMethod(optimizer="lm"),
@@ -153,12 +155,37 @@ def _problem(
         skin = SkinEvidence(None, np.empty((0, 3)), np.asarray(outside.skin))
     if skin is not None and skin.contacts is not None:
         contacts = contacts.joined(skin.contacts)
+    taxels = 0 if skin is None or skin.contacts is None else len(skin.contacts)
     weight = None if weight is None else weight.of(model)
     rows = outside_records(model, contacts, outside, skin)
-    return Problem(model, contacts, prior, rows, weight, depth), skin
+    return Problem(model, contacts, prior, rows, weight, depth, taxels), skin
 
 
 def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, samples: int) -> PoseEstimate:
+    """Returns the answer to a problem; where the rest contradicts vision, with a wider prior.
+
+    Vision's errors have heavier tails than a Gaussian, and a prior that is far off drags a pose along all directions in
+    which contacts yield. A conflict of χ² with k degrees of freedom is likeliest where the covariance is χ² / k times
+    as large. The answer says that the evidence is inconsistent all the same.
+    """
+    first = estimate = _searched(problem, options, limit, answer, samples)
+    if not first.conflicts:
+        return first
+    for _ in range(MOST_WIDENED):
+        wrong = estimate.conflicts[0] if estimate.conflicts else None  # the least probable one
+        if wrong is None or wrong.evidence != "vision" or problem.vision is None or limit.cut_short:
+            break
+        covariance = max(wrong.chi2 / wrong.freedom, 1.0) * problem.vision.covariance
+        problem = replace(problem, vision=PosePrior.trusted(problem.vision.T_palm_object, covariance))
+        estimate = _searched(problem, options, limit, answer, samples)
+    if estimate is first:
+        return first
+    excluded = tuple(c for c in estimate.conflicts if c.excluded)
+    in_use = tuple(c for c in first.conflicts if not c.excluded)
+    return replace(estimate, consistent=False, conflicts=in_use + excluded)
+
+
+def _searched(problem: Problem, options: TwoPhase, limit: Budget, answer: str, samples: int) -> PoseEstimate:
     """Returns the answer to a problem, from one start where that is enough, else from many."""
     if options is USUAL and not samples and problem.starts is None:
         estimate = solve_single_start(problem)
@@ -211,11 +238,15 @@ def _weighed(
     if estimate.consistent and not contradicted:
         return replace(estimate, weight_fits=True)
     without = solved(replace(problem, weight=None))
-    if not estimate.consistent and not without.consistent and not contradicted:
-        return replace(
-            estimate, weight_fits=True
-        )  # something else is inconsistent, with the weight and without
-    return replace(without, weight_fits=False)
+    named, others = ({c.evidence for c in e.conflicts if not c.excluded} for e in (estimate, without))
+    elsewhere = not estimate.consistent and not without.consistent
+    # Something else is inconsistent, with the weight and without; it may also pull the pose away from the weight.
+    if elsewhere and (not contradicted or (named == others and named and "weight" not in named)):
+        return replace(estimate, weight_fits=True)
+    used = np.ones((1, len(problem.contacts)), dtype=bool)
+    used[0, list(without.outliers)] = False
+    wrong = conflicts.excluded(problem, without.answer, used, "weight")
+    return replace(without, weight_fits=False, conflicts=(*without.conflicts, wrong))
 
 
 def _method(method: str | TwoPhase | PaperMethod) -> TwoPhase | PaperMethod:

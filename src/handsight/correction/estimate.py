@@ -7,7 +7,7 @@ position of the object's origin (`handsight.se3.moved`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -129,6 +129,42 @@ class Hypothesis:
     __repr__ = short_repr
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Conflict:
+    """A `Conflict` is evidence that contradicts the rest; `str` of it is a sentence."""
+
+    evidence: str
+    """What contradicts: "vision", "contact 3" (by its index), "skin", "weight", "depth" or "outside"."""
+    against: str
+    """The rest, such as "contacts, weight"."""
+    chi2: float
+    """By how much χ² is smaller without it: along one direction, its squared distance in standard deviations."""
+    freedom: int
+    """Degrees of freedom of `chi2` where nothing contradicts."""
+    p_value: float
+    """Probability of so large a `chi2` where nothing contradicts."""
+    offset: Array
+    """From what it measured to where the rest puts the object: of vision (6,) shift [m] and turn [rad] along the palm's
+    axes; of the weight (3,) the shift of the centre of mass [m]; of a contact (2,) distance [m] and angle [rad]; of
+    others (0,)."""
+    excluded: bool = False
+    """Whether it was left out of the answer."""
+
+    def __str__(self) -> str:
+        """Returns a sentence such as "vision contradicts contacts by 10 sigma: 3.3 mm along z"."""
+        shift, turn = self.offset[:3], self.offset[3:]
+        places = ["along x", "along y", "along z"]
+        if len(self.offset) == 2:  # distance and angle of a contact
+            shift, turn, places = self.offset[:1], self.offset[1:], ["from the surface"]
+        text = f"{self.evidence} contradicts {self.against} by {self.chi2**0.5:.0f} sigma"
+        if len(shift):
+            k = int(np.abs(shift).argmax())
+            text += f": {1e3 * abs(shift[k]):.1f} mm {places[k]}"
+        if len(turn) and np.isfinite(turn).all():
+            text += f", {np.rad2deg(np.linalg.norm(turn)):.1f}°"
+        return text + ", and is left out" * self.excluded
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PoseEstimate:
     """A `PoseEstimate` is the object's pose in the palm with its uncertainty.
@@ -143,12 +179,15 @@ class PoseEstimate:
     residual_rows: Array
     """(n, 2) distance [m] and angle [rad] of each contact."""
     consistent: bool
-    """Whether the evidence in use fits this object at this pose: χ² is below its 99.9 % quantile."""
+    """Whether the evidence in use fits this object at this pose: it passes the χ² test of all evidence together, and
+    those of each kind of evidence and each contact alone against the rest, with a level of .001 over all tests."""
     outliers: tuple[int, ...] = ()
     """Indices of contacts that were rejected as wrong."""
     weight_fits: bool | None = None
     """Whether the object's weight was used; False: all other evidence contradicts it, and it was left out; None: no
     weight was given."""
+    conflicts: tuple[Conflict, ...] = ()
+    """Which evidence contradicts the rest, the least probable one first; then what was left out of the answer."""
 
     @classmethod
     def from_gaussian(cls, T_palm_object: Array, covariance: Array, unobservable: Array) -> PoseEstimate:
@@ -189,9 +228,7 @@ class PoseEstimate:
         if covariance is not None:
             answer["covariance"] = covariance
         rows = self.residual_rows if residuals is None else residuals
-        return PoseEstimate(
-            answer, (answer, *self.modes[1:]), rows, self.consistent, self.outliers, self.weight_fits
-        )
+        return replace(self, answer=answer, modes=(answer, *self.modes[1:]), residual_rows=rows)
 
     @property
     def T_palm_object(self) -> Array:

@@ -14,11 +14,12 @@ from handsight import checks, se3
 from handsight._kernels.posterior import mean
 from handsight._kernels.posterior.options import INTEGRATION
 from handsight.checks import Array, Mask
-from handsight.correction import modes, solve
+from handsight.correction import conflicts, modes, solve
 from handsight.correction.estimate import PoseEstimate
-from handsight.correction.problem import Problem, descents_at
+from handsight.correction.problem import Problem, Records, descents_at
 from handsight.errors import InvalidInput
-from handsight.objects.symmetry import tangents
+from handsight.objects import ObjectModel
+from handsight.objects.symmetry import nearest, tangents
 
 ANSWERS = ("best", "maximum", "mean")
 """What an answer can be: "best" is the mean where a mode is not Gaussian, and else the maximum."""
@@ -49,8 +50,8 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEst
     mode in any case, with "maximum" no mode.
 
     Only the likeliest modes are tested. A mode along the same flat direction as another is part of that one's mean, and
-    is no hypothesis any more; of means that are not distinct, the likeliest remains. Without vision, a mode with an
-    unobservable direction stays a maximum: the direction is not bounded, and several maxima along it are more
+    is no hypothesis any more; of means that are not distinct, one remains, the mean of all. Without vision, a mode with
+    an unobservable direction stays a maximum: the direction is not bounded, and several maxima along it are more
     informative than one mean.
     """
     likeliest = estimate.modes[: INTEGRATION.max_modes]
@@ -58,25 +59,65 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEst
         row["departure"] > INTEGRATION.max_gaussian_rise and (row["complete"] or not problem.blind)
         for row in likeliest
     ]
-    if answer == "maximum" or not (answer == "mean" or any(integrated)):
+    integrate = answer == "mean" or (answer == "best" and any(integrated))
+    if not integrate and len(estimate.modes) == 1:
         return estimate
     rows = np.array(estimate.modes)
-    rows["departure"][: len(integrated)][~np.array(integrated, dtype=bool)] = 0.0
-    if answer == "mean":
-        rows["departure"][0] = np.inf
     used = np.ones((1, len(problem.contacts)), dtype=bool)
     used[0, list(estimate.outliers)] = False
-    mean.integrate(*problem.arguments(used), rows)
+    if integrate:
+        rows["departure"][: len(integrated)][~np.array(integrated, dtype=bool)] = 0.0
+        if answer == "mean":
+            rows["departure"][0] = np.inf
+        mean.integrate(*problem.arguments(used), rows)
     if len(rows) > 1:
         rows = rows[rows["weight"] >= 0]
-        order = np.argsort(-rows["log_weight"], kind="stable")
-        means = descents_at(rows["T_palm_object"])
-        rows = rows[solve.distinct(problem.model, means, order, modes.MODES.max_modes, modes.SAME_MODE)]
+        rows = _merged(problem, rows[np.argsort(-rows["log_weight"], kind="stable")], answer)
     share = np.exp(rows["log_weight"] - rows["log_weight"][0])
     rows["weight"] = share / share.sum()
     residuals = solve.residuals(problem, descents_at(rows["T_palm_object"][:1]))
-    consistent = modes.fits(rows[0]["chi2"], problem.freedom(used))
-    return PoseEstimate(rows[0], tuple(rows), residuals, consistent, estimate.outliers)
+    consistent, contradictions = conflicts.judged(problem, rows[0], used)
+    return PoseEstimate(
+        rows[0], tuple(rows), residuals, consistent, estimate.outliers, conflicts=contradictions
+    )
+
+
+def _merged(problem: Problem, rows: Records, answer: str) -> Records:
+    """Returns the distinct ones of modes (K,) ANSWER, likeliest first; unless the answer is to be the "maximum", each
+    becomes the mean, and has the covariance, of itself and those beside it."""
+    model = problem.model
+    means = descents_at(rows["T_palm_object"])
+    chosen = solve.distinct(model, means, np.arange(len(rows)), modes.MODES.max_modes, modes.SAME_MODE)
+    rest = np.setdiff1d(np.arange(len(rows)), chosen)
+    merged = rows[chosen]
+    if answer == "maximum" or not len(rest):
+        return merged
+    for row in merged:
+        T = row["T_palm_object"].copy()
+        shift, turn = modes.pose_distances(model, rows["T_palm_object"][rest], T)
+        near = (shift <= modes.SAME_MODE[0]) & (turn <= modes.SAME_MODE[1])
+        beside, rest = rows[rest[near]], rest[~near]
+        share = np.exp(beside["log_weight"] - row["log_weight"])
+        if share.sum() < 0.01:
+            continue
+        Ts = nearest(model.symmetries, beside["T_palm_object"], T, model.radius)
+        offsets = np.vstack([np.zeros(6), se3.difference(Ts, T)])
+        shares = np.append(1.0, share) / (1 + share.sum())
+        middle = shares @ offsets
+        C = np.einsum("k,kij->ij", shares, np.concatenate([[row["covariance"]], beside["covariance"]]))
+        C += (offsets - middle).T @ ((offsets - middle) * shares[:, None])
+        row["T_palm_object"], row["covariance"] = se3.moved(T, middle), C
+        row["log_weight"] += np.log1p(share.sum())
+        row["information"] = _known_information(model, row["T_palm_object"], C)
+    return merged[np.argsort(-merged["log_weight"], kind="stable")]
+
+
+def _known_information(model: ObjectModel, T: Array, covariance: Array) -> Array:
+    """Returns the inverse of a covariance (6, 6), zero along the declared symmetry axes."""
+    scale = np.repeat([1.0, 1 / model.radius], 3)
+    known = _across(tangents(model.symmetries, T), model.radius)
+    metres = known @ (covariance / scale[:, None] / scale) @ known.T
+    return np.asarray(known.T @ np.linalg.inv(metres) @ known / scale[:, None] / scale)
 
 
 def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, samples: int) -> PoseEstimate:
@@ -101,12 +142,10 @@ def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, sampl
     T = se3.moved(T_mode, draws.mean(axis=0))
     spread = np.cov(draws.T)
     # No chain has moved about a symmetry axis, so the spread there is nearly zero; the information there must be zero.
-    known = _across(tangents(problem.model.symmetries, T), radius)
-    inverse = known.T @ np.linalg.inv(known @ (spread / scale[:, None] / scale) @ known.T) @ known
     return estimate.with_gaussian(
         T,
         None if len(axes) else spread,
-        inverse / scale[:, None] / scale,
+        _known_information(problem.model, T, spread),
         solve.residuals(problem, descents_at(T[None])),
     )
 

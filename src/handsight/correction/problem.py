@@ -75,6 +75,8 @@ class Problem:
     """(m,) OUTSIDE."""
     weight: WeightEvidence | None = None
     depth: DepthPoints | None = None
+    taxels: int = 0
+    """How many of the contacts, the last ones, are pressed taxels of tactile arrays."""
     starts: Array | None = None
     """(K, 4, 4) poses to descend from on the fine field; None: draws from the prior, in two phases."""
 
@@ -93,6 +95,12 @@ class Problem:
         for evidence in (self.weight, self.depth):
             record = record if evidence is None else evidence.added_to(record)
         return record
+
+    @property
+    def rows(self) -> int:
+        """The rows of evidence beside the prior."""
+        everyone = np.ones((1, len(self.contacts)), dtype=bool)
+        return self.freedom(everyone) + (6 if self.blind else 0)
 
     def arguments(self, used: Mask) -> tuple[Records, Any, Records, Records, Records]:
         """Returns model, nodes, contacts, constraints and outside rows as kernels take them, the contacts once for each

@@ -1,7 +1,7 @@
 """Calls of the compiled solver: from one start, from many, and for the answer at a minimum."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from handsight._kernels.solve.options import SEARCH
 from handsight._kernels.touch import surface_at_contacts
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
-from handsight.correction import modes
+from handsight.correction import conflicts, modes
 from handsight.correction.estimate import PoseEstimate, PosePrior
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Budget, Problem, Records, descents_at, plain, poses_of, taken
@@ -34,6 +34,8 @@ class SolveOptions(NamedTuple):
 
 
 SOLVE = SolveOptions()
+ACCEPTED = ["width", "converged", "cost", "coarse_cost", "chi2", "gain", "rows", "prior_gain", "outside_gain"]
+"""Fields of an ANSWER by which it is accepted."""
 
 
 def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEstimate | None:
@@ -53,7 +55,11 @@ def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEs
         row["follows"] = True
         row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
     batch.correct_all(model.record.model, model.record.nodes, contacts, problem.outside, rows, residuals)
-    return _accepted(row["answer"], residuals, searched=T_start is not None)
+    estimate = _accepted(lambda: problem, row["answer"], residuals, searched=T_start is not None)
+    if estimate is not None and (problem.taxels or problem.depth is not None):
+        used = np.ones((1, len(contacts)), dtype=bool)
+        estimate = estimate if conflicts.judged(problem, row["answer"], used)[0] else None
+    return estimate
 
 
 def solve_batch(
@@ -74,19 +80,26 @@ def solve_batch(
     in_parts(lambda part: batch.correct_all(*given, part, residuals), (rows,), SOLVE.serial // 4)
     # Copied, so that an estimate does not keep the arrays of all problems in memory.
     return [
-        _accepted(row["answer"].copy(), residuals[row["first"] : row["last"]].copy(), searched=False)
-        for row in rows
+        _accepted(
+            partial(Problem, model, *pair, NO_OUTSIDE),
+            row["answer"].copy(),
+            residuals[row["first"] : row["last"]].copy(),
+            searched=False,
+        )
+        for pair, row in zip(problems, rows, strict=True)
     ]
 
 
-def _accepted(answer: np.void, residuals: Array, *, searched: bool) -> PoseEstimate | None:
+def _accepted(
+    problem: Callable[[], Problem], answer: np.void, residuals: Array, *, searched: bool
+) -> PoseEstimate | None:
     """Returns the estimate of an ANSWER that one start led to, or None where a search might find a better one.
 
-    `searched`: whether a search has led to this mode already; then it is enough that the evidence fits.
+    `problem` returns the problem, which takes long to build for each of a batch. `searched`: whether a search has led
+    to this mode already; then it is enough that the evidence fits.
     """
-    fields = ["width", "converged", "cost", "coarse_cost", "chi2", "gain", "rows"]
     # One by one they would take twice as long.
-    width, converged, cost, coarse_cost, chi2, gain, freedom = answer[fields].item()
+    width, converged, cost, coarse_cost, chi2, gain, freedom, prior, outside = answer[ACCEPTED].item()
     if not width < SEARCH.single_start_width or not converged:
         return None
     if searched:
@@ -94,9 +107,15 @@ def _accepted(answer: np.void, residuals: Array, *, searched: bool) -> PoseEstim
     else:
         accepted = modes.beyond_doubt(cost, coarse_cost, freedom, width / SEARCH.single_start_width)
         accepted = accepted and modes.unsuspicious(cost, freedom, gain)
+        if width > modes.MODES.weak_width:
+            accepted = accepted and not modes.several_minima(problem().model, freedom)
     if not accepted:
         return None
-    return PoseEstimate(answer, (answer,), residuals, modes.fits(chi2, freedom))
+    if chi2 > conflicts.LEAST and max(gain, prior, outside) > conflicts.LEAST:
+        used = np.ones((1, len(residuals)), dtype=bool)
+        if not conflicts.judged(problem(), answer, used)[0]:
+            return None
+    return PoseEstimate(answer, (answer,), residuals, modes.fits(chi2, freedom, conflicts.POOL))
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,14 +255,22 @@ def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
     minima, used = found.minima, found.used
     order, chosen = np.argsort(-minima["log_weight"], kind="stable"), minima
     if len(minima) > 1:
-        chosen = taken(minima, distinct(problem.model, minima, order, modes.MODES.max_modes, modes.SAME_MODE))
+        each = distinct(problem.model, minima, order, modes.MODES.max_modes, modes.SAME_MODE)
+        if not problem.blind:  # with those beside a mode, as they are parts of its mean
+            likely = order[
+                minima["log_weight"][order] > minima["log_weight"][order[0]] - modes.MODES.unlikely
+            ]
+            beside = distinct(problem.model, minima, likely, modes.MODES.max_minima, modes.SAME_MINIMUM)
+            each = np.union1d(each, beside)
+        chosen = taken(minima, each[np.argsort(-minima["log_weight"][each], kind="stable")])
     answers = summaries(problem, chosen, used)
     share = np.exp(chosen["log_weight"] - chosen["log_weight"][0])
     answers["weight"], answers["log_weight"] = share / share.sum(), chosen["log_weight"]
     answers["posterior_cost"] = chosen["posterior_cost"]
     rejected = tuple(int(i) for i in np.flatnonzero(~used[0]))
-    consistent = modes.fits(answers[0]["chi2"], found.freedom)
-    return PoseEstimate(answers[0], tuple(answers), residuals(problem, chosen[:1]), consistent, rejected)
+    consistent, contradictions = conflicts.judged(problem, answers[0], used)
+    estimate = PoseEstimate(answers[0], tuple(answers), residuals(problem, chosen[:1]), consistent, rejected)
+    return replace(estimate, conflicts=contradictions) if contradictions else estimate
 
 
 def summarize_pose(problem: Problem, descent: Records) -> PoseEstimate:

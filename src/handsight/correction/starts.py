@@ -16,7 +16,7 @@ from handsight._kernels.records import DESCENT, SAMPLES
 from handsight._kernels.runtime.threads import in_parts
 from handsight._kernels.solve import batch, search
 from handsight.checks import Array, Indices, Mask
-from handsight.correction import solve
+from handsight.correction import modes, solve
 from handsight.correction.estimate import PoseEstimate, PosePrior
 from handsight.correction.problem import Problem, Records, taken
 from handsight.objects import ObjectModel
@@ -27,6 +27,7 @@ class StartOptions(NamedTuple):
 
     min_starts: int = 16  # with vision: starts from the narrowest prior
     max_starts: int = 32  # with vision: starts from the widest prior
+    weak_starts: int = 64  # with vision: where three contacts may have several minima
     blind_spins: int = 18  # without vision: turns about a contact's normal that are tried
     max_anchors: int = 3  # without vision: contacts on which the surface is laid
     blind_kept: int = 384  # without vision: starts that are descended from
@@ -48,6 +49,8 @@ def usual(problem: Problem) -> int:
     """Returns the number of starts of a problem for which one is not enough; with vision, by the prior's width."""
     if problem.vision is None:
         return STARTS.blind_kept
+    if modes.several_minima(problem.model, problem.rows):
+        return STARTS.weak_starts
     w = batch.width(problem.model.record.model, problem.vision.record)
     return int(min(max(round(80 * w), STARTS.min_starts), STARTS.max_starts))
 

@@ -10,7 +10,7 @@ from handsight.objects.model import ObjectModel
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectSpec:
-    """An `ObjectSpec` is one of box, cylinder, mesh and name, and the declared weight of the object."""
+    """An `ObjectSpec` is one of box, cylinder, mesh and name, and the declared weight and friction of the object."""
 
     box: tuple[float, float, float] | None = None
     """Sides [m]."""
@@ -28,6 +28,10 @@ class ObjectSpec:
     """Centre of mass in the object's frame [m]; `homogeneous`: the centroid of its volume."""
     sigma_center_of_mass: float | None = None
     """Standard deviation of the centre of mass per axis [m]."""
+    friction: float | None = None
+    """Coefficient of friction between fingertips and object."""
+    sigma_friction: float | None = None
+    """Standard deviation of that coefficient."""
 
     def model(self) -> ObjectModel:
         """Returns the object with its weight; raises a HandsightError."""
@@ -41,6 +45,9 @@ class ObjectSpec:
             model = ObjectModel.from_file(self.mesh, scale=self.scale)
         else:
             raise InvalidInput("object: expected one of box, cylinder, mesh, name, got none")
+        if self.friction is not None:
+            sigma_friction = model.sigma_friction if self.sigma_friction is None else self.sigma_friction
+            model = model.with_friction(self.friction, sigma_friction)
         if self.mass is None and self.center_of_mass is None:
             return model
         center = model.volume_centroid if self.center_of_mass == "homogeneous" else self.center_of_mass

@@ -20,6 +20,7 @@ from handsight.hand import Hand
 from handsight.msgspec_errors import FieldPath as FieldPath
 from handsight.msgspec_errors import field_name
 from handsight.objects import ObjectSpec
+from handsight.objects.model import check_friction
 from handsight.representation import short_repr
 
 DepthCamera = Literal["structured_light", "time_of_flight", "stereo"]
@@ -50,21 +51,40 @@ class Finger:
     """Noise of a force reading [N]."""
     sigma_torque: float = 5e-5
     """Noise of a torque reading [N m]."""
+    sigma_gain: float = 0.02
+    """Constant relative error of the readings of each axis, such as of its calibration matrix."""
     sigma_point: float = 5e-4
     """Error of a contact's position beside those of joints and sensor: calibration, a soft tip [m]."""
     sigma_normal: float = np.deg2rad(1.0)
     """The same of a contact's normal [rad]."""
     full_scale: tuple[float, float] | None = None
     """Largest force [N] and torque [N m] that the sensor can read; such a reading is no measurement."""
+    friction: float | None = None
+    """Coefficient of friction between tip and objects; None where it is to be learnt."""
+    sigma_friction: float = 0.1
+    """Standard deviation of that coefficient."""
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput for a wrong pose or standard deviation."""
+        """Raises InvalidInput for a wrong pose, standard deviation or coefficient of friction."""
         se3.check(self.T_frame_surface, "T_frame_surface")
         for name in ("sigma_force", "sigma_torque"):
             checks.sigma(getattr(self, name), name)
-        _check_sigmas(self, "sigma_point", "sigma_normal")
+        check_friction(self.friction, self.sigma_friction, "friction")
+        _check_sigmas(self, "sigma_point", "sigma_normal", "sigma_gain")
+
+    def calibrated(
+        self, found: WrenchCalibration, noise_force: float = 1e-3, noise_torque: float = 5e-6
+    ) -> "Finger":
+        """Returns the finger with a calibration of its sensor, and with sigmas that cover what that leaves.
+
+        Real sensors leave .1 to .5 N where their noise is a few millinewton, because a bias that depends on the
+        direction of gravity fits no calibration. `noise_force` [N] and `noise_torque` [N m]: of a single reading.
+        """
+        left = [np.mean(np.square(part)) for part in (found.residual_force, found.residual_torque)]
+        sigma_force, sigma_torque = np.sqrt(left + np.square([noise_force, noise_torque])).tolist()
+        return replace(self, calibration=found, sigma_force=sigma_force, sigma_torque=sigma_torque)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -122,7 +142,7 @@ class MountedCamera:
 
     @property
     def drift(self) -> Array:
-        """(3,) variance of the correlated error, of a position [m²] and a rotation [rad²], and the time it lasts [s]."""
+        """(3,) variance of the correlated error, of a position [m²] and a rotation [rad²], and its time [s]."""
         position, rotation = self.sigma_position_correlated, self.sigma_rotation_correlated
         position = 2 * self.sigma_position if position is None else position
         rotation = self.sigma_rotation if rotation is None else rotation

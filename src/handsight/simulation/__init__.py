@@ -9,7 +9,7 @@ from handsight.simulation.probe import PROBE, Probe
 from handsight.simulation.rendering import render
 from handsight.simulation.robot import model_of, rig_of
 from handsight.simulation.scenario import SCENARIO, Nuisances, Profile, Sample, Scenario, TipContact
-from handsight.simulation.simulate import simulate
+from handsight.simulation.simulate import ConstantErrors, constant_errors, simulate, simulate_each
 from handsight.simulation.touch_search import (
     TOUCH_SEARCH,
     simulate_touch_search,
@@ -22,6 +22,7 @@ __all__ = [
     "PROBE",
     "SCENARIO",
     "TOUCH_SEARCH",
+    "ConstantErrors",
     "Grasp",
     "GraspSearchResult",
     "Nuisances",
@@ -32,12 +33,14 @@ __all__ = [
     "TipContact",
     "add_depth_noise",
     "camera_facing",
+    "constant_errors",
     "find_grasp",
     "model_of",
     "read_grasp",
     "render",
     "rig_of",
     "simulate",
+    "simulate_each",
     "simulate_touch_search",
     "start_search",
     "touch_search_rig",

@@ -53,7 +53,12 @@ def calibration_error(nuisances: Nuisances, seed: int) -> Array:
     # The mean length of a Gaussian in the plane is √(π/2) of its sigma.
     plane = nuisances.camera_position / np.sqrt(np.pi / 2)
     shift = draw[:3] * [plane, plane, nuisances.camera_height]
-    R = se3.rotation_exp(nuisances.camera_rotation * draw[3:])
+    return moved_about_target(shift, nuisances.camera_rotation * draw[3:])
+
+
+def moved_about_target(shift: Array, rotation: Array) -> Array:
+    """Returns the rigid motion (4, 4) of a rotation (3,) [rad] about `TARGET`, and of a shift (3,) [m]."""
+    R = se3.rotation_exp(rotation)
     return se3.compose(R, TARGET + shift - R @ TARGET)
 
 

@@ -91,7 +91,9 @@ class Probe(World):
         super().__init__(replace(scenario, motion="grasp", images=False), grasp)
         self._hold_object(self._start)
         self.refresh()
-        self._sensors = Sensors(scenario, self)
+        # A robot that searches waits for a message until it has it.
+        certain = replace(scenario.nuisances, message_loss=0.0)
+        self._sensors = Sensors(replace(scenario, nuisances=certain), self)
         self._sensors.T_world_scene = T_world_table @ self._sensors.T_world_scene
         self.top = float(np.ptp(corners[:, 2]))
         """Height of the object above the table [m]."""

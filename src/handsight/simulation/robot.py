@@ -12,7 +12,7 @@ from handsight.hand import Hand
 from handsight.objects import ObjectModel, ObjectSpec
 from handsight.rig import Finger, MountedCamera, Rig, Table, Topics
 from handsight.simulation.camera import CALIBRATED_CAMERA, INTRINSICS
-from handsight.simulation.scenario import Nuisances, Scenario
+from handsight.simulation.scenario import SCENARIO, Nuisances, Scenario
 from handsight.simulation.scene import (
     BOX_SIZE,
     CAN_SIZE,
@@ -86,7 +86,7 @@ def model_of(scenario: Scenario) -> ObjectModel:
     else:
         vertices, faces = convex_hull(scenario.object)
         model = ObjectModel.from_mesh(n.object_scale * vertices, faces)
-    scan_points = 4000
+    scan_points, center = 4000, model.volume_centroid if n.declared_mass else None
     if n.object_dent > 0:
         # A round dent at a random point of the sides; the mesh is made fine enough to be smooth there.
         import trimesh
@@ -103,8 +103,18 @@ def model_of(scenario: Scenario) -> ObjectModel:
         points, normals = model.sample(scan_points, 7)
         rng = np.random.default_rng((seed, 8))
         noisy = points + n.object_scan * rng.normal(size=points.shape)
-        return ObjectModel.from_points(noisy, normals, symmetries=model.symmetries)
+        model = ObjectModel.from_points(noisy, normals, symmetries=model.symmetries)
+    if n.declared_mass > 0:
+        mass, sigma = declared_weight(n)
+        model = model.with_weight(mass=mass, center_of_mass=center, sigma_center_of_mass=sigma)
     return model
+
+
+def declared_weight(nuisances: Nuisances) -> tuple[float, float]:
+    """Returns the object's mass as the robot has it [kg], and the true sigma of its homogeneous centre [m]."""
+    n = nuisances
+    sigma = float(np.hypot(1e-3, n.object_off_center / np.sqrt(3)))
+    return n.declared_mass * (n.object_mass or SCENARIO.object_mass), sigma
 
 
 @cache

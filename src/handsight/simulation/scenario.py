@@ -15,7 +15,7 @@ from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig.rig import DepthCamera
 
-Profile = Literal["ramp", "steps", "sine"]
+Profile = Literal["ramp", "steps", "sine", "creep", "jerks"]
 Motion = Literal["grasp", "manipulate", "weigh", Profile]
 Phase = Literal["touch", "close", "hold", "move", "pull"]
 
@@ -109,9 +109,39 @@ class Nuisances:
     """Coefficient of friction of the fingertips; torsional friction is
     proportional to it, with an arm of 5 mm."""
     pull_force: float = 9.0
-    """Greatest force with which the object is pulled in the motions `ramp`, `steps` and `sine` [N]."""
+    """Greatest force with which the object is pulled, in the motions of a `Profile` [N]."""
     pull_torque: float = 0.0
     """Greatest torque of that pull [N m]."""
+    force_gain: float = 0.0
+    """Sigma of the constant relative error of the gain of each axis of each force/torque sensor."""
+    force_backlash: float = 0.0
+    """Half the width of the hysteresis of each axis of force [N]: a reading stays until the true force is this far
+    away, and follows it at this distance."""
+    torque_backlash: float = 0.0
+    """The same of each axis of torque [N m]."""
+    vision_drift_position: float = 0.0
+    """Sigma of the part of vision's error that wanders, by which all that the camera measures is shifted [m]: an
+    Ornstein-Uhlenbeck process."""
+    vision_drift_rotation: float = 0.0
+    """Sigma of the same part of its rotation, about the scene's middle [rad]."""
+    vision_drift_time: float = 10.0
+    """Correlation time of that part [s]; over a much shorter time t it is a random walk of sigma · √(2 t / this)."""
+    message_loss: float = 0.0
+    """Probability that a message is lost: a joint state, and with it the observation; a finger's wrench; a pose of
+    vision, or an image."""
+    stamp_jitter: float = 0.0
+    """How much later than the measurement an observation's stamp may be, drawn uniformly from 0 to this [s]. Stamps
+    stay in order: at most nine tenths of the time to the next observation."""
+    tip_size: float = 0.0
+    """Sigma of the constant error of each true tip's radius, and of its length, against the rig's ellipsoid; at most
+    twice this [m]."""
+    contact_softness: float = 0.0
+    """How much softer than usual the contacts of tips and object are: their time constant is (1 + this) · 10 ms."""
+    pyramidal_friction: float = 0.0
+    """1: friction is limited by a pyramid within the cone, weaker between its axes; 0: by the cone."""
+    declared_mass: float = 0.0
+    """Mass that the robot's model of the object declares, with a homogeneous centre, relative to the true mass; 0: it
+    declares none."""
 
     def __post_init__(self) -> None:
         for item in dataclasses.fields(self):
@@ -120,16 +150,77 @@ class Nuisances:
                 raise InvalidInput(f"{item.name}: expected a number of at least 0, got {value:g}")
             if value > SCENARIO.max_nuisance:
                 raise InvalidInput(f"{item.name}: expected at most {SCENARIO.max_nuisance:g}, got {value:g}")
-        if not 0.5 <= self.object_scale <= 2:
-            raise InvalidInput(f"object_scale: expected 0.5 to 2, got {self.object_scale:g}")
-        if not 0.1 <= self.friction <= 2:
-            raise InvalidInput(f"friction: expected 0.1 to 2, got {self.friction:g}")
+        for name, (low, high) in RANGES.items():
+            if not low <= getattr(self, name) <= high:
+                raise InvalidInput(f"{name}: expected {low:g} to {high:g}, got {getattr(self, name):g}")
+        if self.pyramidal_friction not in (0, 1):
+            raise InvalidInput(f"pyramidal_friction: expected 0 or 1, got {self.pyramidal_friction:g}")
 
     @classmethod
     def none(cls) -> "Nuisances":
         """Returns nuisances of size zero: the robot's readings are exact."""
         off = {item.name: 0.0 for item in dataclasses.fields(cls)}
-        return cls(**{**off, "object_scale": 1.0, "object_mass": SCENARIO.object_mass, "friction": 1.0})
+        kept = ("object_scale", "object_mass", "friction", "vision_drift_time")
+        return cls(**{**off, **{name: getattr(cls(), name) for name in kept}})
+
+    @classmethod
+    def harsh(cls, seed: int) -> "Nuisances":
+        """Returns nuisances of the sizes that a hard world of this seed has, each drawn from its range in `HARSH`.
+
+        Each size has its own random stream: a nuisance that is added, or left out, changes no other.
+        """
+        drawn = {}
+        for name, (low, high) in HARSH.items():
+            rng = np.random.default_rng((seed, 13, *name.encode()))
+            drawn[name] = float(rng.integers(2) if name == "pyramidal_friction" else rng.uniform(low, high))
+        drawn["object_mass"] = math.exp(drawn["object_mass"])
+        return cls(**drawn)
+
+    def shares_world(self, other: "Nuisances") -> bool:
+        """Returns whether the other nuisances differ in readings and the robot's model only: the world is the same."""
+        return all(getattr(self, name) == getattr(other, name) for name in PHYSICAL)
+
+
+RANGES = {
+    "object_scale": (0.5, 2.0),
+    "friction": (0.1, 2.0),
+    "message_loss": (0.0, 1.0),
+    "tip_size": (0.0, 0.002),
+    "contact_softness": (0.0, 4.0),
+    "declared_mass": (0.0, 10.0),
+}
+"""Least and greatest value of the nuisances that have narrower limits than all have."""
+PHYSICAL = (
+    "object_mass", "object_off_center", "unsensed_force", "support_force", "friction", "pull_force", "pull_torque",
+    "tip_size", "contact_softness", "pyramidal_friction",
+)  # fmt: skip
+"""The nuisances that change what happens; all others change what is measured, or what the robot believes."""
+HARSH = {
+    "joint_offset": (np.deg2rad(1.0), np.deg2rad(2.0)),
+    "force_noise": (0.01, 0.03),
+    "torque_noise": (5e-5, 1.5e-4),
+    "force_gain": (0.01, 0.04),
+    "force_backlash": (0.0, 0.05),
+    "torque_backlash": (0.0, 2.5e-4),
+    "tip_compliance": (2e-5, 5e-5),
+    "tip_size": (1e-4, 3e-4),
+    "contact_softness": (0.0, 0.6),
+    "pyramidal_friction": (0, 1),
+    "friction": (0.7, 1.2),
+    "object_mass": (math.log(0.05), math.log(0.5)),
+    "object_off_center": (0.0, 0.02),
+    "declared_mass": (0.9, 1.1),
+    "object_scale": (0.985, 1.015),
+    "table_height": (0.003, 0.0075),
+    "table_tilt": (np.deg2rad(1.0), np.deg2rad(1.5)),
+    "vision_delay": (0.0, 0.2),
+    "vision_drift_position": (0.0, 0.02),
+    "vision_drift_rotation": (0.0, np.deg2rad(6.0)),
+    "vision_drift_time": (2.0, 20.0),
+    "message_loss": (0.0, 0.05),
+    "stamp_jitter": (0.0, 0.005),
+}
+"""Ranges of the sizes in a harsh world, in each nuisance's unit; of the mass, of its logarithm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,7 +235,8 @@ class Scenario:
     motion: Motion = "grasp"
     """`grasp`: the fingers close, the object is let go and held for half a second. Then, with `manipulate`: it is moved
     over the table, lifted and turned; with `weigh`: lifted, tilted by 20° about two axes, with pauses, and shaken; with
-    `ramp`, `steps` and `sine`: lifted, pulled by a force of that profile while the hand is still, and tilted."""
+    `ramp`, `steps`, `sine`, `jerks` and `creep` (a ramp that follows slowly): lifted, pulled by a force of that profile
+    while the hand is still, and tilted."""
     rate: float = 100.0
     """Observations per second; 500 must be a multiple of it."""
     images: bool = False

@@ -29,6 +29,7 @@ PALM = "robot0:palm"
 T_MOUNT_PALM = se3.compose(np.eye(3), np.array([0.0, 0.01, 0.29]))
 """(4, 4) of the palm in the hand's mount, with the wrist straight."""
 FINGERS = ("ff", "mf", "rf", "lf", "th")
+TipErrors = tuple[tuple[float, float], ...]
 
 
 class SceneOptions(NamedTuple):
@@ -65,9 +66,16 @@ TABLE = ((-0.075, 0.6), (-0.45, 0.45), (-0.03, 0.0))
 """First and last coordinate along x, y, z [m]."""
 IMAGE_SIZE = (640, 480)
 """Width and height of the camera's images, a Kinect's [pixels]."""
-STIFF = {"solref": [0.01, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0]}
-"""Contact stiffness. With MuJoCo's defaults tips sink in by 0.5 mm, which moves sensed points by 0.2 mm; with much
-stiffer contacts the hand drops objects."""
+
+
+def stiffness(softness: float) -> dict[str, list[float]]:
+    """Returns the contact stiffness, for `contact_softness`.
+
+    With MuJoCo's defaults tips sink in by 0.5 mm, which moves sensed points by 0.2 mm; with contacts much stiffer than
+    the usual ones the hand drops objects.
+    """
+    k = 1 + softness
+    return {"solref": [0.01 * k, 1.0], "solimp": [1 - 0.05 * k, 1 - 0.01 * k, 0.001, 0.5, 2.0]}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,11 +117,15 @@ def scene(
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
     *,
     friction: float = 1.0,
+    pyramidal: bool = False,
+    softness: float = 0.0,
+    tip_errors: TipErrors = ((0.0, 0.0),) * 5,
 ) -> SimulatedScene:
     """Returns the scene with an object: `name` is `can`, `box` or a mesh file.
 
-    The object has that mass [kg], its centre of mass is displaced by `shift` [m], and `friction` is the tips'. Raises
-    MissingExtra without mujoco or gymnasium-robotics, InvalidFile or InvalidObject for a mesh that cannot be used.
+    The object has that mass [kg], its centre of mass is displaced by `shift` [m]; `friction` and `tip_errors`, of
+    radius and length [m], are the tips'. Raises MissingExtra without mujoco or gymnasium-robotics, InvalidFile or
+    InvalidObject for a mesh that cannot be used.
     """
     mujoco = mujoco_module()
     spec = mujoco.MjSpec.from_file(str(hand_file()))
@@ -124,10 +136,12 @@ def scene(
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     spec.option.iterations, spec.option.tolerance = 100, 1e-10
-    spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
-    _change_hand(mujoco, spec, friction)
+    cones = mujoco.mjtCone
+    spec.option.cone = cones.mjCONE_PYRAMIDAL if pyramidal else cones.mjCONE_ELLIPTIC
+    spec.option.impratio = 50.0 if pyramidal else 10.0  # else a pyramid lets a held object creep
+    _change_hand(mujoco, spec, friction, softness, tip_errors)
     _add_table_and_camera(mujoco, spec)
-    bounds = _add_object(mujoco, spec, name)
+    bounds = _add_object(mujoco, spec, name, softness)
     if mass != SCENARIO.object_mass or any(shift):
         # The inertia about the centre of mass is proportional to the mass.
         body, usual = spec.body("object"), scene(name).model.body("object")
@@ -152,7 +166,9 @@ def hand_file() -> Path:
     return Path(found.origin).parent / HAND_FILE
 
 
-def _change_hand(mujoco: ModuleType, spec: "MjSpec", friction: float) -> None:
+def _change_hand(
+    mujoco: ModuleType, spec: "MjSpec", friction: float, softness: float, tips: TipErrors
+) -> None:
     """Replaces each distal link's collision shape by an ellipsoid on a sensor, which measures every force on the link.
 
     The hand floats, welded to a mocap body that represents the arm.
@@ -161,8 +177,9 @@ def _change_hand(mujoco: ModuleType, spec: "MjSpec", friction: float) -> None:
     for pair in list(spec.pairs):
         if pair.geomname1 in replaced or pair.geomname2 in replaced:
             spec.delete(pair)
-    for finger in FINGERS:
+    for finger, (wider, longer) in zip(FINGERS, tips, strict=True):
         semi_axes, center_z = tip_shape(finger)
+        semi_axes += [wider, wider, longer]
         spec.delete(spec.geom(f"robot0:C_{finger}distal"))
         spec.geom(f"robot0:V_{finger}distal").group = SCENE.hidden_group
         tip = spec.body(f"robot0:{finger}distal").add_body(name=f"{finger}_tip", pos=[0, 0, SCENE.sensor_z])
@@ -171,7 +188,7 @@ def _change_hand(mujoco: ModuleType, spec: "MjSpec", friction: float) -> None:
             pos=[0, 0, center_z], mass=SCENE.tip_mass, contype=1 | SCENE.table_collision_bit, conaffinity=0, condim=4,
             friction=[friction, SCENARIO.torsion * friction, 0.0001],
             priority=1, margin=0.0, rgba=[0.25, 0.25, 0.28, 1],
-            **STIFF,
+            **stiffness(softness),
         )  # fmt: skip
         tip.add_site(name=f"{finger}_ft")
         site = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": f"{finger}_ft"}
@@ -216,7 +233,7 @@ def _add_table_and_camera(mujoco: ModuleType, spec: "MjSpec") -> None:
     spec.worldbody.add_geom(
         name="table", type=mujoco.mjtGeom.mjGEOM_BOX, pos=(low + high) / 2, size=(high - low) / 2,
         contype=0, conaffinity=SCENE.table_collision_bit, friction=[0.4, 0.005, 0.0001], priority=1,
-        rgba=[0.85, 0.76, 0.64, 1], **STIFF,
+        rgba=[0.85, 0.76, 0.64, 1], **stiffness(0.0),
     )  # fmt: skip
     spec.worldbody.add_camera(
         name="camera", fovy=float(np.rad2deg(2 * np.arctan(IMAGE_SIZE[1] / 2 / SCENE.focal_length)))
@@ -229,7 +246,7 @@ def _add_table_and_camera(mujoco: ModuleType, spec: "MjSpec") -> None:
     )
 
 
-def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str) -> Array:
+def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str, softness: float) -> Array:
     """Adds the object and returns its bounds (2, 3) in its own frame [m]."""
     body = spec.worldbody.add_body(name="object")
     body.add_freejoint(name="object")
@@ -249,7 +266,7 @@ def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str) -> Array:
         geometry |= {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": "object"}
     body.add_geom(
         name="object", mass=SCENARIO.object_mass, condim=4, friction=[1.0, 0.005, 0.0001],
-        contype=1 | SCENE.table_collision_bit, conaffinity=1, **geometry, **STIFF,
+        contype=1 | SCENE.table_collision_bit, conaffinity=1, **geometry, **stiffness(softness),
     )  # fmt: skip
     return np.asarray(bounds)
 

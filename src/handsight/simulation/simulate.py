@@ -1,17 +1,19 @@
 """Samples of a scenario: at each instant the truth, and the measurements of the robot's sensors with their errors."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.errors import InvalidObject
+from handsight.errors import InvalidInput, InvalidObject
 from handsight.observation import Observation, PoseMeasurement
-from handsight.simulation.camera import add_depth_noise, true_camera
+from handsight.simulation.camera import add_depth_noise, calibration_error, moved_about_target, true_camera
 from handsight.simulation.grasp_search import grasp_for
+from handsight.simulation.loads import tip_errors
 from handsight.simulation.motion import Grasp
 from handsight.simulation.rendering import Renderer
 from handsight.simulation.scenario import SCENARIO, Nuisances, Sample, Scenario
@@ -31,17 +33,15 @@ class Sensors:
         """Draws by the scenario's seed; each sensor has its own random stream, which no other's settings change."""
         self.scenario, self.world, self.nuisances = scenario, world, scenario.nuisances
         seed, n = int(scenario.seed), scenario.nuisances
-        constant = np.random.default_rng((seed, 2))
-        self._offsets = n.joint_offset * constant.normal(size=len(world.scene.joints))
-        self._bias = UNLOADED + _errors(n.force_bias, n.torque_bias, constant, len(FINGERS))
-        self._bias += tip_biases(n, seed)
-        self._drift = _errors(n.force_drift, n.torque_drift, constant, len(FINGERS))
+        self._constant = constant_errors(n, seed, len(world.scene.joints))
         self._noise, self._vision, self._image_noise = (np.random.default_rng((seed, k)) for k in (3, 5, 6))
-        # The scene's table is the true one; the world's is the table of the robot's rig.
-        height, *tilt = np.random.default_rng((seed, 9)).normal(size=3)
-        turn = se3.rotation_exp(n.table_tilt * np.array([*tilt, 0.0]))
-        self.T_world_scene = se3.compose(turn, np.array([0.0, 0.0, n.table_height * height]))
+        self._losses, self._jitter, self._wander = (np.random.default_rng((seed, k)) for k in (16, 17, 18))
+        self.T_world_scene = self._constant.T_world_scene
         self._T_camera_world = true_camera(scenario)
+        self._drift = np.zeros(6)  # of vision, in sigmas
+        self._loads: Array | None = None
+        self.lost = False
+        """Whether the last observation's joint state was lost, and with it the observation."""
         self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + round(n.vision_delay * scenario.rate))
         self._renderer = Renderer(world.scene) if scenario.images else None
         self._depth_noise = PRESETS[scenario.depth_camera].times(n.depth_noise)
@@ -60,30 +60,38 @@ class Sensors:
         self._past.append((self.T_world_scene @ self.world.pose("object"), self.world.data.qpos.copy()))
         T_world_object, configuration = self._past[0]  # as old as the delay, or the oldest there is
         n, color, depth, vision = self.nuisances, None, None, None
+        lost, no_vision, no_image, *no_wrench = self._losses.random(3 + len(FINGERS)) < n.message_loss
+        self.lost = bool(lost)
+        T_camera_world = self._T_camera_world @ self._drifted()
         if self._due(10.0):
             off = _errors(n.vision_position, n.vision_rotation, self._vision)
-            vision = PoseMeasurement(se3.moved(self._T_camera_world @ T_world_object, off), "camera")
+            vision = PoseMeasurement(se3.moved(T_camera_world @ T_world_object, off), "camera")
         if self._renderer is not None and self._due(30.0):
-            T_scene_camera = se3.inverse(self._T_camera_world @ self.T_world_scene)
+            T_scene_camera = se3.inverse(T_camera_world @ self.T_world_scene)
             color, exact = self._renderer.take(configuration, T_scene_camera)
             depth = add_depth_noise(exact, self._depth_noise, self._image_noise, int(self.scenario.seed))
         self._samples += 1
         # A deflected tip, which the joints do not measure, looks like joints turned the other way.
-        joints = self.world.data.qpos[self._angles] + self._offsets - self._deflections()
+        joints = self.world.data.qpos[self._angles] + self._constant.joint_offsets - self._deflections()
         joints = joints + n.joint_noise * self._noise.normal(size=len(joints))
-        errors = self._bias + self._drift * self.world.time
+        errors = self._constant.bias + self._constant.drift * self.world.time
         errors = errors + _errors(n.force_noise, n.torque_noise, self._noise, len(FINGERS))
+        loads = self._constant.gains * np.array([self.world.reading(finger) for finger in FINGERS])
+        play = np.repeat([n.force_backlash, n.torque_backlash], 3)
+        self._loads = np.clip(loads if self._loads is None else self._loads, loads - play, loads + play)
+        wrenches = zip(FINGERS, self._loads + errors, no_wrench, strict=True)
+        late = min(n.stamp_jitter, 0.9 / self.scenario.rate) * self._jitter.random()
         skin: dict[str, Array] = {}
         if self._skin is not None:
             skin = self._skin.readings(self.world.T_palm_object(), self.world.pressed(PALM_GEOM))
         return Observation(
-            stamp=self.world.time,
+            stamp=self.world.time + late,
             joint_positions=dict(zip(self.world.scene.joints, joints.tolist(), strict=True)),
-            wrenches={f: self.world.reading(f) + error for f, error in zip(FINGERS, errors, strict=True)},
-            vision=vision,
+            wrenches={finger: wrench for finger, wrench, lost in wrenches if not lost},
+            vision=None if no_vision else vision,
             T_world_palm=self.T_world_scene @ self.world.pose(PALM),
-            color=color,
-            depth=depth,
+            color=None if no_image else color,
+            depth=None if no_image else depth,
             skin=skin,
         )
 
@@ -99,6 +107,15 @@ class Sensors:
             dropped=world.dropped(),
             configuration=world.data.qpos.copy(),
         )
+
+    def _drifted(self) -> Array:
+        """Returns the wandering part of vision's error at this observation, a motion (4, 4) in the world."""
+        n = self.nuisances
+        passed = 1 / (self.scenario.rate * n.vision_drift_time) if n.vision_drift_time else np.inf
+        kept = np.exp(-passed) if self._samples else 0.0
+        self._drift = kept * self._drift + np.sqrt(1 - kept**2) * self._wander.normal(size=6)
+        shift, rotation = n.vision_drift_position * self._drift[:3], n.vision_drift_rotation * self._drift[3:]
+        return moved_about_target(shift, rotation)
 
     def _due(self, per_second: float) -> bool:
         """Returns whether this sample has a measurement that comes at a rate [1/s]."""
@@ -124,6 +141,46 @@ class Sensors:
             gram = J @ J.T + 1e-6 * np.eye(3)
             found[own] = J.T @ np.linalg.solve(gram, self.nuisances.tip_compliance * force)
         return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConstantErrors:
+    """`ConstantErrors` are what a robot's sensors and its rig have wrong all the time, as drawn: truth for tests."""
+
+    joint_offsets: Array
+    """(24,) of the joints' readings [rad]."""
+    gains: Array
+    """(5, 6) of the fingers' force/torque sensors, 1 for a right one."""
+    bias: Array
+    """(5, 6) readings of the fingers without load [N, N m]; the rig's calibration has `UNLOADED`."""
+    drift: Array
+    """(5, 6) rate at which the bias grows [N/s, N m/s]."""
+    tips: Array
+    """(5, 2) true radius and length of the tips less the rig's [m]."""
+    T_world_scene: Array
+    """(4, 4) where the true table, and all that stands on it, is in the world, in which the rig's table is at 0."""
+    T_measured_true: Array
+    """(4, 4) in the world: it maps true poses to where the rig's camera places them, without vision's drift."""
+
+
+def constant_errors(nuisances: Nuisances, seed: int, joints: int = 24) -> ConstantErrors:
+    """Returns the constant errors that a seed draws for a hand of that many joints, of the sizes of the nuisances."""
+    n, rng = nuisances, np.random.default_rng((seed, 2))
+    offsets = n.joint_offset * rng.normal(size=joints)
+    bias = UNLOADED + _errors(n.force_bias, n.torque_bias, rng, len(FINGERS))
+    bias += tip_biases(n, seed)
+    drift = _errors(n.force_drift, n.torque_drift, rng, len(FINGERS))
+    height, *tilt = np.random.default_rng((seed, 9)).normal(size=3)
+    turn = se3.rotation_exp(n.table_tilt * np.array([*tilt, 0.0]))
+    return ConstantErrors(
+        joint_offsets=offsets,
+        gains=1 + n.force_gain * np.random.default_rng((seed, 15)).normal(size=bias.shape),
+        bias=bias,
+        drift=drift,
+        tips=np.array(tip_errors(n, seed)),
+        T_world_scene=se3.compose(turn, np.array([0.0, 0.0, n.table_height * height])),
+        T_measured_true=calibration_error(n, seed),
+    )
 
 
 def tip_biases(nuisances: Nuisances, seed: int) -> Array:
@@ -152,17 +209,42 @@ def simulate(
     gymnasium-robotics (`handsight[sim]`), or where images cannot be drawn; InvalidFile or
     InvalidObject for a mesh that cannot be used, or if the simulation fails and throws the object away.
     """
+    for (sample,) in simulate_each(scenario, [scenario.nuisances], progress, grasp):
+        if sample is not None:
+            yield sample
+
+
+def simulate_each(
+    scenario: Scenario,
+    variants: Sequence[Nuisances],
+    progress: Callable[[float], None] | None = None,
+    grasp: Grasp | None = None,
+) -> Iterator[tuple[Sample | None, ...]]:
+    """Yields at each instant the sample of each of several nuisances, which measure one and the same world.
+
+    Each is as `simulate` yields it; None where its message is lost. Raises as `simulate` does, and InvalidInput for
+    nuisances that change what happens (`Nuisances.shares_world`).
+    """
+    for k, variant in enumerate(variants):
+        if not variant.shares_world(scenario.nuisances):
+            raise InvalidInput(f"variants[{k}]: expected the world of the scenario's nuisances, got another")
     world = World(scenario, grasp or grasp_for(scenario.object, int(scenario.seed), skin=scenario.skin))
-    yield from samples(scenario, world, Sensors(scenario, world), progress)
+    sensors = [Sensors(replace(scenario, nuisances=variant), world) for variant in variants]
+    yield from samples(scenario, world, sensors, progress)
 
 
 def samples(
-    scenario: Scenario, world: World, sensors: Sensors, progress: Callable[[float], None] | None = None
-) -> Iterator[Sample]:
-    """Yields samples of a world at the scenario's rate, as `simulate`; closes the sensors at the end."""
+    scenario: Scenario,
+    world: World,
+    sensors: Sequence[Sensors],
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[tuple[Sample | None, ...]]:
+    """Yields samples of a world at the scenario's rate, as `simulate_each`; closes the sensors at the end."""
     every = round(SCENARIO.steps_per_second / scenario.rate)
     steps = round(world.duration * SCENARIO.steps_per_second)
-    with closing(sensors):
+    with ExitStack() as stack:
+        for each in sensors:
+            stack.enter_context(closing(each))
         for step in range(steps + 1):
             if step:
                 world.step()
@@ -173,6 +255,7 @@ def samples(
                 raise InvalidObject(
                     f"object: the simulator threw it away after {world.time:.1f} s, not the hand"
                 )
-            yield sensors.sample()
+            found = ((each.sample(), each.lost) for each in sensors)
+            yield tuple(None if lost else sample for sample, lost in found)
             if progress is not None:
                 progress(step / steps)

@@ -103,7 +103,9 @@ def simulate_touch_search(scenario: Scenario, grasp: Grasp | None = None) -> Ite
     sensors = Sensors(scenario, world)
     sensors.T_world_scene = probe.T_world_object @ se3.inverse(world.pose("object"))
     vision: PoseMeasurement | None = PoseMeasurement(found.T_a_b, "world", found.covariance)
-    for sample in samples(scenario, world, sensors):
+    for (sample,) in samples(scenario, world, [sensors]):
+        if sample is None:
+            continue
         stamp = begins + sample.observation.stamp
         yield replace(sample, observation=replace(sample.observation, stamp=stamp, vision=vision))
         vision = None

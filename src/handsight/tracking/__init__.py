@@ -1,6 +1,7 @@
 """Tracking: the object's pose in the palm over time, from a stream of observations."""
 
 from handsight.tracking.camera_calibration import HAND_VIEWS, HandViews, calibrate_camera
+from handsight.tracking.diagnosis import Diagnosed, Diagnoser, Diagnosis, diagnose
 from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.replay import Step, Tally, best_weight
@@ -12,6 +13,9 @@ from handsight.tracking.tracker import State, Tracker
 
 __all__ = [
     "HAND_VIEWS",
+    "Diagnosed",
+    "Diagnoser",
+    "Diagnosis",
     "FingertipContacts",
     "FingertipSensors",
     "HandViews",
@@ -27,4 +31,5 @@ __all__ = [
     "TrackerSettings",
     "best_weight",
     "calibrate_camera",
+    "diagnose",
 ]

@@ -4,7 +4,7 @@
 # A step assigns the fields of its own copy of a state, `_Next`; a `TrackState` is frozen for everybody else.
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -16,18 +16,25 @@ from handsight.contact import Contacts
 from handsight.correction import Outside, PoseEstimate, PosePrior, correct_pose, refine_pose
 from handsight.forces import WeightSensor
 from handsight.objects import ObjectModel
+from handsight.objects.resting import resting_poses
 from handsight.observation import Observation
 from handsight.rig import MountedCamera, Rig
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
 from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside
+from handsight.tracking.hypotheses import (
+    HYPOTHESES,
+    ambiguity,
+    with_others,
+)
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
-from handsight.tracking.measurements import VisionUpdate, on_table
+from handsight.tracking.measurements import VisionUpdate
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
 from handsight.tracking.smoother import STILL, PoseBiasSmoother, process_variance
+from handsight.tracking.table import TableEstimate, TableEvidence, supports_of
 from handsight.tracking.track_state import NO_POSE, Correction, State, TrackState, point_uncertainty
 
 
@@ -39,6 +46,7 @@ class FollowerOptions(NamedTuple):
     recovery_period: float = 0.5
     """Time between two such searches, and between corrections while nothing fits: each costs as much as a hundred
     others [s]."""
+    search_period: float = 3.0  # between two searches for other modes, where vision brings none about [s]
     retry_period: float = 0.1  # time between corrections while nothing fits, if other fingers touch now [s]
     lost_without_fit: float = 2.0  # how long contacts may contradict every pose before the object is lost [s]
     min_contacts_to_learn: int = 3
@@ -86,6 +94,9 @@ class Follower:
         """(6,) variance of the object's random walk in the palm, per second [m², rad²]."""
         self.regrasp_noise = np.repeat([s.regrasp_position**2, s.regrasp_rotation**2], 3)
         """(6,) variance of the object's motion when a finger comes or goes [m², rad²]."""
+        poses = () if rig.table is None else resting_poses(model, model.center_of_mass)
+        self.supports = supports_of(poses)
+        """What may bear the object while it is on the table."""
 
     def initial(self, start: PosePrior | None, offsets: JointOffsets) -> TrackState:
         """Returns the state before any observation; `start`: the object's pose in the palm, None where unknown."""
@@ -97,7 +108,7 @@ class Follower:
             memory=ContactMemory(self.settings.memory, self.process_noise),
             vision=vision,
             images=ImageVision(self.rig, self.model, on=self.settings.images),
-            slip=SlipUpdate(self.rig),
+            slip=SlipUpdate(self.rig, self.model),
             weight=WeightSensor(self.rig, self.model),
             offsets=offsets,
         )
@@ -122,6 +133,13 @@ class Follower:
         if state.estimate is None:
             return math.inf
         return math.sqrt(point_uncertainty(state.estimate, self.model, self.model.center_object)[1])
+
+    def table(self, state: TrackState) -> TableEstimate | None:
+        """Returns where the table must be, given the object's pose; None before the object was grasped on it."""
+        if state.table is None or state.estimate is None:
+            return None
+        drift = process_variance(self.process_noise, state.stamp - state.table.stamp)
+        return state.table.estimated(state.estimate, drift)
 
     def joint_offsets(self, state: TrackState) -> JointOffsets:
         """Returns the joints' constant errors, learnt from all grips so far, this one included."""
@@ -158,6 +176,7 @@ class Follower:
                 grasped=state.grasp.grasped,
                 lifted=state.grasp.lifted,
                 finger_on_table="on the table" in touch.reasons.values(),
+                pivots=state.slip.now.pivots,
             )
 
         # Vision.
@@ -175,7 +194,8 @@ class Follower:
 
         # The answer: corrected, or propagated from the last correction, or vision's alone.
         if touch.contacts is not None and self._due(state, touch.contacts, vision=vision):
-            self._correct(state, touch.contacts, state.smoother, joints, vision=vision)
+            given = state.smoother if state.table is None else state.table.smoother(state.smoother)
+            self._correct(state, touch.contacts, given, joints, vision=vision)
         last = state.correction
         if state.estimate is None or last is None:  # without touch every direction is unobservable
             now = state.smoother.now
@@ -207,7 +227,10 @@ class Follower:
             state.memory = state.memory.only(fingers)
         if (smoother := state.smoother) is not None:
             smoother = smoother if change is None else self._regrasped(state, smoother, change)
-            state.smoother = state.slip.update(stamp, state.fingertips, smoother)
+            state.smoother = state.slip.update(stamp, state.fingertips, smoother, state.vision)
+            if state.table is not None and state.smoother is not smoother:
+                slipped = state.smoother.prior.covariance - smoother.now.covariance
+                state.table = state.table.restarted(smoother, slipped[:6, :6])
         if state.slip.now.slipping:
             state.memory = state.memory.only(fingers)
             state.weight.weigher.forget("the object slips")
@@ -217,13 +240,16 @@ class Follower:
         state.offsets = self.joint_offsets(state)
         state.learnt_from = last = state.correction
         pose, T, table = smoother.now, state.T_world_palm, self.rig.table
-        if change == "released" and last is not None:
-            # What contacts have measured of the pose up to now stays true; the object's motion from now on is unknown.
-            pose = pose.given_pose(last.estimate.T_palm_object, last.estimate.information)
-            state.correction = None
+        if change == "released":
+            if last is not None:
+                # What was measured of the pose up to now stays true; the object's motion from now on is unknown.
+                pose = pose.given_pose(last.estimate.T_palm_object, last.estimate.information)
+            state.correction = state.table = None
         pose = pose.inflated(self.regrasp_noise)
         if change != "released" and table is not None and T is not None and not state.grasp.lifted:
-            pose = on_table(pose, self.model, table, T) or pose
+            state.table = TableEvidence.of(self.model, table, self.supports, pose, T, state.stamp)
+        elif state.table is not None:
+            state.table = state.table.restarted(smoother, np.diag(self.regrasp_noise))
         return smoother.restarted(pose)
 
     def _measure_by_vision(self, state: _Next, observation: Observation) -> None:
@@ -232,8 +258,11 @@ class Follower:
         T_palm_object = known.T_palm_object if known is not None and grasped else None
         result = state.images.observe(observation, state.vision.camera_from_palm, T_palm_object)
         state.processed = result.observation
+        before = state.smoother
         if result.hand is not None:
-            state.vision, state.smoother = state.vision.palm_detected(result.hand, state.smoother)
+            state.vision, state.smoother = state.vision.palm_detected(result.hand, before)
+            if state.table is not None and before is not None and state.smoother is not before:
+                state.table = state.table.informed(before, result.hand.bias(before.pivot))
         vision = result.observation.vision
         if vision is None:
             return
@@ -242,13 +271,12 @@ class Follower:
         stamp = observation.stamp if vision.stamp is None else vision.stamp
         past = state.images.history.palm_at(stamp, latency) if grasped else None
         T_world_palm, motion = past or (state.T_world_palm, STILL)
-        if (
-            vision is not observation.vision
-        ):  # an image's covariance includes what it shares with those before
+        if vision is not observation.vision:  # an image's covariance has what it shares with those before
             motion = motion._replace(drift_gain=0.0)
-        state.vision, state.smoother = state.vision.updated(
-            result.observation, state.smoother, T_world_palm, motion
-        )
+        state.vision, after = state.vision.updated(result.observation, state.smoother, T_world_palm, motion)
+        state.smoother = after
+        if before is not None and after is not None and (after.process_noise < before.process_noise).any():
+            state.table = None  # vision has started anew, as the object was moved
 
     def _due(self, state: _Next, touched: Contacts, *, vision: bool) -> bool:
         """Returns whether a correction is due: after news of vision, touch, weight or a slip, or by the set rate."""
@@ -287,16 +315,22 @@ class Follower:
         def correct(prior: PosePrior, outside: Outside | None = links) -> PoseEstimate:
             return correct_pose(self.model, contacts, vision=prior, outside=outside, samples=samples, **given)
 
+        def refine(prior: PosePrior, T_start: Array) -> PoseEstimate | None:
+            return refine_pose(self.model, contacts, prior, T_start, outside=links, **given)
+
         # The last answer is a good start while the same fingers touch, unless vision may lead to another minimum. With
         # a pressed array a search takes long, and vision adds little, so the start is then the last answer.
-        estimate = None
+        estimate, searched_at = None, now
+        others: Sequence[np.void] = ()
         if last is not None and touch.fingers == last.fingers and not (vision and pressed is None):
-            near = last.estimate
-            if near.consistent and not near.outliers and not samples:
-                start = near.T_palm_object_maximum
-                estimate = refine_pose(self.model, contacts, prior, start, outside=links, **given)
+            near, age = last.estimate, now - last.searched_at
+            ambiguous = len(last.modes) > 1 and last.modes[1]["weight"] > HYPOTHESES.relevant
+            search = age >= (FOLLOWER.recovery_period if ambiguous else FOLLOWER.search_period)
+            if near.consistent and not near.outliers and not samples and not search:
+                estimate = refine(prior, near.T_palm_object_maximum)
+                others, searched_at = last.modes[1:], last.searched_at
         if estimate is None:
-            estimate = correct(prior)
+            estimate, others, searched_at = correct(prior), (), now
 
         # Links of the hand may be smaller than their shapes, and the contacts may belong to another pose.
         fits = estimate.consistent and not estimate.outliers
@@ -304,10 +338,15 @@ class Follower:
             state.links_checked_at = now
             estimate, inside = self.hand.reconciled(estimate, links, lambda weaker: correct(prior, weaker))
             state.margins = state.margins.noted(inside, now)
+        table, known = state.table, state.smoother
+        if table is not None and known is not None and table.due(now, estimate, news=state.weight.news):
+            drift = process_variance(self.process_noise, now - table.stamp)
+            state.table, estimate, prior = table.compared(
+                known, (estimate, prior), correct, refine, drift, now
+            )
         if not estimate.consistent and now - state.recovered_at >= FOLLOWER.recovery_period:
             state.recovered_at = now
-            estimate, smoother = self._recovered(state, estimate, smoother, correct)
-            state.smoother, prior = smoother, smoother.without_touch
+            estimate, prior = self._recovered(state, estimate, prior, correct)
 
         # The errors of contacts and weight have a common cause, the joints' offsets.
         weighing = state.weight.used()
@@ -320,9 +359,14 @@ class Follower:
         ]
         if wrong:
             state.memory = state.memory.only(state.memory.last.keys() - wrong)
+        if others:  # those that were found by the last search
+            estimate = with_others(self.model, estimate, others)
+        modes = estimate.modes
+        if state.table is not None and state.table.alternatives is not None:
+            estimate = state.table.alternatives.added(self.model, estimate)
         _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
         state.correction = Correction(
-            estimate, touched, touch.by_error, prior, touch.fingers, now, variance, skin
+            estimate, touched, touch.by_error, prior, touch.fingers, now, variance, skin, modes, searched_at
         )
         state.estimate, state.propagated_to = estimate, now
         state.corrections += 1
@@ -331,21 +375,28 @@ class Follower:
         self,
         state: _Next,
         estimate: PoseEstimate,
-        smoother: PoseBiasSmoother,
+        prior: PosePrior,
         correct: Callable[[PosePrior], PoseEstimate],
-    ) -> tuple[PoseEstimate, PoseBiasSmoother]:
-        """Returns an estimate that contacts fit, and the smoother that is its prior; both unchanged where none fits.
+    ) -> tuple[PoseEstimate, PosePrior]:
+        """Returns an estimate that contacts fit, and its prior; both unchanged where none fits.
 
-        The priors that are tried: a wider one, and, where nothing has fitted for long, vision's last pose alone.
+        The priors that are tried: a wider one, and, where nothing has fitted for long, vision's last pose alone. The
+        smoother and the table of the one that fits replace the state's.
         """
-        now = smoother.now
-        wider = smoother.restarted(now.inflated((FOLLOWER.inflation - 1) * now.covariance.diagonal()[:6]))
+        known, more = state.smoother, (FOLLOWER.inflation - 1) * prior.covariance.diagonal()
+        if known is None:
+            return estimate, prior
+        table = None if state.table is None else state.table.restarted(known, np.diag(more))
+        tries = [(known.restarted(known.now.inflated(more)), table)]
         # Until the object was lost, contacts may have been with something else, such as the edge of the table.
-        unfitted = state.stamp - state.fits_at > FOLLOWER.lost_without_fit
-        for other in (wider, state.vision.afresh() if unfitted else None):
-            if other is not None and (found := correct(other.without_touch)).consistent:
-                return found, other
-        return estimate, smoother
+        if state.stamp - state.fits_at > FOLLOWER.lost_without_fit and (afresh := state.vision.afresh()):
+            tries.append((afresh, None))
+        for smoother, table in tries:
+            wider = (smoother if table is None else table.smoother(smoother)).without_touch
+            if (found := correct(wider)).consistent:
+                state.smoother, state.table = smoother, table
+                return found, wider
+        return estimate, prior
 
     def _trust(self, state: _Next, estimate: PoseEstimate) -> tuple[State, str]:
         """Returns how far the estimate can be trusted, and why not further."""
@@ -359,6 +410,10 @@ class Follower:
             return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
         if not estimate.consistent:
             return "uncertain", "the contacts do not fit the object at its estimated pose"
+        if doubt := state.weight.doubt(estimate):
+            return "uncertain", doubt
+        if ambiguous := ambiguity(self.model, estimate):
+            return "uncertain", ambiguous
         if state.correction is None and not state.vision.camera_from_palm.confirmed:
             return "uncertain", "nothing is touched: the pose is vision's"
         if (sigma := self.sigma(state)) > self.settings.uncertain_position:

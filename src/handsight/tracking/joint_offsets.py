@@ -125,20 +125,34 @@ class JointOffsets:
         self, model: ObjectModel, contacts: Contacts, by_error: Array, T_palm_object: Array, prior: PosePrior
     ) -> tuple[Array, Array]:
         """Returns H (6 + j, 6 + j) and the slope (6 + j,) of the cost of contacts and prior, by pose and offsets."""
-        K, n = by_error @ np.linalg.inv(self.root), len(contacts)
+        K = by_error @ np.linalg.inv(self.root)
         alone = contacts.covariance - K @ self.covariance @ K.swapaxes(1, 2)
-        given = Contacts.trusted(contacts.points_palm, contacts.normals_palm, alone)
-        information, gradient = information_by_contact(model, given, T_palm_object)
-        # M: as the object moves, a contact that stays in the palm moves the other way in the object's frame.
-        M = np.zeros((n, 6, 6))
-        M[:, :3, :3] = -np.eye(3)
-        M[:, :3, 3:] = se3.skew(contacts.points_palm - T_palm_object[:3, 3])
-        M[:, 3:, 3:] = se3.skew(contacts.normals_palm)
-        J = np.concatenate([M, -K], axis=2)
-        H = (J.swapaxes(1, 2) @ information @ J).sum(axis=0)
-        slope = (J.swapaxes(1, 2) @ gradient[..., None]).sum(axis=0)[:, 0]
+        H, slope = contact_equations(model, contacts, alone, -K, T_palm_object)
         by_prior = np.linalg.inv(prior.covariance)
         expected = model.nearest(prior.T_palm_object, T_palm_object)
         H[:6, :6] += by_prior
         slope[:6] -= by_prior @ se3.difference(expected, T_palm_object)
         return H, slope
+
+
+def contact_equations(
+    model: ObjectModel, contacts: Contacts, covariance: Array, by_parameter: Array, T_palm_object: Array
+) -> tuple[Array, Array]:
+    """Returns H (6 + k, 6 + k) and the slope (6 + k,) of half the cost of n contacts, by the object's pose at
+    `T_palm_object` (4, 4) and by k parameters of the robot or of the object.
+
+    `covariance` (n, 6, 6): of each contact's point and normal without the parameters' errors. `by_parameter` (n, 6, k):
+    by how much points [m] and normals change if a parameter is larger than believed by one unit.
+    """
+    n = len(contacts)
+    given = Contacts.trusted(contacts.points_palm, contacts.normals_palm, covariance)
+    information, gradient = information_by_contact(model, given, T_palm_object)
+    # As the object moves, a contact that stays in the palm moves the other way in the object's frame.
+    by_pose = np.zeros((n, 6, 6))
+    by_pose[:, :3, :3] = -np.eye(3)
+    by_pose[:, :3, 3:] = se3.skew(contacts.points_palm - T_palm_object[:3, 3])
+    by_pose[:, 3:, 3:] = se3.skew(contacts.normals_palm)
+    J = np.concatenate([by_pose, by_parameter], axis=2)
+    H = (J.swapaxes(1, 2) @ information @ J).sum(axis=0)
+    slope = (J.swapaxes(1, 2) @ gradient[..., None]).sum(axis=0)[:, 0]
+    return H, slope

@@ -1,4 +1,4 @@
-"""Vision and the table as measurements of the object's pose; a gate rejects those that are implausible."""
+"""Vision as measurements of the object's pose; a gate rejects those that are implausible."""
 
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
@@ -11,9 +11,9 @@ from handsight.errors import InvalidInput
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
-from handsight.rig import MountedCamera, Rig, Table
+from handsight.rig import MountedCamera, Rig
 from handsight.tracking.camera_from_palm import CameraFromPalm, HandView
-from handsight.tracking.smoother import STILL, Motion, PoseAndBias, PoseBiasSmoother
+from handsight.tracking.smoother import STILL, Motion, PoseBiasSmoother
 
 Mount = Literal["world", "palm"]
 
@@ -23,8 +23,6 @@ class GateOptions(NamedTuple):
 
     chi2: float = 27.9
     """χ² of six numbers that one in ten thousand exceeds: beyond it a pose is wrong, or the object has moved."""
-    table_chi2: float = 16.3
-    """χ² of three numbers that one in a thousand exceeds: beyond it the object does not stand on the table."""
     max_rejected: int = 5  # so many rejected poses in a row say that the object has moved
 
 
@@ -206,28 +204,3 @@ def invertible(covariance: Array) -> Array:
     has an information matrix.
     """
     return np.asarray(covariance + 1e-10 * max(1.0, *covariance.diagonal().tolist()) * EYE_6)
-
-
-def on_table(state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm: Array) -> PoseAndBias | None:
-    """Returns the state given that the object stands on the table; None where that is beyond the gate.
-
-    The object is assumed to stand on the side of its bounding box whose outward normal points down most.
-    """
-    R, T = T_world_palm[:3, :3], T_world_palm @ state.T_palm_object
-    up = int(np.argmax(np.abs(T[2, :3])))
-    sign = 1.0 if T[2, up] > 0 else -1.0
-    axis = sign * T[:3, up]
-    base = model.bounds_object[0, up] if sign > 0 else -model.bounds_object[1, up]
-    # The rotation about the world's x and y that brings the axis upright; a table does not measure the yaw.
-    tilt = np.array([axis[1], -axis[0]])
-    sine = float(np.linalg.norm(tilt))
-    if sine > 1e-9:
-        tilt = tilt / sine * np.arctan2(sine, axis[2])
-    H = np.zeros((3, 12))
-    H[0, :3], H[1:, 3:6] = R[2], R[:2]
-    residual = np.concatenate([[table.height - base - T[2, 3]], tilt])
-    noise = np.diag([table.sigma_height**2, table.sigma_tilt**2, table.sigma_tilt**2])
-    S = H @ state.covariance[:12, :12] @ H.T + noise
-    if residual @ np.linalg.solve(S, residual) > GATES.table_chi2:
-        return None
-    return state.updated(H, residual, noise)

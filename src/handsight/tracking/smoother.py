@@ -261,7 +261,10 @@ class PoseBiasSmoother:
     def informed(self, bias: GaussianPose) -> "PoseBiasSmoother":
         """Returns the smoother after a measurement of the bias itself (`PoseAndBias.T_measured_true`)."""
         residual = se3.difference(bias.T_a_b, self.prior.T_measured_true)
-        prior = self.prior.updated(np.eye(12)[6:], residual, bias.covariance)
+        return self.with_prior(self.prior.updated(np.eye(12)[6:], residual, bias.covariance))
+
+    def with_prior(self, prior: PoseAndBias) -> "PoseBiasSmoother":
+        """Returns the smoother of the same measurements with another prior."""
         if not len(self.measurements):
             solved = prior.inflated(self.solved_noise).later(self.solved_at, self.drift)
             return replace(self, prior=prior, solved=solved)

@@ -1,6 +1,7 @@
 """All that a tracker knows at one instant, as a value: later observations do not change it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,6 +23,7 @@ from handsight.tracking.measurements import VisionUpdate
 from handsight.tracking.skin import NOTHING, SkinContacts
 from handsight.tracking.slip_update import SlipUpdate
 from handsight.tracking.smoother import PoseBiasSmoother
+from handsight.tracking.table import TableEvidence
 
 State = Literal["tracking", "uncertain", "lost"]
 NO_POSE = "no pose yet: neither a start nor vision"
@@ -47,6 +49,10 @@ class Correction:
     """Largest variance of the position of the object's middle [m²]."""
     skin: SkinContacts = NOTHING
     """What the tactile arrays measured."""
+    modes: Sequence[np.void] = ()
+    """ANSWER of each mode of this prior, the estimate's own first, when other modes were last searched for."""
+    searched_at: float = -math.inf
+    """When that was [s]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,6 +84,8 @@ class TrackState:
     """The last observation, its vision replaced by the pose from its image, if it had one."""
     smoother: PoseBiasSmoother | None
     """The pose and vision's bias, estimated from vision alone; None before there was a start or vision."""
+    table: TableEvidence | None = None
+    """What the table tells of the object since it was grasped on it; None where it was not."""
     correction: Correction | None = None
     """The last correction since the object was grasped; None before the first one."""
     grasp: GraspState

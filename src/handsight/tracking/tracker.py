@@ -23,6 +23,7 @@ from handsight.tracking.measurements import VisionUpdate
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinContacts
 from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
+from handsight.tracking.table import TableEstimate
 from handsight.tracking.track_state import State, TrackState
 from handsight.tracking.warm import warm_tracker
 
@@ -55,10 +56,13 @@ class Tracker:
         start: PosePrior | None = None,
         settings: TrackerSettings | None = None,
         joint_offsets: JointOffsets | None = None,
+        friction: tuple[float, float] | None = None,
     ) -> None:
         """`start`: the object's pose in the palm before the first observation; None: the first pose from vision.
 
         `joint_offsets`: those of a tracker that followed another object in this hand; None: zero, with the rig's sigma.
+        `friction`: coefficient of friction between tips and object, and its sigma; None: that of the model, else of
+        the rig's fingers, else it is learnt.
         """
         if not isinstance(rig, Rig) or not isinstance(model, ObjectModel):
             came = f"{type(rig).__name__} and {type(model).__name__}"
@@ -75,6 +79,12 @@ class Tracker:
         if offsets.joints != rig.hand.moving:
             came = checks.brief(", ".join(offsets.joints))
             raise InvalidInput(f"joint_offsets: expected those of this hand's joints, got those of {came}")
+        if friction is not None:
+            if not (isinstance(friction, tuple | list) and len(friction) == 2):
+                raise InvalidInput(
+                    f"friction: expected a coefficient and its sigma, got {checks.brief(friction)}"
+                )
+            model = model.with_friction(*friction)
         warm_tracker()
         self.rig, self.model, self.settings = rig, model, settings or TrackerSettings()
         self.follower = Follower(rig, model, self.settings)
@@ -230,6 +240,11 @@ class Tracker:
     def sigma(self) -> float:
         """The largest standard deviation of the position of the object's middle [m]; infinite without a pose."""
         return self.follower.sigma(self.track_state)
+
+    @property
+    def table(self) -> TableEstimate | None:
+        """Where the table must be, as the object was grasped on it, and why it is doubted, if it is; None without."""
+        return self.follower.table(self.track_state)
 
     @property
     def slip(self) -> Slip:

@@ -67,16 +67,18 @@ def contact_information(evidence: Evidence, pose: Pose, spurious: Any) -> tuple[
 
 
 @inner
-def information(
-    evidence: Evidence, pose: Pose, by_touch: Any, total: Any, equations: Any
-) -> tuple[float, float]:
-    """Returns χ², and the cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone and of
-    all evidence.
+def information(evidence: Evidence, pose: Pose, total: Any, u: Any) -> tuple[float, float]:
+    """Returns χ², and the cost without a weak prior; writes the information (6, 6) by (δp, δθ) of touch alone to
+    `u.by_touch` and of all evidence to `total`.
 
     Weight and depth points count as touch, as all evidence that corrects the prior. Spurious information is subtracted
-    from both, but not from the terms' equations nor from `equations`, which hold the other evidence's.
+    from both, but not from the terms' equations nor from `u.equations`, which hold those of the weight, depth points
+    and prior together. `u.prior` and `u.walls` hold the equations of the prior and of walls alone.
     """
+    by_touch, equations = u.by_touch, u.equations
     equations[:] = 0.0
+    u.prior[:] = 0.0
+    u.walls[:] = 0.0
     chi2, log_spread = contact_information(evidence, pose, equations)
     model = evidence.model
     for i in range(6):
@@ -87,20 +89,23 @@ def information(
             by_touch[i, j] = by_touch[j, i] = value
     subtract_spurious_information(by_touch, equations, model.radius)
     # Walls are part of the cost, but not of the information.
-    chi2 += evidence_cost(evidence, WALLS, pose)
-    equations[:] = 0.0
     frame = pose[1], 1.0
+    add_evidence(evidence, WALLS, model.fine, pose, frame, False, u.walls)
+    equations[:] = 0.0
     add_evidence(evidence, FIXED_NOISE, model.fine, pose, frame, False, equations)
     for i in range(6):
         for j in range(i + 1):
             total[i, j] = by_touch[i, j]
             by_touch[i, j] = by_touch[j, i] = by_touch[i, j] + equations[i, j]
     if evidence.prior.kind == VISION_PRIOR:
-        add_evidence(evidence, PRIOR, model.fine, pose, frame, False, equations)
+        add_evidence(evidence, PRIOR, model.fine, pose, frame, False, u.prior)
+    for i in range(7):
+        for j in range(i + 1):
+            equations[i, j] += u.prior[i, j]
     for i in range(6):
         for j in range(i + 1):
             total[i, j] = total[j, i] = total[i, j] + equations[i, j]
-    chi2 += equations[6, 6]
+    chi2 += equations[6, 6] + u.walls[6, 6]
     return chi2, chi2 + log_spread
 
 
@@ -138,3 +143,26 @@ def largest_gain(evidence: Evidence, u: Any) -> float:
             term.contact.gain = gain
             most = max(most, gain)
     return most
+
+
+@inner
+def group_gain(evidence: Evidence, group: Any, u: Any) -> float:
+    """Returns how much χ² falls, to first order, when the evidence of some equations (7, 8) is left out and the pose
+    adapts to that; to be called after `largest_gain`, which leaves the sum of all other equations but walls' in
+    `u.wider`.
+
+    A direction that the rest leaves open cannot be contradicted: there gradient and Hessian of the rest both vanish,
+    and their ratio is rounding. So a fiftieth of the group's own information stays, which lowers the gain only where
+    the rest knows less than that.
+    """
+    gain = group[6, 6]
+    if gain == 0.0:
+        return 0.0
+    for r in range(6):
+        for c in range(r + 1):
+            u.matrix[r, c] = u.wider[r, c] + u.walls[r, c] - 0.98 * group[r, c]
+    if factor(u.matrix, 6, 0.0, u.factor):
+        solve(u.factor, 6, group[6], u.row)
+        for k in range(6):
+            gain += u.row[k] * group[6, k]
+    return gain

@@ -92,7 +92,7 @@ def _rises(evidence: Evidence, pose: Pose, slopes: Any, calibrated: Any, rises: 
     """Fills in the eigenvalues [1/m²] of the information at a mode, as it is (infinite for spins) and calibrated by the
     cost, and the ratio of the cost's rise to a Gaussian's along its eigenvectors `u.vectors` (negative for spins)."""
     model = evidence.model
-    information(evidence, pose, u.by_touch, u.wider, u.equations)
+    information(evidence, pose, u.wider, u)
     in_metres(u.wider, model.radius, u.matrix)
     limit = mark_spins(model, pose, u.matrix)
     eigen(u.matrix, u.values, u.vectors)

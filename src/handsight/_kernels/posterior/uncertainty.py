@@ -27,7 +27,7 @@ from handsight._kernels.math.vec3 import (
     sub,
     vector,
 )
-from handsight._kernels.posterior.density import information, largest_gain, posterior_cost
+from handsight._kernels.posterior.density import group_gain, information, largest_gain, posterior_cost
 from handsight._kernels.posterior.options import CALIBRATION
 from handsight._kernels.records import OUTSIDE, UNCERTAINTY, VISION_PRIOR
 from handsight._kernels.runtime.compilation import inner
@@ -222,9 +222,10 @@ def unobservable(model: Any, by_touch: Any, pose: Pose, out: Any, u: Any) -> int
 def summarize(evidence: Evidence, pose: Pose, row: Any) -> None:
     """Fills in an ANSWER of a pose, all but the pose itself."""
     model, u = evidence.model, local(UNCERTAINTY)
-    chi2, cost = information(evidence, pose, u.by_touch, row.information, u.equations)
+    chi2, cost = information(evidence, pose, row.information, u)
     row.chi2, row.posterior_cost = chi2, cost
     row.gain = largest_gain(evidence, u)
+    row.prior_gain, row.outside_gain = group_gain(evidence, u.prior, u), group_gain(evidence, u.walls, u)
     row.open_count = unobservable(model, u.by_touch, pose, row.unobservable, u)
     in_metres(row.information, model.radius, u.matrix)
     eigen(u.matrix, u.values, u.vectors)

@@ -146,7 +146,7 @@ def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any,
         if constraints[0].has_prior:
             pose = nearest(model[0], pose, pose_of(constraints[0].prior.pose))
             store_pose(pose, descent.pose)
-        _, cost = information(evidence, pose, u.by_touch, u.wider, u.equations)
+        _, cost = information(evidence, pose, u.wider, u)
         if term.kind == WEAK_PRIOR:
             cost += prior_cost(term, pose)
         in_metres(u.wider, radius, u.matrix)

@@ -1,0 +1,341 @@
+"""What a recording tells of the values that a rig and an object's model declare, and whether it contradicts them.
+
+While a hand grasps an object in different ways, contacts measure more than its pose: what remains tells of the errors
+that all grasps have in common. Contact i of an instant is off the surface by r_i + A_i (M_i x + C_i θ), with x the
+instant's own error of the pose and θ the declared values' errors: of each joint, of each fingertip's radius (a tip that
+is mounted farther out looks nearly the same), and of the object's size. The instants' x are eliminated (Schur
+complement), and θ, with the declared sigmas as its prior, is the solution of one least-squares problem.
+
+Declared is θ = 0 with prior covariance P; estimated is θ̂ with covariance S. If what is declared is right, θ̂ is a
+Gaussian with covariance P - S, so θ̂ᵀ (P - S)⁻¹ θ̂ is a χ². The estimate that is shown is that of the recording
+alone, without the value's own prior: information S⁻¹ - P⁻¹.
+"""
+
+import contextlib
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtrc
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.contact import Contacts, Ellipsoid
+from handsight.errors import InvalidInput
+from handsight.objects import ObjectModel
+from handsight.observation import Observation
+from handsight.rig import Finger, Rig
+from handsight.tracking.fingertips import FingertipSensors
+from handsight.tracking.joint_offsets import JointOffsets, contact_equations
+from handsight.tracking.tracker import Tracker
+
+
+class DiagnosisOptions(NamedTuple):
+    """`DiagnosisOptions` say which instants of a recording are compared, and when a value is called wrong."""
+
+    new_contact: float = 0.01
+    """An instant is kept where a finger touches by so much elsewhere in the palm than in all kept instants [m]: others
+    have the same errors, as those of a bent tip or of a soft one, and would count them again. On simulated grasps of a
+    can, 3 mm made the errors of the estimates three times their sigmas."""
+    new_normal: float = float(np.deg2rad(30.0))  # or where the normal is turned by so much [rad]
+    min_fingers: int = 3  # an instant has so many fingers or more: fewer determine the pose alone
+    min_force: float = 0.3  # each presses by so much [N]: fingers that close are not at rest yet
+    max_instants: int = 200  # most instants that are kept
+    enlarged: float = 1e-4  # by so much a radius is changed for a difference quotient [m]
+    passes: int = 3  # of Gauss and Newton's method
+    max_errors: float = 10.0
+    """Errors of more of their declared sigmas are no small errors of this hand and this object."""
+    sigma_size: float = 0.03  # of an object's size, as a share, which models do not declare
+    sigma_pose: float = 0.02  # sigma of an instant's pose about the tracked one [m]; see `sigma_turn`
+    sigma_turn: float = float(np.deg2rad(20.0))  # [rad]
+    measured: float = 1.0
+    """A value is measured where the recording's own sigma is below so many declared ones."""
+    significant: float = 3.0  # a difference of fewer of the recording's own sigmas is not mentioned
+    level: float = 0.01
+    """Probability that any right value of a recording is called wrong."""
+
+
+DIAGNOSIS = DiagnosisOptions()
+UNITS = {"mm": 1e3, "°": 180 / math.pi, "%": 100.0, "N": 1.0, "kg": 1.0, "ms": 1e3, "": 1.0}
+"""So many of each unit are one in SI."""
+UNLIKE = (
+    "no small errors of hand and object explain the contacts: another object, or a finger that is far off"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosed:
+    """A `Diagnosed` is one declared value, and what a recording tells of it."""
+
+    name: str
+    """Such as `tip ff radius` or `joint robot0:FFJ2`."""
+    unit: str
+    declared: float
+    sigma: float
+    """Standard deviation that is declared, or assumed, of the value."""
+    estimated: float
+    """The value that the recording alone tells; NaN where it tells nothing."""
+    sigma_estimated: float
+    """Its standard deviation; infinite where the recording tells nothing."""
+    chi2: float
+    """Squared deviation of the estimate from the declared value, in units of its variance if that value is right."""
+    wrong: bool = False
+    """Whether the recording contradicts the value."""
+
+    @property
+    def measured(self) -> bool:
+        """Whether the recording tells more of the value than was declared."""
+        return self.sigma_estimated < DIAGNOSIS.measured * self.sigma
+
+    def numbers(self) -> dict[str, object]:
+        """Returns the value as it is written to a file; None where the recording tells nothing."""
+        known = math.isfinite(self.sigma_estimated)
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "declared": self.declared,
+            "sigma": self.sigma,
+            "estimated": self.estimated if known else None,
+            "sigma_estimated": self.sigma_estimated if known else None,
+            "chi2": self.chi2,
+            "verdict": self.verdict,
+        }
+
+    @property
+    def verdict(self) -> str:
+        """What to think of the value, in words."""
+        if not self.measured and not self.wrong:
+            return "not measured by this recording"
+        more = self.estimated - self.declared
+        unit = "" if self.unit == "°" else " "
+        differs = f"{abs(more):.{1 if abs(more) < 10 else 0}f}{unit}{self.unit} {'larger' if more > 0 else 'smaller'}"
+        if self.wrong:
+            return f"{differs} than declared"
+        return (
+            f"{differs}, within ±" if abs(more) > DIAGNOSIS.significant * self.sigma_estimated else "agrees"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """A `Diagnosis` compares what a rig and a model declare with a recording."""
+
+    values: tuple[Diagnosed, ...]
+    instants: int
+    """The number of different grasps that were compared."""
+    message: str = ""
+    """Why the contacts were not compared with what is declared; empty where they were."""
+
+    @property
+    def wrong(self) -> tuple[Diagnosed, ...]:
+        """The values that the recording contradicts, the worst first."""
+        return tuple(sorted((value for value in self.values if value.wrong), key=lambda value: -value.chi2))
+
+
+def diagnose(observations: Iterable[Observation], rig: Rig, model: ObjectModel) -> Diagnosis:
+    """Returns what a recording tells of the values that a rig and a model declare; raises InvalidInput.
+
+    Observations that a tracker refuses are left out.
+    """
+    tracker = Tracker(rig, model)
+    diagnoser = Diagnoser(tracker)
+    for observation in observations:
+        with contextlib.suppress(InvalidInput):
+            tracker.update(observation)
+            diagnoser.watch()
+    return diagnoser.diagnosis()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Instant:
+    """An `Instant` is the contacts of one grasp, and how they depend on what is declared."""
+
+    fingers: tuple[str, ...]
+    contacts: Contacts
+    """The n contacts of `fingers`, in the palm frame."""
+    covariance: Array
+    """(n, 6, 6) of each contact, without the joints' constant errors."""
+    by_value: Array
+    """(n, 6, k) by how much the contacts change with the error of each of k values."""
+    T_palm_object: Array
+    """(4, 4) the tracked pose."""
+
+    def with_errors(self, errors: Array) -> Contacts:
+        """Returns the contacts where the values have errors (k,)."""
+        shift, turn = np.split(self.by_value @ errors, 2, axis=1)
+        normals = self.contacts.normals_palm + turn
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return Contacts.trusted(self.contacts.points_palm + shift, normals, self.contacts.covariance)
+
+
+class Diagnoser:
+    """A `Diagnoser` watches a tracker through a recording, and gathers what its grasps have in common."""
+
+    def __init__(self, tracker: Tracker) -> None:
+        """The tracker's rig and model declare the values."""
+        self.tracker = tracker
+        self._offsets, self._sensors = JointOffsets.of(tracker.rig), FingertipSensors(tracker.rig)
+        larger = {name: _enlarged(finger) for name, finger in tracker.rig.fingers.items()}
+        self._larger = FingertipSensors(replace(tracker.rig, fingers=larger))
+        """The same fingertips, larger by `DIAGNOSIS.enlarged`."""
+        points = [max(finger.sigma_point, 1e-6) for finger in tracker.rig.fingers.values()]
+        joints = [max(self._offsets.sigma, 1e-6)] * len(self._offsets.joints)
+        self._sigmas = np.array([*joints, *points, DIAGNOSIS.sigma_size])
+        """(j + f + 1,) declared sigmas of the joints, of the fingertips' radii, and of the object's size."""
+        self._instants = list[Instant]()
+        self._bias: tuple[Array, Array] | None = None
+        """Vision's constant error (6,) and its covariance (6, 6), when they were known best."""
+
+    def watch(self) -> None:
+        """Adds the tracker's last observation, if a finger touches elsewhere than in those that are kept."""
+        observation, estimate = self.tracker.processed, self.tracker.estimate
+        corrected = self.tracker.track_state.correction
+        if observation is None or estimate is None or not estimate.consistent:
+            return
+        if corrected is None or corrected.stamp != observation.stamp:
+            return
+        bias = self.tracker.vision_bias()
+        if bias is not None and (self._bias is None or np.trace(bias[1]) < np.trace(self._bias[1])):
+            self._bias = bias
+        self._add_contacts(observation, estimate.T_palm_object)
+
+    def _add_contacts(self, observation: Observation, T: Array) -> None:
+        """Adds the contacts of an instant with the object at T (4, 4), if they are a new grasp."""
+        if len(self._instants) >= DIAGNOSIS.max_instants or observation.contacts:
+            return
+        touch = self._sensors.contacts(observation)
+        contacts, loads = touch.contacts, touch.loads
+        if contacts is None or touch.by_error is None or loads is None:
+            return
+        if len(contacts) < DIAGNOSIS.min_fingers or not loads[:, 3].min() >= DIAGNOSIS.min_force:
+            return
+        larger = self._larger.contacts(observation)
+        if larger.contacts is None or larger.fingers != touch.fingers:
+            return
+        if not self._is_new(touch.fingers, contacts):
+            return
+        K = touch.by_error @ np.linalg.inv(self._offsets.root)
+        alone = contacts.covariance - K @ self._offsets.covariance @ K.swapaxes(1, 2)
+        names, j = list(self.tracker.rig.fingers), K.shape[2]
+        J = np.zeros((len(contacts), 6, len(self._sigmas)))
+        J[:, :, :j] = -K  # a joint that reads too much is at a smaller angle
+        tips = np.arange(len(contacts)), slice(None), [j + names.index(finger) for finger in touch.fingers]
+        J[tips] = (
+            np.hstack(
+                [
+                    larger.contacts.points_palm - contacts.points_palm,
+                    larger.contacts.normals_palm - contacts.normals_palm,
+                ]
+            )
+            / DIAGNOSIS.enlarged
+        )
+        # A contact with a larger object is nearer to its middle, relative to its surface.
+        middle = se3.apply(T, self.tracker.model.center_object[None])[0]
+        J[:, :3, -1] = middle - contacts.points_palm
+        self._instants.append(Instant(touch.fingers, contacts, alone, J, T))
+
+    def diagnosis(self) -> Diagnosis:
+        """Returns the diagnosis of all that was watched."""
+        errors, covariance = self._solve()
+        far = bool(np.abs(errors / self._sigmas).max() > DIAGNOSIS.max_errors)
+        by_touch = () if far else self._contact_values(errors, covariance)
+        values = [*by_touch, *self._vision_values()]
+        # Bonferroni: that any of n right values is called wrong has at most the stated probability.
+        level = DIAGNOSIS.level / max(len(values), 1)
+        judged = (replace(value, wrong=float(chdtrc(1, value.chi2)) < level) for value in values)
+        return Diagnosis(tuple(judged), len(self._instants), UNLIKE if far else "")
+
+    def _is_new(self, fingers: tuple[str, ...], contacts: Contacts) -> bool:
+        """Returns whether a finger touches elsewhere than in all kept instants with the same fingers."""
+        least = np.cos(DIAGNOSIS.new_normal)
+        for kept in (instant.contacts for instant in self._instants if instant.fingers == fingers):
+            shift = np.linalg.norm(contacts.points_palm - kept.points_palm, axis=1).max()
+            cosine = (contacts.normals_palm * kept.normals_palm).sum(axis=1).min()
+            if shift < DIAGNOSIS.new_contact and cosine > least:
+                return False
+        return True
+
+    def _solve(self) -> tuple[Array, Array]:
+        """Returns the errors (j + f + 1,) that the kept instants have in common, and their covariance."""
+        errors, H = np.zeros(len(self._sigmas)), np.diag(self._sigmas**-2)
+        by_pose = np.diag(np.repeat([DIAGNOSIS.sigma_pose, DIAGNOSIS.sigma_turn], 3) ** -2.0)
+        Ts, moved = [instant.T_palm_object for instant in self._instants], np.zeros((len(self._instants), 6))
+        for _ in range(DIAGNOSIS.passes):
+            H, slope, parts = np.diag(self._sigmas**-2), errors / self._sigmas**2, []
+            for instant, T, motion in zip(self._instants, Ts, moved, strict=True):
+                A, b = contact_equations(
+                    self.tracker.model, instant.with_errors(errors), instant.covariance, instant.by_value, T
+                )
+                A[:6, :6] += by_pose
+                b[:6] += by_pose @ motion
+                eliminated = np.linalg.solve(A[:6, :6], np.column_stack([A[:6, 6:], b[:6]]))
+                H += A[6:, 6:] - A[6:, :6] @ eliminated[:, :-1]
+                slope += b[6:] - A[6:, :6] @ eliminated[:, -1]
+                parts.append(eliminated)
+            step = -np.linalg.solve(H, slope)
+            errors = errors + step
+            for k, eliminated in enumerate(parts):
+                turned = -(eliminated[:, :-1] @ step + eliminated[:, -1])
+                moved[k] += turned
+                Ts[k] = se3.moved(Ts[k], turned)
+        return errors, np.linalg.inv(H)
+
+    def _contact_values(self, errors: Array, covariance: Array) -> Iterator[Diagnosed]:
+        """Yields what contacts tell of joints, tips and the object's size; the arguments are those of `_solve`."""
+        sigmas = np.sqrt(covariance.diagonal())
+        fingers = self.tracker.rig.fingers
+        named = [(f"joint {joint}", "°", 0.0) for joint in self._offsets.joints]
+        named += [
+            (f"tip {name} radius", "mm", float(np.mean(f.tip.semi_axes))) for name, f in fingers.items()
+        ]
+        named.append(("object size", "%", 1.0))
+        for value, prior, error, sigma in zip(
+            named, self._sigmas.tolist(), errors.tolist(), sigmas.tolist(), strict=True
+        ):
+            yield diagnosed(*value, prior, error, sigma)
+
+    def _vision_values(self) -> Iterator[Diagnosed]:
+        """Yields what the palm's motion tells of the camera's constant error, at the object, along its mount's axes."""
+        camera = self.tracker.vision.camera
+        if self._bias is None:
+            return
+        bias, covariance = self._bias
+        sigmas = np.repeat([camera.sigma_position_constant, camera.sigma_rotation_constant], 3)
+        names = [f"camera {what} {axis}" for what in ("shift", "turn") for axis in "xyz"]
+        for i, name in enumerate(names):
+            unit, found = "mm" if i < 3 else "°", math.sqrt(covariance[i, i])
+            yield diagnosed(name, unit, 0.0, float(sigmas[i]), float(bias[i]), found)
+
+
+def diagnosed(name: str, unit: str, declared: float, prior: float, error: float, sigma: float) -> Diagnosed:
+    """Returns a value from its estimate, in SI units.
+
+    `declared`: the value, with its sigma `prior`; `error`: estimated less declared value, with its `sigma`, where that
+    estimate includes the declared value as its prior.
+    """
+    factor = UNITS[unit]
+    own = 1 / sigma**2 - 1 / prior**2 if prior > 0 else 0.0  # what is declared exact stays as it is
+    if own * prior**2 < 1e-6:  # the recording tells nothing
+        return Diagnosed(name, unit, factor * declared, factor * prior, math.nan, math.inf, 0.0)
+    estimated, sigma_estimated = declared + error / sigma**2 / own, own**-0.5
+    chi2 = error**2 / (prior**2 - sigma**2)
+    return Diagnosed(
+        name,
+        unit,
+        factor * declared,
+        factor * prior,
+        factor * estimated,
+        factor * sigma_estimated,
+        chi2,
+    )
+
+
+def _enlarged(finger: Finger) -> Finger:
+    """Returns a finger with a larger tip, by `DIAGNOSIS.enlarged`."""
+    tip = finger.tip
+    axes = tip.semi_axes + DIAGNOSIS.enlarged
+    return replace(
+        finger, tip=Ellipsoid(axes, tip.cap, tip.max_friction, tip.min_force, tip.T_surface_sensor)
+    )

@@ -1,0 +1,144 @@
+"""Several explanations of one touch: how likely each is, and the estimate over all of them.
+
+An explanation is a prior (vision's pose, with or without the table, see `tracking/table.py`), or one of the modes that
+a correction finds under it. Those whose regions overlap are one: the estimate is their mean, with the covariance of the
+mixture. Those that are elsewhere stay hypotheses of their own.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from handsight import se3
+from handsight._kernels.posterior.options import INTEGRATION
+from handsight.checks import Array
+from handsight.correction import PoseEstimate, PosePrior, bounded_covariance
+from handsight.correction.modes import MODES, SAME_MODE, chi2_limit, in_metres, pose_distances
+from handsight.correction.weight import CONTRADICTS
+from handsight.objects import ObjectModel
+from handsight.objects.symmetry import tangents
+
+
+class HypothesesOptions(NamedTuple):
+    """`HypothesesOptions` say which explanations are one, and which are reported."""
+
+    overlap: float = chi2_limit(6, 0.05)
+    """Two Gaussian poses overlap if the χ² of their difference is below this, its 95 % quantile."""
+    relevant: float = 0.05  # probability of another hypothesis from which on the answer is uncertain
+
+
+HYPOTHESES = HypothesesOptions()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alternatives:
+    """`Alternatives` are the explanations other than the likeliest one."""
+
+    share: float
+    """Probability of the likeliest explanation among those that overlap with it."""
+    mean: Array
+    """(6,) the mean (δp, δθ) of those that overlap, relative to the likeliest [m, rad]."""
+    spread: Array
+    """(6, 6) what the others add to the covariance, that of the likeliest having been multiplied by `share`."""
+    others: tuple[np.void, ...]
+    """ANSWER of each mode that does not overlap; with the likeliest explanation their weights sum to 1."""
+
+    @classmethod
+    def of(cls, model: ObjectModel, parts: Sequence[tuple[float, PoseEstimate]]) -> "Alternatives":
+        """Returns the alternatives of several (probability, estimate), the likeliest first, of which one is true."""
+        first, T = parts[0][0], parts[0][1].T_palm_object
+        covariance = parts[0][1].bounded_covariance
+        near, mean, spread, others = first, np.zeros(6), np.zeros((6, 6)), list[np.void]()
+        for probability, row in ((p * float(row["weight"]), row) for p, e in parts[1:] for row in e.modes):
+            step = se3.difference(model.nearest(row["T_palm_object"], T), T)
+            own = bounded_covariance(row["information"])
+            if step @ np.linalg.solve(covariance + own, step) < HYPOTHESES.overlap:
+                near += probability
+                mean += probability * step
+                spread += probability * (own + np.outer(step, step))
+            else:
+                others.append(row.copy())
+                others[-1]["weight"] = probability
+        mean, spread = mean / near, spread / near
+        return cls(first / near, mean, spread - np.outer(mean, mean), tuple(others))
+
+    def added(self, model: ObjectModel, estimate: PoseEstimate) -> PoseEstimate:
+        """Returns the likeliest explanation's estimate with its alternatives."""
+        likeliest = 1 - sum(float(row["weight"]) for row in self.others)
+        own = [row.copy() for row in estimate.modes[1:]]
+        for row in own:
+            row["weight"] *= likeliest
+        # A direction about which nothing is known, such as a spin about a symmetry axis, stays unknown.
+        values, vectors = np.linalg.eigh(in_metres(estimate.information, model.radius))
+        known = vectors[:, values > 1e-9 * values[-1]].T * np.repeat([1.0, model.radius], 3)
+        covariance = self.share * estimate.bounded_covariance + self.spread
+        information = known.T @ np.linalg.inv(known @ covariance @ known.T) @ known
+        T, complete = se3.moved(estimate.T_palm_object, self.mean), estimate.covariance is not None
+        best = estimate.with_gaussian(T, covariance if complete else None, information)
+        best.answer["weight"] *= likeliest
+        return with_others(model, best, (*own, *self.others))
+
+
+def with_others(model: ObjectModel, estimate: PoseEstimate, others: Sequence[np.void]) -> PoseEstimate:
+    """Returns an estimate with its best mode and the distinct ones of others (ANSWER), likeliest first.
+
+    A mode joins its weight with that of a likelier one which it is near to; all are divided by their sum.
+    """
+    found = [estimate.answer.copy()]
+    for row in sorted(others, key=lambda row: -row["weight"]):
+        Ts = np.stack([one["T_palm_object"] for one in found])
+        shift, turn = pose_distances(model, Ts, row["T_palm_object"])
+        same = np.flatnonzero((shift <= SAME_MODE[0]) & (turn <= SAME_MODE[1]))
+        if len(same):
+            found[same[0]]["weight"] += row["weight"]
+        elif len(found) < MODES.max_modes:
+            found.append(row.copy())
+    total = sum(float(row["weight"]) for row in found)
+    for row in found:
+        row["weight"] /= total
+    return replace(estimate, answer=found[0], modes=tuple(found))
+
+
+def ambiguity(model: ObjectModel, estimate: PoseEstimate) -> str:
+    """Returns how far the relevant hypotheses are apart, for a person; empty where there is one."""
+    relevant = [row for row in estimate.modes[1:] if row["weight"] > HYPOTHESES.relevant]
+    if not relevant:
+        return ""
+    Ts = np.stack([row["T_palm_object"] for row in relevant])
+    shift, turn = pose_distances(model, Ts, estimate.modes[0]["T_palm_object"])
+    count = {1: "two", 2: "three", 3: "four"}.get(len(relevant), "several")
+    return f"{count} poses explain the touch: {1e3 * shift.max():.0f} mm, {np.rad2deg(turn.max()):.0f}° apart"
+
+
+def normalised(log_weights: Array) -> Array:
+    """Returns the weights of these logarithms (k,), divided by their sum."""
+    weights = np.exp(log_weights - log_weights.max())
+    return np.asarray(weights / weights.sum())
+
+
+def log_evidence(model: ObjectModel, estimate: PoseEstimate, prior: PosePrior) -> float:
+    """Returns the log density of all touch under a prior, up to a constant that is the same for all priors.
+
+    It is Laplace's approximation at each mode. A contact that was rejected counts as if it were just as far off as is
+    rejected, and so does the weight, so that rejecting a measurement does not pay.
+    """
+    row, radius = estimate.modes[0], model.radius
+    if row["departure"] > INTEGRATION.max_gaussian_rise:  # a mean, whose volume was integrated
+        log_weight = float(row["log_weight"])
+    else:
+        values = np.linalg.eigvalsh(in_metres(row["information"], radius))
+        log_weight = -0.5 * float(row["posterior_cost"] + np.log(np.maximum(values, 1e-9 / radius**2)).sum())
+    log_weight -= math.log(row["weight"])
+    used = max(len(estimate.residual_rows) - len(estimate.outliers), 1)
+    log_spread = float(row["posterior_cost"] - row["chi2"]) / used
+    log_weight -= 0.5 * len(estimate.outliers) * (MODES.decisive + log_spread)
+    log_weight -= 0.5 * CONTRADICTS * (estimate.weight_fits is False)
+    information = np.asarray(np.linalg.inv(prior.covariance), dtype=np.float64)
+    for spin in tangents(model.symmetries, prior.T_palm_object):  # about which a prior says nothing
+        along = information @ spin
+        information -= np.outer(along, along) / (spin @ along)
+    values = np.linalg.eigvalsh(in_metres(information, radius))[len(model.symmetries.axes) :]
+    return log_weight + 0.5 * float(np.log(values).sum())

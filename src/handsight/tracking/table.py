@@ -1,0 +1,290 @@
+"""The table as evidence of the object's pose: it rests on one of its sides, or it leans and the fingers hold it.
+
+Until the palm lifts the object, one of several explanations is true, its `Support`: a resting pose on the table where
+the rig says it is; the same on a table that is elsewhere; or none. Under a support, the height and the tilt of the
+object are three numbers that are measured at the grasp, with the table's noise. They never enter the tracker's
+smoother, which has vision alone, but that of the support, so that they can be withdrawn. The probability of a support
+is its prior one, times the density of the three numbers under vision's pose, times that of all touch, weight included,
+under the prior that it makes.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.correction import PoseEstimate, PosePrior
+from handsight.gaussian_pose import GaussianPose
+from handsight.objects import ObjectModel
+from handsight.objects.resting import RestingPose, resting_poses
+from handsight.rig import Table
+from handsight.tracking.hypotheses import Alternatives, log_evidence, normalised
+from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
+
+
+class TableOptions(NamedTuple):
+    """`TableOptions` are the prior probabilities of what bears the object, and when these are compared."""
+
+    leans: float = 0.1  # probability that the object rests on no side of its own, but leans and is held
+    misplaced: float = 0.15  # probability that the table is not where the rig says
+    misplaced_height: float = 10.0  # factor on the height's sigma if it is not
+    misplaced_tilt: float = 3.0  # factor on the tilt's
+    negligible: float = 1e-3  # probability of a resting pose that is not compared again
+    least_evidence: float = -10.0
+    """Log density of touch under a support, relative to the best, that is not lowered further: a search may fail."""
+    certain: float = 0.8  # probability of the likeliest support from which on the others are compared seldom
+    period: float = 3.0  # between two such comparisons [s]
+    doubt_period: float = (
+        0.5  # between two comparisons while none is certain, or touch contradicts the likeliest [s]
+    )
+
+
+TABLE = TableOptions()
+MISPLACED = (TABLE.misplaced_height, TABLE.misplaced_tilt)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Support:
+    """A `Support` is one explanation of what bears the object until it is lifted."""
+
+    pose: RestingPose | None
+    """The side on which it rests; None: it leans, or is held."""
+    factors: tuple[float, float]
+    """On the table's sigmas of height and tilt: above 1 where the table is not where the rig says."""
+    probability: float
+    """Before anything was measured."""
+
+
+def supports_of(poses: Sequence[RestingPose]) -> tuple[Support, ...]:
+    """Returns all supports of an object with these resting poses; their probabilities sum to 1."""
+    rests, wrong = 1 - TABLE.leans, TABLE.misplaced
+    some = [
+        Support(pose, factors, rests * share * pose.probability)
+        for factors, share in (((1.0, 1.0), 1 - wrong), (MISPLACED, wrong))
+        for pose in poses
+    ]
+    return (*some, Support(None, (1.0, 1.0), 1 - sum(one.probability for one in some)))
+
+
+@dataclass(frozen=True, slots=True)
+class TableEstimate:
+    """A `TableEstimate` is where the table must be, as the object stood on it at the grasp, and whether it is used."""
+
+    height: float
+    """Of its top in the world, along +z [m]."""
+    sigma_height: float
+    """One standard deviation [m]; it grows with time, as the object may move in the hand."""
+    tilt: float
+    """Angle between the object's base and the table of the rig [rad]."""
+    sigma_tilt: float
+    """One standard deviation about each horizontal axis [rad]."""
+    probability: float
+    """That the object rests on one of its sides, on a table where the rig says it is."""
+    reason: str
+    """Why the table is doubted; empty where it is used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TableEvidence:
+    """A `TableEvidence` is what the table tells of an object that was grasped on it."""
+
+    model: ObjectModel
+    table: Table
+    supports: tuple[Support, ...]
+    """Those that are compared; the last is that the object does not rest."""
+    priors: tuple[PoseAndBias, ...]
+    """By support, of the pose and vision's bias at the smoother's start."""
+    T_world_palm: Array
+    """(4, 4) when the object was last known to be on the table."""
+    stamp: float
+    """Of that instant [s]."""
+    moved: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    """(6, 6) covariance of the object's motion in the palm since then, beside the random walk [m², rad²]."""
+    probabilities: Array = field(default_factory=lambda: np.ones(1))
+    """(k,) of the supports; from vision alone before the first comparison."""
+    touch: Array | None = None
+    """(k,) the log density of touch under each support, a mean over time; None before the first comparison."""
+    compared_at: float = -math.inf
+    """When they were last compared [s]."""
+    alternatives: Alternatives | None = None
+    """The explanations other than the likeliest, when they were last compared."""
+
+    @property
+    def best(self) -> int:
+        """The number of the likeliest support."""
+        return int(self.probabilities.argmax())
+
+    def due(self, stamp: float, estimate: PoseEstimate, *, news: bool) -> bool:
+        """Returns whether the supports are to be compared again: now and then, and more often while none is certain,
+        while touch contradicts the likeliest, at whose prior it led to `estimate`, or where there is `news` of it."""
+        fits = estimate.consistent and not estimate.outliers and estimate.weight_fits is not False
+        certain = fits and not news and self.probabilities.max() > TABLE.certain
+        period = TABLE.period if certain else TABLE.doubt_period
+        return len(self.supports) > 1 and stamp - self.compared_at >= period - 1e-9
+
+    def compared(
+        self,
+        vision: PoseBiasSmoother,
+        likeliest: tuple[PoseEstimate, PosePrior],
+        correct: Callable[[PosePrior], PoseEstimate],
+        refine: Callable[[PosePrior, Array], PoseEstimate | None],
+        drift: Array,
+        stamp: float,
+    ) -> tuple["TableEvidence", PoseEstimate, PosePrior]:
+        """Returns the evidence after all supports were compared by touch, and estimate and prior of the likeliest one.
+
+        `likeliest`: those of the one that was likeliest before; `correct` finds the estimate of another prior, `refine`
+        from a given start; `drift` is that of `measured`.
+        """
+        each, best = range(len(self.supports)), self.best
+        priors = [likeliest[1] if i == best else self.smoother(vision, i).without_touch for i in each]
+        estimates = [likeliest[0] if i == best else correct(priors[i]) for i in each]
+        fits = [estimate for estimate in estimates if estimate.consistent]
+        if fits:  # what fits one may fit another, where a search has missed it
+            start = fits[0].T_palm_object_maximum
+            again = (e if e.consistent else refine(p, start) for e, p in zip(estimates, priors, strict=True))
+            estimates = [new or old for new, old in zip(again, estimates, strict=True)]
+        touch = np.array([log_evidence(self.model, *pair) for pair in zip(estimates, priors, strict=True)])
+        # Where touch fits none, its noise is larger than expected, and it tells that much less.
+        rows, chi2 = zip(*((e.answer["rows"], e.answer["chi2"]) for e in estimates), strict=True)
+        touch = np.maximum(touch - touch.max(), TABLE.least_evidence) * min(1.0, max(rows) / min(chi2))
+        if (
+            self.touch is not None
+        ):  # contacts at two instants are no independent measurements: their mean counts
+            touch = (touch + self.touch) / 2
+        shares = normalised(self.log_densities(vision.now, drift) + touch)
+        order = np.argsort(-shares, kind="stable")
+        alternatives = Alternatives.of(self.model, [(float(shares[i]), estimates[i]) for i in order])
+        after = replace(self, probabilities=shares, touch=touch, compared_at=stamp, alternatives=alternatives)
+        return after, estimates[order[0]], priors[order[0]]
+
+    @classmethod
+    def of(
+        cls,
+        model: ObjectModel,
+        table: Table,
+        supports: tuple[Support, ...],
+        state: PoseAndBias,
+        T_world_palm: Array,
+        stamp: float,
+    ) -> "TableEvidence":
+        """Returns the evidence of an object that was just grasped; `state` is the smoother's start, without a table.
+
+        Negligible resting poses are left out.
+        """
+        every = cls(model, table, supports, (state,) * len(supports), T_world_palm, stamp)
+        shares = normalised(every.log_densities(state, np.zeros(6)))
+        kept = [i for i, share in enumerate(shares) if share > TABLE.negligible or supports[i].pose is None]
+        measured = [every.measured(state, supports[i]) for i in kept]
+        return replace(
+            every,
+            supports=tuple(supports[i] for i in kept),
+            priors=tuple(state if m is None else state.updated(*m) for m in measured),
+            probabilities=shares[kept] / shares[kept].sum(),
+        )
+
+    def smoother(self, vision: PoseBiasSmoother, number: int | None = None) -> PoseBiasSmoother:
+        """Returns the smoother of vision, given a support by its number (default: the likeliest)."""
+        number = self.best if number is None else number
+        return vision if self.supports[number].pose is None else vision.with_prior(self.priors[number])
+
+    def restarted(self, vision: PoseBiasSmoother, moved: Array) -> "TableEvidence":
+        """Returns the evidence after the object has moved in the palm, by a random step of covariance `moved` (6, 6),
+        at which vision's smoother (as it was before) was restarted."""
+        smoothers = [self.smoother(vision, number) for number in range(len(self.supports))]
+        priors = tuple(each.now.spread(moved) for each in smoothers)
+        return replace(self, priors=priors, moved=self.moved + moved)
+
+    def informed(self, vision: PoseBiasSmoother, bias: GaussianPose) -> "TableEvidence":
+        """Returns the evidence after vision's bias itself was measured (see `PoseBiasSmoother.informed`)."""
+        return replace(self, priors=tuple(vision.with_prior(p).informed(bias).prior for p in self.priors))
+
+    def measured(
+        self, state: PoseAndBias, support: Support, drift: Array | float = 0.0
+    ) -> tuple[Array, Array, Array] | None:
+        """Returns the three numbers of a support as a linear measurement of a state: H (3, 19), the residual (3,), and
+        the noise's covariance (3, 3): the height of the centre of mass [m], and two tilts [rad]. None where the object
+        does not rest.
+
+        `drift` (6,): variance of the object's random walk since it was on the table [m², rad²].
+        """
+        if support.pose is None:
+            return None
+        T, R, table = state.T_palm_object, self.T_world_palm[:3, :3], self.table
+        up = R[2]
+        arm = T[:3, :3] @ support.pose.center_object
+        side, height, spread = support.pose.near(-up @ T[:3, :3])
+        down = T[:3, :3] @ side
+        # The rotation that brings the side down, about two horizontal axes; a table does not measure the yaw.
+        axes = np.linalg.svd(up[None])[2][1:]
+        turn = np.cross(down, -up)
+        sine = float(np.linalg.norm(turn))
+        turn = turn * (np.arctan2(sine, -down @ up) / sine if sine > 1e-9 else 1.0)
+        H = np.zeros((3, len(state.covariance)))
+        H[0, :3], H[0, 3:6], H[1:, 3:6] = up, np.cross(arm, up), axes
+        z = up @ (T[:3, 3] + arm) + self.T_world_palm[2, 3]
+        residual = np.concatenate([[table.height + height - z], axes @ turn])
+        # A direction that differs by d turns the object by d x up.
+        by_side = axes @ se3.skew(up) @ T[:3, :3]
+        noise = np.zeros((3, 3))
+        sigma_height, sigma_tilt = np.multiply(support.factors, (table.sigma_height, table.sigma_tilt))
+        noise[0, 0] = sigma_height**2
+        noise[1:, 1:] = sigma_tilt**2 * np.eye(2) + by_side @ spread @ by_side.T
+        return H, residual, noise + H[:, :6] @ (self.moved + drift * np.eye(6)) @ H[:, :6].T
+
+    def estimated(self, estimate: PoseEstimate, drift: Array) -> TableEstimate | None:
+        """Returns where the table must be, given the object's pose; None where no side of it may be on a table.
+
+        `drift` is that of `measured`.
+        """
+        rests = [i for i, support in enumerate(self.supports) if support.pose is not None]
+        if not rests:
+            return None
+        told = sum(float(self.probabilities[i]) for i in rests if self.supports[i].factors == (1.0, 1.0))
+        support = self.supports[max(rests, key=lambda i: self.probabilities[i])]
+        covariance = np.zeros((12, 12))
+        covariance[:6, :6] = estimate.bounded_covariance + self.moved + drift * np.eye(6)
+        now = PoseAndBias(np.stack([estimate.T_palm_object, np.eye(4)]), covariance)
+        measured = self.measured(now, support)
+        assert measured is not None
+        H, off, _ = measured
+        sigma = np.sqrt(np.einsum("ij,jk,ik->i", H, now.covariance, H))
+        reason, best = "", self.supports[self.best]
+        if best.pose is None:
+            reason = "the object rests on none of its sides: it leans, or the hand holds it"
+        elif best.factors != (1.0, 1.0):
+            side = "below" if off[0] > 0 else "above"
+            reason = f"touch and vision have it {abs(1e3 * off[0]):.0f} mm {side} where the rig says"
+        height, tilt = self.table.height - float(off[0]), float(np.linalg.norm(off[1:]))
+        return TableEstimate(height, float(sigma[0]), tilt, float(sigma[1:].max()), told, reason)
+
+    def log_densities(self, state: PoseAndBias, drift: Array) -> Array:
+        """Returns (k,) the log probability of each support by vision alone, up to a constant.
+
+        `state` is vision's, without a table, and `drift` as for `measured`. An object that leans has its centre of mass
+        at any height up to its diameter, and points in any direction.
+        """
+        rows = []
+        for support in self.supports:
+            measured = self.measured(state, support, drift)
+            if measured is None:
+                log_density = -math.log(4 * np.pi * self.model.diameter)
+            else:
+                H, residual, noise = measured
+                S = H @ state.covariance @ H.T + noise
+                chi2 = float(residual @ np.linalg.solve(S, residual))
+                log_density = -0.5 * (chi2 + float(np.linalg.slogdet(2 * np.pi * S)[1]))
+            rows.append(math.log(support.probability) + log_density)
+        return np.array(rows)
+
+
+def on_table(state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm: Array) -> PoseAndBias | None:
+    """Returns the state given that the object stands on the table as vision suggests; None where it likely does not."""
+    supports = supports_of(resting_poses(model, model.center_of_mass))
+    evidence = TableEvidence.of(model, table, supports, state, T_world_palm, 0.0)
+    best = evidence.best
+    return None if evidence.supports[best].pose is None else evidence.priors[best]

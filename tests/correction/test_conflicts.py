@@ -1,0 +1,196 @@
+"""Who contradicts whom: vision, a finger, the weight, depth points and the hand's points, each against the rest."""
+
+import json
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from batch.box_problem import BOX, changed
+from handsight import se3
+from handsight.batch.problems import Reader, answer_text
+from handsight.correction import DepthPoints, TwoPhase, WeightEvidence, refine_pose
+from scenes import (
+    ERROR,
+    NOISE,
+    anywhere_on,
+    box,
+    can,
+    on_box_faces,
+    on_can_side,
+    random_scene,
+    region,
+    touched,
+)
+
+SIGMA = np.repeat([3.3e-4, np.deg2rad(1)], 3)
+"""Of a narrow prior, per axis: .33 mm and 1°."""
+PRECISE = (2e-4, float(np.deg2rad(1)))
+"""Of a contact against it, per axis."""
+
+
+def narrow(seed, n, sigmas_off, noise=1.0):
+    """Contacts on three faces of the box, a prior off by so many of its sigmas along a contact's normal, and the truth."""
+    rng = np.random.default_rng([seed, n])
+    T, surface = se3.random(rng, spread=0.1), on_box_faces(rng, n)
+    contacts = touched(T, surface, PRECISE, rng)
+    error = noise * SIGMA * rng.normal(size=6)
+    error[:3] += sigmas_off * SIGMA[0] * (T[:3, :3] @ surface[1][0])
+    return contacts, hs.PosePrior(se3.moved(T, error), np.diag(SIGMA**2)), T
+
+
+def named(estimate):
+    """The evidence that is named, and whether it is still in use."""
+    return {c.evidence for c in estimate.conflicts if not c.excluded}
+
+
+@pytest.mark.parametrize("n", [10, 20, 40])
+@pytest.mark.parametrize("sigmas_off", [8, 10])
+def test_a_prior_that_many_contacts_contradict_is_named(n, sigmas_off):
+    for seed in range(12):
+        contacts, vision, _ = narrow(seed, n, sigmas_off)
+        found = hs.correct_pose(box(), contacts, vision=vision)
+        assert not found.consistent
+        assert named(found) == {"vision"}
+        (conflict,) = found.conflicts
+        assert conflict.against == "contacts"
+        assert conflict.p_value < 1e-4
+        assert conflict.freedom == 6
+
+
+def test_the_offset_of_a_prior_is_what_it_is_off():
+    contacts, vision, T = narrow(0, 40, 15, noise=0.0)
+    (conflict,) = hs.correct_pose(box(), contacts, vision=vision).conflicts
+    off = conflict.offset - se3.difference(T, vision.T_palm_object)
+    assert np.linalg.norm(off[:3]) < 4e-4
+    assert np.linalg.norm(off[3:]) < 0.01
+    assert 12 < np.sqrt(conflict.chi2) < 18
+    assert str(conflict).startswith("vision contradicts contacts by 1")
+
+
+def test_the_fall_of_chi2_is_that_of_the_innovation_where_all_is_linear():
+    """On a box's faces: rᵀ (R + P)⁻¹ r of vision's pose and that of the contacts, found with hardly any prior."""
+    contacts, vision, T = narrow(3, 20, 12)
+    (conflict,) = hs.correct_pose(box(), contacts, vision=vision).conflicts
+    blind = hs.correct_pose(box(), contacts, vision=hs.PosePrior.from_sigmas(T, 0.1, 0.5))
+    innovation = se3.difference(blind.T_palm_object, vision.T_palm_object)
+    square = innovation @ np.linalg.solve(vision.covariance + blind.covariance, innovation)
+    assert conflict.chi2 == pytest.approx(square, rel=0.05)
+
+
+def test_a_prior_that_is_contradicted_hardly_moves_the_answer():
+    """Five contacts on a box, and vision 12 sigma off: the answer is within what contacts alone would give."""
+    off, inside, count = [], 0, 0
+    for seed in range(20):
+        rng = np.random.default_rng([5, seed])
+        T, surface = se3.random(rng, spread=0.1), on_box_faces(rng, 6)
+        contacts = touched(T, surface, (1e-3, NOISE[1]), rng)
+        error = SIGMA * rng.normal(size=6)
+        error[:3] += 30 * SIGMA[0] * (T[:3, :3] @ surface[1][0])
+        found = hs.correct_pose(box(), contacts, vision=hs.PosePrior(se3.moved(T, error), np.diag(SIGMA**2)))
+        if named(found) != {"vision"}:
+            continue
+        along = T[:3, :3] @ surface[1][0]
+        off.append(abs((found.T_palm_object[:3, 3] - T[:3, 3]) @ along))
+        inside += region(box(), found, T)["in 95%"]
+        count += 1
+        assert not found.consistent
+        assert found.covariance[0, 0] > SIGMA[0] ** 2
+    assert count > 10
+    assert np.median(off) < 1.5e-3
+    assert inside > 0.7 * count
+
+
+def test_all_functions_that_correct_name_the_same():
+    contacts, vision, T = narrow(1, 20, 10)
+    single = hs.correct_pose(box(), contacts, vision=vision)
+    (batched,) = hs.correct_poses(box(), [(contacts, vision)])
+    assert not batched.consistent
+    assert [str(c) for c in batched.conflicts] == [str(c) for c in single.conflicts]
+    assert refine_pose(box(), contacts, vision, T) is None
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_honest_evidence_is_called_inconsistent_no_more_often_than_its_level(wide):
+    """Over all tests together one in a thousand; 14 of 5 000 have a probability of 2e-4 then."""
+    error, alarms, total = (ERROR if wide else (1e-3, np.deg2rad(1.5))), 0, 0
+    for model, surface in ((box(), on_box_faces), (can(), on_can_side)):
+        for n, count in ((3, 1000), (6, 1000), (40, 500)):
+            rng = np.random.default_rng([n, count])
+            scenes = [random_scene(surface(rng, n), rng, error=error) for _ in range(count)]
+            for found in hs.correct_poses(model, [(s.contacts, s.vision) for s in scenes]):
+                alarms += not found.consistent
+                total += 1
+                assert found.consistent or found.conflicts or not found.outliers
+    assert alarms < 14
+    assert total == 5000
+
+
+def all_evidence(wrong, seed=0):
+    """Arguments of a correction of the box by vision, six contacts, the weight and depth points, one of them wrong."""
+    rng = np.random.default_rng(seed)
+    T, model = se3.random(rng, spread=0.1), box()
+    contacts = touched(T, on_box_faces(rng, 6), NOISE, rng)
+    if wrong == "finger":
+        points = contacts.points_palm.copy()
+        points[2] += 0.006 * contacts.normals_palm[2]
+        contacts = hs.Contacts(points, contacts.normals_palm, sigma_point=NOISE[0], sigma_normal=NOISE[1])
+    sigma = np.repeat([2e-3, np.deg2rad(2)], 3)
+    off = 10 * sigma[0] * T[:3, :3] @ np.ones(3) / np.sqrt(3)
+    T_vision = se3.moved(T, sigma * rng.normal(size=6) + np.r_[off * (wrong == "vision"), np.zeros(3)])
+    center = T[:3, 3] + 1e-3 * rng.normal(size=3) + (0.5 * off if wrong == "weight" else 0)
+    T_depth = se3.moved(T, np.r_[off, np.zeros(3)]) if wrong == "depth" else T
+    seen = se3.apply(T_depth, anywhere_on(model)(rng, 48)[0])
+    prior = hs.PosePrior(T_depth, np.diag(sigma**2))
+    return {
+        "contacts": contacts,
+        "vision": hs.PosePrior(T_vision, np.diag(sigma**2)),
+        "weight": WeightEvidence(np.zeros(3), center, 1e-6 * np.eye(3)),
+        "depth": DepthPoints.of_image(model, seen, prior),
+    }
+
+
+@pytest.mark.parametrize("wrong", ["", "vision", "finger", "weight", "depth"])
+def test_who_contradicts_whom_is_right(wrong):
+    for seed in range(5):
+        found = hs.correct_pose(box(), **all_evidence(wrong, seed))
+        who = {c.evidence: c for c in found.conflicts}
+        assert set(who) == ({"contact 2" if wrong == "finger" else wrong} if wrong else set())
+        if wrong == "weight":
+            assert found.weight_fits is False
+            assert who["weight"].excluded
+        elif wrong == "finger":
+            assert found.outliers == (2,)
+            assert who["contact 2"].excluded
+            assert who["contact 2"].offset[0] == pytest.approx(0.006, abs=0.002)
+            assert "and is left out" in str(who["contact 2"])
+        else:
+            assert found.weight_fits is True
+        assert found.consistent == (wrong not in ("vision", "depth"))
+
+
+def test_a_finger_that_is_kept_is_named():
+    given = all_evidence("finger", 1)
+    found = hs.correct_pose(
+        box(), given["contacts"], vision=given["vision"], method=TwoPhase(reject_outliers=False)
+    )
+    assert named(found) == {"contact 2"}
+    assert found.conflicts[0].against == "other contacts, vision"
+
+
+def test_the_hand_inside_the_object_is_named():
+    given = all_evidence("", 2)
+    T = given["vision"].T_palm_object
+    inside = se3.apply(T, np.array([[0.005, 0.0, 0.0]]))
+    found = hs.correct_pose(box(), given["contacts"], vision=given["vision"], outside=inside)
+    assert "outside" in named(found)
+
+
+def test_an_answer_as_json_has_its_conflicts():
+    right = json.loads(answer_text(Reader("."), json.dumps(BOX).encode()))
+    assert right["conflicts"] == []
+    off = changed("vision", {**BOX["vision"], "sigma_position": 0.001, "sigma_rotation_deg": 0.5})
+    (conflict, *_) = json.loads(answer_text(Reader("."), json.dumps(off).encode()))["conflicts"]
+    assert conflict["evidence"] == "vision"
+    assert conflict["message"].startswith("vision contradicts contacts by ")
+    assert set(conflict) == {"evidence", "against", "chi2", "freedom", "p_value", "excluded", "message"}

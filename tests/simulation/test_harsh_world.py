@@ -1,0 +1,239 @@
+"""Nuisances of a harsh world: each does what it says, alone, and all are drawn by the seed."""
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+
+from handsight import se3
+from handsight.errors import InvalidInput
+from handsight.simulation import (
+    Nuisances,
+    Scenario,
+    constant_errors,
+    model_of,
+    rig_of,
+    scenario,
+    simulate,
+    simulate_each,
+)
+from handsight.simulation.grasp_search import grasp_for
+from handsight.simulation.loads import Payload
+from handsight.simulation.scene import FINGERS, UNLOADED, tip_shape
+from handsight.simulation.world import World
+from simulation.simulated import NONE, only
+
+USUAL = Nuisances()
+ALONE = {
+    "force_gain": {"force_gain": 0.03},
+    "backlash": {"force_backlash": 0.05, "torque_backlash": 2.5e-4},
+    "loss": {"message_loss": 0.2},
+    "jitter": {"stamp_jitter": 0.004},
+    "drift": {"vision_drift_position": 0.01, "vision_drift_rotation": 0.05, "vision_drift_time": 0.5},
+}
+
+
+@functools.cache
+def together(base, motion="manipulate"):
+    """By name, the samples with each nuisance of `ALONE` switched on beside some others, and `without`: one world. A
+    lost sample is None."""
+    variants = {"without": base} | {name: dataclasses.replace(base, **n) for name, n in ALONE.items()}
+    base_scenario = Scenario(object="box", seed=3, motion=motion, rate=50.0, nuisances=base)
+    columns = zip(*simulate_each(base_scenario, list(variants.values())), strict=True)
+    return dict(zip(variants, columns, strict=True))
+
+
+def wrenches(samples):
+    """(n, 5, 6) of the fingers, NaN where a message is lost."""
+    silent = np.full(6, np.nan)
+    return np.array([[s.observation.wrenches.get(f, silent) for f in FINGERS] for s in samples])
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_a_nuisance_changes_its_own_readings_and_leaves_all_others_bit_for_bit(name):
+    changed = {
+        "force_gain": "wrenches",
+        "backlash": "wrenches",
+        "jitter": "stamp",
+        "drift": "vision",
+        "loss": "",
+    }
+    runs = together(USUAL, "grasp")
+    for a, b in zip(runs["without"], runs[name], strict=True):
+        if b is None:
+            continue
+        np.testing.assert_array_equal(a.T_palm_object, b.T_palm_object)
+        for f, wrench in b.observation.wrenches.items():
+            same = np.array_equal(wrench, a.observation.wrenches[f])
+            assert same or changed[name] == "wrenches"
+        assert b.observation.joint_positions == a.observation.joint_positions
+        assert b.observation.stamp == a.observation.stamp or changed[name] == "stamp"
+        if b.observation.vision is not None:
+            pose, alone = (s.observation.vision.T_frame_object for s in (b, a))
+            assert np.array_equal(pose, alone) or changed[name] == "vision"
+
+
+def test_several_nuisances_measured_in_one_world_are_those_of_a_simulation_each():
+    base = Scenario(object="box", seed=3, rate=50.0)
+    noisy = dataclasses.replace(USUAL, force_noise=0.03, force_gain=0.03, message_loss=0.1)
+    both = [sample for _, sample in simulate_each(base, [USUAL, noisy]) if sample is not None]
+    alone = list(simulate(dataclasses.replace(base, nuisances=noisy)))
+    assert [s.observation.stamp for s in both] == [s.observation.stamp for s in alone]
+    np.testing.assert_array_equal(wrenches(both), wrenches(alone))
+    with pytest.raises(InvalidInput, match=r"variants\[1\]: expected the world of the scenario's nuisances"):
+        next(simulate_each(base, [USUAL, Nuisances(friction=0.5)]))
+
+
+def test_gains_are_constant_and_of_the_stated_sigma():
+    runs = together(NONE)
+    true, wrong = (wrenches(runs[name]) - UNLOADED for name in ("without", "force_gain"))
+    gains = constant_errors(only(**ALONE["force_gain"]), 3).gains
+    np.testing.assert_allclose(wrong, gains * true, atol=1e-12)
+    drawn = [constant_errors(Nuisances(force_gain=0.03), seed).gains for seed in range(100)]
+    np.testing.assert_allclose(np.std(drawn), 0.03, rtol=0.1)
+
+
+def test_a_reading_with_backlash_stays_until_the_force_has_moved_by_half_the_width():
+    runs = together(NONE)
+    true, stuck = wrenches(runs["without"]), wrenches(runs["backlash"])
+    width = np.repeat([0.05, 2.5e-4], 3)
+    off = (stuck - true) / width
+    assert np.abs(off).max() < 1 + 1e-9
+    assert (off.max(axis=0) > 0.9).mean() > 0.3  # both ends are met
+    moves = np.abs(np.diff(stuck, axis=0)) > 1e-12
+    np.testing.assert_allclose(np.abs(off[1:][moves]), 1, atol=1e-9)
+    assert 0.05 < moves.mean() < 0.95
+
+
+def test_messages_are_lost_with_the_stated_probability():
+    runs = together(NONE)
+    lost = runs["loss"]
+    assert np.mean([s is None for s in lost]) == pytest.approx(0.2, abs=0.05)
+    kept = [s for s in lost if s is not None]
+    assert np.isnan(wrenches(kept)[..., 0]).mean() == pytest.approx(0.2, abs=0.03)
+    due = [a for a, b in zip(runs["without"], lost, strict=True) if b is not None and a.observation.vision]
+    seen = sum(s.observation.vision is not None for s in kept)
+    assert 1 - seen / len(due) == pytest.approx(0.2, abs=0.1)
+
+
+def test_stamps_are_late_by_the_jitter_at_most_and_stay_in_order():
+    runs = together(NONE)
+    late = np.array(
+        [
+            b.observation.stamp - a.observation.stamp
+            for a, b in zip(runs["without"], runs["jitter"], strict=True)
+        ]
+    )
+    assert late.min() >= 0
+    assert 0.0035 < late.max() <= 0.004
+    np.testing.assert_allclose(late.mean(), 0.002, rtol=0.1)
+    wild = simulate(Scenario(rate=50.0, nuisances=only(stamp_jitter=1.0)))
+    assert np.diff([s.observation.stamp for s in wild]).min() > 0
+
+
+def test_visions_error_wanders_with_the_stated_size_and_correlation_time():
+    T_mount_camera, centre = rig_of(Scenario()).camera.T_mount_camera, np.array([0.0, 0.02, 0.07])
+    wrong = []
+    for sample in together(NONE)["drift"]:
+        if sample.observation.vision is not None:
+            T = T_mount_camera @ sample.observation.vision.T_frame_object @ se3.inverse(sample.T_world_object)
+            shift = se3.apply(T, centre[None])[0] - centre
+            wrong.append([*shift / 0.01, *se3.rotation_log(T[:3, :3]) / 0.05])
+    wrong = np.array(wrong)
+    np.testing.assert_allclose(wrong.std(), 1, rtol=0.2)
+    # Ten poses a second: neighbours are exp(-.1 / .5) correlated, those of a second exp(-2).
+    assert np.mean(wrong[1:] * wrong[:-1]) / np.mean(wrong**2) == pytest.approx(np.exp(-0.2), abs=0.1)
+    assert np.mean(wrong[10:] * wrong[:-10]) / np.mean(wrong**2) == pytest.approx(np.exp(-2), abs=0.2)
+
+
+def test_true_tips_differ_from_the_rigs_as_drawn_and_by_two_sigma_at_most():
+    nuisances = only(tip_size=2e-4)
+    model, drawn = (
+        Payload.of(Scenario(seed=5, nuisances=nuisances)).scene.model,
+        constant_errors(nuisances, 5).tips,
+    )
+    for finger, (wider, longer) in zip(FINGERS, drawn, strict=True):
+        np.testing.assert_allclose(
+            model.geom(f"{finger}_tip").size - tip_shape(finger)[0], [wider, wider, longer]
+        )
+    many = np.array([constant_errors(nuisances, seed).tips for seed in range(200)])
+    assert np.abs(many).max() == pytest.approx(4e-4)
+    np.testing.assert_allclose(many.std(), 2e-4, rtol=0.15)
+
+
+def test_tips_sink_deeper_into_an_object_with_softer_contacts():
+    def overlap(softness):
+        world = World(Scenario(object="box", nuisances=only(contact_softness=softness)), grasp_for("box", 0))
+        while world.time < 1.5:
+            world.step()
+        return np.mean([depth for geom, _, depth in world.touches() if geom.endswith("_tip")])
+
+    assert 1.5 * overlap(0.0) < overlap(1.0) < 1e-3
+
+
+def test_friction_is_limited_by_a_cone_or_by_a_pyramid_within_it():
+    cone, pyramid = (
+        Payload.of(Scenario(nuisances=only(pyramidal_friction=k))).scene.model.opt for k in (0, 1)
+    )
+    assert (cone.cone, pyramid.cone) == (1, 0)  # MuJoCo's mjCONE_ELLIPTIC and mjCONE_PYRAMIDAL
+    with pytest.raises(InvalidInput, match="pyramidal_friction: expected 0 or 1, got 0.5"):
+        Nuisances(pyramidal_friction=0.5)
+
+
+@pytest.mark.parametrize("kind", ["can", "box"])
+def test_the_declared_mass_is_a_share_of_the_true_one_at_the_homogeneous_centre(kind):
+    model = model_of(Scenario(object=kind, nuisances=only(declared_mass=1.1, object_mass=0.2)))
+    assert model.mass == pytest.approx(0.22)
+    np.testing.assert_allclose(model.center_of_mass, 0, atol=1e-9)
+    assert model_of(Scenario(object=kind)).mass is None
+
+
+def test_a_harsh_world_is_drawn_by_its_seed_from_the_stated_ranges():
+    worlds = [Nuisances.harsh(seed) for seed in range(200)]
+    assert Nuisances.harsh(7) == worlds[7] != worlds[8]
+    for name, (low, high) in scenario.HARSH.items():
+        drawn = np.array([getattr(world, name) for world in worlds])
+        drawn = np.log(drawn) if name == "object_mass" else drawn
+        assert low <= drawn.min() < low + 0.05 * (high - low)
+        assert high - 0.05 * (high - low) < drawn.max() <= high
+        np.testing.assert_allclose(drawn.mean(), (low + high) / 2, atol=0.1 * (high - low))
+    others = {item.name for item in dataclasses.fields(Nuisances) if item.name not in scenario.HARSH}
+    assert all(getattr(worlds[0], name) == getattr(USUAL, name) for name in others)
+
+
+def test_a_size_that_is_no_longer_drawn_changes_no_other(monkeypatch):
+    before = dataclasses.asdict(Nuisances.harsh(3))
+    fewer = {name: limits for name, limits in scenario.HARSH.items() if name != "force_gain"}
+    monkeypatch.setattr(scenario, "HARSH", fewer)
+    assert dataclasses.asdict(Nuisances.harsh(3)) == before | {"force_gain": 0.0}
+
+
+def test_a_harsh_world_gives_the_same_samples_again():
+    runs = [
+        list(simulate(Scenario(object="box", seed=1, rate=50.0, nuisances=Nuisances.harsh(1))))
+        for _ in range(2)
+    ]
+    assert [s.observation.stamp for s in runs[0]] == [s.observation.stamp for s in runs[1]]
+    np.testing.assert_array_equal(wrenches(runs[0]), wrenches(runs[1]))
+    usual = list(simulate(Scenario(object="box", seed=1, rate=50.0)))
+    assert len(runs[0]) < len(usual)
+
+
+def test_the_usual_readings_are_the_worlds_with_the_same_draws_as_ever():
+    """Recordings of a seed stay what they were: readings are computed here from the exact ones."""
+    none = only(pull_force=USUAL.pull_force)  # of no consequence: nothing is pulled
+    variants = [none, dataclasses.replace(USUAL, tip_compliance=0.0)]
+    runs = simulate_each(Scenario(object="box", seed=4, rate=10.0), variants)
+    exact, usual = zip(*runs, strict=True)
+    rng, noise, n = np.random.default_rng((4, 2)), np.random.default_rng((4, 3)), USUAL
+    offsets, _, drift = n.joint_offset * rng.normal(size=24), rng.normal(size=(5, 6)), rng.normal(size=(5, 6))
+    drift_sigma, noise_sigma = (
+        np.repeat(pair, 3) for pair in ((n.force_drift, n.torque_drift), (n.force_noise, n.torque_noise))
+    )
+    for a, b in zip(exact, usual, strict=True):
+        of_joints, of_wrenches = n.joint_noise * noise.normal(size=24), noise.normal(size=(5, 6))
+        true, read = (np.array(list(s.observation.joint_positions.values())) for s in (a, b))
+        np.testing.assert_allclose(read, true + offsets + of_joints, rtol=0, atol=1e-14)
+        errors = drift_sigma * drift * a.observation.stamp + noise_sigma * of_wrenches
+        np.testing.assert_allclose(wrenches([b])[0], wrenches([a])[0] + errors, rtol=0, atol=1e-13)

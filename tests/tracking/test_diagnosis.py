@@ -1,0 +1,95 @@
+"""What a recording tells of a rig's declared values: right ones agree, a wrong one is named, with its error."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from handsight.observation import Observation
+from handsight.rig import Rig
+from handsight.simulation import Nuisances, Scenario, model_of, rig_of, simulate
+from handsight.tracking import Diagnosed, diagnose
+from handsight.tracking.diagnosis import diagnosed
+
+pytest.importorskip("mujoco")
+pytest.importorskip("gymnasium_robotics")
+
+GRASPS = 8
+
+
+@cache
+def session() -> tuple[Observation, ...]:
+    """Returns a recording in which a robot without errors grasps the can again and again."""
+    observations: list[Observation] = []
+    for seed in range(GRASPS):
+        begin = observations[-1].stamp + 0.5 if observations else 0.0
+        scenario = Scenario(object="can", seed=seed, rate=50.0, nuisances=Nuisances.none())
+        observations += [
+            replace(sample.observation, stamp=sample.observation.stamp + begin)
+            for sample in simulate(scenario)
+        ]
+    return tuple(observations)
+
+
+def declared(*, radius: float = 0.0, angle: float = 0.0) -> Rig:
+    """Returns the rig of a hand with well known joints, whose middle finger's tip is declared too small by `radius`.
+
+    The declared sigmas are 0.1° for joints and 0.3 mm for tips.
+    """
+    rig = rig_of(Scenario(object="can"))
+    fingers = {name: replace(finger, sigma_point=3e-4) for name, finger in rig.fingers.items()}
+    tip = fingers["mf"].tip
+    smaller = hs.Ellipsoid(
+        tip.semi_axes - radius, tip.cap, tip.max_friction, tip.min_force, tip.T_surface_sensor
+    )
+    fingers["mf"] = replace(fingers["mf"], tip=smaller)
+    return replace(rig, fingers=fingers, sigma_joint_offset=float(np.deg2rad(0.1)))
+
+
+@cache
+def found(radius: float) -> dict[str, Diagnosed]:
+    """Returns the diagnosis of the session, by name, where a tip is declared too small by `radius`."""
+    diagnosis = diagnose(session(), declared(radius=radius), model_of(Scenario(object="can")))
+    assert diagnosis.instants >= 5
+    assert {value.name for value in diagnosis.wrong} == {v.name for v in diagnosis.values if v.wrong}
+    return {value.name: value for value in diagnosis.values}
+
+
+def test_what_is_declared_rightly_is_not_called_wrong() -> None:
+    assert not any(value.wrong for value in found(0.0).values())
+    measured = [value for value in found(0.0).values() if value.name.startswith("tip") and value.measured]
+    # The simulated tips are soft: they give way by up to 0.4 mm.
+    assert len(measured) >= 3
+    assert all(abs(value.estimated - value.declared) < 0.5 for value in measured)
+
+
+@pytest.mark.parametrize("radius", [0.0015, -0.0015])
+def test_a_tip_of_another_radius_is_named_with_its_error(radius: float) -> None:
+    tip = found(radius)["tip mf radius"]
+    assert tip.wrong
+    assert abs(tip.estimated - tip.declared - 1e3 * radius) < 0.4
+    assert ("larger" if radius > 0 else "smaller") in tip.verdict
+
+
+def test_a_finger_that_never_touches_tells_nothing() -> None:
+    rig = declared()
+    without = [replace(o, wrenches={n: w for n, w in o.wrenches.items() if n != "lf"}) for o in session()]
+    values = {v.name: v for v in diagnose(without, rig, model_of(Scenario(object="can"))).values}
+    assert not values["tip lf radius"].measured
+    assert values["tip lf radius"].verdict == "not measured by this recording"
+    assert values["tip lf radius"].numbers()["estimated"] is None
+
+
+def test_a_value_that_is_declared_exact_is_not_measured() -> None:
+    value = diagnosed("camera shift x", "mm", 0.0, 0.0, 0.0, 0.0)
+    assert not value.measured
+    assert not value.wrong
+
+
+def test_a_recording_without_touch_tells_nothing_of_the_hand() -> None:
+    observations = [replace(o, wrenches={}) for o in session()[:100]]
+    diagnosis = diagnose(observations, declared(), model_of(Scenario(object="can")))
+    assert diagnosis.instants == 0
+    assert not any(value.measured or value.wrong for value in diagnosis.values)
