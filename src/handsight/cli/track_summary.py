@@ -104,10 +104,10 @@ class TrackResult:
             "fingers_rejected": {finger: round(part, 3) for finger, part in self.rejected.items()},
             "link_margins_mm": {link: round(1e3 * margin, 1) for link, margin in self.margins.items()},
             "depth_images": self.images,
-            "vision_latency_ms": None if self.latency is None else [round(1e3 * x, 1) for x in self.latency],
             "diagnosis": []
             if self.diagnosis is None
             else [value.numbers() for value in self.diagnosis.values],
+            "vision_latency_ms": None if self.latency is None else [round(1e3 * x, 1) for x in self.latency],
             "weight": None if self.weight is None else weight_numbers(self.weight),
             "recording_says": self.messages,
             "friction": self.friction,

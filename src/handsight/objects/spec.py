@@ -6,6 +6,7 @@ from typing import Literal
 
 from handsight.errors import InvalidInput
 from handsight.objects.model import ObjectModel
+from handsight.objects.symmetry_search import propose_symmetries
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,6 +23,8 @@ class ObjectSpec:
     """Metres per unit of that file."""
     name: str | None = None
     """Name in the library, as `ObjectModel.from_library` takes it."""
+    symmetries: Literal["find"] | None = None
+    """`find`: rotations that keep the shape are symmetries (`propose_symmetries`), even if a print tells them apart."""
     mass: float | None = None
     """Mass [kg]; it replaces that of an object in the library."""
     center_of_mass: tuple[float, float, float] | Literal["homogeneous"] | None = None
@@ -45,6 +48,8 @@ class ObjectSpec:
             model = ObjectModel.from_file(self.mesh, scale=self.scale)
         else:
             raise InvalidInput("object: expected one of box, cylinder, mesh, name, got none")
+        if self.symmetries is not None:
+            model = model.with_symmetries(propose_symmetries(model))
         if self.friction is not None:
             sigma_friction = model.sigma_friction if self.sigma_friction is None else self.sigma_friction
             model = model.with_friction(self.friction, sigma_friction)

@@ -360,6 +360,7 @@ class ObjectForm(Form):
     mesh: Text | None = None
     scale: Positive | None = None
     name: Text | None = None
+    symmetries: Literal["find"] | None = None
     mass: Annotated[Positive | None, key(kilograms=100)] = None
     center_of_mass: Annotated[Vector | Literal["homogeneous"] | None, key(metres=5)] = None
     sigma_center_of_mass: Annotated[Positive | None, key(metres=5)] = None

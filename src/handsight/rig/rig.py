@@ -142,7 +142,7 @@ class MountedCamera:
 
     @property
     def drift(self) -> Array:
-        """(3,) variance of the correlated error, of a position [m²] and a rotation [rad²], and its time [s]."""
+        """(3,) variance of the correlated error: position [m²], rotation [rad²], and how long it lasts [s]."""
         position, rotation = self.sigma_position_correlated, self.sigma_rotation_correlated
         position = 2 * self.sigma_position if position is None else position
         rotation = self.sigma_rotation if rotation is None else rotation

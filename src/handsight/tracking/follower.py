@@ -263,15 +263,15 @@ class Follower:
             state.vision, state.smoother = state.vision.palm_detected(result.hand, before)
             if state.table is not None and before is not None and state.smoother is not before:
                 state.table = state.table.informed(before, result.hand.bias(before.pivot))
-        vision = result.observation.vision
-        if vision is None:
+        if (vision := result.observation.vision) is None:
             return
         # Since the image was taken, an object in the hand has moved with the palm, another one stayed in the world.
         latency = self.camera.latency if state.smoother is None else state.smoother.latency
         stamp = observation.stamp if vision.stamp is None else vision.stamp
         past = state.images.history.palm_at(stamp, latency) if grasped else None
         T_world_palm, motion = past or (state.T_world_palm, STILL)
-        if vision is not observation.vision:  # an image's covariance has what it shares with those before
+        if vision is not observation.vision:
+            # An image's covariance includes what it shares with those before.
             motion = motion._replace(drift_gain=0.0)
         state.vision, after = state.vision.updated(result.observation, state.smoother, T_world_palm, motion)
         state.smoother = after

@@ -100,7 +100,7 @@ class SlipUpdate:
     def _sliding(self, stamp: float, fingertips: FingertipContacts, vision: VisionUpdate) -> list[str]:
         """Returns the fingers that have slid over the object since their anchors, by vision's last pose if it is new.
 
-        Vision's constant error moves a contact by as much at both ends, so only its noise counts.
+        Vision's constant error moves a contact by as much at both ends, so only its noise and its drift count.
         """
         last, contacts = vision.last, fingertips.contacts
         if last is None or last is self._visible:
@@ -111,8 +111,13 @@ class SlipUpdate:
             return []
         pose, T_mount_palm, _ = last
         points = se3.apply(se3.inverse(pose.T_a_b) @ T_mount_palm, contacts.points_palm)
-        variances = pose.covariance.diagonal()
-        noise = 2 * (variances[:3].max() + (points**2).sum(axis=1) * variances[3:].max())
+        variances, (*drift, lasts) = pose.covariance.diagonal(), vision.camera.drift.tolist()
+        drifted = 1 - math.exp(-SLIP_UPDATE.slide_time / lasts)
+        position, rotation = (
+            variances[:3].max() + drifted * drift[0],
+            variances[3:].max() + drifted * drift[1],
+        )
+        noise = 2 * (position + (points**2).sum(axis=1) * rotation)
         sliding, anchors = list[str](), dict[str, tuple[float, Array]]()
         for name, point, variance in zip(fingertips.fingers, points, noise, strict=True):
             then, anchor = self._anchors.get(name, (-math.inf, point))
