@@ -206,7 +206,7 @@ class TableEvidence:
     def measured(
         self, state: PoseAndBias, support: Support, drift: Array | float = 0.0
     ) -> tuple[Array, Array, Array] | None:
-        """Returns the three numbers of a support as a linear measurement of a state: H (3, 19), the residual (3,), and
+        """Returns the three numbers of a support as a linear measurement of a state: H (3, 12), the residual (3,), and
         the noise's covariance (3, 3): the height of the centre of mass [m], and two tilts [rad]. None where the object
         does not rest.
 
@@ -224,7 +224,7 @@ class TableEvidence:
         turn = np.cross(down, -up)
         sine = float(np.linalg.norm(turn))
         turn = turn * (np.arctan2(sine, -down @ up) / sine if sine > 1e-9 else 1.0)
-        H = np.zeros((3, len(state.covariance)))
+        H = np.zeros((3, 12))
         H[0, :3], H[0, 3:6], H[1:, 3:6] = up, np.cross(arm, up), axes
         z = up @ (T[:3, 3] + arm) + self.T_world_palm[2, 3]
         residual = np.concatenate([[table.height + height - z], axes @ turn])
@@ -252,7 +252,7 @@ class TableEvidence:
         measured = self.measured(now, support)
         assert measured is not None
         H, off, _ = measured
-        sigma = np.sqrt(np.einsum("ij,jk,ik->i", H, now.covariance, H))
+        sigma = np.sqrt(np.einsum("ij,jk,ik->i", H, covariance, H))
         reason, best = "", self.supports[self.best]
         if best.pose is None:
             reason = "the object rests on none of its sides: it leans, or the hand holds it"
