@@ -190,7 +190,7 @@ def main() -> None:
     print_whole(done)
     report.write_csv(options.output / "blind_whole.csv", done)
     draw_figure(rows, options.output / "blind.png")
-    meshes = ycb_rows([] if options.quick else seeds[:3])
+    meshes = ycb_rows([] if options.quick else seeds[:2])
     if meshes:
         print_ycb(meshes)
     report.write_csv(options.output / "blind.csv", rows + meshes)

@@ -29,7 +29,9 @@ class FrictionOptions(NamedTuple):
     min_turns: int = 5  # fewest turns of a heap
     min_share: float = 0.1
     """The same as a share of the turns in the largest heap that is at most `max_below` bins below."""
-    max_below: int = 50
+    max_below: int = 30
+    max_below_alone: int = 50
+    """The same of a heap above the ratios that two fingers keep up: one tip alone may touch two bodies at once."""
     certain_turns: int = 20
     """A heap of so many turns is the limit, unless two fingers have ratios above it by more than `near_heap`."""
     noise_margin: float = 0.98
@@ -108,10 +110,14 @@ class Friction:
         if higher or moved or sliding:
             self._estimate()
 
+    @property
+    def _kept_by_two(self) -> float:
+        """The highest ratio that two fingers have kept up, or the only finger that holds the object; else 0."""
+        return sorted(self._kept_up.values())[-2:][0] if self._kept_up else 0.0
+
     def _estimate(self) -> None:
         """Joins what was declared, the heap, and the ratios that were kept up, which bound μ from below."""
-        # One finger that holds the object alone keeps up as much as two of several do.
-        kept = FRICTION.noise_margin * sorted(self._kept_up.values())[-2:][0] if self._kept_up else 0.0
+        kept = FRICTION.noise_margin * self._kept_by_two
         means, weights = list[float](), list[float]()
         if self._declared is not None:
             mu, sigma = self._declared
@@ -144,17 +150,22 @@ class Friction:
         """Counts turns at a ratio."""
         at = round(math.log(ratio) / FRICTION.bin_width)
         self._turns = {**self._turns, at: self._turns.get(at, 0) + turns}
-        self._heap = _highest_heap(self._turns)
+        shared = FRICTION.near_heap * self._kept_by_two
+        self._heap = _highest_heap(
+            self._turns, math.log(shared) / FRICTION.bin_width if shared > 0 else -math.inf
+        )
 
 
-def _highest_heap(turns: Mapping[int, int]) -> tuple[float, int] | None:
+def _highest_heap(turns: Mapping[int, int], shared: float) -> tuple[float, int] | None:
     """Returns the mean ratio of the highest heap, with the bins just below it, and its turns; None without a heap.
 
+    `shared` is the bin up to which two fingers have kept up a ratio.
     A few turns that are spread over higher ratios, as by a tip that touches at two places, are not the limit.
     """
     counts = {at: sum(turns.get(at + k, 0) for k in range(FRICTION.band)) for at in turns}
     for at in sorted(counts, reverse=True):
-        near = max(count for other, count in counts.items() if at - FRICTION.max_below <= other <= at)
+        below = FRICTION.max_below if at <= shared else FRICTION.max_below_alone
+        near = max(count for other, count in counts.items() if at - below <= other <= at)
         if counts[at] >= max(FRICTION.min_turns, FRICTION.min_share * near):
             heap = [(at + k, turns.get(at + k, 0)) for k in range(-FRICTION.spread, FRICTION.band)]
             total = sum(count for _, count in heap)
