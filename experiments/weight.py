@@ -5,6 +5,7 @@ weigh`). Usual nuisances; grasps that drop the object are counted. Tables:
 
   weighing  after so many orientations: error of the centre of mass in the palm [mm] (one: across gravity), that over
             what is claimed (NEES per freedom), error of the mass, of those that are believed; and how many are not
+  gains     the same where each axis of each sensor reads too much by a share of 3 %, one sigma
   pose      error of the object's middle [mm] by contacts, vision and the hand, without the weight, with it, and with
             their joints' errors shared; what of it is across gravity, and along what the fingers grip; and the turn
   moving    the centre by the palm's acceleration: by single means of 0.2 s (across gravity less the acceleration, along
@@ -26,7 +27,7 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from handsight.correction import WeightEvidence
-from handsight.forces import Weigher
+from handsight.forces import SlipDetector, Weigher
 from handsight.objects import Symmetries
 from handsight.recording import open_recording
 from handsight.rig import Rig
@@ -46,8 +47,19 @@ LIFTED, HOLDS, MOVES = ENDS[1], ENDS[[2, 4, 6, 8, 10]], ENDS[10]
 """When it is lifted, when the holds of the five orientations end, and when it begins to be shaken [s]."""
 SIGMA = 1e-3
 """How well the centre of mass in the object is known, per axis [m]."""
-MASSES = ((0.15, 0.0), (0.05, 0.02), (0.1, 0.02), (0.2, 0.02), (0.3, 0.02))
+MASSES = (
+    (0.15, 0.0),
+    (0.05, 0.02),
+    (0.1, 0.02),
+    (0.2, 0.02),
+    (0.3, 0.02),
+    (0.08, 0.0),
+    (0.4, 0.0),
+    (0.5, 0.0),
+)
 """Mass [kg], and how far its centre is off the middle [m]."""
+GAIN = 0.03
+"""Sigma of the relative error of each axis of a sensor, in the table of gains."""
 SEEN_FOR, TILTED = 1.0, 12.5
 """How long vision measures the demo's box, and when its tilt begins [s]."""
 
@@ -77,11 +89,28 @@ def recorded(scenario: Scenario) -> Run | None:
     return Run(scenario, samples, touched, model, center)
 
 
+def gained(run: Run) -> Run:
+    """Returns the run as sensors with wrong gains would have read it."""
+    rng, samples = np.random.default_rng((run.scenario.seed, 13)), []
+    gains = {name: GAIN * rng.normal(size=6) for name in rig().fingers}
+    for sample in run.samples:
+        observation, wrenches = sample.observation, {}
+        for name, wrench in observation.wrenches.items():
+            known = rig().fingers[name].calibration
+            unloaded = np.concatenate([known.bias_force, known.bias_torque])
+            wrenches[name] = wrench + gains[name] * (wrench - unloaded)
+        samples.append(replace(sample, observation=replace(observation, wrenches=wrenches)))
+    touched = [fingertips().contacts(sample.observation) for sample in samples]
+    return replace(run, samples=samples, touched=touched)
+
+
 def weighed(run: Run, weigher: Weigher) -> Iterator[tuple[Any, Weigher]]:
     """Yields each sample that completes a new weighing."""
-    offsets = JointOffsets.of(rig())
+    offsets, slip = JointOffsets.of(rig()), SlipDetector(rig())
+    joints = offsets.mean, offsets.root
     for sample, touch in zip(run.samples, run.touched, strict=True):
-        if weigher.update(sample.observation, touch.fingers, touch.contacts, (offsets.mean, offsets.root)):
+        pivots = slip.update(sample.observation.stamp, touch.fingers, touch.loads).pivots
+        if weigher.update(sample.observation, touch.fingers, touch.contacts, joints, pivots=pivots):
             yield sample, weigher
 
 
@@ -170,6 +199,7 @@ def trial(name: str, seed: int, mass: float, off: float) -> Rows:
         return [{**key, "table": "dropped"}]
     rows = [{**key, "table": "weighing", **row} for row in _weighing(run)]
     if mass == MASSES[0][0]:
+        rows += [{**key, "table": "gains", **row} for row in _weighing(gained(run))]
         rows += [{**key, "table": "moving", **row} for row in _moving(run)]
         rows += [{**key, "table": "wrong", **row} for row in wrong_weights.rows(name, seed, HOLDS[2])]
     return rows
@@ -247,7 +277,7 @@ def main() -> None:
         for k in range(options.trials if mass == MASSES[0][0] else max(options.trials // 3, 1))
     ]
     rows = [row for found in ycb.in_parallel(trial, tasks, "weight") for row in found]
-    for table in ("weighing", "moving", "wrong"):
+    for table in ("weighing", "gains", "moving", "wrong"):
         if mine := report.chosen(rows, table=table):
             report.write_csv(options.output / f"weight_{table}.csv", mine)
     show(rows)

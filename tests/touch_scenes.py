@@ -29,7 +29,7 @@ def area(half=0.12, Rs=None):
 
 def touched(model, T_world_object, sweep, rng):
     """The touch of a sweep, with noise of the sigmas that it says."""
-    (distance,), (normal,) = (values[0] for values in cast(model, T_world_object[None], [sweep], RADIUS))
+    (distance,), (normal,), _ = (values[0] for values in cast(model, T_world_object[None], [sweep], RADIUS))
     met = np.isfinite(distance)
     steps = np.arange(0.0, distance if met else sweep.length, 0.005)
     free = sweep.start_world + steps[:, None] * sweep.direction_world

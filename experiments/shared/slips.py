@@ -11,17 +11,18 @@ FAST, SLOW = 3e-3, 5e-4
 """The object slips if all tips slide faster than the first speed, and holds if one is slower than the second [m/s]."""
 NEAR, JOINED, LEAST = 0.02, 0.1, 1e-3
 """Largest time between an alarm and its slip [s]; time below which two slips are one [s]; shortest slip [m]."""
-MOTIONS: tuple[Profile, ...] = ("ramp", "steps", "sine")
+MOTIONS: tuple[Profile, ...] = ("ramp", "steps", "sine", "creep", "jerks")
 FORCES, TORQUES = {"box": (3.0, 9.0), "can": (6.0, 16.0)}, {"box": (0.02, 0.08), "can": (0.04, 0.16)}
 """Ranges of the pulls' forces [N] and torques [N m]."""
 
 
 def scenario(name: str, seed: int, rate: float) -> Scenario:
-    """Returns a pull drawn by the seed; every second one has a torque."""
-    rng = np.random.default_rng((seed, 99))
-    friction, force, torque = rng.uniform(0.5, 1.0), rng.uniform(*FORCES[name]), rng.uniform(*TORQUES[name])
+    """Returns a pull drawn by the seed; every second one has a torque, and jerks are half as strong again."""
+    rng, motion = np.random.default_rng((seed, 99)), MOTIONS[seed % len(MOTIONS)]
+    friction, force, torque = rng.uniform(0.3, 0.8), rng.uniform(*FORCES[name]), rng.uniform(*TORQUES[name])
+    force *= 1.5 if motion == "jerks" else 1.0
     nuisances = Nuisances(friction=friction, pull_force=force, pull_torque=torque if seed % 2 else 0.0)
-    return Scenario(object=name, seed=seed, motion=MOTIONS[seed % 3], rate=rate, nuisances=nuisances)
+    return Scenario(object=name, seed=seed, motion=motion, rate=rate, nuisances=nuisances)
 
 
 def speed(sample: Sample) -> float:

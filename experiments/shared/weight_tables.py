@@ -15,20 +15,9 @@ ACCELERATIONS = (0.0, 0.4, 1.0, 2.0, np.inf)
 
 def show(rows: Rows) -> None:
     """Prints the tables."""
-    dropped = Counter((row["object"], row["mass"]) for row in report.chosen(rows, table="dropped"))
-    cells: list[tuple[tuple[Any, ...], Rows]] = []
-    for row in report.chosen(rows, table="weighing"):
-        key = (row["object"], row["mass"], row["orientations"])
-        if key not in [cell[0] for cell in cells]:
-            mine = report.chosen(rows, table="weighing", object=key[0], mass=key[1], orientations=key[2])
-            cells.append((key, mine))
-    lines = [
-        [f"{o} {m:g} kg, {n}", len(mine), *_mean_p90(believed, "error"), _mean(believed, "nees"),
-         _mean(believed, "mass error"), _mean(mine, "refused"), dropped[o, m]]
-        for (o, m, n), mine in cells for believed in [report.chosen(mine, refused=0.0)]
-    ]  # fmt: skip
-    columns = ["object, orientations", "grasps", "mm", "p90", "NEES", "mass %", "refused", "dropped"]
-    report.print_table("Weighing", columns, lines)
+    _show_weighing(rows, "weighing", "Weighing")
+    _show_weighing(rows, "gains", "Weighing with gains off by 3 %")
+    cells = _cells(rows, "weighing")
     lines = [
         [f"{o} {m:g} kg, {n}", *_mean_p90(mine, "without pose"), *_mean_p90(mine, "with pose"),
          _mean(mine, "shared pose"), _mean(mine, "without across"), _mean(mine, "with across"),
@@ -43,6 +32,26 @@ def show(rows: Rows) -> None:
     report.print_table("Pose", columns, lines)
     _show_moving(rows)
     _show_wrong(rows)
+
+
+def _cells(rows: Rows, table: str) -> list[tuple[tuple[Any, ...], Rows]]:
+    """Returns the rows by object, mass and number of orientations."""
+    keys = ("object", "mass", "orientations")
+    found: dict[tuple[Any, ...], Rows] = {}
+    for row in report.chosen(rows, table=table):
+        found.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return list(found.items())
+
+
+def _show_weighing(rows: Rows, table: str, title: str) -> None:
+    dropped = Counter((row["object"], row["mass"]) for row in report.chosen(rows, table="dropped"))
+    lines = [
+        [f"{o} {m:g} kg, {n}", len(mine), *_mean_p90(believed, "error"), _mean(believed, "nees"),
+         _mean(believed, "mass error"), _mean(mine, "refused"), dropped[o, m]]
+        for (o, m, n), mine in _cells(rows, table) for believed in [report.chosen(mine, refused=0.0)]
+    ]  # fmt: skip
+    columns = ["object, orientations", "grasps", "mm", "p90", "NEES", "mass %", "refused", "dropped"]
+    report.print_table(title, columns, lines)
 
 
 def _show_moving(rows: Rows) -> None:

@@ -43,10 +43,13 @@ def ways(name: str, seed: int) -> dict[str, Wrong]:
         "centre 20 mm off": Wrong(center=OFF * direction / np.linalg.norm(direction)),
         "mass 1.5 times": Wrong(mass=1.5 * MASS),
         "mass 1.2 times": Wrong(mass=1.2 * MASS),
+        "mass 1.1 times": Wrong(mass=1.1 * MASS),
+        "mass 0.9 times": Wrong(mass=0.9 * MASS),
         "gravity's sign": Wrong(robot=replace(rig(), gravity=-rig().gravity)),
         "dead thumb": Wrong(change=lambda o: _read(o, "th", np.full(6, np.nan))),
         "saturated thumb": Wrong(change=lambda o: _read(o, "th", np.full(6, FULL_SCALE))),
         "tip biased by 0.1 N": Wrong({"tip_bias": 0.1}),
+        "0.1 N pressed unfelt": Wrong({"unsensed_force": 0.1}),
         "0.2 N pressed unfelt": Wrong({"unsensed_force": 0.2}),
         "finger without sensor": Wrong(robot=replace(rig(), fingers=sensed)),
         "0.2 N borne by a hand": Wrong({"support_force": 0.2}),
@@ -93,7 +96,7 @@ def _says(tracker: Any) -> bool:
     weight = tracker.weight
     if weight is None:
         return not tracker.unweighed.startswith(USUAL)
-    return bool(weight.reason or weight.biased)
+    return bool(weight.reason or weight.biased or weight.assumed)
 
 
 def _read(observation: Any, finger: str, wrench: Array) -> Any:

@@ -44,5 +44,9 @@ class NotWritten(InvalidFile):
     """A file or a stream cannot be written: the disk is full, the folder is missing, or permission is denied."""
 
 
+class NotFound(HandsightError):
+    """An object was not found by touch; the message says what is known, and what is still open."""
+
+
 class MissingExtra(HandsightError, ImportError):
     """An optional dependency is not installed; the message names the `pip install` that brings it."""

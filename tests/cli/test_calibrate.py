@@ -5,11 +5,14 @@ import re
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
 from cli.commands import called
 from cli.tracks import recorded, recorded_observations
+from forces.test_loads import in_the_air
 from handsight import se3
 from handsight.errors import InvalidInput
+from handsight.forces import calibrate_sensors
 from handsight.rig import Rig
 from handsight.rig.save import write as write_rig
 from handsight.simulation import Scenario, rig_of, true_camera
@@ -75,3 +78,17 @@ def test_a_camera_that_is_not_there_cannot_be_calibrated(moved, tmp_path, monkey
     assert called(monkeypatch, tmp_path, "calibrate", "camera", "blind.mcap", "--object", "box") == 2
     said = "handsight: blind.mcap: expected an object that is held and visible, got none\n"
     assert capsys.readouterr().err == said
+
+
+def test_calibrate_sensors_prints_what_the_rig_file_takes(asked, tmp_path):
+    rig, seen = rig_of(Scenario()), list(in_the_air(0.2))
+    path = recorded(tmp_path / "air.mcap", seen, rig)
+    write_rig(rig, tmp_path / "rig.yaml")
+    out, err = asked("calibrate", "sensors", path, "--rig", "rig.yaml")
+    expected = calibrate_sensors(rig, seen).fingers["ff"]
+    printed = YAML(typ="safe").load(out)["fingers"]["ff"]["sensor"]
+    assert printed["noise"]["force"] == pytest.approx(expected.sigma_force, rel=0.02)
+    assert printed["tip_mass"] == pytest.approx(expected.calibration.mass, rel=0.02)
+    np.testing.assert_allclose(printed["bias"]["force"], expected.calibration.bias_force, atol=2e-3)
+    assert re.search(r"ff: readings are off by \d+ mN, .* the rig has 10 mN", err)
+    assert "mf: readings" not in err

@@ -4,23 +4,34 @@ import json
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 import handsight as hs
 from handsight import se3
 from handsight._kernels.posterior import mean
+from handsight._kernels.records import ANSWER
 from handsight.batch.problems import Reader, answer_text
 from handsight.correction import ANSWERS, Outside, Plane, refine_pose
+from handsight.correction.mean import _merged
 from handsight.correction.modes import in_metres
+from handsight.correction.outside import NO_OUTSIDE
+from handsight.correction.problem import Problem
+from handsight.objects import Symmetries
 from handsight.objects.symmetry import tangents
 from handsight.tracking import TrackerSettings
+from objects.object_shapes import data_file
 from scenes import (
     ERROR,
     across_box,
+    anywhere_on,
     box,
     can,
     can_contacts,
+    chi2,
     grasp,
     on_box_edges,
+    on_box_faces,
+    on_can_side,
     opposed,
     random_scene,
     touched,
@@ -229,3 +240,51 @@ def test_an_unknown_answer_is_refused():
     problem = {"object": {"box": [0.1, 0.1, 0.1]}, "contacts": [{"point": [0.05, 0, 0]}], "answer": "median"}
     answer = json.loads(answer_text(Reader("."), json.dumps(problem).encode()))
     assert answer == {"error": "answer: expected one of best, maximum, mean, got 'median'"}
+
+
+@pytest.mark.slow
+def test_three_contacts_on_a_scan_seldom_leave_the_truth_out():
+    """Of 600 answers with vision 20 mm and 15° off, 3 % were beyond their 99.9 % region when this was written, and 9 %
+    with one start and one minimum."""
+    model = hs.ObjectModel.from_file(data_file("ycb_meshes/006_mustard_bottle.ply"))
+    rng = np.random.default_rng(11)
+    scenes = [random_scene(anywhere_on(model)(rng, 3), rng) for _ in range(600)]
+    found = hs.correct_poses(model, [(scene.contacts, scene.vision) for scene in scenes])
+    beyond = 0
+    for scene, estimate in zip(scenes, found, strict=True):
+        square, freedom = chi2(model, estimate.T_palm_object, estimate.information, scene.T_palm_object)
+        beyond += bool(square > chdtri(freedom, 1e-3))
+    assert beyond < 0.05 * len(scenes)
+
+
+@pytest.mark.parametrize("draw", [on_box_faces, on_can_side])
+def test_three_contacts_on_a_plain_object_hold_the_truth(draw):
+    model, rng, beyond = box() if draw is on_box_faces else can(), np.random.default_rng(12), 0
+    scenes = [random_scene(draw(rng, 3), rng) for _ in range(800)]
+    found = hs.correct_poses(model, [(scene.contacts, scene.vision) for scene in scenes])
+    for scene, estimate in zip(scenes, found, strict=True):
+        square, freedom = chi2(model, estimate.T_palm_object, estimate.information, scene.T_palm_object)
+        beyond += bool(square > chdtri(freedom, 1e-3))
+    assert beyond < 0.015 * len(scenes)
+
+
+def test_minima_beside_a_mode_are_in_its_region():
+    """Two modes of a density on an L, 1 cm apart: the mean is between them, and its covariance spans both."""
+    model = box()
+    rows = np.zeros(3, dtype=ANSWER)
+    sigma = np.repeat([1e-3, 1e-2], 3)
+    for row, shift, log_weight in zip(rows, (0.0, 0.01, 0.1), (0.0, 0.0, -1.0), strict=True):
+        row["T_palm_object"] = se3.moved(np.eye(4), np.array([shift, 0, 0, 0, 0, 0]))
+        row["pose"]["rotation"], row["pose"]["position"] = np.eye(3), row["T_palm_object"][:3, 3]
+        row["covariance"], row["complete"], row["log_weight"] = np.diag(sigma**2), 1, log_weight
+        row["information"] = np.diag(1 / sigma**2)
+    contacts, vision, _ = grasp(np.eye(3)[:1] * 0.03, np.eye(3)[:1], 0)
+    problem = Problem(model.with_symmetries(Symmetries()), contacts, vision, NO_OUTSIDE)
+    merged = _merged(problem, rows.copy(), "best")
+    assert len(merged) == 2
+    np.testing.assert_allclose(merged[0]["T_palm_object"][0, 3], 0.005, atol=1e-12)
+    np.testing.assert_allclose(merged[0]["covariance"][0, 0], 1e-6 + 0.005**2)
+    np.testing.assert_allclose(merged[0]["information"] @ merged[0]["covariance"], np.eye(6), atol=1e-9)
+    assert merged[0]["log_weight"] == pytest.approx(np.log(2))
+    maxima = _merged(problem, rows.copy(), "maximum")
+    np.testing.assert_array_equal(maxima[0]["T_palm_object"], np.eye(4))

@@ -48,4 +48,4 @@ def test_a_pull_is_drawn_by_its_seed():
     assert one == same
     assert one.nuisances != other.nuisances
     assert (one.nuisances.pull_torque > 0) is not (other.nuisances.pull_torque > 0)
-    assert 0.5 <= one.nuisances.friction <= 1.0
+    assert 0.3 <= one.nuisances.friction <= 0.8

@@ -37,10 +37,14 @@ class Held:
     """By how much the joints read too much."""
     biases: np.ndarray = None
     """(t, 6)"""
+    gains: np.ndarray = None
+    """(t, 6) by which share the sensors read too much."""
     plumb: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """(3,) rotation vector by which gravity is turned in the world [rad]."""
     extra_palm: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """(3,) force on the object at its centre of mass, fixed in the palm, beside those of the tips [N]."""
+    empty: bool = False
+    """Whether the tips touch nothing."""
     noise: float = 0.0
     """Noise of the readings, in sigmas of the sensors."""
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
@@ -94,14 +98,16 @@ class Held:
         lacking = total - A @ loads[:, :3].ravel()
         weights = np.repeat([1.0, 1, 1e-6, 1e-6, 1], 3)
         loads[:, :3] += (weights * (A.T @ np.linalg.solve((A * weights) @ A.T, lacking))).reshape(-1, 3)
+        loads *= not self.empty
         wrenches = {}
         for i, (name, T) in enumerate(zip(names, Ts, strict=True)):
             known, R = rig().fingers[name].calibration, T[:3, :3]
             f, g = R.T @ loads[i, :3], R.T @ gravity_palm
             sign = 1.0 if known.reading == "on_sensor" else -1.0
-            force = known.bias_force + sign * (f + known.mass * g)
-            torque = known.bias_torque + sign * np.cross(known.center_of_mass, known.mass * g)
-            wrenches[name] = np.concatenate([force, torque])
+            read_load = np.concatenate([f + known.mass * g, np.cross(known.center_of_mass, known.mass * g)])
+            if self.gains is not None:
+                read_load = (1 + self.gains[i]) * read_load
+            wrenches[name] = np.concatenate([known.bias_force, known.bias_torque]) + sign * read_load
             if self.biases is not None:
                 wrenches[name] = wrenches[name] + sign * self.biases[i]
         return wrenches, read

@@ -12,7 +12,13 @@ FINGERS = ("ff", "mf", "th")
 
 def rig(sigma_force=0.01, fingers=FINGERS):
     """A rig with the fields that a slip detector reads."""
-    return SimpleNamespace(fingers={name: SimpleNamespace(sigma_force=sigma_force) for name in fingers})
+    part = SimpleNamespace(
+        sigma_force=sigma_force,
+        sigma_torque=sigma_force * FRICTION.torsion,
+        friction=None,
+        sigma_friction=0.1,
+    )
+    return SimpleNamespace(fingers=dict.fromkeys(fingers, part))
 
 
 def load(ratio, normal=2.0, angle=0.0, twist=0.0):

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from forces.hand_in_air import CENTER, MASS, TILTS, Held, rig
 from forces.test_weigher import weighed
-from handsight.forces import LOADS, Weigher, read_in_air
+from handsight.errors import InvalidInput
+from handsight.forces import LOADS, Weigher, calibrate_sensors, read_in_air
 
 
 def moving(held, bend=0.2, count=21):
@@ -50,7 +51,7 @@ def listened(held, weigher):
 
 
 def test_a_bias_that_was_read_in_the_air_is_subtracted_and_reported():
-    held = Held(biases=biased([0.06, -0.06, 0.05]))
+    held = Held(biases=biased([0.2, -0.2, 0.15]))
     weigher = weighed(listened(held, Weigher(rig())), held)
     assert weigher.biased == ("rf",)
     assert weigher.believed.mass == pytest.approx(MASS, rel=3e-3)
@@ -60,3 +61,32 @@ def test_a_bias_that_was_read_in_the_air_is_subtracted_and_reported():
 
 def test_no_bias_is_reported_with_a_good_calibration():
     assert listened(Held(noise=1.0), Weigher(rig())).biased == ()
+
+
+ORIENTATIONS = [np.zeros(3), *(sign * 1.5 * np.eye(3)[axis] for axis in range(3) for sign in (1, -1))]
+
+
+def in_the_air(bias_by_gravity, orientations=ORIENTATIONS):
+    """Observations of a hand that touches nothing; ff's bias depends on gravity's direction [N]."""
+    for k, turn in enumerate(orientations):
+        held = Held(noise=1.0, rng=np.random.default_rng(k), empty=True)
+        off = bias_by_gravity * np.random.default_rng(100 + k).normal(size=6) * [1, 1, 1, 0, 0, 0]
+        for seen in held.observations(turn, start=2.0 * k, count=40):
+            seen.wrenches["ff"] = seen.wrenches["ff"] + off
+            yield seen
+
+
+def test_what_a_calibration_leaves_becomes_the_sensors_sigma():
+    """A bias that depends on the direction of gravity is no noise of readings, but an error all the same."""
+    after = calibrate_sensors(rig(), in_the_air(0.2))
+    assert 0.1 < after.fingers["ff"].sigma_force < 0.3
+    assert after.fingers["mf"].sigma_force == pytest.approx(rig().fingers["mf"].sigma_force, rel=0.3)
+    assert after.fingers["mf"].sigma_torque == pytest.approx(rig().fingers["mf"].sigma_torque, rel=0.3)
+    known = rig().fingers["mf"].calibration
+    assert after.fingers["mf"].calibration.mass == pytest.approx(known.mass, abs=3e-4)
+    np.testing.assert_allclose(after.fingers["mf"].calibration.bias_force, known.bias_force, atol=5e-3)
+
+
+def test_a_sensor_that_was_not_turned_cannot_be_calibrated():
+    with pytest.raises(InvalidInput, match="^finger ff: gravities: expected at least 3 orientations, got 2"):
+        calibrate_sensors(rig(), in_the_air(0.0, ORIENTATIONS[:2]))

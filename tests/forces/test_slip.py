@@ -1,8 +1,10 @@
 """The object slips when every finger is at the limit of friction, and only then."""
 
+import copy
 import itertools
 import math
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +13,9 @@ from hypothesis import strategies as st
 
 from forces.loads import FINGERS, Clock, load, rig, sliding, steady
 from handsight.forces import SLIP, SlipDetector
+from handsight.simulation import Nuisances, Scenario, rig_of, simulate
+from handsight.tracking import FingertipSensors
+from shared import slips
 
 MUS = st.floats(0.2, 1.5)
 
@@ -23,7 +28,7 @@ def knowing(mu):
 
 
 @settings(deadline=None, max_examples=30)
-@given(MUS, st.floats(0, 0.94), st.floats(0.3, 20.0), st.floats(0, 1), st.integers(0, 2))
+@given(st.floats(0.3, 1.5), st.floats(0, 0.96), st.floats(1.0, 20.0), st.floats(0, 1), st.integers(0, 2))
 def test_one_finger_within_the_cone_holds_the_object(mu, ratio, normal, twist, which):
     """However the others are loaded, and however hard it presses."""
     clock = knowing(mu)
@@ -31,17 +36,106 @@ def test_one_finger_within_the_cone_holds_the_object(mu, ratio, normal, twist, w
     loads[which] = load(ratio * mu, normal, twist=twist)
     said = clock.run(steady(loads, 0.1))[-1]
     assert not said.slipping
-    assert said.least == pytest.approx(ratio, rel=0.02, abs=1e-3)
+    assert said.least == pytest.approx(ratio, rel=0.02, abs=5e-3)
 
 
 @settings(deadline=None, max_examples=30)
-@given(MUS, st.floats(0.3, 20.0), st.floats(0, 1), st.floats(0, 2 * math.pi))
+@given(st.floats(0.3, 1.5), st.floats(1.0, 20.0), st.floats(0, 1), st.floats(0, 2 * math.pi))
 def test_all_fingers_on_the_cone_let_it_slip_within_some_milliseconds(mu, normal, twist, angle):
     clock = knowing(mu)
     clock.run(steady([load(0.3 * mu)] * 3, 0.2))
     said = clock.run(steady([load(mu, normal, angle + k, twist) for k in range(3)], 0.06))
     assert said[-1].slipping
     assert said[-1].began == pytest.approx(clock.now - 0.03, abs=0.03)
+
+
+def test_declared_friction_is_used_at_once():
+    clock = Clock(SlipDetector(rig(), (0.5, 0.05)))
+    said = clock.run(steady([load(0.4)] * 3, 0.1))[-1]
+    assert (said.slipping, said.friction, said.sigma_friction) == (False, 0.5, 0.05)
+    assert said.least == pytest.approx(0.8, rel=1e-6)
+    assert clock.run(steady([load(0.5)] * 3, 0.1))[-1].slipping
+
+
+def test_fingers_with_different_friction_are_each_at_their_own_limit():
+    slippery, rough = rig().fingers["ff"], copy.copy(rig().fingers["ff"])
+    slippery.friction, rough.friction = 0.3, 0.9
+    fingers = {"ff": slippery, "mf": rough, "th": rough}
+    clock = Clock(SlipDetector(SimpleNamespace(fingers=fingers)))
+    assert not clock.run(steady([load(0.3), load(0.3), load(0.3)], 0.1))[-1].slipping
+    said = clock.run(steady([load(0.3), load(0.9), load(0.9)], 0.1))[-1]
+    assert said.slipping
+    assert said.least == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_declaration_far_too_low_gives_way_to_what_two_fingers_keep_up():
+    clock = Clock(SlipDetector(rig(), (0.3, 0.03)))
+    assert clock.run(steady([load(0.6)] * 3, 1.0))[-1].friction == pytest.approx(0.59, rel=0.03)
+
+
+def test_friction_is_learnt_from_straight_slides_that_other_evidence_tells_of():
+    clock, straight = Clock(SlipDetector(rig())), [load(0.6, normal) for normal in np.linspace(1, 3, 200)]
+    for k, each in enumerate(straight):
+        clock.now += 0.002
+        said = clock.detector.update(clock.now, ("th",), each[None], ("th",) if k % 20 == 19 else ())
+    assert said.friction == pytest.approx(0.6, rel=0.02)
+    assert said.sigma_friction < 0.05
+    assert said.slipping
+
+
+def test_contacts_that_chatter_slip_though_their_mean_load_is_within_the_cone():
+    """Each reading is on the cone, but the force turns from one to the next: a mean over vectors is at half of it."""
+    clock = Clock(SlipDetector(rig(), (0.5, 0.02)), rate=250.0)
+    clock.run(steady([load(0.1)] * 3, 0.2))
+    turning = [[load(0.5, angle=a), load(0.5, angle=a), load(0.5, angle=a)] for a in (0, 2.0) * 20]
+    assert clock.run(np.array(turning))[-1].slipping
+
+
+def test_an_object_that_turns_about_one_finger_slips_where_the_others_bounce():
+    """And not where the others have come to rest at their limit."""
+    hand = ("ff", "mf", "rf", "lf", "th")
+    at_rest = [load(0.5)] * 4 + [load(0.3, 7.0)]
+    bounce = [
+        [load(0.5, 1.5 + 0.3 * (-1) ** (k + i)) for i in range(4)] + [load(0.3, 7.0)] for k in range(20)
+    ]
+    clock = Clock(SlipDetector(rig(fingers=hand), (0.5, 0.02)), hand, 250.0)
+    assert not any(each.slipping for each in clock.run(steady(at_rest, 0.2)))
+    assert clock.run(np.array(bounce))[-1].slipping
+
+
+def test_two_fingers_that_are_hit_for_a_moment_do_not_raise_friction():
+    """Such as by an object that jumps in the hand: 20 ms at one and a half times the limit."""
+    clock = knowing(0.6)
+    clock.run(steady([load(0.9), load(0.9), load(0.3)], 0.02))
+    assert clock.run(steady([load(0.3)] * 3, 0.1))[-1].friction == pytest.approx(0.6, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["box", "can"])
+def test_pulls_and_jerks_of_a_simulated_object_are_detected(name):
+    """Those of seeds on which no threshold was chosen, friction 0.4 to 0.7."""
+    totals = dict.fromkeys(("alarmed", "right", "slipped", "found"), 0)
+    for seed, motion, mu in (
+        (700, "jerks", 0.5),
+        (701, "ramp", 0.7),
+        (702, "steps", 0.6),
+        (703, "jerks", 0.4),
+    ):
+        pull = Nuisances(friction=mu, pull_force=9.0 if name == "box" else 18.0)
+        run = list(simulate(Scenario(object=name, seed=seed, motion=motion, rate=250.0, nuisances=pull)))
+        robot = rig_of(Scenario())
+        sensors, detector, alarms = FingertipSensors(robot), SlipDetector(robot), []
+        run = [sample for sample in run if not sample.dropped]
+        for sample in run:
+            touch = sensors.contacts(sample.observation)
+            alarms.append(detector.update(sample.observation.stamp, touch.fingers, touch.loads).slipping)
+        assert detector.now.friction == pytest.approx(mu, rel=0.05)
+        free = np.array([sample.phase != "close" for sample in run])
+        speeds = np.array([slips.speed(sample) for sample in run])
+        counted = slips.counted(np.array(alarms)[free], speeds[free], 1 / 250.0)
+        totals = {key: totals[key] + counted[key] for key in totals}
+    assert totals["right"] > 0.95 * totals["alarmed"]
+    assert totals["found"] > (0.9 if name == "box" else 0.8) * totals["slipped"]
 
 
 def test_before_friction_is_known_nothing_slips():
@@ -102,9 +196,7 @@ def test_a_spike_above_the_cone_does_not_raise_it():
 def test_a_slip_goes_on_near_the_limit_and_ends_at_once_well_below_it():
     mu, clock = 0.7, knowing(0.7)
     assert clock.run(steady([load(mu)] * 3, 0.1))[-1].slipping
-    brink = [
-        steady([load(ratio * mu)] * 3, SLIP.min_hold / 2) for ratio in (0.95, 0.91, 0.97, 0.89, 0.96) * 2
-    ]
+    brink = [steady([load(ratio * mu)] * 3, SLIP.min_hold / 2) for ratio in (0.99, 0.95, 1.0, 0.93, 0.99) * 2]
     assert all(each.slipping for each in clock.run(itertools.chain(*brink)))
     began = clock.detector.now.began
     said = clock.run(steady([load(0.85 * mu)] * 3, 3 * SLIP.min_hold))
@@ -117,8 +209,8 @@ def test_a_slip_goes_on_near_the_limit_and_ends_at_once_well_below_it():
 
 def test_a_slip_begins_only_at_the_higher_threshold():
     clock = knowing(0.7)
-    assert not any(each.slipping for each in clock.run(steady([load(0.93 * 0.7)] * 3, 0.5)))
-    assert clock.run(steady([load(0.97 * 0.7)] * 3, 0.1))[-1].slipping
+    assert not any(each.slipping for each in clock.run(steady([load(0.96 * 0.7)] * 3, 0.5)))
+    assert clock.run(steady([load(0.995 * 0.7)] * 3, 0.1))[-1].slipping
 
 
 def test_a_finger_that_is_hardly_loaded_or_silent_does_not_count():

@@ -10,16 +10,18 @@ from forces.hand_in_air import CENTER, MASS, TILTS, Held, rig, touched
 from handsight import se3
 from handsight.forces import WEIGHER, Carried, Unknowns, load_sum, weigh
 from handsight.forces.loads import accelerations
-from handsight.forces.weight import score_test
+from handsight.forces.weight import WEIGHT_FIT, _whitened, score_test
 
 JOINTS = len(rig().hand.moving)
 STAY = np.zeros(JOINTS)
 
 
-def unknowns():
+def unknowns(gains=0.0):
     sigma = [[finger.sigma_force] * 3 + [finger.sigma_torque] * 3 for finger in rig().fingers.values()]
     root = rig().sigma_joint_offset * np.eye(JOINTS)
-    return Unknowns(root, np.ravel(sigma), WEIGHER.creep, rig().gravity, WEIGHER.sigma_gravity)
+    return Unknowns(
+        root, np.ravel(sigma), WEIGHER.creep, rig().gravity, WEIGHER.sigma_gravity, np.full(30, gains)
+    )
 
 
 def carried(held, tilts, **how):
@@ -123,21 +125,61 @@ def test_the_derivative_of_the_wrench_by_a_bias_is_that_of_differences():
         np.testing.assert_allclose((biased.wrench - clean.wrench) / 0.01, clean.by_bias[:, k], atol=1e-9)
 
 
+def test_the_derivative_of_the_wrench_by_a_gain_is_that_of_differences():
+    tilt = [0.2, 0.1, 0.0]
+    clean = load_sum(rig(), Held().observations(tilt, count=5), {}, STAY)
+    for k in range(0, 30, 4):
+        gains = np.zeros((5, 6))
+        gains.ravel()[k] = 0.01
+        wrong = load_sum(rig(), Held(gains=gains).observations(tilt, count=5), {}, STAY)
+        by_gain = clean.by_bias[:, k] * clean.readings[k]
+        np.testing.assert_allclose((wrong.wrench - clean.wrench) / 0.01, by_gain, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_a_weighing_is_the_least_squares_solution_with_all_unknowns_explicit(count):
+    """Constants that are correlated noise of the rows are the same as constants that are solved for."""
+    rng = np.random.default_rng(count)
+    held = Held(gains=0.02 * rng.normal(size=(5, 6)), noise=1.0, rng=rng)
+    instants, given = carried(held, TILTS[:count]), unknowns(0.02)
+    start = weigh(instants, given)
+    found = weigh(instants, given, start)
+    rows = np.concatenate([_whitened(i, given, start.mass, start.mass * start.center_palm) for i in instants])
+    H, y = rows[:, :-7], rows[:, -7]
+    last = instants[-1].load
+    reach = WEIGHT_FIT.sigma_reach * np.linalg.norm(last.wrench[:3]) / np.linalg.norm(last.gravity)
+    near = np.hstack([-last.middle_palm[:, None], np.eye(3), np.zeros((3, H.shape[1] - 4))]) / reach
+    A = np.vstack([H, near, np.eye(H.shape[1])[4:]])
+    b = np.concatenate([y, np.zeros(len(A) - len(y))])
+    x = np.linalg.lstsq(A, b)[0]
+    C = np.linalg.inv(A.T @ A)
+    np.testing.assert_allclose(found.mass, x[0], rtol=1e-8)
+    np.testing.assert_allclose(found.center_palm, x[1:4] / x[0], atol=1e-9)
+    np.testing.assert_allclose(found.chi2, ((b - A @ x) ** 2).sum(), rtol=1e-6)
+    j = slice(8, 8 + JOINTS)
+    np.testing.assert_allclose(found.mean[4:], given.joints @ x[j], atol=1e-9)
+    D = np.zeros((4 + JOINTS, len(x)))
+    D[0, 0], D[1:4, 0], D[1:4, 1:4], D[4:, j] = 1, -x[1:4] / x[0] ** 2, np.eye(3) / x[0], given.joints
+    np.testing.assert_allclose(found.joint_covariance, D @ C @ D.T, atol=1e-11)
+
+
 @pytest.mark.parametrize("count", [1, 3, 5])
 def test_errors_fit_the_covariance_and_chi2_its_degrees_of_freedom(count):
     """With errors drawn from all unknowns: the NEES is near one, and so is χ² for each degree of freedom."""
     rng, nees, chi2, freedom = np.random.default_rng(1), [], 0.0, 0
-    sigma = unknowns().biases.reshape(5, 6)
+    given = unknowns(0.03)
+    sigma = given.biases.reshape(5, 6)
     for _ in range(12 if count > 1 else 24):
         held = Held(
             offsets=rig().sigma_joint_offset * rng.normal(size=JOINTS),
             biases=sigma * rng.normal(size=(5, 6)),
+            gains=0.03 * rng.normal(size=(5, 6)),
             plumb=WEIGHER.sigma_gravity * rng.normal(size=3),
             noise=1.0,
             rng=rng,
         )
         instants = carried(held, TILTS[:count])
-        found = weigh(instants, unknowns())
+        found = weigh(instants, given)
         down = instants[-1].load.gravity[None] / np.linalg.norm(instants[-1].load.gravity)
         axes = np.linalg.svd(down)[2][1:] if count == 1 else np.eye(3)
         off = axes @ (found.center_palm - CENTER)

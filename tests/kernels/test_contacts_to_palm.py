@@ -37,6 +37,7 @@ def some_finger(rng):
     bias = rng.normal(size=3), 0.02 * rng.normal(size=3)
     known = WrenchCalibration(*bias, 0.03, 0.01 * rng.normal(size=3), none, none, 1.0, reading)
     sigmas = dict(zip(("sigma_point", "sigma_normal"), rng.uniform(1e-4, 1e-2, 2), strict=True))
+    sigmas["sigma_gain"] = rng.choice([0.0, 0.02, 0.1])
     return Finger(
         frame="tip", T_frame_surface=se3.random(rng, spread=0.02), tip=tip, calibration=known, **sigmas
     )

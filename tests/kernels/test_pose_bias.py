@@ -13,102 +13,118 @@ from oracles import pose_bias as oracle
 
 SEEDS = st.integers(0, 2**32 - 1)
 SIGMAS = np.array([0.005] * 3 + [0.05] * 3)
-SAME = np.array([0.01, 0.03])
+DRIFT = np.array([0.01**2, 0.05**2, 2.0])
+SAME = np.array([0.01, 0.03, 0.5])
 
 
 @kept
-def rows_of(Ts, pivot, measurement, rows):
-    pose_bias.linearize(Ts, (pivot[0], pivot[1], pivot[2]), measurement[0], rows)
+def rows_of(Ts, latency, pivot, measurement, rows):
+    pose_bias.linearize(Ts, latency, (pivot[0], pivot[1], pivot[2]), measurement[0], rows)
 
 
 def some(rng, count, spread=0.02):
-    """A state with its covariance, a pivot, and measurements of it from palms all around."""
+    """A state with its covariance, a pivot, and measurements of it from palms all around, that move."""
     Ts = np.stack([se3.random(rng, spread=0.1), se3.moved(np.eye(4), rng.normal(size=6) * 0.1)])
-    root, pivot = 0.02 * rng.normal(size=(12, 12)), rng.normal(scale=0.3, size=3)
+    root, pivot = 0.02 * rng.normal(size=(19, 19)), rng.normal(scale=0.3, size=3)
+    rest = rng.normal(size=7) * np.repeat([0.01, 0.05, 0.05], [3, 3, 1])
     measurements = np.zeros(count, dtype=MEASUREMENT)
     for one in measurements:
-        T = se3.random(rng, spread=0.3)
-        measured = se3.moved(oracle.expected(Ts, pivot, T), spread * rng.normal(size=6))
+        one["T_mount_palm"], one["twist"] = se3.random(rng, spread=0.3), rng.normal(size=6) * 0.3
+        one["latency"], one["drift_gain"] = rng.normal() * 0.03, rng.uniform(0.5, 1)
+        at = oracle.expected(Ts, pivot, oracle.palm(one, rest[6]))
         L = SIGMAS[:, None] * (np.eye(6) + 0.3 * rng.normal(size=(6, 6)))
-        one["T_mount_palm"], one["T_mount_object"], one["covariance"] = T, measured, L @ L.T
+        one["T_mount_object"], one["covariance"] = se3.moved(at, spread * rng.normal(size=6)), L @ L.T
     measurements["process_noise"] = np.cumsum(rng.uniform(1e-6, 1e-4, size=(count, 6)), axis=0)
-    return Ts, root @ root.T + 1e-6 * np.eye(12), pivot, measurements
+    measurements["time"] = measurements["began"] = np.cumsum(rng.uniform(0.1, 1, size=count))
+    return Ts, rest, root @ root.T + 1e-6 * np.eye(19), pivot, measurements
 
 
 @given(SEEDS)
 def test_the_rows_are_the_derivative_of_what_vision_should_measure_and_how_far_it_is_off(seed):
-    rng = np.random.default_rng(seed)
-    Ts, _, pivot, measurements = some(rng, 1)
-    rows, at, T = np.empty((6, 13)), np.empty((4, 4)), measurements["T_mount_palm"][0]
-    rows_of(Ts, pivot, measurements, rows)
-    pose_bias.expect(Ts, pivot, T, at)
-    np.testing.assert_allclose(at, oracle.expected(Ts, pivot, T), atol=1e-12)
-    np.testing.assert_allclose(rows[:, :12], oracle.jacobian(Ts, pivot, T), atol=1e-8)
-    off = se3.difference(measurements["T_mount_object"][0], at)
-    np.testing.assert_allclose(rows[:, 12], off, atol=1e-12)
+    Ts, rest, _, pivot, measurements = some(np.random.default_rng(seed), 1)
+    one, rows, at = measurements[0], np.empty((6, 20)), np.empty((4, 4))
+    rows_of(Ts, rest[6], pivot, measurements, rows)
+    pose_bias.expect(Ts, pivot, one["T_mount_palm"].copy(), at)
+    np.testing.assert_allclose(at, oracle.expected(Ts, pivot, one["T_mount_palm"]), atol=1e-12)
+    H, off = oracle.rows(Ts, rest[6], pivot, one)
+    np.testing.assert_allclose(rows[:, :19], H, atol=1e-8)
+    np.testing.assert_allclose(rows[:, 19], off, atol=1e-12)
 
 
 @given(SEEDS)
 def test_the_mahalanobis_distance_is_that_of_the_prediction(seed):
-    Ts, covariance, pivot, measurements = some(np.random.default_rng(seed), 1)
-    one = measurements[0]
-    given_ = one["T_mount_palm"], one["T_mount_object"], one["covariance"]
-    expected = oracle.mahalanobis2(Ts, covariance, pivot, *given_)
-    assert pose_bias.distance2(Ts, covariance, pivot, measurements) == pytest.approx(expected, rel=1e-6)
+    Ts, rest, covariance, pivot, measurements = some(np.random.default_rng(seed), 1)
+    expected = oracle.mahalanobis2(Ts, rest, covariance, pivot, measurements[0])
+    found = pose_bias.distance2(Ts, rest, covariance, pivot, measurements)
+    assert found == pytest.approx(expected, rel=1e-6)
 
 
 @settings(max_examples=10)
 @given(SEEDS, st.integers(1, 4))
-def test_the_posterior_is_that_of_pose_bias_and_every_step_between_measurements(seed, count):
+def test_the_posterior_is_that_of_a_dense_gaussian_with_an_exponential_covariance(seed, count):
     rng = np.random.default_rng(seed)
-    Ts_true, prior, pivot, measurements = some(rng, count, spread=0.003)
-    Ts_prior = oracle.moved(Ts_true, np.linalg.cholesky(prior) @ rng.normal(size=12) / 10)
-    Ts, covariance = Ts_prior.copy(), np.empty((12, 12))
+    Ts_true, rest, prior, pivot, measurements = some(rng, count, spread=0.003)
+    prior[18] *= 0.1  # a latency of tens of milliseconds
+    prior[:, 18] *= 0.1
+    off = np.linalg.cholesky(prior) @ rng.normal(size=19) / 10
+    Ts_prior, rest_prior = oracle.moved(Ts_true, off[:12]), rest + off[12:]
+    Ts, found, covariance = Ts_prior.copy(), rest_prior.copy(), np.empty((19, 19))
+    given_ = Ts_prior, rest_prior, prior, pivot, DRIFT, measurements
     for _ in range(10):  # each goes on from the last answer
-        assert pose_bias.smooth(Ts_prior, prior, pivot, measurements, Ts, covariance)
-    expected, spread = oracle.posterior(Ts_prior, prior, pivot, measurements, Ts_prior)
-    deviations = np.sqrt(spread.diagonal())
-    off = se3.difference(Ts, expected).reshape(12) / deviations
+        assert pose_bias.smooth(*given_, Ts, found, covariance)
+    expected, others, spread = oracle.posterior(*given_, Ts_prior)
+    sigmas = np.sqrt(spread.diagonal())
+    off = np.concatenate([se3.difference(Ts, expected).reshape(12), found - others]) / sigmas
     np.testing.assert_allclose(off, 0, atol=1e-4)
-    np.testing.assert_allclose(
-        covariance / np.outer(deviations, deviations), spread / np.outer(deviations, deviations), atol=1e-5
-    )
+    scale = np.outer(sigmas, sigmas)
+    np.testing.assert_allclose(covariance / scale, spread / scale, atol=1e-5)
 
 
 @given(SEEDS)
-def test_measurements_from_nearly_one_palm_become_one_that_says_what_both_did(seed):
+def test_neighbours_from_nearly_one_palm_become_one_that_says_what_both_did(seed):
     """Innovations weighted by their information, in the older's palm, of when the newer came."""
     rng = np.random.default_rng(seed)
-    Ts, _, pivot, measurements = some(rng, 4)
-    near = se3.moved(measurements["T_mount_palm"][1], np.array([0.004, 0, 0.003, 0, 0.01, 0]))
-    measurements["T_mount_palm"][3] = near
-    measurements["T_mount_object"][3] = se3.moved(oracle.expected(Ts, pivot, near), 0.02 * rng.normal(size=6))
-    old, new, rows = measurements[1].copy(), measurements[3].copy(), measurements.copy()
-    assert pose_bias.merge(rows, 48, SAME, Ts, pivot) == 3
-    assert rows[0] == measurements[0]
-    assert rows[1] == measurements[2]
-    R, grown = old["T_mount_palm"][:3, :3], new["process_noise"] - old["process_noise"]
-    A = np.linalg.inv(old["covariance"] + se3.rotate_covariance(R, np.diag(grown)))
-    B = np.linalg.inv(new["covariance"])
-    at = [oracle.expected(Ts, pivot, one["T_mount_palm"]) for one in (old, new)]
+    Ts, rest, _, pivot, measurements = some(rng, 4)
+    measurements["T_mount_palm"][3] = se3.moved(
+        measurements["T_mount_palm"][2], np.array([0.004, 0, 0.003, 0, 0.01, 0])
+    )
+    measurements["time"][3], measurements["drift_gain"][2:] = measurements["time"][2] + 0.1, (0.9, 0.8)
+    old, new, rows = measurements[2].copy(), measurements[3].copy(), measurements.copy()
+    assert pose_bias.merge(rows, 48, SAME, Ts, rest[6], pivot, DRIFT) == 3
+    np.testing.assert_array_equal(rows[:2], measurements[:2])
+    R = oracle.palm(old, rest[6])[:3, :3]
+    grown = new["process_noise"] - old["process_noise"]
+    left = 0.9 * np.exp(-0.1 / DRIFT[2])
+    apart = (0.9**2 - left**2) * np.diag(np.repeat(DRIFT[:2], 3))
+    before = old["covariance"] + apart + se3.rotate_covariance(R, np.diag(grown))
+    A, B = np.linalg.inv(before), np.linalg.inv(new["covariance"])
+    at = [oracle.expected(Ts, pivot, oracle.palm(one, rest[6])) for one in (old, new)]
     a, b = (se3.difference(one["T_mount_object"], T) for one, T in zip((old, new), at, strict=True))
-    mean = np.linalg.solve(A + B, A @ a + B @ b)
-    np.testing.assert_allclose(rows[2]["covariance"], np.linalg.inv(A + B), atol=1e-9)
+    mean, after = np.linalg.solve(A + B, A @ a + B @ b), np.linalg.inv(A + B)
+    np.testing.assert_allclose(rows[2]["covariance"], after, atol=1e-9)
     np.testing.assert_allclose(rows[2]["T_mount_object"], se3.moved(at[0], mean), atol=1e-9)
-    np.testing.assert_array_equal(rows[2]["T_mount_palm"], old["T_mount_palm"])
+    np.testing.assert_allclose(rows[2]["T_mount_palm"], oracle.palm(old, rest[6]), atol=1e-12)
     np.testing.assert_array_equal(rows[2]["process_noise"], new["process_noise"])
+    assert (rows[2]["began"], rows[2]["time"]) == (old["time"], new["time"])
+    share = 1 - np.trace(after) / np.trace(before)
+    np.testing.assert_allclose(rows[2]["drift_gain"], (1 - share) * left + share * 0.8)
+    np.testing.assert_allclose(rows[2]["twist"], (1 - share) * old["twist"] + share * new["twist"])
 
 
-def test_measurements_from_palms_apart_stay_until_they_are_too_many():
-    Ts, _, pivot, measurements = some(np.random.default_rng(0), 4)
+def test_measurements_from_palms_apart_or_long_ago_stay_until_they_are_too_many():
+    Ts, rest, _, pivot, measurements = some(np.random.default_rng(0), 4)
+    given_ = SAME, Ts, rest[6], pivot, DRIFT
     before = measurements.copy()
-    assert pose_bias.merge(measurements, 4, SAME, Ts, pivot) == 4
-    assert (measurements == before).all()
-    assert pose_bias.merge(measurements, 3, SAME, Ts, pivot) == 3
+    assert pose_bias.merge(measurements, 4, *given_) == 4
+    measurements["T_mount_palm"][3], measurements["time"][3] = measurements["T_mount_palm"][2], 20.0
+    assert pose_bias.merge(measurements, 4, *given_) == 4
+    np.testing.assert_array_equal(measurements[:3], before[:3])
+    assert pose_bias.merge(measurements, 3, *given_) == 3
 
 
 def test_a_noise_that_is_no_covariance_is_reported():
-    Ts, covariance, pivot, measurements = some(np.random.default_rng(0), 1)
+    Ts, rest, covariance, pivot, measurements = some(np.random.default_rng(0), 1)
     measurements["covariance"] = -np.eye(6)
-    assert pose_bias.distance2(Ts, covariance, pivot, measurements) == np.inf
-    assert not pose_bias.smooth(Ts, covariance, pivot, measurements, Ts.copy(), np.empty((12, 12)))
+    assert pose_bias.distance2(Ts, rest, covariance, pivot, measurements) == np.inf
+    given_ = Ts, rest, covariance, pivot, DRIFT, measurements
+    assert not pose_bias.smooth(*given_, Ts.copy(), rest.copy(), np.empty((19, 19)))

@@ -19,7 +19,8 @@ def contact_in_palm(finger, reading, T_palm_tip, jacobian, gravity_palm, varianc
         return Reason.INVALID, None, None, None, None
     gravity_sensor = T_palm_sensor[:3, :3].T @ gravity_palm
     force, torque = compensate(reading[:3], reading[3:], gravity_sensor, finger.calibration)
-    sigmas = np.repeat([finger.sigma_force, finger.sigma_torque], 3)
+    noise = np.repeat([finger.sigma_force, finger.sigma_torque], 3)
+    sigmas = np.hypot(noise, finger.sigma_gain * np.r_[force, torque])
     sensed = sense(force[None], torque[None], tip, sigmas)
     if sensed.reasons[0] != Reason.CONTACT:
         return sensed.reasons[0], None, None, None, None

@@ -24,6 +24,17 @@ def test_an_object_at_a_placement_stands_on_the_table_at_that_position():
         assert not here.contains(places + np.array([1.0, 0, 0, 0])).any()
 
 
+def test_on_a_tilted_table_an_object_stands_along_its_normal():
+    level = area()
+    R = se3.rotation_exp(np.array([0.03, -0.02, 0.0]))
+    tilted = Area(level.low, level.high, level.table, level.Rs_world_object, R)
+    places = tilted.draw(20, np.random.default_rng(0))
+    for T in tilted.poses(box(), places):
+        assert (se3.apply(T, box().vertices) @ R[:, 2]).min() == pytest.approx(0.0, abs=1e-9)
+    sweep = tilted.sweep(np.array([0.01, 0.02]), np.array([0.6, 0.8]), 0.05, 0.3)
+    assert [sweep.at(x) @ R[:, 2] for x in (0.0, 0.6)] == pytest.approx([0.05, 0.05])
+
+
 def test_a_box_rests_on_three_of_its_sides_and_a_can_on_its_end_or_its_side():
     heights = {round(float(top), 3) for top in area(Rs=resting(box())).top_heights(box())}
     assert heights == {0.06, 0.09, 0.14}

@@ -20,7 +20,7 @@ def test_a_cast_ball_stops_at_its_radius_from_the_box(seed):
     angle = rng.uniform(0, 2 * np.pi)
     way = np.array([np.cos(angle), np.sin(angle)])
     sweep = level(T[0, :2, 3] - 0.3 * way + 0.04 * rng.normal(size=2), way, 0.6)
-    ((distance,),), ((normal,),) = cast(model, T, [sweep], RADIUS)
+    ((distance,),), ((normal,),), _ = cast(model, T, [sweep], RADIUS)
     mesh = trimesh.creation.box([0.06, 0.09, 0.14], transform=T[0])
     along = sweep.start_world + np.linspace(0, sweep.length, 601)[:, None] * sweep.direction_world
     gaps = trimesh.proximity.closest_point(mesh, along)[1]
@@ -42,7 +42,7 @@ def test_each_sweep_meets_each_pose_by_itself():
     rng = np.random.default_rng(0)
     Ts = area().poses(can(), area().draw(5, rng))
     sweeps = [level((-0.3, y), (1.0, 0.0), 0.6) for y in (-0.1, 0.0, 0.1)]
-    distances, normals = cast(can(), Ts, sweeps, RADIUS)
+    distances, normals, _ = cast(can(), Ts, sweeps, RADIUS)
     for i, sweep in enumerate(sweeps):
         for j, T in enumerate(Ts):
             alone = cast(can(), T[None], [sweep], RADIUS)

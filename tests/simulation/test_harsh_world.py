@@ -218,3 +218,22 @@ def test_a_harsh_world_gives_the_same_samples_again():
     np.testing.assert_array_equal(wrenches(runs[0]), wrenches(runs[1]))
     usual = list(simulate(Scenario(object="box", seed=1, rate=50.0)))
     assert len(runs[0]) < len(usual)
+
+
+def test_the_usual_readings_are_the_worlds_with_the_same_draws_as_ever():
+    """Recordings of a seed stay what they were: readings are computed here from the exact ones."""
+    none = only(pull_force=USUAL.pull_force)  # of no consequence: nothing is pulled
+    variants = [none, dataclasses.replace(USUAL, tip_compliance=0.0)]
+    runs = simulate_each(Scenario(object="box", seed=4, rate=10.0), variants)
+    exact, usual = zip(*runs, strict=True)
+    rng, noise, n = np.random.default_rng((4, 2)), np.random.default_rng((4, 3)), USUAL
+    offsets, _, drift = n.joint_offset * rng.normal(size=24), rng.normal(size=(5, 6)), rng.normal(size=(5, 6))
+    drift_sigma, noise_sigma = (
+        np.repeat(pair, 3) for pair in ((n.force_drift, n.torque_drift), (n.force_noise, n.torque_noise))
+    )
+    for a, b in zip(exact, usual, strict=True):
+        of_joints, of_wrenches = n.joint_noise * noise.normal(size=24), noise.normal(size=(5, 6))
+        true, read = (np.array(list(s.observation.joint_positions.values())) for s in (a, b))
+        np.testing.assert_allclose(read, true + offsets + of_joints, rtol=0, atol=1e-14)
+        errors = drift_sigma * drift * a.observation.stamp + noise_sigma * of_wrenches
+        np.testing.assert_allclose(wrenches([b])[0], wrenches([a])[0] + errors, rtol=0, atol=1e-13)

@@ -14,7 +14,7 @@ from handsight.errors import InvalidInput
 from handsight.search import Sweep
 from handsight.simulation import Nuisances, Scenario, model_of, simulate_touch_search, touch_search_rig
 from handsight.simulation.probe import PROBE
-from handsight.simulation.touch_search import TABLE_PROBES, start_search
+from handsight.simulation.touch_search import TABLE_PROBES, TOUCH_SEARCH, start_search
 from simulation.simulated import NONE
 
 
@@ -64,13 +64,24 @@ def test_the_tables_height_is_measured_without_contacts_at_its_edge(monkeypatch)
     # Beside the table's edge the finger's side meets it, the tip being lower.
     T = probe.T_world_object
     at_edge = (T[:3, :3] @ [-0.083, 0.15, 0.0] + T[:3, 3])[:2]
-    assert probe.measure_table(at_edge) < -0.01
+    assert probe.measure_table(at_edge)[0] < -0.01
     monkeypatch.setattr("handsight.simulation.probe.PROBE", PROBE._replace(table_unevenness=0.005))
-    assert probe.measure_table([*TABLE_PROBES, at_edge, *TABLE_PROBES]) == pytest.approx(0.0, abs=1e-3)
+    height, R_world_table = probe.measure_table([*TABLE_PROBES, at_edge, *TABLE_PROBES])
+    assert height == pytest.approx(0.0, abs=1e-3)
+    assert pytest.approx(np.eye(3), abs=5e-3) == R_world_table
     with pytest.raises(
         InvalidInput, match=r"^places: expected some over the table, touched nothing at any of 1$"
     ):
         probe.measure_table([3.0, 3.0])
+
+
+def test_the_tables_tilt_is_measured():
+    """Within half a degree, with all usual nuisances and the table 2.3° off."""
+    scenario = Scenario(object="can", seed=0)
+    probe, belief = start_search(scenario, model_of(scenario))
+    upright, measured = probe.T_world_object[:3, 2], belief.area.R_world_table[:, 2]
+    assert upright[2] < np.cos(np.deg2rad(2))
+    assert upright @ measured > np.cos(np.deg2rad(0.5))
 
 
 def test_an_object_larger_than_the_searched_area_is_rejected():
@@ -107,9 +118,28 @@ def test_a_blind_recording_is_tracked_without_a_camera(tmp_path, monkeypatch, ca
     assert called(monkeypatch, tmp_path, "track", "can.mcap", "--output-folder", "out") == 0
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["poses"] > 150
+    assert set(summary["seconds_in_state"]) <= {"search", "tracking", "uncertain"}
+    assert summary["seconds_in_state"]["search"] > 10
     assert summary["errors_mm_deg"]["tracked"]["base_last"] < 5
     assert called(monkeypatch, tmp_path, *arguments, "--images") == 2
     assert "--images: expected none with --blind" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_search_tells_its_touches_and_what_is_open_where_they_are_too_few(tmp_path, monkeypatch, capsys):
+    arguments = ("simulate", "can", "--blind", "--motion", "grasp", "-o", "can.mcap", "--plot", "search.png")
+    assert called(monkeypatch, tmp_path, *arguments) == 0
+    told = capsys.readouterr().err
+    assert "can: touch cannot tell its spin about its axis nor one end from the other" in told
+    assert "touch 1: " in told
+    assert "found by" in told
+    assert (tmp_path / "search.png").stat().st_size > 10_000
+    monkeypatch.setattr(
+        "handsight.simulation.touch_search.TOUCH_SEARCH", TOUCH_SEARCH._replace(max_touches=0)
+    )
+    assert called(monkeypatch, tmp_path, *arguments) == 1
+    message = "the object was not found by 0 touches: the position is open"
+    assert message in capsys.readouterr().err
 
 
 def test_nuisances_of_a_blind_search_are_those_of_any_other():

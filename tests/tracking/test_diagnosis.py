@@ -11,6 +11,7 @@ from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.simulation import Nuisances, Scenario, model_of, rig_of, simulate
 from handsight.tracking import Diagnosed, diagnose
+from handsight.tracking.diagnosis import diagnosed
 
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium_robotics")
@@ -79,6 +80,12 @@ def test_a_finger_that_never_touches_tells_nothing() -> None:
     assert not values["tip lf radius"].measured
     assert values["tip lf radius"].verdict == "not measured by this recording"
     assert values["tip lf radius"].numbers()["estimated"] is None
+
+
+def test_a_value_that_is_declared_exact_is_not_measured() -> None:
+    value = diagnosed("camera shift x", "mm", 0.0, 0.0, 0.0, 0.0)
+    assert not value.measured
+    assert not value.wrong
 
 
 def test_a_recording_without_touch_tells_nothing_of_the_hand() -> None:

@@ -1,6 +1,7 @@
 """While the object slips, the pose is uncertain along the slip, and the tracker reports it and corrects."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,9 @@ from forces.loads import load
 from forces.loads import rig as some_rig
 from handsight import se3
 from handsight.contact import Contacts
+from handsight.errors import InvalidInput
 from handsight.forces.friction import Friction
+from handsight.gaussian_pose import GaussianPose
 from handsight.tracking import FingertipContacts, PoseBiasSmoother, Tracker
 from handsight.tracking.slip_update import SLIP_UPDATE, SlipUpdate
 
@@ -31,7 +34,7 @@ def felt(ratio, angle=0.0):
 
 def slipping():
     part = SlipUpdate(some_rig())
-    part.detector.friction.coefficient = FRICTION
+    part.detector.friction = Friction(FRICTION, 0.01)
     return part
 
 
@@ -109,10 +112,54 @@ def test_a_reading_without_contacts_is_no_slip():
     assert not part.now.slipping
 
 
+def pushed(speed, sigma, mu=0.4, seconds=1.5):
+    """Returns the friction that is learnt from one finger that pushes straight, synthetic: its load is on the limit
+    all the time, and vision sees the object pass by."""
+    part, rng = SlipUpdate(some_rig()), np.random.default_rng(0)
+    contact = Contacts(np.array([[0.02, 0, 0]]), np.array([[0.0, 0, 1]]))
+    covariance = np.diag([sigma**2] * 3 + [(sigma / 0.1) ** 2] * 3)
+    vision = SimpleNamespace(last=None, rejected_in_a_row=0)
+    for k in range(round(250 * seconds)):
+        if k % 8 == 0:
+            place = se3.compose(np.eye(3), np.array([speed * k / 250, 0, 0]) + sigma * rng.normal(size=3))
+            vision.last = GaussianPose(place, covariance), np.eye(4)
+        loads = load(mu, 2.0 + np.sin(k / 20))[None]
+        part.update(0.004 * (k + 1), FingertipContacts(("ff",), contact, {}, loads=loads), smoother(), vision)
+    return part.now
+
+
+def test_friction_is_learnt_from_a_straight_push_that_vision_sees():
+    said = pushed(0.02, 2e-4)
+    assert said.friction == pytest.approx(0.4, rel=0.02)
+    assert said.slipping
+
+
+def test_an_object_that_stays_at_the_finger_shows_no_friction_whatever_visions_noise():
+    assert pushed(0.0, 2e-4).friction is None
+    assert pushed(0.0, 5e-3).friction is None
+
+
+def test_a_tracker_takes_declared_friction_from_its_argument_the_object_and_the_rig(box):
+    assert (
+        Tracker(box.rig, box.model, friction=(0.4, 0.02)).track_state.slip.detector.friction.coefficient
+        == 0.4
+    )
+    model = box.model.with_friction(0.6, 0.03)
+    assert Tracker(box.rig, model).track_state.slip.detector.friction.sigma == 0.03
+    fingers = {
+        name: replace(finger, friction=0.5, sigma_friction=0.1) for name, finger in box.rig.fingers.items()
+    }
+    both = Tracker(replace(box.rig, fingers=fingers), model).track_state.slip.detector.friction
+    assert 0.58 < both.coefficient < 0.6
+    for wrong in (0.4, (0.4,), (0.0, 0.1), (0.4, -1.0), (np.nan, 0.1)):
+        with pytest.raises(InvalidInput, match="friction"):
+            Tracker(box.rig, box.model, friction=wrong)
+
+
 def slippery(tracker, seen, count, friction):
     """Returns the tracker after `count` copies of an observation, with a known coefficient of friction."""
-    known = Friction()
-    known.coefficient, known.update = friction, lambda vectors: None
+    known = Friction(friction, 0.01 * friction)
+    known.update = lambda *loads: None
     tracker.track_state.slip.detector.friction = known
     for _ in range(count):
         tracker.update(replace(seen, stamp=tracker.stamp + 0.01, vision=None))

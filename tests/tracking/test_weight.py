@@ -1,11 +1,13 @@
 """A tracker weighs the object in the air: a known centre of mass measures the pose, an unknown one is estimated."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import handsight as hs
+from handsight.objects import Symmetries
 from handsight.simulation import Scenario, model_of, rig_of
 from handsight.tracking import best_weight
 
@@ -72,6 +74,31 @@ def test_a_wrong_mass_is_reported_and_the_pose_is_no_worse(lifted):
     assert wrong.weight.reason.endswith(" kg, not 0.3")
     assert wrong.estimate.weight_fits is None
     np.testing.assert_allclose(wrong.estimate.T_palm_object, without.estimate.T_palm_object, atol=2e-3)
+
+
+@pytest.mark.slow
+def test_gravity_of_the_wrong_sign_is_reported_and_the_pose_uncertain(lifted):
+    """It makes the tips' own weight wrong in every contact."""
+    observations, _ = lifted
+    rig = rig_of(SCENARIO)
+    tracker = follow(hs.Tracker(replace(rig, gravity=-rig.gravity), model_of(SCENARIO)), observations)
+    assert tracker.weight.reason.endswith("does gravity point the other way?")
+    assert tracker.state == "uncertain"
+    assert tracker.reason == tracker.weight.reason
+
+
+@pytest.mark.slow
+def test_a_weight_that_fits_in_three_directions_makes_what_contradicts_it_uncertain(lifted):
+    """Which of them is wrong is not known: here it is the declared centre of mass."""
+    seen = [sample.observation for sample in lifted[1]]
+    model = replace(model_of(SCENARIO), symmetries=Symmetries())
+    wrong = model.with_weight(center_of_mass=np.array([0.0, 0.02, 0.0]))
+    tracker = follow(hs.Tracker(rig_of(SCENARIO), wrong), seen)
+    assert tracker.estimate.weight_fits is False
+    assert re.match(
+        r"contacts, vision and the table have the centre of mass \d+ mm from where", tracker.reason
+    )
+    assert tracker.state == "uncertain"
 
 
 @pytest.mark.slow

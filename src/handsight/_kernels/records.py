@@ -253,4 +253,9 @@ MEASUREMENT = record(
     ("T_mount_object", "f8", (4, 4)),
     ("covariance", "f8", (6, 6)),
     ("process_noise", "f8", (6,)),
+    ("twist", "f8", (6,)),
+    ("latency", "f8"),
+    ("time", "f8"),
+    ("began", "f8"),
+    ("drift_gain", "f8"),
 )

@@ -1,4 +1,4 @@
-"""`handsight rig check` and `handsight calibrate camera`: a rig file compared with a recording."""
+"""`handsight rig check` and `handsight calibrate`: a rig file compared with a recording."""
 
 import contextlib
 import math
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run
+from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run, find_rig
 from handsight.cli.terminal import kept_going, plain_table, print_out, say
 from handsight.cli.track_summary import print_diagnosis, refusals
 from handsight.errors import HandsightError, InvalidInput, printable
@@ -146,6 +146,37 @@ def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = N
         raise typer.Exit(end.exit_code)
     if touched is None and by_vision is None:
         raise InvalidInput(f"{recording}: expected an object that is held and visible, got none")
+
+
+@calibrate_app.command("sensors")
+def sensors(recording: RecordingPath, rig: RigPath = None) -> None:
+    """Estimate bias, tip mass and noise of the fingertips' force/torque sensors, from a hand that touches nothing.
+
+    The hand must have been still in several orientations, six that are as different as possible at best. Printed are
+    the lines of the rig file that change. The noise is what the calibration leaves, if that is more than the noise of
+    single readings: a bias that depends on the direction of gravity is no noise, but an error all the same.
+
+    ```
+    handsight calibrate sensors turned_in_the_air.mcap --rig robot.yaml
+    ```
+    """
+    from handsight.forces import calibrate_sensors
+    from handsight.recording import open_recording
+    from handsight.rig.save import sensor_text
+
+    before, _ = find_rig(recording, rig)
+    with open_recording(recording, before) as opened:
+        after = calibrate_sensors(before, opened.observations())
+    typer.echo("fingers:")
+    for name, finger in after.fingers.items():
+        for line in (f"  {name}:", "    sensor:", *(f"      {line}" for line in sensor_text(finger))):
+            typer.echo(printable(line))
+        was = before.fingers[name]
+        if finger.sigma_force > was.sigma_force or finger.sigma_torque > was.sigma_torque:
+            say(
+                f"{name}: readings are off by {1e3 * finger.sigma_force:.0f} mN, {1e3 * finger.sigma_torque:.2g} mN m; "
+                f"the rig has {1e3 * was.sigma_force:.0f} mN, {1e3 * was.sigma_torque:.2g} mN m"
+            )
 
 
 def _print_calibrated(by_vision: "HandCalibration | None", touched: "CameraCalibration | None") -> None:

@@ -1,8 +1,9 @@
 """`handsight simulate`: a simulated scenario as a recording, with its rig beside it."""
 
+import contextlib
 import dataclasses
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,9 +14,11 @@ from handsight.cli.terminal import announce_compiling, bar, say
 from handsight.errors import InvalidFile, InvalidInput
 
 if TYPE_CHECKING:
+    from handsight.checks import Array
     from handsight.objects import ObjectSpec
     from handsight.recording.write import McapFile
     from handsight.rig import Rig
+    from handsight.search import Belief
     from handsight.simulation import Grasp, Nuisances, Sample, Scenario
 
 BEGINS = 1000.0
@@ -32,9 +35,10 @@ def simulate(
     motion: Annotated[
         str,
         typer.Option(
-            metavar="grasp|manipulate|weigh|ramp|steps|sine",
+            metavar="grasp|manipulate|weigh|ramp|steps|sine|creep|jerks",
             help="grasp: close the hand and hold the object; manipulate: then also move, lift and turn it; weigh: lift "
-            "and tilt it; ramp, steps, sine: lift it, and pull it with a force of that shape until it slips.",
+            "and tilt it; ramp, steps, sine, creep, jerks: lift it, and pull it with a force of that shape until it "
+            "slips.",
         ),
     ] = "manipulate",
     images: Annotated[
@@ -71,6 +75,10 @@ def simulate(
             help="No camera: a finger searches for the object on the table, and the hand then grasps it.",
         ),
     ] = False,
+    plot: Annotated[
+        Path | None,
+        typer.Option(help="File for a picture of the search of --blind: the belief after each touch."),
+    ] = None,
     grasp: Annotated[
         Path | None,
         typer.Option(
@@ -83,17 +91,18 @@ def simulate(
     The rig is written beside the recording as OUTPUT.rig.yaml, and the grasp of a mesh as OUTPUT.grasp.json: grasps are
     tried in the simulator until one holds. Everything is synthetic (MuJoCo). Errors of the measurements are set by
     nuisances, such as joint_offset [rad] and force_noise [N]; the pull is set by friction, pull_force [N] and
-    pull_torque [N m]. With `--blind`, the recording has the pose that the search found, in the world, and
-    `handsight track` starts from it.
+    pull_torque [N m]. With `--blind`, each touch is reported with what is known after it, the recording has the pose
+    that the search found, in the world, and `handsight track` starts from it; the exit code is 1 if it found none.
 
     In a harsh world sensors' gains are wrong and their readings stick, joints are off by up to twice what the rig
     states, the camera is late and its error wanders, messages are lost, tips, table, size and mass are not as declared,
     contacts are soft, and friction is lower. The rig knows nothing of it: does the tracker notice? OUTPUT.world.json
-    has all that was drawn. About half of the seeds drop the object.
+    has all that was drawn. With many seeds the hand drops the object.
 
     ```
     handsight simulate can --output can.mcap
     handsight simulate box --images --nuisance joint_offset=0 --nuisance force_noise=0.02
+    handsight simulate can --blind --plot search.png
     handsight simulate can --motion ramp --nuisance friction=0.6 --nuisance pull_force=6 --nuisance pull_torque=0.05
     handsight simulate box --world harsh --seed 1
     handsight simulate box --nuisance message_loss=0.05 --nuisance vision_delay=0.2
@@ -106,21 +115,20 @@ def simulate(
         raise InvalidInput(f"--world: expected usual or harsh, got {world!r:.60}")
     start = Nuisances.harsh(seed) if world == "harsh" else Nuisances()
     chosen: dict[str, Any] = {"motion": motion, "depth_camera": depth_camera}  # Scenario refuses unknown ones
-    scenario = Scenario(
-        object=object,
-        seed=seed,
-        images=images,
-        skin=skin,
-        nuisances=nuisances(nuisance or [], start),
-        **chosen,
-    )
+    chosen |= {"images": images, "skin": skin, "nuisances": nuisances(nuisance or [], start)}
+    scenario = Scenario(object=object, seed=seed, **chosen)
     if blind and images:
         raise InvalidInput("--images: expected none with --blind, which has no camera, got some")
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
     _check_suffix(path)
-    samples, dropped = record(
-        scenario, path, read_grasp(grasp) if grasp else _search_grasp(scenario, path), blind=blind
-    )
+    if plot is not None:
+        if not blind:
+            raise InvalidInput("--plot: expected --blind, whose search it shows")
+        from handsight.viewer.correction_figures import require_matplotlib
+
+        require_matplotlib()
+    found = read_grasp(grasp) if grasp else _search_grasp(scenario, path)
+    samples, dropped = record(scenario, path, found, blind=blind, plot=plot)
     size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
     say(f"wrote {path}: {samples} observations, {size}, and {rig_beside(path).name}")
     if world == "harsh":
@@ -166,12 +174,18 @@ def nuisances(settings: Iterable[str], start: "Nuisances | None" = None) -> "Nui
 
 
 def record(
-    scenario: "Scenario", path: Path, grasp: "Grasp | None" = None, *, blind: bool = False
+    scenario: "Scenario",
+    path: Path,
+    grasp: "Grasp | None" = None,
+    *,
+    blind: bool = False,
+    plot: Path | None = None,
 ) -> tuple[int, bool]:
     """Simulates a recording; returns its number of observations, and whether the object was dropped at the end.
 
     `grasp`: None for the built-in one of the object, or one that is searched for. `blind`: a finger searches for the
-    object first. The rig is written beside the recording. After Ctrl-C or an error, the part until then is kept.
+    object first, and each touch is reported; `plot`: file for a picture of them. The rig is written beside the
+    recording. After Ctrl-C or an error, the part until then is kept.
     """
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
@@ -181,11 +195,21 @@ def record(
     _check_suffix(path)
     rig = touch_search_rig(scenario) if blind else rig_of(scenario)
     # With one object only, `track` needs no name.
-    rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: believed_object(scenario, rig)})
+    spec = believed_object(scenario, rig)
+    if blind and spec.mesh is not None:  # the search does not distinguish what touch cannot tell
+        spec = dataclasses.replace(spec, symmetries="find")
+    rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: spec})
     samples, dropped = 0, False
-    with RecordingWriter(path, rig) as writer, bar("simulating") as advance:
+    with (
+        RecordingWriter(path, rig) as writer,
+        bar("simulating") as advance,
+        search_report(Path(scenario.object).stem, advance, plot) as watch,
+    ):
         write_rig(rig, rig_beside(path))
-        for sample in simulate_touch_search(scenario, grasp) if blind else simulate(scenario, advance, grasp):
+        sampled = (
+            simulate_touch_search(scenario, grasp, watch) if blind else simulate(scenario, advance, grasp)
+        )
+        for sample in sampled:
             observation = dataclasses.replace(sample.observation, stamp=BEGINS + sample.observation.stamp)
             writer.write(observation)
             writer.write_truth(observation.stamp, sample.T_palm_object)
@@ -193,6 +217,41 @@ def record(
                 write_slips(writer, observation.stamp, sample, rig)
             samples, dropped = samples + 1, sample.dropped
     return samples, dropped
+
+
+@contextlib.contextmanager
+def search_report(
+    name: str, advance: Callable[..., None], plot: Path | None
+) -> "Iterator[Callable[[Belief, Array], None]]":
+    """Yields a function that reports the beliefs of a search by touch, one after the other.
+
+    At the end, after Ctrl-C and errors too, their picture is written to `plot`, unless that is None.
+    """
+    from handsight.search import symmetry_text, touch_text
+
+    beliefs, truths = list["Belief"](), list["Array"]()
+
+    def watch(belief: "Belief", T_world_object: "Array") -> None:
+        beliefs.append(belief)
+        truths.append(T_world_object)
+        best, n = belief.modes[0], len(belief.touches)
+        if n:
+            say(touch_text(belief))
+        elif text := symmetry_text(belief.model):
+            say(f"{name}: {text}")
+        advance(None, f"touch {n + 1}, certain to {best.certainty:.2f}")
+        if best.is_certain:
+            say(f"found by {n} touches")
+            advance(None, "grasping")
+
+    try:
+        yield watch
+    finally:
+        if plot is not None and beliefs:
+            from handsight.viewer.search_figure import draw_search
+
+            draw_search(name, beliefs, truths[-1], plot)
+            say(f"wrote {plot}")
 
 
 def write_world(scenario: "Scenario", path: Path) -> None:

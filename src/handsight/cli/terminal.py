@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from handsight.errors import HandsightError, NotWritten, printable
+from handsight.errors import HandsightError, NotFound, NotWritten, printable
 from handsight.files import STREAMS, write_errors
 
 if TYPE_CHECKING:
@@ -184,4 +184,6 @@ def kept_going() -> Iterator[End]:
 
 def exit_code(error: HandsightError) -> int:
     """Returns the exit code of a command that ends with an error."""
+    if isinstance(error, NotFound):
+        return FAILED
     return CANNOT_WRITE if isinstance(error, NotWritten) else WRONG_INPUT

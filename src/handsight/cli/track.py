@@ -136,6 +136,7 @@ def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> TrackR
         tracker.link_margins,
     )
     result.reason, result.diagnosis = tracker.reason, diagnoser.diagnosis()
+    result.latency, result.latency_declared = tracker.vision_latency(), tracker.vision.camera.latency
     if not result.steps and not tally.observations:
         result.reason = "the recording has no observation"
     elif not result.steps and tally.refused.total() == tally.observations:

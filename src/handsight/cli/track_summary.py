@@ -41,6 +41,10 @@ class TrackResult:
     """For each link of the hand whose shape in the hand's file is too large: by how much [m]."""
     images: dict[str, int] = field(default_factory=dict)
     """Counts of depth images, if any were used: searched, object found, searched for the hand, hand found."""
+    latency: tuple[float, float] | None = None
+    """How much older vision's poses are than their stamps, and its standard deviation [s]; None without vision."""
+    latency_declared: float = 0.0
+    """What the rig says of it [s]."""
     weight: "ObjectWeight | None" = None
     """The object's weight, as measured last in the air."""
     diagnosis: "Diagnosis | None" = None
@@ -103,6 +107,7 @@ class TrackResult:
             "diagnosis": []
             if self.diagnosis is None
             else [value.numbers() for value in self.diagnosis.values],
+            "vision_latency_ms": None if self.latency is None else [round(1e3 * x, 1) for x in self.latency],
             "weight": None if self.weight is None else weight_numbers(self.weight),
             "recording_says": self.messages,
             "friction": self.friction,
@@ -136,6 +141,14 @@ class TrackResult:
             searched, detected, searched_hand, hands = self.images.values()
             hand = f"the hand in {hands} of {searched_hand} searched for it"
             lines.append(f"{searched} depth images: the object was found in {detected}, {hand}")
+        if self.latency is not None:
+            latency, sigma = self.latency
+            # Beyond 20 ms, and by more than the estimate's own error, with a level of one in twenty.
+            if abs(latency - self.latency_declared) > 0.02 + 2 * sigma:
+                lines.append(
+                    f"vision's poses are {1e3 * latency:.0f} ± {1e3 * sigma:.0f} ms older than their stamps (the rig "
+                    f"says {1e3 * self.latency_declared:.0f}), which is taken into account; see camera.latency"
+                )
         if self.margins:
             by = ", ".join(f"{link} by {1e3 * margin:.1f} mm" for link, margin in self.margins.items())
             lines.append(
@@ -186,6 +199,8 @@ def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:
     text = f"{1e3 * weight.mass:.0f} ± {1e3 * weight.sigma_mass:.0f} g, centre [{place}] ± {sigma:.0f} mm in the object"
     if weight.biased:
         text += f"; the excess force of {', '.join(weight.biased)} in the air is subtracted"
+    if weight.assumed:
+        text += f"; {weight.assumed}"
     return f"not believed: {weight.reason} ({text})" if weight.reason else text
 
 
@@ -199,6 +214,7 @@ def weight_numbers(weight: "ObjectWeight") -> dict[str, object]:
         "directions": weight.directions,
         "not_believed": weight.reason,
         "biased": list(weight.biased),
+        "assumed": weight.assumed,
     }
 
 

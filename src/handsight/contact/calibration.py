@@ -42,9 +42,9 @@ class WrenchCalibration:
     center_of_mass: Array
     """(3,) centre of that mass from the sensor's origin [m]."""
     residual_force: Array
-    """(3,) root mean square residual of the force readings, per axis [N]."""
+    """(3,) standard deviation of the force readings about the fit, per axis [N]; `Finger.calibrated` takes it."""
     residual_torque: Array
-    """(3,) root mean square residual of the torque readings, per axis [N m]."""
+    """(3,) standard deviation of the torque readings about the fit, per axis [N m]."""
     condition: float
     """Condition number of the worse of the two fits, by which noise is amplified; 1.4 at best."""
     reading: Reading = "on_sensor"
@@ -149,8 +149,9 @@ def _sign(reading: str) -> float:
 
 
 def _fit(slopes: Array, readings: Array, gravities: Array) -> tuple[Array, Array, float]:
-    """Returns the coefficients of a bias and of `slopes` (n, 3, k), the RMS residual (3,) and the condition number.
+    """Returns the coefficients of a bias and of `slopes` (n, 3, k), the residuals' sigmas (3,), the condition number.
 
+    Residuals are fewer degrees of freedom than readings: each coefficient takes one, a third of it from each axis.
     Raises InvalidInput above a condition number of 50, which is about 2.5 degrees of spread of the orientations.
     """
     design = np.concatenate([np.broadcast_to(np.eye(3), (len(slopes), 3, 3)), slopes], axis=2)
@@ -164,4 +165,6 @@ def _fit(slopes: Array, readings: Array, gravities: Array) -> tuple[Array, Array
             f"of {spread_deg:.2g} degrees about the second (conditioning "
             f"{singular[0] / max(singular[-1], 1e-300):.2g}, at most 50)"
         )
-    return x, np.sqrt(((readings - design @ x) ** 2).mean(axis=0)), float(singular[0] / singular[-1])
+    freedom = len(readings) - design.shape[2] / 3
+    left = np.sqrt(((readings - design @ x) ** 2).sum(axis=0) / freedom)
+    return x, left, float(singular[0] / singular[-1])

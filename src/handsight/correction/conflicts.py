@@ -27,6 +27,8 @@ POOL, KIND, EACH = 0.5 * modes.MODES.alarm, 0.25 * modes.MODES.alarm / len(KINDS
 """Levels of the test of all evidence together, of that of one kind, and of those of single contacts together: their sum
 over all tests is `MODES.alarm`, so by Bonferroni's inequality at most so many honest answers are called inconsistent.
 """
+MOST_CONFLICTS = 10
+"""Most conflicts that are named beside what was left out."""
 LEAST = modes.chi2_limit(1, EACH)
 """The smallest limit of a test of one kind or one contact."""
 
@@ -83,7 +85,7 @@ def excluded(problem: Problem, answer: np.void, used: Mask, name: str) -> Confli
 def _found(problem: Problem, answer: np.void, used: Mask) -> tuple[Conflict, ...]:
     """Returns what contradicts the rest, the least probable one first, the next ones without those before."""
     found: list[Conflict] = []
-    while True:
+    while len(found) < MOST_CONFLICTS:
         best, n = None, int(used.sum())
         for name, level in (*((kind, KIND) for kind in KINDS), (_worst(problem, answer, used), EACH / n)):
             if not _freedom(problem, used, name):
@@ -96,9 +98,10 @@ def _found(problem: Problem, answer: np.void, used: Mask) -> tuple[Conflict, ...
             if conflict.p_value < level and (best is None or conflict.p_value < best[0].p_value):
                 best = conflict, rest, other[0]
         if best is None:
-            return tuple(found)
+            break
         found.append(best[0])
         (problem, used), answer = best[1:]
+    return tuple(found)
 
 
 def _worst(problem: Problem, answer: np.void, used: Mask) -> str:

@@ -168,25 +168,24 @@ def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, 
     which contacts yield. A conflict of χ² with k degrees of freedom is likeliest where the covariance is χ² / k times
     as large. The answer says that the evidence is inconsistent all the same.
     """
-    searched = partial(_searched, options=options, limit=limit, answer=answer, samples=samples)
-    first = estimate = searched(problem)
+    first = estimate = _searched(problem, options, limit, answer, samples)
+    if not first.conflicts:
+        return first
     for _ in range(MOST_WIDENED):
-        wrong = [c for c in estimate.conflicts if c.evidence == "vision"]
-        if not wrong or problem.vision is None or limit.cut_short:
+        wrong = estimate.conflicts[0] if estimate.conflicts else None  # the least probable one
+        if wrong is None or wrong.evidence != "vision" or problem.vision is None or limit.cut_short:
             break
-        covariance = max(wrong[0].chi2 / wrong[0].freedom, 1.0) * problem.vision.covariance
+        covariance = max(wrong.chi2 / wrong.freedom, 1.0) * problem.vision.covariance
         problem = replace(problem, vision=PosePrior.trusted(problem.vision.T_palm_object, covariance))
-        estimate = searched(problem)
+        estimate = _searched(problem, options, limit, answer, samples)
     if estimate is first:
         return first
     excluded = tuple(c for c in estimate.conflicts if c.excluded)
-    conflicts_in_use = tuple(c for c in first.conflicts if not c.excluded)
-    return replace(estimate, consistent=False, conflicts=conflicts_in_use + excluded)
+    in_use = tuple(c for c in first.conflicts if not c.excluded)
+    return replace(estimate, consistent=False, conflicts=in_use + excluded)
 
 
-def _searched(
-    problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, samples: int
-) -> PoseEstimate:
+def _searched(problem: Problem, options: TwoPhase, limit: Budget, answer: str, samples: int) -> PoseEstimate:
     """Returns the answer to a problem, from one start where that is enough, else from many."""
     if options is USUAL and not samples and problem.starts is None:
         estimate = solve_single_start(problem)

@@ -34,6 +34,8 @@ class SolveOptions(NamedTuple):
 
 
 SOLVE = SolveOptions()
+ACCEPTED = ["width", "converged", "cost", "coarse_cost", "chi2", "gain", "rows", "prior_gain", "outside_gain"]
+"""Fields of an ANSWER by which it is accepted."""
 
 
 def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEstimate | None:
@@ -53,7 +55,11 @@ def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEs
         row["follows"] = True
         row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
     batch.correct_all(model.record.model, model.record.nodes, contacts, problem.outside, rows, residuals)
-    return _accepted(problem, row["answer"], residuals, searched=T_start is not None)
+    estimate = _accepted(lambda: problem, row["answer"], residuals, searched=T_start is not None)
+    if estimate is not None and (problem.taxels or problem.depth is not None):
+        used = np.ones((1, len(contacts)), dtype=bool)
+        estimate = estimate if conflicts.judged(problem, row["answer"], used)[0] else None
+    return estimate
 
 
 def solve_batch(
@@ -75,7 +81,7 @@ def solve_batch(
     # Copied, so that an estimate does not keep the arrays of all problems in memory.
     return [
         _accepted(
-            Problem(model, *pair, NO_OUTSIDE),
+            partial(Problem, model, *pair, NO_OUTSIDE),
             row["answer"].copy(),
             residuals[row["first"] : row["last"]].copy(),
             searched=False,
@@ -84,14 +90,16 @@ def solve_batch(
     ]
 
 
-def _accepted(problem: Problem, answer: np.void, residuals: Array, *, searched: bool) -> PoseEstimate | None:
+def _accepted(
+    problem: Callable[[], Problem], answer: np.void, residuals: Array, *, searched: bool
+) -> PoseEstimate | None:
     """Returns the estimate of an ANSWER that one start led to, or None where a search might find a better one.
 
-    `searched`: whether a search has led to this mode already; then it is enough that the evidence fits.
+    `problem` returns the problem, which takes long to build for each of a batch. `searched`: whether a search has led
+    to this mode already; then it is enough that the evidence fits.
     """
-    fields = ["width", "converged", "cost", "coarse_cost", "chi2", "gain", "rows"]
     # One by one they would take twice as long.
-    width, converged, cost, coarse_cost, chi2, gain, freedom = answer[fields].item()
+    width, converged, cost, coarse_cost, chi2, gain, freedom, prior, outside = answer[ACCEPTED].item()
     if not width < SEARCH.single_start_width or not converged:
         return None
     if searched:
@@ -100,12 +108,12 @@ def _accepted(problem: Problem, answer: np.void, residuals: Array, *, searched: 
         accepted = modes.beyond_doubt(cost, coarse_cost, freedom, width / SEARCH.single_start_width)
         accepted = accepted and modes.unsuspicious(cost, freedom, gain)
         if width > modes.MODES.weak_width:
-            accepted = accepted and not modes.several_minima(problem.model, freedom)
+            accepted = accepted and not modes.several_minima(problem().model, freedom)
     if not accepted:
         return None
-    if conflicts.suspicious(problem, answer):
-        used = np.ones((1, len(problem.contacts)), dtype=bool)
-        if not conflicts.judged(problem, answer, used)[0]:
+    if chi2 > conflicts.LEAST and max(gain, prior, outside) > conflicts.LEAST:
+        used = np.ones((1, len(residuals)), dtype=bool)
+        if not conflicts.judged(problem(), answer, used)[0]:
             return None
     return PoseEstimate(answer, (answer,), residuals, modes.fits(chi2, freedom, conflicts.POOL))
 

@@ -1,13 +1,16 @@
-"""The coefficient of friction, learnt from below: the highest ratio of tangential to normal load while sliding.
+"""The coefficient of friction, declared or learnt: the highest ratio of tangential to normal load while sliding.
 
 The ratio vector of a contact, (f_t, τ / e) / f_n, lies within a ball of radius μ, and on its surface while the contact
 slips (Howe and Cutkosky 1996: the limit surface as an ellipsoid). So μ is the highest ratio at which ratio vectors have
-turned again and again without getting longer. A load that is constant, or grows along one line, does not show μ;
-fingers that slide while they close show it within half a second.
+turned again and again without getting longer. A load that is constant, or grows along one line, does not show μ by
+itself, but does where other evidence, such as vision, tells that the contact slides. Fingers that slide while they
+close show μ within half a second.
+
+Fingers may have different coefficients: then their declared ratio to each other is kept, and one factor is learnt.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 
@@ -26,13 +29,23 @@ class FrictionOptions(NamedTuple):
     min_turns: int = 5  # fewest turns of a heap
     min_share: float = 0.1
     """The same as a share of the turns in the largest heap that is at most `max_below` bins below."""
-    max_below: int = 20
+    max_below: int = 50
     certain_turns: int = 20
     """A heap of so many turns is the limit, unless two fingers have ratios above it by more than `near_heap`."""
     noise_margin: float = 0.98
-    """Otherwise μ is at least this share of the highest ratio that two fingers have measured, with its noise."""
+    """μ is at least this share of the ratio that two fingers have kept up, with its noise."""
+    keep_up: float = 0.1
+    """Time constant with which a kept-up ratio rises [s]: a tip that is hit, or touches at two places for a moment, has
+    higher ratios than μ, but not for long."""
     near_heap: float = 1.1  # a factor
     max_above: float = 1.5  # the largest factor by which μ is above the heap
+    sliding_turns: int = 5
+    """As many turns as this count for a contact of which other evidence tells that it slides."""
+    least_sigma: float = 0.02  # of the logarithm of μ: the limit surface is not quite an ellipsoid
+    turn_sigma: float = 0.2  # the same of one turn; it falls with the root of their number
+    doubtful_sigma: float = (
+        0.3  # the same while turns are fewer than `certain_turns`, or kept-up ratios are above them
+    )
 
 
 FRICTION = FrictionOptions()
@@ -43,32 +56,40 @@ Vector = tuple[float, float, float, float]
 
 
 class Friction:
-    """A `Friction` is an estimate of μ from all loads so far.
+    """A `Friction` is an estimate of μ from what was declared, and from all loads so far.
 
     `update` binds its attributes anew and changes none in place, so that a shallow copy evolves apart from it.
     """
 
-    def __init__(self) -> None:
-        """Starts without any load."""
-        self.coefficient: float | None = None
-        """μ; None before there were enough turns."""
+    def __init__(self, declared: float | None = None, sigma: float | None = None) -> None:
+        """Starts without any load; `declared` is μ with its standard deviation, None where it is unknown."""
+        self.coefficient = declared
+        """μ; None before it was declared or there were enough turns."""
+        self.sigma = sigma
+        """Standard deviation of μ; None where μ is."""
+        self._declared = None if declared is None or sigma is None else (declared, sigma)
         self._anchors: Mapping[str, Vector] = {}
         """By finger, the ratio vector from which the next turn is measured."""
         self._turns: Mapping[int, int] = {}
         """By bin, the number of turns."""
-        self._heap: float | None = None
-        """Mean ratio of the highest heap; None before there was one."""
-        self._certain = False
-        """Whether that heap has enough turns to be the limit."""
-        self._highest: Mapping[str, float] = {}
-        """By finger, its highest ratio."""
+        self._heap: tuple[float, int] | None = None
+        """Mean ratio of the highest heap, and its turns; None before there was one."""
+        self._kept_up: Mapping[str, float] = {}
+        """By finger, the highest ratio that it has kept up."""
 
-    def update(self, vectors: Mapping[str, Vector]) -> None:
-        """Learns from the current ratio vectors, by finger; a finger without one starts anew next time."""
+    def update(self, vectors: Mapping[str, Vector], since: float, sliding: Collection[str] = ()) -> None:
+        """Learns from the current ratio vectors, by finger; a finger without one starts anew next time.
+
+        `since` is the time since the last update [s]. `sliding` are fingers of which other evidence tells that they
+        slide along the object.
+        """
         load = {name: math.hypot(*vector) for name, vector in vectors.items()}
-        higher = {name: ratio for name, ratio in load.items() if ratio > self._highest.get(name, 0.0)}
+        rise = 1 - math.exp(-min(since, FRICTION.keep_up) / FRICTION.keep_up)
+        higher = {name: ratio for name, ratio in load.items() if ratio > self._kept_up.get(name, 0.0)}
         if higher:
-            self._highest = {**self._highest, **higher}
+            was = {name: self._kept_up.get(name, 0.0) for name in higher}
+            risen = {name: was[name] + rise * (ratio - was[name]) for name, ratio in higher.items()}
+            self._kept_up = {**self._kept_up, **risen}
         before = self._anchors
         moved = {
             name: vector
@@ -81,10 +102,34 @@ class Friction:
         for name, vector in moved.items():
             if name in before:
                 self._turned(before[name], vector)
+        for name in sliding:
+            if FRICTION.min_ratio < load.get(name, 0.0) < FRICTION.max_ratio:
+                self._count(load[name], FRICTION.sliding_turns)
+        if higher or moved or sliding:
+            self._estimate()
+
+    def _estimate(self) -> None:
+        """Joins what was declared, the heap, and the ratios that were kept up, which bound μ from below."""
+        # One finger that holds the object alone keeps up as much as two of several do.
+        kept = FRICTION.noise_margin * sorted(self._kept_up.values())[-2:][0] if self._kept_up else 0.0
+        means, weights = list[float](), list[float]()
+        if self._declared is not None:
+            mu, sigma = self._declared
+            means, weights = [math.log(mu)], [(mu / sigma) ** 2]
         if self._heap is not None:
-            load_of_two = FRICTION.noise_margin * sorted((0.0, 0.0, *self._highest.values()))[-2] / self._heap
-            agree = self._certain and load_of_two < FRICTION.near_heap
-            self.coefficient = self._heap * (1.0 if agree else min(max(load_of_two, 1.0), FRICTION.max_above))
+            heap, turns = self._heap
+            sigma = math.hypot(FRICTION.least_sigma, FRICTION.turn_sigma / math.sqrt(turns))
+            if turns < FRICTION.certain_turns or kept > FRICTION.near_heap * heap:
+                sigma = FRICTION.doubtful_sigma
+                heap = min(max(heap, kept), FRICTION.max_above * heap)
+            means.append(math.log(heap))
+            weights.append(sigma**-2)
+        if weights:
+            mean = sum(m * w for m, w in zip(means, weights, strict=True)) / sum(weights)
+            mu = math.exp(mean)
+            if self._declared is not None:
+                mu = max(mu, kept)
+            self.coefficient, self.sigma = mu, mu / math.sqrt(sum(weights))
 
     def _turned(self, before: Vector, now: Vector) -> None:
         """Counts a motion of a ratio vector if it was a turn."""
@@ -93,13 +138,16 @@ class Friction:
             return
         if abs(length - was) > FRICTION.max_radial * math.dist(now, before):
             return
-        at = round(math.log(length * was) / 2 / FRICTION.bin_width)
-        self._turns = {**self._turns, at: self._turns.get(at, 0) + 1}
-        self._heap, turns = _highest_heap(self._turns)
-        self._certain = turns >= FRICTION.certain_turns
+        self._count(math.sqrt(length * was), 1)
+
+    def _count(self, ratio: float, turns: int) -> None:
+        """Counts turns at a ratio."""
+        at = round(math.log(ratio) / FRICTION.bin_width)
+        self._turns = {**self._turns, at: self._turns.get(at, 0) + turns}
+        self._heap = _highest_heap(self._turns)
 
 
-def _highest_heap(turns: Mapping[int, int]) -> tuple[float | None, int]:
+def _highest_heap(turns: Mapping[int, int]) -> tuple[float, int] | None:
     """Returns the mean ratio of the highest heap, with the bins just below it, and its turns; None without a heap.
 
     A few turns that are spread over higher ratios, as by a tip that touches at two places, are not the limit.
@@ -111,4 +159,4 @@ def _highest_heap(turns: Mapping[int, int]) -> tuple[float | None, int]:
             heap = [(at + k, turns.get(at + k, 0)) for k in range(-FRICTION.spread, FRICTION.band)]
             total = sum(count for _, count in heap)
             return math.exp(FRICTION.bin_width * sum(k * count for k, count in heap) / total), total
-    return None, 0
+    return None

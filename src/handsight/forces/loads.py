@@ -8,8 +8,8 @@ A tip that moves through the air bears only its own weight. If the rest of its r
 the way, it is the sensor's bias: the load of a touched object would change.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -19,7 +19,8 @@ from scipy.special import chdtri
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import compensate
+from handsight.contact import calibrate_wrench, compensate
+from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig import Rig
 
@@ -33,6 +34,10 @@ class LoadOptions(NamedTuple):
     saturated: float = 0.99  # a reading beyond this share of the sensor's full scale is not used
     min_travel: float = 0.005
     """A tip that moves this far in the palm during a window is in the air, not pressed against something [m]."""
+    still: float = 0.3  # length of the means by which a sensor is calibrated [s]
+    still_turn: float = float(
+        np.deg2rad(0.5)
+    )  # a hand whose sensors turn less than this meanwhile is still [rad]
     max_bias: float = 0.5  # a larger reading in the air is a load, or a broken sensor [N]
     unsteady_p: float = 0.001
     """Readings vary by more than noise where noise would exceed their spread with less than this probability."""
@@ -60,6 +65,8 @@ class LoadSum:
     """(6, j) derivative of the wrench by the error of each joint."""
     by_bias: Array
     """(6, 6 t) derivative of the wrench by the force and torque of each tip's bias."""
+    readings: Array
+    """(6 t,) force [N] and torque [N m] that each sensor measures, with its tip's own weight, in its own axes."""
     noise: Array
     """(6, 6) covariance of the wrench due to errors that change from reading to reading."""
     acceleration: float
@@ -122,7 +129,7 @@ def load_sum(
     step = (observations[-1].stamp - observations[0].stamp) / max(n - 1, 1)
     acceleration, turning = accelerations(Ts_world_palm, middle, step)
     gravity = np.einsum("nji,nj->i", Ts_world_palm[:, :3, :3], rig.gravity - acceleration) / n
-    wrench, by_joint, by_bias, forces = _summed(
+    wrench, by_joint, by_bias, readings, forces = _summed(
         rig, observations, gravity, sensors, hand.jacobians(places, tips)
     )
     B = by_bias * np.concatenate([[f.sigma_force] * 3 + [f.sigma_torque] * 3 for f in rig.fingers.values()])
@@ -133,6 +140,7 @@ def load_sum(
         R_palm_world=Ts_world_palm[n // 2, :3, :3].T,
         by_joint=by_joint,
         by_bias=by_bias,
+        readings=readings,
         noise=(B @ B.T + rig.sigma_joint**2 * by_joint @ by_joint.T) / n,
         acceleration=float(np.sqrt((acceleration**2).mean())),
         turning=float(np.sqrt((turning**2).mean())),
@@ -167,19 +175,22 @@ def _second_derivative(n: int, length: int) -> Array:
 
 def _summed(
     rig: Rig, observations: Sequence[Observation], gravity: Array, sensors: Array, J: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Returns the sum of mean loads (6,), its derivatives by joints (6, j) and biases (6, 6 t), and the forces (t, 3).
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Returns the sum of mean loads (6,), its derivatives by joints and biases, the readings, and the forces (t, 3).
 
     `gravity` is that of a `LoadSum`, `sensors` (t, 4, 4) are the sensors' poses in the palm, and `J` (t, 6, j) the
     Jacobians at their origins.
     """
     t = len(sensors)
     wrench, by_joint = np.zeros(6), np.zeros((6, J.shape[2]))
-    by_bias, forces = np.zeros((6, 6 * t)), np.zeros((t, 3))
+    by_bias, readings, forces = np.zeros((6, 6 * t)), np.zeros(6 * t), np.zeros((t, 3))
     for i, (name, finger) in enumerate(rig.fingers.items()):
         reading = np.mean([o.wrenches[name] for o in observations], axis=0)
         R, s = sensors[i, :3, :3], sensors[i, :3, 3]
-        f, m = (R @ part for part in compensate(reading[:3], reading[3:], R.T @ gravity, finger.calibration))
+        known, own = finger.calibration, R.T @ gravity * finger.calibration.mass
+        load = np.concatenate(compensate(reading[:3], reading[3:], R.T @ gravity, known))
+        readings[6 * i : 6 * i + 6] = load + np.concatenate([own, np.cross(known.center_of_mass, own)])
+        f, m = R @ load[:3], R @ load[3:]
         # The reading turns with the tip, the tip's own weight does not.
         F, S, M = se3.skew(f + finger.calibration.mass * gravity), se3.skew(s), se3.skew(m)
         wrench += np.concatenate([f, m + S @ f])
@@ -188,7 +199,7 @@ def _summed(
         by_bias[:3, 6 * i : 6 * i + 3] = R
         by_bias[3:, 6 * i : 6 * i + 3], by_bias[3:, 6 * i + 3 : 6 * i + 6] = S @ R, R
         forces[i] = f
-    return wrench, by_joint, by_bias, forces
+    return wrench, by_joint, by_bias, readings, forces
 
 
 def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
@@ -217,6 +228,48 @@ def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
         if spread < limit and np.linalg.norm(mean[:3]) < LOADS.max_bias:
             found[i] = mean
     return found
+
+
+def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
+    """Returns the rig with its sensors calibrated by a hand that touches nothing, still in several orientations.
+
+    `calibrate_wrench` takes the means over `LOADS.still` seconds in which the sensors hardly turned. The fingers'
+    sigmas become what it leaves, with the noise of single readings (`Finger.calibrated`). Raises InvalidInput, which
+    names the finger, where there are too few orientations.
+    """
+    tips, Ts_tip_sensor, window = _tips(rig), _Ts_tip_sensor(rig), list[Observation]()
+    rows: dict[str, list[Array]] = {name: [] for name in rig.fingers}
+    for observation in observations:
+        if observation.joint_positions is None or observation.T_world_palm is None:
+            continue
+        window.append(observation)
+        if observation.stamp - window[0].stamp < LOADS.still:
+            continue
+        first, last = (
+            np.array(o.T_world_palm)
+            @ rig.hand.kinematics(dict(o.joint_positions or {})).Ts_palm_tip[tips]
+            @ Ts_tip_sensor
+            for o in (window[0], window[-1])
+        )
+        readings, window = window, []
+        turned = np.linalg.norm(se3.rotation_log(first[:, :3, :3].swapaxes(1, 2) @ last[:, :3, :3]), axis=1)
+        if turned.max() > LOADS.still_turn or lacking(rig, readings):
+            continue
+        for R, (name, means) in zip(last[:, :3, :3], rows.items(), strict=True):
+            wrenches = np.array([o.wrenches[name] for o in readings])
+            means.append(
+                np.concatenate([wrenches.mean(axis=0), R.T @ rig.gravity, wrenches.var(axis=0, ddof=1)])
+            )
+    fingers = {}
+    for name, finger in rig.fingers.items():
+        F, M, G, v = np.split(np.array(rows[name]).reshape(-1, 15), [3, 6, 9], axis=1)
+        try:
+            found = calibrate_wrench(F, M, G, reading=finger.calibration.reading)
+        except InvalidInput as error:
+            raise InvalidInput(f"finger {name}: {error}") from None
+        noise = np.sqrt([v[:, :3].mean(), v[:, 3:].mean()])
+        fingers[name] = finger.calibrated(found, *np.maximum(noise, [1e-3, 5e-6]).tolist())
+    return replace(rig, fingers=fingers)
 
 
 def _tips(rig: Rig) -> list[int]:

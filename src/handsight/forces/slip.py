@@ -2,11 +2,17 @@
 
 A finger's ratio is √(f_t² + (τ / e)²) / (μ f_n), which is 1 on its limit surface. One finger at its limit does not make
 the object slip: one that sticks holds the object in all six directions. So the object slips when the *least* ratio is
-at the limit.
+at the limit. It also slips where it turns about one finger while three or more others slide and bounce.
+
+While it slips, contacts chatter: they stick, break and close again within milliseconds, and the tangential force
+turns. A mean over vectors is then far within the limit, and so is one over ratios: a finger's ratio is therefore the
+mean of the upper half of its last readings.
 """
 
+import itertools
 import math
-from collections.abc import Mapping
+import statistics
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -18,11 +24,20 @@ from handsight.rig import Rig
 class SlipOptions(NamedTuple):
     """`SlipOptions` say when contacts slip, as thresholds on a finger's ratio."""
 
-    begin_ratio: float = 0.95  # a slip begins when the least ratio is above this
-    end_ratio: float = 0.93  # and ends when it has been below this for `min_hold`
-    stick_ratio: float = 0.4  # or at once when it is below this
-    min_hold: float = 0.03  # at the limit of slipping, ratios fluctuate [s]
-    time_constant: float = 0.01  # of a load's running mean [s]: its noise is that of a mean over 20 ms
+    begin_ratio: float = 0.98  # a slip begins when the least ratio is above this
+    end_ratio: float = 0.97  # and ends when it has been below this for `min_hold`
+    max_sigma: float = 0.25  # share of μ; where μ is less certain no slip is reported
+    stick_ratio: float = 0.4  # a slip ends at once when a ratio is below this
+    min_chatter: float = 0.08
+    """A finger at its limit bounces if its normal force changes by this share of itself from one reading to the next;
+    one that has come to rest at its limit after it slid does not."""
+    min_bouncing: int = 3  # fewest such fingers that slip while one other finger sticks
+    min_hold: float = 0.008  # at the limit of slipping, ratios fluctuate [s]
+    window: float = 0.016  # of the readings from which a ratio is computed; two at least [s]
+    ratio_sigma: float = 0.04
+    """Readings are averaged only as far as a ratio's noise is above this: the upper half of several is above their true
+    mean by 0.7 standard deviations."""
+    time_constant: float = 0.01  # of the running mean of vectors from which friction is learnt [s]
     max_gap: float = 0.1  # between two readings: after a longer one the mean starts anew [s]
     min_force: float = 0.2  # normal force above which a finger's ratio counts [N]
     sure_force: float = 0.5  # normal force above which friction is learnt from the ratio [N]
@@ -35,6 +50,33 @@ SLIP = SlipOptions()
 
 Load = list[float]
 """Tangential force (3), normal force, torque about the normal."""
+
+
+class _Ratios(NamedTuple):
+    """A `_Ratios` is a finger's load on its limit surface, and the ratios of the last readings, without μ."""
+
+    tangential: float
+    """√(f_t² + (τ / e)²), averaged as far as its noise requires [N]."""
+    normal: float
+    """The same of f_n [N]."""
+    last: tuple[tuple[float, float, float], ...]
+    """Stamps [s], ratios and normal forces [N] of the last readings."""
+
+    @property
+    def chatter(self) -> float:
+        """How much the normal force changes from one reading to the next, as a share of itself."""
+        forces = [normal for *_, normal in self.last]
+        if len(forces) < 2:
+            return 0.0
+        changes = sum(abs(after - before) for before, after in itertools.pairwise(forces)) / (len(forces) - 1)
+        return changes * len(forces) / sum(forces)
+
+    @property
+    def upper(self) -> float:
+        """The mean ratio of the upper half of the last readings, of two at least."""
+        ratios = sorted((ratio for _, ratio, _ in self.last), reverse=True)
+        count = max(2, len(ratios) // 2)
+        return sum(ratios[:count]) / min(count, len(ratios))
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +93,19 @@ class Slip:
     """When the object began to slip, this time or the last [s]."""
     ended: float = -math.inf
     """When the last slip ended [s]."""
+    sigma_friction: float | None = None
+    """Standard deviation of that coefficient; None where it is unknown."""
 
     @property
     def least(self) -> float | None:
         """The least ratio, that of the finger that holds the object best; None where no ratio is known."""
         return min(self.ratios.values(), default=None)
+
+    @property
+    def pivots(self) -> bool:
+        """Whether fewer than two fingers are below their limits: what one finger holds can turn about it, slowly."""
+        holding = sum(ratio < SLIP.begin_ratio for ratio in self.ratios.values())
+        return bool(self.ratios) and holding < 2
 
 
 class SlipDetector:
@@ -64,60 +114,137 @@ class SlipDetector:
     `update` binds its attributes anew and changes none in place, so that a shallow copy evolves apart from it.
     """
 
-    def __init__(self, rig: Rig) -> None:
-        """Starts without loads, and with friction unknown."""
+    def __init__(self, rig: Rig, friction: tuple[float, float] | None = None) -> None:
+        """Starts without loads. `friction`: μ of the object and its standard deviation, None where it is unknown.
+
+        Where the rig's fingers declare theirs, μ is each finger's, joined with the object's.
+        """
         self.now = Slip()
         """The value after the last update."""
-        self.friction = Friction()
+        self._relative, prior = declared_friction(rig, friction)
+        """By finger, its μ relative to the common one."""
+        self.friction = Friction(*prior)
         self.stamp = self._at_limit = -math.inf
         """Stamps of the last update, and of the last one at the limit [s]."""
         self._min_forces = {
             name: (
                 max(SLIP.min_force, SLIP.min_force_sigmas * finger.sigma_force),
                 max(SLIP.sure_force, SLIP.sure_force_sigmas * finger.sigma_force),
+                math.hypot(finger.sigma_force, finger.sigma_torque / FRICTION.torsion),
             )
             for name, finger in rig.fingers.items()
         }
-        """By finger, the normal forces above which its ratio counts, and friction is learnt from it [N]."""
+        """By finger, the normal forces above which its ratio counts, and friction is learnt from it, and the noise of
+        its tangential load [N]."""
         self._means: Mapping[str, Load] = {}
         """By finger, the running mean of its load."""
+        self._ratios: Mapping[str, _Ratios] = {}
+        """By finger that touches, its last ratios."""
 
-    def update(self, stamp: float, fingers: tuple[str, ...], loads: Array | None) -> Slip:
+    def update(
+        self, stamp: float, fingers: tuple[str, ...], loads: Array | None, sliding: Collection[str] = ()
+    ) -> Slip:
         """Returns whether the object slips at `stamp` [s]; an update not newer than the last one changes nothing.
 
         `loads` (n, 5) are those on `fingers`, see `FingertipContacts.loads`; NaN where a finger does not measure its
-        load.
+        load. `sliding`: fingers of which other evidence tells that they slide; friction is learnt from them.
         """
         if not stamp > self.stamp:
             return self.now
         since, self.stamp = stamp - self.stamp, stamp
         rows = () if loads is None else zip(fingers, loads.tolist(), strict=True)
-        weight = 1 - math.exp(-since / SLIP.time_constant)
-        before = self._means if since <= SLIP.max_gap else {}
         # A load without a normal force, or with NaN, has no ratio.
+        usable = {name: row for name, row in rows if row[3] > 0 and math.isfinite(sum(row))}
+        weight = 1 - math.exp(-since / SLIP.time_constant)
+        goes_on = since <= SLIP.max_gap
+        before = self._means if goes_on else {}
         self._means = {
             name: [mean + weight * (x - mean) for mean, x in zip(before.get(name, row), row, strict=True)]
-            for name, row in rows
-            if row[3] > 0 and math.isfinite(sum(row))
+            for name, row in usable.items()
         }
-        vectors, sure = dict[str, Vector](), dict[str, Vector]()
-        for name, (x, y, z, normal, torque) in self._means.items():
-            enough, enough_to_learn = self._min_forces[name]
-            if normal > enough:
-                vectors[name] = x / normal, y / normal, z / normal, torque / FRICTION.torsion / normal
-            if normal > enough_to_learn:
-                sure[name] = vectors[name]
-        self.friction.update(sure)
         mu = self.friction.coefficient
-        ratios = {} if mu is None else {name: math.hypot(*vector) / mu for name, vector in vectors.items()}
+        self._ratios = {
+            name: self._read(name, stamp, row, mu, self._ratios.get(name) if goes_on else None)
+            for name, row in usable.items()
+        }
+        sure = dict[str, Vector]()
+        for name, (x, y, z, normal, torque) in self._means.items():
+            if normal > self._min_forces[name][1]:
+                scale = normal * self._relative[name]
+                sure[name] = x / scale, y / scale, z / scale, torque / FRICTION.torsion / scale
+        self.friction.update(sure, since if goes_on else 0.0, sliding)
+        mu, sigma = self.friction.coefficient, self.friction.sigma
+        ratios = {}
+        if mu is not None:
+            ratios = {
+                name: read.upper / (mu * self._relative[name])
+                for name, read in self._ratios.items()
+                if self._means[name][3] > self._min_forces[name][0]
+            }
 
         # Hysteresis, in the ratio and in time.
         was, least = self.now, min(ratios.values(), default=0.0)
-        if least >= (SLIP.end_ratio if was.slipping else SLIP.begin_ratio):
+        known = mu is not None and sigma is not None and sigma <= SLIP.max_sigma * mu
+        if known and (
+            least >= (SLIP.end_ratio if was.slipping else SLIP.begin_ratio) or self._bounces(ratios)
+        ):
             self._at_limit = stamp
         holds_after = SLIP.min_hold if was.slipping else 0.0
         slipping = least >= SLIP.stick_ratio and stamp - self._at_limit <= holds_after
         began = stamp if slipping and not was.slipping else was.began
         ended = stamp if was.slipping and not slipping else was.ended
-        self.now = Slip(slipping, ratios, mu, began, ended)
+        self.now = Slip(slipping, ratios, mu, began, ended, sigma)
         return self.now
+
+    def _bounces(self, ratios: Mapping[str, float]) -> bool:
+        """Returns whether all fingers but one are at their limit and bounce."""
+        at_limit = [name for name, ratio in ratios.items() if ratio >= SLIP.begin_ratio]
+        if len(at_limit) < max(SLIP.min_bouncing, len(ratios) - 1):
+            return False
+        return statistics.median(self._ratios[name].chatter for name in at_limit) >= SLIP.min_chatter
+
+    def _read(self, name: str, stamp: float, row: Load, mu: float | None, before: _Ratios | None) -> _Ratios:
+        """Returns a finger's ratios with a new reading."""
+        x, y, z, normal, torque = row
+        tangential = math.hypot(x, y, z, torque / FRICTION.torsion)
+        noise = self._min_forces[name][2] / normal
+        # A running mean with weight w for the last reading has a variance smaller by w / (2 - w).
+        wanted = (SLIP.ratio_sigma * (mu or 1.0)) ** 2
+        weight = min(2 * wanted / (noise**2 + wanted), 1.0)
+        last: tuple[tuple[float, float, float], ...] = ()
+        if before is not None:
+            tangential = before.tangential + weight * (tangential - before.tangential)
+            normal = before.normal + weight * (normal - before.normal)
+            last = before.last[-1:]
+            first = stamp - SLIP.window - 1e-9
+            if len(before.last) > 1 and before.last[-2][0] >= first:
+                last = tuple(each for each in before.last if each[0] >= first)
+        return _Ratios(tangential, normal, (*last, (stamp, tangential / normal, row[3])))
+
+
+def declared_friction(
+    rig: Rig, friction: tuple[float, float] | None
+) -> tuple[dict[str, float], tuple[float, float] | tuple[()]]:
+    """Returns by finger its μ relative to the common one, and the common μ with its sigma, empty where none is known.
+
+    A finger without one has the object's, or the mean of the others. Sigmas are combined as those of one measurement
+    each of the logarithm of μ.
+    """
+    fingers = {
+        name: (finger.friction, finger.sigma_friction)
+        for name, finger in rig.fingers.items()
+        if finger.friction is not None
+    }
+    known = list(fingers.values())
+    # The fingers' common error, as of the object's surface, is that of one of them.
+    prior = friction
+    if known:
+        mu = math.exp(sum(math.log(value) for value, _ in known) / len(known))
+        prior = mu, mu * math.sqrt(sum((sigma / value) ** 2 for value, sigma in known) / len(known))
+        if friction is not None:
+            (a, b), weights = (mu, friction[0]), [(value / sigma) ** 2 for value, sigma in (prior, friction)]
+            mean = (math.log(a) * weights[0] + math.log(b) * weights[1]) / sum(weights)
+            prior = math.exp(mean), math.exp(mean) / math.sqrt(sum(weights))
+        relative = {name: fingers[name][0] / mu if name in fingers else 1.0 for name in rig.fingers}
+        return relative, prior
+    return dict.fromkeys(rig.fingers, 1.0), prior or ()

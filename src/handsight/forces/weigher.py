@@ -45,11 +45,17 @@ class WeigherOptions(NamedTuple):
     """Sigma of the object's motion in addition to that of the tips and of creep, per axis after a second, where two or
     more tips hold it [m]; it grows with the root of time.
     """
-    loose_object_creep: float = 2e-3  # the same where fewer tips hold it
+    loose_object_creep: float = 3e-3
+    """The same where fewer tips hold it, because the others do not touch it or are at their limits of friction: boxes
+    of .3 to .5 kg move 3 to 6 mm in a second then, always the same way.
+    """
     sigma_gravity: float = float(
         np.deg2rad(1.0)
     )  # error of gravity's direction in the world, about each axis [rad]
-    wrong_mass: float = 3.3  # a mass that is farther off than so many sigmas contradicts the declared one
+    wrong_mass: float = 2.33
+    """A mass that is farther off than so many sigmas contradicts the declared one: by chance in 2 %, whose share of the
+    sigmas is mostly that of the declared mass, so that more directions are not more chances.
+    """
     biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
     restart_after: float = 3.0
     """How long loads may contradict the kept instants before these are dropped [s]."""
@@ -58,6 +64,9 @@ class WeigherOptions(NamedTuple):
 
 
 WEIGHER = WeigherOptions()
+
+PULLED_UP = "the object seems to be pulled up: does gravity point the other way?"
+ASSUMED = "the loads fit a weight only if sensors have wrong gains, or a small force is not measured"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,9 +91,13 @@ class Weigher:
         """The last weighing; None before the first one since the object was grasped."""
         self.reason = "nothing is lifted"
         """Why there is no weighing, or why it is not trusted; empty where it is trusted."""
+        self.assumed = ""
+        """What the rig does not have, and a trusted weighing still has to assume."""
         sensors = [[finger.sigma_force] * 3 + [finger.sigma_torque] * 3 for finger in rig.fingers.values()]
         self._biases = np.array(sensors).reshape(-1)
         """(6 t,) sigmas of the biases that calibration leaves: about as large as a reading's noise [N, N m]."""
+        self._gains = np.repeat([finger.sigma_gain for finger in rig.fingers.values()], 6)
+        """(6 t,) sigmas of the relative errors of the readings."""
         self.tare = np.zeros((len(rig.fingers), 6))
         """(t, 6) the biases, read while the tips touched nothing, in their sensors' frames [N, N m]."""
         self._lifted = False
@@ -92,6 +105,8 @@ class Weigher:
         self._kept: tuple[Kept, ...] = ()
         self._last: LoadSum | None = None
         self._fits_at = -np.inf
+        self._loose = False
+        """Whether the object could turn about one finger at any time since the last load."""
         self._doubted = False
         """Whether the kept instants were dropped because loads contradicted them, and no weighing was trusted since."""
 
@@ -104,7 +119,7 @@ class Weigher:
         """Drops all weighings and kept instants, for a reason such as that the object was released or has slipped."""
         if self._last is not None or self.reason != reason:
             self._window, self._kept, self._last, self.weighing, self.reason = (), (), None, None, reason
-            self._doubted = False
+            self._doubted, self.assumed = False, ""
 
     @property
     def biased(self) -> tuple[str, ...]:
@@ -127,12 +142,16 @@ class Weigher:
         fingers: tuple[str, ...],
         contacts: Contacts | None,
         joints: tuple[Array, Array],
+        *,
+        pivots: bool = False,
     ) -> bool:
         """Returns whether there is a new weighing, after an observation of an object in the air.
 
         `fingers` touch it, and `contacts` are theirs in the palm, in the same order. `joints`: the estimated constant
-        errors of the joints, their mean (j,) and L (j, j), where L Lᵀ is their covariance [rad].
+        errors of the joints, their mean (j,) and L (j, j), where L Lᵀ is their covariance [rad]. `pivots`: fewer than
+        two of the fingers are below their limits of friction (`Slip.pivots`).
         """
+        self._loose = self._loose or pivots
         if not self._lifted:
             self._lifted, self._window = True, ()
         window = self._full_window(observation)
@@ -143,13 +162,14 @@ class Weigher:
             return False
         places = [] if contacts is None else zip(contacts.points_palm, contacts.normals_palm, strict=True)
         load = load_sum(self.rig, window, dict(zip(fingers, places, strict=False)), joints[0])
-        load = replace(load, wrench=load.wrench - load.by_bias @ self.tare.ravel())
+        tare = self.tare.ravel()
+        load = replace(load, wrench=load.wrench - load.by_bias @ tare, readings=load.readings - tare)
         if np.linalg.norm(load.wrench[:3]) < WEIGHER.min_weight:
             self.reason = f"less than {WEIGHER.min_weight:g} N hangs on the fingertips"
             return False
         if self._last is not None:
-            self._kept = _carried_on(self._kept, self._last, load)
-        self._last = load
+            self._kept = _carried_on(self._kept, self._last, load, loose=self._loose)
+        self._last, self._loose = load, pivots
         self._weigh(load, joints[1])
         if load.acceleration <= WEIGHER.max_acceleration and load.turning <= WEIGHER.max_turning:
             self._keep(load)
@@ -176,11 +196,15 @@ class Weigher:
             k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > WEIGHER.new_direction
         ]
         instants = [*others, Carried(load)]
-        unknowns = Unknowns(root, self._biases, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity)
-        found = weigh(instants, unknowns, self.weighing)
+        exactly = Unknowns(root, self._biases, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity)
+        before = self.weighing
+        found = weigh(instants, replace(exactly, gains=self._gains), before)
+        if before is None or before.directions != found.directions:
+            exact = weigh(instants, exactly, before)
+            self.assumed = "" if exact.consistent else ASSUMED
         self.reason = ""
-        if found.mass <= 0:
-            self.reason = "the object seems to be pulled up: does gravity point the other way?"
+        if found.mass < -WEIGHER.wrong_mass * found.sigma_mass:
+            self.reason = PULLED_UP
         elif self.mass is not None:
             known = found.given_mass(self.mass, self.sigma_mass)
             off = abs(found.mass - self.mass) / np.hypot(found.sigma_mass, self.sigma_mass)
@@ -196,7 +220,8 @@ class Weigher:
             )
         self._doubted = self._doubted and bool(self.reason)
         self.weighing = found
-        if not self.reason or self._fits_at == -np.inf:
+        # Where only the declared mass contradicts them, the loads still fit those that were kept.
+        if not self.reason or (found.consistent and not self._doubted) or self._fits_at == -np.inf:
             self._fits_at = load.stamp
         if load.stamp - self._fits_at > WEIGHER.restart_after:
             self._kept, self._fits_at, self._doubted = (), load.stamp, True
@@ -214,13 +239,13 @@ class Weigher:
             self._kept = (*self._kept[:near], new, *self._kept[near + 1 :])
 
 
-def _carried_on(kept: tuple[Kept, ...], last: LoadSum, load: LoadSum) -> tuple[Kept, ...]:
+def _carried_on(kept: tuple[Kept, ...], last: LoadSum, load: LoadSum, *, loose: bool) -> tuple[Kept, ...]:
     """Returns the kept instants after the object's motion in the grip between two loads."""
     if not kept:
         return kept
     motion = moved_with_tips(last, load)
     T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
-    sigma = WEIGHER.loose_object_creep if motion is None else WEIGHER.object_creep
+    sigma = WEIGHER.loose_object_creep if loose or motion is None else WEIGHER.object_creep
     sigma *= float(np.sqrt(max(load.stamp - last.stamp, 0.0)))
     return tuple(replace(each, carried=each.carried.moved(T, creep, sigma)) for each in kept)
 
@@ -252,6 +277,10 @@ class ObjectWeight:
     """Why the weight is not trusted; empty where it is trusted."""
     biased: tuple[str, ...]
     """Fingers whose sensors have larger biases in the air than calibration leaves; these are subtracted."""
+    assumed: str = ""
+    """What the weighing has to assume, because the loads would not fit a weight if gains were exact: wrong gains, or a
+    small force that no sensor measures. Empty where they would.
+    """
 
     def kept_by_symmetries(self, model: ObjectModel) -> tuple[Array, float]:
         """Returns the centre of mass (3,) that the object's symmetries allow, and its largest sigma [m]."""
@@ -287,10 +316,11 @@ class WeightSensor:
         grasped: bool,
         lifted: bool,
         finger_on_table: bool,
+        pivots: bool,
     ) -> None:
         """Weighs the object if it is grasped and in the air; else measures the sensors' biases.
 
-        `touch` (fingers and their contacts) and `joints` are those of `Weigher.update`.
+        `touch` (fingers and their contacts), `joints` and `pivots` are those of `Weigher.update`.
         """
         reason = ""
         if not grasped:
@@ -303,7 +333,7 @@ class WeightSensor:
             self.weigher.forget(reason)
             self.weigher.listen(observation)
         else:
-            self.weigher.update(observation, *touch, joints)
+            self.weigher.update(observation, *touch, joints, pivots=pivots)
 
     @property
     def news(self) -> bool:
@@ -336,10 +366,6 @@ class WeightSensor:
         T = estimate.T_palm_object
         R, center = T[:3, :3], T[:3, :3].T @ (found.center_palm - T[:3, 3])
         by_pose = GaussianPose(T, estimate.bounded_covariance).at_point(center).covariance[:3, :3]
-        reason, declared = self.weigher.reason, self.model.center_of_mass
-        if not reason and estimate.weight_fits is False and declared is not None:
-            off = 1e3 * float(np.linalg.norm(center - declared))
-            reason = f"contacts and vision have the centre of mass elsewhere, by {off:.0f} mm"
         return ObjectWeight(
             mass=found.mass,
             sigma_mass=found.sigma_mass,
@@ -348,6 +374,28 @@ class WeightSensor:
             center_palm=found.center_palm,
             covariance_palm=found.covariance_center,
             directions=found.directions,
-            reason=reason,
+            reason=self.weigher.reason or self._elsewhere(estimate),
             biased=self.weigher.biased,
+            assumed=self.weigher.assumed,
         )
+
+    def doubt(self, estimate: PoseEstimate) -> str:
+        """Returns why the loads make an estimated pose doubtful; empty where they do not.
+
+        Gravity of the wrong sign makes the tips' own weight wrong too, and with it every contact. Loads that fit one
+        weight in several directions are strong evidence: what contradicts them may be wrong itself.
+        """
+        if self.weigher.reason == PULLED_UP:
+            return PULLED_UP
+        found = self.weigher.believed
+        strong = found is not None and found.directions >= WEIGHER.trusted_directions
+        return self._elsewhere(estimate) if strong else ""
+
+    def _elsewhere(self, estimate: PoseEstimate) -> str:
+        """Returns how far the weight's centre is from where the rest has it; empty where they do not differ."""
+        found, declared = self.weigher.weighing, self.model.center_of_mass
+        if estimate.weight_fits is not False or found is None or declared is None:
+            return ""
+        T = estimate.T_palm_object
+        off = 1e3 * float(np.linalg.norm(T[:3, :3] @ declared + T[:3, 3] - found.center_palm))
+        return f"contacts, vision and the table have the centre of mass {off:.0f} mm from where the weight has it"

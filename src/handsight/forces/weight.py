@@ -6,9 +6,13 @@ With g = R_wpᵀ (gravity - acceleration), along the palm's axes and about its o
     F = Σ f = m g + ε_F,    T = Σ (t + s × f) = m c × g + ε_T.
 
 Both are linear in (m, m c) and, to first order, in the unknowns that all instants have in common: joint offsets δq,
-gravity's direction φ (where the world's z is not vertical, g turns by φ × g), and the tips' biases b. Each constant is
-one unknown, however many instants there are: treated as noise, it would make the estimate from five orientations worse
-than that from three, with a smaller covariance.
+gravity's direction φ (where the world's z is not vertical, g turns by φ × g), the tips' biases b, and their gains γ: an
+axis of a sensor that reads a share γ too much adds that share of its reading, so that a squeeze, whose true forces
+balance, leaves a net force. Each constant is one unknown, however many instants there are: treated as noise, it would
+make the estimate from five orientations worse than that from three, with a smaller covariance.
+
+Constants u with unit priors, whose derivatives are the columns C of all whitened rows, are the same as correlated noise
+of the rows, of covariance I + C Cᵀ: that leaves a problem of (m, m c) alone, and its residuals tell u afterwards.
 
 An earlier instant is carried along as the object moves in the grip (`object_motion`): T_now_then moves its points with
 the tips, and c creeps by κ d in addition. So c = T_now_then c_then + κ d, which keeps the torque linear in (m, m c, κ)
@@ -67,6 +71,8 @@ class Unknowns:
     """(3,) nominal gravity in the world [m/s²]."""
     sigma_gravity: float
     """Sigma of gravity's direction, about each axis [rad]."""
+    gains: Array = field(default_factory=lambda: np.zeros(1))
+    """(6 t,) sigmas of the relative errors of each tip's readings, one for each axis of its sensor; zero: none."""
 
 
 @renamed_members(chance="p_value", chance_fixed="p_fixed")
@@ -163,18 +169,27 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
         mass, moment, passes = start.mass, start.mass * start.center_palm, 1
     for _ in range(passes):
         rows = np.concatenate([_whitened(instant, unknowns, mass, moment) for instant in instants])
-        H, y, fixed = rows[:, :-7], rows[:, -7], rows[:, -6:]
-        information = H.T @ H
-        information[:4, :4] += prior.T @ prior  # c is near the loads
-        information[4:, 4:] += np.eye(len(information) - 4)
-        covariance = np.asarray(np.linalg.inv(information))
+        C = rows[:, 4:-7]
+        L = np.linalg.cholesky(np.eye(len(rows)) + C @ C.T)
+        rows = np.asarray(np.linalg.solve(L, rows))
+        H, C, y, fixed = rows[:, :4], rows[:, 4:-7], rows[:, -7], rows[:, -6:]
+        covariance = np.asarray(np.linalg.inv(H.T @ H + prior.T @ prior))  # c is near the loads
         x = covariance @ (H.T @ y)
         mass, moment = float(x[0]), x[1:4]
-    left, off = y - H @ x, prior @ x[:4]
-    chi2 = float(left @ left + off @ off + x[4:] @ x[4:])
-    # An unknown with a prior costs no degree of freedom; of mass and moment (4), the prior covers three.
-    mean, joint = _marginal(x, covariance, unknowns)
+    left, off = y - H @ x, prior @ x
+    # Constants with a prior cost no degree of freedom; of mass and moment (4), the prior covers three.
+    chi2 = float(left @ left + off @ off)
     p_fixed = score_test(fixed, left, H, covariance)
+    # Of (m, c, δq), from those of (m, m c) and of the joints in units of their sigmas.
+    Cj, D = C[:, 4 : 4 + unknowns.joints.shape[1]], np.zeros((4, 4))
+    D[0, 0], D[1:, 0], D[1:, 1:] = 1.0, -moment / mass**2, np.eye(3) / mass
+    by_center = -Cj.T @ H @ covariance @ D.T  # how the joints' errors follow those of (m, c)
+    within = np.eye(Cj.shape[1]) - Cj.T @ Cj + Cj.T @ H @ covariance @ H.T @ Cj
+    joints = unknowns.joints
+    joint = np.block(
+        [[D @ covariance @ D.T, by_center.T @ joints.T], [joints @ by_center, joints @ within @ joints.T]]
+    )
+    mean = np.concatenate([[mass], moment / mass, joints @ (Cj.T @ left)])
     return Weighing(mean, joint, chi2, len(rows) - 1, p_fixed, len(instants))
 
 
@@ -189,22 +204,11 @@ def score_test(columns: Array, residuals: Array, H: Array, covariance: Array) ->
     return float(chdtrc(observable.sum(), ((vectors.T @ score)[observable] ** 2 / values[observable]).sum()))
 
 
-def _marginal(x: Array, covariance: Array, unknowns: Unknowns) -> tuple[Array, Array]:
-    """Returns the mean (4 + j,) and covariance of (m, c, δq), from those of (m, m c, φ, κ, joints, biases)."""
-    L = unknowns.joints
-    mass, j = x[0], L.shape[1]
-    center, chosen = x[1:4] / mass, [0, 1, 2, 3, *range(8, 8 + j)]
-    D = np.zeros((4 + len(L), 4 + j))
-    D[0, 0], D[1:4, 0], D[1:4, 1:4], D[4:, 4:] = 1.0, -center / mass, np.eye(3) / mass, L
-    mean = np.concatenate([[mass], center, L @ x[8 : 8 + j]])
-    return mean, D @ covariance[np.ix_(chosen, chosen)] @ D.T
-
-
 def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) -> Array:
     """Returns the six whitened rows of an instant, linear at (m, m c) = (`mass`, `moment`).
 
-    The columns are the derivatives by (m, m c, φ, κ, joints, biases), 4 + 3 + 1 + j + 6 t, all but the first four in
-    units of their sigmas; then the measured wrench (1), and the derivatives by a wrench fixed in the palm (6).
+    The columns are the derivatives by (m, m c, φ, κ, joints, biases, gains), 4 + 3 + 1 + j + 12 t, all but the first
+    four in units of their sigmas; then the measured wrench (1), and the derivatives by a wrench fixed in the palm (6).
     """
     load, g = instant.load, instant.load.gravity
     R, t = instant.T_now_then[:3, :3], instant.T_now_then[:3, 3]
@@ -224,7 +228,8 @@ def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) 
     noise[3:, 3:] += (mass * WEIGHT_FIT.gyration**2 * load.turning) ** 2 * np.eye(3)
     noise[3:, 3:] += (mass * instant.sigma) ** 2 * G @ G.T
     by_joints, by_biases = load.by_joint @ unknowns.joints, load.by_bias * unknowns.biases
+    by_gains = load.by_bias * (load.readings * unknowns.gains)
     # In units of 1 N, and of the torque of 1 N at `sigma_reach`.
     fixed = np.diag(np.repeat([1.0, WEIGHT_FIT.sigma_reach], 3))
-    rows = np.column_stack([rows, by_joints, by_biases, load.wrench, fixed])
+    rows = np.column_stack([rows, by_joints, by_biases, by_gains, load.wrench, fixed])
     return np.asarray(np.linalg.solve(np.linalg.cholesky(noise), rows))

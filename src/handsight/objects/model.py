@@ -45,6 +45,10 @@ class ObjectModel(Geometry):
     """(3,) in the object's frame [m]; None where unknown."""
     sigma_center_of_mass: float = USUAL_SIGMA
     """One standard deviation of the centre of mass per axis [m]."""
+    friction: float | None = None
+    """Coefficient of friction between fingertips and object; None where it is to be learnt."""
+    sigma_friction: float = 0.1
+    """Standard deviation of that coefficient."""
 
     def __post_init__(self) -> None:
         """Raises InvalidInput where `symmetries` are of another type."""
@@ -226,6 +230,14 @@ class ObjectModel(Geometry):
         weight = None if mass is None else checks.positive(mass, "mass")
         return dataclasses.replace(self, mass=weight, center_of_mass=center, sigma_center_of_mass=sigma)
 
+    def with_friction(self, friction: float | None, sigma: float = 0.1) -> Self:
+        """Returns the same object with this coefficient of friction and its sigma; None: to be learnt.
+
+        Raises InvalidInput.
+        """
+        check_friction(friction, sigma, "friction")
+        return dataclasses.replace(self, friction=friction, sigma_friction=sigma)
+
     @property
     def volume_centroid(self) -> Array:
         """(3,) the centroid of the volume: the centre of mass of a homogeneous object [m].
@@ -235,6 +247,14 @@ class ObjectModel(Geometry):
         if not self.closed or not isinstance(self.surface, Triangles):
             raise InvalidObject("object: expected a closed mesh for its volume's centroid, got none")
         return self.surface.volume_centroid
+
+
+def check_friction(friction: float | None, sigma: float, name: str) -> None:
+    """Raises InvalidInput for a coefficient of friction, or its standard deviation, that no two materials have."""
+    if friction is not None and not 0.01 <= float(checks.finite(friction, name, ())) <= 10:
+        raise InvalidInput(f"{name}: expected a number from 0.01 to 10, got {friction:g}")
+    if not 1e-4 <= float(checks.finite(sigma, f"sigma_{name}", ())) <= 10:
+        raise InvalidInput(f"sigma_{name}: expected a number from 0.0001 to 10, got {sigma:g}")
 
 
 def _length(value: float, name: str) -> float:

@@ -6,11 +6,12 @@ from typing import Literal
 
 from handsight.errors import InvalidInput
 from handsight.objects.model import ObjectModel
+from handsight.objects.symmetry_search import propose_symmetries
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectSpec:
-    """An `ObjectSpec` is one of box, cylinder, mesh and name, and the declared weight of the object."""
+    """An `ObjectSpec` is one of box, cylinder, mesh and name, and the declared weight and friction of the object."""
 
     box: tuple[float, float, float] | None = None
     """Sides [m]."""
@@ -22,12 +23,18 @@ class ObjectSpec:
     """Metres per unit of that file."""
     name: str | None = None
     """Name in the library, as `ObjectModel.from_library` takes it."""
+    symmetries: Literal["find"] | None = None
+    """`find`: rotations that keep the shape are symmetries (`propose_symmetries`), even if a print tells them apart."""
     mass: float | None = None
     """Mass [kg]; it replaces that of an object in the library."""
     center_of_mass: tuple[float, float, float] | Literal["homogeneous"] | None = None
     """Centre of mass in the object's frame [m]; `homogeneous`: the centroid of its volume."""
     sigma_center_of_mass: float | None = None
     """Standard deviation of the centre of mass per axis [m]."""
+    friction: float | None = None
+    """Coefficient of friction between fingertips and object."""
+    sigma_friction: float | None = None
+    """Standard deviation of that coefficient."""
 
     def model(self) -> ObjectModel:
         """Returns the object with its weight; raises a HandsightError."""
@@ -41,6 +48,11 @@ class ObjectSpec:
             model = ObjectModel.from_file(self.mesh, scale=self.scale)
         else:
             raise InvalidInput("object: expected one of box, cylinder, mesh, name, got none")
+        if self.symmetries is not None:
+            model = model.with_symmetries(propose_symmetries(model))
+        if self.friction is not None:
+            sigma_friction = model.sigma_friction if self.sigma_friction is None else self.sigma_friction
+            model = model.with_friction(self.friction, sigma_friction)
         if self.mass is None and self.center_of_mass is None:
             return model
         center = model.volume_centroid if self.center_of_mass == "homogeneous" else self.center_of_mass

@@ -96,6 +96,7 @@ Positive = Annotated[float, Meta(gt=0)]
 AtLeastZero = Annotated[float, Meta(ge=0)]
 Angle = Annotated[float, Meta(ge=0, le=180)]
 Pixels = Annotated[float, Meta(gt=0, le=1e5)]
+Friction = Annotated[float, Meta(ge=0.01, le=10)]
 Load = Annotated[float, Meta(gt=0, le=checks.MAX_LOAD)]
 Text = Annotated[str, Meta(pattern=r"\S")]
 Vector = tuple[float, float, float]
@@ -159,6 +160,7 @@ class TipForm(Form):
 class SensorNoiseForm(Form):
     sigma_force: Load | None = field(name="force", default=None)
     sigma_torque: Load | None = field(name="torque", default=None)
+    sigma_gain: Annotated[float, Meta(ge=0, le=1)] | None = field(name="gain", default=None)
 
 
 class BiasForm(Form):
@@ -194,6 +196,8 @@ class FingerForm(Section, kw_only=True):
         key("calibration, softness: what joints and sensor do not explain", metres=LARGEST),
     ] = None
     sigma_normal: Angle | None = field(name="sigma_normal_deg", default=None)
+    friction: Annotated[Friction | None, key("with objects; without it, it is learnt")] = None
+    sigma_friction: Friction | None = None
     sensor: SensorForm
 
     def finger(self) -> Finger:
@@ -216,6 +220,7 @@ class FingerForm(Section, kw_only=True):
             tip=self.tip.shape(se3.inverse(T_frame_surface) @ T_surface_sensor),
             calibration=calibration,
             full_scale=sensor.full_scale,
+            friction=self.friction,
             **(sensor.noise or SensorNoiseForm()).sigmas(),
             **self.sigmas(),
         )
@@ -264,6 +269,12 @@ class CameraForm(Section):
     pose: Annotated[PoseForm | None, key("of its optical frame (x right, y down, z forward)")] = None
     noise: Annotated[VisionNoiseForm | None, key("of a detected pose, independent in each image")] = None
     constant_error: Annotated[VisionNoiseForm | None, key("of its calibration")] = None
+    correlated_error: Annotated[VisionNoiseForm | None, key("that images of nearly the same time share")] = (
+        None
+    )
+    correlation_time: Annotated[Positive | None, key("for which it lasts [s]")] = None
+    latency: Annotated[AtLeastZero | None, key("by which a pose is older than its stamp [s]")] = None
+    sigma_latency: AtLeastZero | None = None
     depth_camera: Annotated[
         DepthCamera | None, key("structured_light, time_of_flight or stereo: how it measures depth")
     ] = None
@@ -278,7 +289,9 @@ class CameraForm(Section):
 
     def camera(self) -> MountedCamera:
         """Returns the part of the rig."""
-        constant, k = (self.constant_error or VisionNoiseForm()).sigmas(), self.intrinsics
+        k = self.intrinsics
+        errors = {"constant": self.constant_error, "correlated": self.correlated_error}
+        given = {key: getattr(self, key) for key in ("correlation_time", "latency", "sigma_latency")}
         return MountedCamera(
             on=self.fixed_to,
             T_mount_camera=(self.pose or PoseForm()).matrix(),
@@ -287,7 +300,12 @@ class CameraForm(Section):
             lens=np.array(self.lens or [], dtype=np.float64),
             depth_camera=self.depth_camera or "structured_light",
             **(self.noise or VisionNoiseForm()).sigmas(),
-            **{f"{name}_constant": value for name, value in constant.items()},
+            **{
+                f"{name}_{kind}": value
+                for kind, error in errors.items()
+                for name, value in (error or VisionNoiseForm()).sigmas().items()
+            },
+            **{key: value for key, value in given.items() if value is not None},
         )
 
 
@@ -342,14 +360,19 @@ class ObjectForm(Form):
     mesh: Text | None = None
     scale: Positive | None = None
     name: Text | None = None
+    symmetries: Literal["find"] | None = None
     mass: Annotated[Positive | None, key(kilograms=100)] = None
     center_of_mass: Annotated[Vector | Literal["homogeneous"] | None, key(metres=5)] = None
     sigma_center_of_mass: Annotated[Positive | None, key(metres=5)] = None
+    friction: Annotated[Friction | None, key("with the fingertips; without it, it is learnt")] = None
+    sigma_friction: Friction | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.sigma_center_of_mass is not None and self.center_of_mass is None:
             raise ValueError("sigma_center_of_mass: expected beside center_of_mass only, got it alone")
+        if self.sigma_friction is not None and self.friction is None:
+            raise ValueError("sigma_friction: expected beside friction only, got it alone")
         kinds = ("box", "cylinder", "mesh", "name")
         found = [kind for kind in kinds if getattr(self, kind) is not None]
         if len(found) != 1:

@@ -20,6 +20,7 @@ from handsight.hand import Hand
 from handsight.msgspec_errors import FieldPath as FieldPath
 from handsight.msgspec_errors import field_name
 from handsight.objects import ObjectSpec
+from handsight.objects.model import check_friction
 from handsight.representation import short_repr
 
 DepthCamera = Literal["structured_light", "time_of_flight", "stereo"]
@@ -50,21 +51,40 @@ class Finger:
     """Noise of a force reading [N]."""
     sigma_torque: float = 5e-5
     """Noise of a torque reading [N m]."""
+    sigma_gain: float = 0.02
+    """Constant relative error of the readings of each axis, such as of its calibration matrix."""
     sigma_point: float = 5e-4
     """Error of a contact's position beside those of joints and sensor: calibration, a soft tip [m]."""
     sigma_normal: float = np.deg2rad(1.0)
     """The same of a contact's normal [rad]."""
     full_scale: tuple[float, float] | None = None
     """Largest force [N] and torque [N m] that the sensor can read; such a reading is no measurement."""
+    friction: float | None = None
+    """Coefficient of friction between tip and objects; None where it is to be learnt."""
+    sigma_friction: float = 0.1
+    """Standard deviation of that coefficient."""
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        """Raises InvalidInput for a wrong pose or standard deviation."""
+        """Raises InvalidInput for a wrong pose, standard deviation or coefficient of friction."""
         se3.check(self.T_frame_surface, "T_frame_surface")
         for name in ("sigma_force", "sigma_torque"):
             checks.sigma(getattr(self, name), name)
-        _check_sigmas(self, "sigma_point", "sigma_normal")
+        check_friction(self.friction, self.sigma_friction, "friction")
+        _check_sigmas(self, "sigma_point", "sigma_normal", "sigma_gain")
+
+    def calibrated(
+        self, found: WrenchCalibration, noise_force: float = 1e-3, noise_torque: float = 5e-6
+    ) -> "Finger":
+        """Returns the finger with a calibration of its sensor, and with sigmas that cover what that leaves.
+
+        Real sensors leave .1 to .5 N where their noise is a few millinewton, because a bias that depends on the
+        direction of gravity fits no calibration. `noise_force` [N] and `noise_torque` [N m]: of a single reading.
+        """
+        left = [np.mean(np.square(part)) for part in (found.residual_force, found.residual_torque)]
+        sigma_force, sigma_torque = np.sqrt(left + np.square([noise_force, noise_torque])).tolist()
+        return replace(self, calibration=found, sigma_force=sigma_force, sigma_torque=sigma_torque)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -91,6 +111,18 @@ class MountedCamera:
     """Constant error of a detected pose's position, by a wrong extrinsic calibration [m]."""
     sigma_rotation_constant: float = np.deg2rad(6.0)
     """Constant error of its rotation [rad]."""
+    sigma_position_correlated: float | None = None
+    """Error of a detected pose's position that images of nearly the same time share, by the object's visible side,
+    smoothing, or the texture [m]; None: twice `sigma_position`. Of published estimators it is once to three times the
+    part that is independent in each image."""
+    sigma_rotation_correlated: float | None = None
+    """The same error of its rotation [rad]; None: `sigma_rotation`."""
+    correlation_time: float = 5.0
+    """How long such an error lasts: the time in which its correlation falls by a factor of e [s]."""
+    latency: float = 0.0
+    """How much older a pose, or an image, is than its stamp says [s]."""
+    sigma_latency: float = 0.1
+    """How far the latency may be another [s]; it is estimated while the hand moves the object."""
 
     __repr__ = short_repr
 
@@ -102,7 +134,19 @@ class MountedCamera:
         if self.depth_camera not in kinds:
             came = f"{checks.brief(self.depth_camera)!r}{checks.suggestion(str(self.depth_camera), kinds)}"
             raise InvalidInput(f"depth_camera: expected one of {', '.join(kinds)}, got {came}")
-        _check_sigmas(self, *(name for name in MountedCamera.__slots__ if name.startswith("sigma")))
+        sigmas = (name for name in MountedCamera.__slots__ if name.startswith("sigma"))
+        _check_sigmas(self, *(name for name in sigmas if getattr(self, name) is not None))
+        checks.positive(self.correlation_time, "correlation_time")
+        if not 0 <= float(checks.finite(self.latency, "latency", ())) <= 1:
+            raise InvalidInput(f"latency: expected a number from 0 to 1, got {self.latency:g}")
+
+    @property
+    def drift(self) -> Array:
+        """(3,) variance of the correlated error: position [m²], rotation [rad²], and how long it lasts [s]."""
+        position, rotation = self.sigma_position_correlated, self.sigma_rotation_correlated
+        position = 2 * self.sigma_position if position is None else position
+        rotation = self.sigma_rotation if rotation is None else rotation
+        return np.array([position**2, rotation**2, self.correlation_time])
 
     def with_images_of(self, camera: Camera) -> "MountedCamera":
         """Returns the same camera with these intrinsics, as a CameraInfo has them."""

@@ -1,6 +1,7 @@
 """A `Rig` as the text of a `rig.yaml`, with a comment beside each key; reading the text gives the same rig again."""
 
 import json
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -54,6 +55,16 @@ def pose_text(T: Array) -> str:
     return _inline(_pose(T))
 
 
+def sensor_text(finger: Finger) -> list[str]:
+    """Returns what a calibration finds of a finger's sensor, as the rig file's lines below `sensor`."""
+    sensor = _finger(finger)["sensor"]
+    lines = (f"{name}: {_inline(sensor[name])}" for name in ("noise", "bias", "tip_mass", "tip_center"))
+    return [
+        re.sub(r"\d+\.\d+(e-\d+)?", lambda number: _inline(float(f"{float(number[0]):.4g}")), line)
+        for line in lines
+    ]
+
+
 def _values(kind: type[Form], part: object, **given: object) -> Values:
     """Returns the values of a form's keys: those that are given, else the part's attributes; angles in degrees."""
     values = Values()
@@ -78,7 +89,10 @@ def _finger(finger: Finger) -> Values:
         tip_center=known.center_of_mass,
     )
     shape = _values(form.TipForm, tip, **size)
-    return _values(form.FingerForm, finger, surface=_pose(finger.T_frame_surface), tip=shape, sensor=sensor)
+    given: dict[str, Any] = {"surface": _pose(finger.T_frame_surface), "tip": shape, "sensor": sensor}
+    if finger.friction is None:
+        given["sigma_friction"] = None
+    return _values(form.FingerForm, finger, **given)
 
 
 def _camera(camera: MountedCamera) -> Values:
@@ -93,6 +107,12 @@ def _camera(camera: MountedCamera) -> Values:
             camera,
             sigma_position=camera.sigma_position_constant,
             sigma_rotation=camera.sigma_rotation_constant,
+        ),
+        correlated_error=_values(
+            form.VisionNoiseForm,
+            camera,
+            sigma_position=camera.sigma_position_correlated,
+            sigma_rotation=camera.sigma_rotation_correlated,
         ),
         intrinsics=None,
         lens=None,

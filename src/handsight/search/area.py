@@ -1,6 +1,6 @@
 """The prior of a search by touch: where on a table the object may stand before it is touched."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 from handsight.rig import Table
+from handsight.search.touch import Sweep
 
 MAX_STABLE_POSES = 24
 SAME_STABLE_POSE = float(np.deg2rad(20.0))
@@ -23,17 +24,20 @@ class Area:
     """An `Area` is a uniform prior over the poses of an object that stands on a table, in a rectangle, at any yaw.
 
     A placement is a row (x [m], y [m], yaw [rad], index of the stable pose): the position of the middle of the object's
-    bounds in the world, the rotation about the vertical, and the side on which the object stands.
+    bounds along the table's axes, the rotation about its normal, and the side on which the object stands. The table's
+    axes are those of the world, but for its tilt.
     """
 
     low: Array
-    """(2,) smallest x and y of the middle of the object's bounds, in the world [m]."""
+    """(2,) smallest x and y of the middle of the object's bounds, along the table's axes [m]."""
     high: Array
     """(2,) largest x and y of it [m]."""
     table: Table
-    """The table that the object stands on."""
+    """The table that the object stands on; its height is along its normal."""
     Rs_world_object: Array
-    """(k, 3, 3) orientations of the stable poses at yaw 0, each as likely as the others."""
+    """(k, 3, 3) orientations of the stable poses on a level table at yaw 0, each as likely as the others."""
+    R_world_table: Array = field(default_factory=lambda: np.eye(3))
+    """(3, 3) the table's tilt, as measured: its axes, the normal last."""
 
     def __post_init__(self) -> None:
         """Checks the fields; raises InvalidInput."""
@@ -48,7 +52,11 @@ class Area:
             se3.check(se3.compose(R, np.zeros(3)), f"area.Rs_world_object[{i}]")
         if not len(Rs):
             raise InvalidInput("area.Rs_world_object: expected at least one way to stand, got none")
-        for name, value in (("low", low), ("high", high), ("Rs_world_object", Rs)):
+        R_table = checks.finite(self.R_world_table, "area.R_world_table", (3, 3))
+        se3.check(se3.compose(R_table, np.zeros(3)), "area.R_world_table")
+        for name, value in zip(
+            ("low", "high", "Rs_world_object", "R_world_table"), (low, high, Rs, R_table), strict=True
+        ):
             object.__setattr__(self, name, value)
 
     def draw(self, n: int, rng: np.random.Generator) -> Array:
@@ -69,15 +77,25 @@ class Area:
         stable = placements[:, 3].astype(int)
         R = se3.rotation_exp(vertical) @ self.Rs_world_object[stable]
         middle = np.column_stack([placements[:, :2], self.center_heights(model)[stable]])
+        R, middle = self.R_world_table @ R, middle @ self.R_world_table.T
         return se3.compose(R, middle - R @ model.center_object)
 
+    def sweep(self, through: Array, along: Array, height: float, reach: float) -> Sweep:
+        """Returns the sweep at a height above the table through a point (2,) along a unit vector (2,).
+
+        Its ends are `reach` from the area's middle, measured along its direction [m]. All are along the table's axes.
+        """
+        start = through + (((self.low + self.high) / 2 - through) @ along - reach) * along
+        start_world = self.R_world_table @ [*start, self.table.height + height]
+        return Sweep(start_world, self.R_world_table[:, :2] @ along, 2 * reach)
+
     def center_heights(self, model: ObjectModel) -> Array:
-        """Returns (k,) the height of the middle of the object's bounds in each stable pose, in the world [m]."""
+        """Returns (k,) the height [m] of the bounds' middle in each stable pose, along the table's normal."""
         up = self.Rs_world_object[:, 2]
         return np.asarray(self.table.height + up @ model.center_object - (up @ model.vertices.T).min(axis=1))
 
     def top_heights(self, model: ObjectModel) -> Array:
-        """Returns (k,) the height of the object's highest point in each stable pose, in the world [m]."""
+        """Returns (k,) the height of the object's highest point in each stable pose, along the table's normal [m]."""
         up = self.Rs_world_object[:, 2] @ model.vertices.T
         return np.asarray(self.table.height + up.max(axis=1) - up.min(axis=1))
 

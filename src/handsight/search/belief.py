@@ -1,5 +1,6 @@
 """The posterior of a search by touch: particles, drawn anew after each touch and weighted by all touches so far."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -44,19 +45,21 @@ class ParticleOptions(NamedTuple):
 class LikelihoodOptions(NamedTuple):
     """`LikelihoodOptions` are the errors of a touch in addition to its covariance."""
 
-    push: float = 0.001
+    push: float = 0.0005
     """How far each touch pushes the object, one standard deviation per axis, which displaces older contacts [m]."""
     freedom: float = 5.0
     """Degrees of freedom of Student's t: errors of contacts at an edge are larger than their covariance."""
+    other_share: float = 0.02  # of contacts that are with something else, such as the table or a cable
+    other_range: float = 0.3  # over which the distance of such a contact from the object is uniform [m]
     min_sigma_yaw: float = float(np.deg2rad(0.1))  # least standard deviation of the yaw [rad]
 
 
 class CertaintyOptions(NamedTuple):
     """`CertaintyOptions` say when the likeliest mode is certain enough to end a search and grasp the object."""
 
-    probability: float = 0.95  # least probability of the mode
-    sigma_position: float = 0.006  # largest standard deviation of the position in the table's plane [m]
-    sigma_yaw: float = float(np.deg2rad(4.0))  # largest standard deviation of the yaw [rad]
+    probability: float = 0.95  # least probability of an error of position and rotation within both limits
+    position: float = 0.008  # of the object's middle [m]
+    rotation: float = float(np.deg2rad(8.0))  # modulo the symmetries of the model [rad]
 
 
 PARTICLES, LIKELIHOOD, CERTAINTY = ParticleOptions(), LikelihoodOptions(), CertaintyOptions()
@@ -77,17 +80,17 @@ class Mode:
     """Their mean and covariance, with the errors of the table's height and tilt."""
     probability: float
     """The mode's share of all particles."""
+    certainty: float
+    """Probability that the object is within 8 mm and 8° of the mode's pose: the share of all particles that are."""
+    sigma_position: float
+    """Standard deviation of the object's middle in the table's plane [m]."""
+    sigma_yaw: float
+    """Standard deviation of the rotation about the vertical, modulo symmetry [rad]."""
 
     @property
     def is_certain(self) -> bool:
         """Whether the mode is so likely and so narrow that the object can be grasped there."""
-        variances = np.diag(self.pose_world_object.covariance)
-        position, yaw = np.sqrt([variances[:2].sum(), variances[5]])
-        return bool(
-            self.probability > CERTAINTY.probability
-            and position < CERTAINTY.sigma_position
-            and yaw < CERTAINTY.sigma_yaw
-        )
+        return self.certainty > CERTAINTY.probability
 
 
 @renamed_members(places="placements")
@@ -213,7 +216,15 @@ class Belief:
         sigmas = [0.0, 0.0, table.sigma_height, table.sigma_tilt, table.sigma_tilt, LIKELIHOOD.min_sigma_yaw]
         covariance = (offsets - mean).T @ (offsets - mean) / len(offsets) + np.diag(np.square(sigmas))
         at_center = GaussianPose(se3.compose(R, middle), covariance)
-        return Mode(at_center.at_point(-model.center_object), len(Ts) / len(self.placements))
+        # The table's errors are independent of the touches.
+        off2 = ((offsets - mean) ** 2).reshape(-1, 2, 3).sum(axis=2)
+        off2 += [table.sigma_height**2, 2 * table.sigma_tilt**2]
+        near = (off2 < np.square([CERTAINTY.position, CERTAINTY.rotation])).all(axis=1)
+        deviations = np.sqrt(np.diag(covariance))
+        pose, n = at_center.at_point(-model.center_object), len(self.placements)
+        return Mode(
+            pose, len(Ts) / n, float(near.sum()) / n, float(np.hypot(*deviations[:2])), float(deviations[5])
+        )
 
 
 def placements_about(
@@ -225,7 +236,11 @@ def placements_about(
     along the object's outline if the relative positions of the tip are. `radius` is the tip's [m]. The result is empty,
     (0, 4), where the object is not as high as the contact in any stable pose.
     """
-    normal, covariance = contact_world.normals_palm[0], contact_world.covariance[0]
+    covariance = contact_world.covariance[0]
+    contact_world = contact_world.moved(
+        se3.compose(area.R_world_table.T, np.zeros(3))
+    )  # along the table's axes
+    normal = contact_world.normals_palm[0]
     middle = tip_center(contact_world, radius)
     arms, outward, stable = _touching_tips(model, area, float(middle[2]), radius, rng)
     if not len(arms):
@@ -268,8 +283,8 @@ def contact_log_likelihoods(
 ) -> Array:
     """Returns (n, k) the log likelihood at each pose (n, 4, 4) of each of the k contacts among the touches.
 
-    It is that of the contact's distance to the surface and of its normal, by Student's t. The errors of the table's
-    height and tilt are marginalised.
+    It is that of the contact's distance to the surface and of its normal, by Student's t, or, with a small probability,
+    of a contact with something else. The errors of the table's height and tilt are marginalised.
     """
     contacts = [
         (len(touches) - 1 - i, touch.contact_world, touch.radius)
@@ -277,6 +292,7 @@ def contact_log_likelihoods(
         if touch.contact_world
     ]
     R, freedom = Ts_world_object[:, :3, :3], LIKELIHOOD.freedom
+    constant = math.lgamma((freedom + 3) / 2) - math.lgamma(freedom / 2) - 1.5 * math.log(freedom * math.pi)
     middle = se3.apply(Ts_world_object, model.center_object[None])[:, 0]
     log_likelihoods = np.empty((len(Ts_world_object), len(contacts)))
     for k, (later, contact, radius) in enumerate(contacts):
@@ -294,9 +310,11 @@ def contact_log_likelihoods(
         of_normal = of_normal + curvature2 * of_point
         angle = 2 * np.arcsin(np.clip(np.linalg.norm(n - normal, axis=1) / 2, 0, 1))
         chi2 = (values.distance - radius) ** 2 / of_distance + angle**2 / of_normal
-        log_likelihoods[:, k] = -(freedom + 3) / 2 * np.log1p(chi2 / freedom)
+        log_likelihoods[:, k] = constant - (freedom + 3) / 2 * np.log1p(chi2 / freedom)
         log_likelihoods[:, k] -= np.log(of_distance) / 2 + np.log(of_normal)
-    return log_likelihoods
+    # A contact with something else is at any distance, and its normal in any direction.
+    other = np.log(LIKELIHOOD.other_share / (LIKELIHOOD.other_range * 4 * np.pi))
+    return np.logaddexp(log_likelihoods, other)
 
 
 def free_log_likelihood(model: ObjectModel, touches: Sequence[Touch], Ts_world_object: Array) -> Array:

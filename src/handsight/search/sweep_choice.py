@@ -1,25 +1,29 @@
-"""The choice of the next sweep: the most informative one, whose outcome is least certain given the belief."""
+"""The choice of the next sweep: the one whose outcome tells most about the object's pose."""
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handsight import checks, se3
-from handsight.checks import Array, Indices
+from handsight import checks
+from handsight.checks import Array, Mask
+from handsight.correction.modes import pose_distances
 from handsight.errors import InvalidInput
-from handsight.search.belief import Belief
+from handsight.search.belief import CERTAINTY, Belief
 from handsight.search.touch import Sweep, cast
 
 
 class SweepOptions(NamedTuple):
     """`SweepOptions` say how the next sweep is chosen."""
 
-    distance_bin: float = 0.004  # width of the bins of a touch's distance along the sweep [m]
-    normal_bin: float = float(np.deg2rad(12.0))  # width of the bins of its normal's two angles [rad]
-    max_normal_bins: int = 1000  # more than an angle has bins: it combines three bin numbers into one
+    sigma_distance: float = 0.0025  # of a touch, along the normal: a degree at each joint of the finger [m]
+    sigma_normal: float = float(np.deg2rad(6.0))  # of a touch's normal [rad]
+    same: float = (
+        0.5  # poses this near to each other, relative to the limits of certainty, need not be distinguished
+    )
+    curvature_radius: float = 0.03  # of a surface that a sweep brushes [m]
     max_sweeps: int = 256  # sweeps that are compared
-    max_poses: int = 512  # particles on which each sweep is cast
+    max_poses: int = 128  # particles on which each sweep is cast
     margin: float = 0.03
     """Length of a sweep before the first and beyond the last point at which it may meet the object [m]."""
 
@@ -28,31 +32,37 @@ SWEEPS = SweepOptions()
 
 
 def expected_information(belief: Belief, sweeps: list[Sweep], radius: float) -> Array:
-    """Returns (s,) the entropy of each sweep's outcome under the belief [nat], for a tip of `radius` [m].
+    """Returns (s,) the expected information of each sweep about the object's pose [nat], for a tip of `radius` [m].
 
-    An outcome is a miss, or a distance in bins of 4 mm with a normal in bins of 12°. The expected information of a
-    sweep is this entropy less that of the measurement's noise, which is about the same for all sweeps.
+    The outcome is a miss, or a distance and a normal with a touch's noise. The information is a lower bound by the
+    Bhattacharyya distances between the outcomes of all pairs of poses (Kolchinsky and Tracey 2017, α = 1/2). Pairs so
+    near to each other that the object can be grasped at either are not distinguished.
     """
-    distances, normals = cast(belief.model, _some_poses(belief), sweeps, radius)
-    azimuth = np.arctan2(normals[..., 1], normals[..., 0])
-    elevation = np.arcsin(np.clip(normals[..., 2], -1, 1))
+    Ts = _some_poses(belief)
+    distances, normals, gaps = cast(belief.model, Ts, sweeps, radius)
     hit = np.isfinite(distances)
-    bins = np.stack(
-        [
-            np.where(hit, distances, 0.0) / SWEEPS.distance_bin,
-            azimuth / SWEEPS.normal_bin,
-            elevation / SWEEPS.normal_bin,
-        ]
-    )
-    i, j, k = np.floor(bins).astype(np.int64)
-    miss = -SWEEPS.max_normal_bins * SWEEPS.max_normal_bins
-    outcomes: Indices = np.where(hit, (i * SWEEPS.max_normal_bins + j) * SWEEPS.max_normal_bins + k, miss)
-    entropies = []
-    for row in outcomes:
-        _, counts = np.unique(row, return_counts=True)
-        share = counts / counts.sum()
-        entropies.append(float(-(share * np.log(share)).sum()))
-    return np.array(entropies)
+    directions = np.array([sweep.direction_world for sweep in sweeps])
+    cosines = -np.einsum("snj,sj->sn", normals, directions)
+    # How far the path would have to be shifted for a miss to be a hit, or a hit to be a miss.
+    margins = np.where(hit, SWEEPS.curvature_radius * cosines**2 / 2, gaps)
+    same = _same(belief, Ts)
+    information = []
+    for k in range(len(sweeps)):
+        d, n, m, h = np.where(hit[k], distances[k], 0.0), normals[k], margins[k], hit[k]
+        chi2 = ((d[:, None] - d) * (cosines[k, :, None] + cosines[k]) / 2 / SWEEPS.sigma_distance) ** 2
+        chi2 += ((n[:, None] - n) ** 2).sum(axis=2) / SWEEPS.sigma_normal**2
+        chi2 = np.where(h[:, None] & h, chi2, ((m[:, None] + m) / SWEEPS.sigma_distance) ** 2)
+        chi2[same | ~(h[:, None] | h)] = 0.0
+        information.append(-np.log(np.exp(-chi2 / 8).mean(axis=1)).mean())
+    return np.maximum(information, 0.0)
+
+
+def _same(belief: Belief, Ts_world_object: Array) -> Mask:
+    """Returns (n, n) whether two poses (n, 4, 4) are so near that the object can be grasped at either."""
+    pairs = [pose_distances(belief.model, Ts_world_object, T) for T in Ts_world_object]
+    shifts, turns = np.array(pairs).transpose(1, 0, 2)
+    limits = SWEEPS.same * CERTAINTY.position, SWEEPS.same * CERTAINTY.rotation
+    return np.asarray((shifts < limits[0]) & (turns < limits[1]))
 
 
 def candidates(belief: Belief, heights: ArrayLike, rng: np.random.Generator) -> list[Sweep]:
@@ -64,29 +74,15 @@ def candidates(belief: Belief, heights: ArrayLike, rng: np.random.Generator) -> 
     levels = checks.finite(heights, "heights", (None,))
     if not len(levels) or not (levels > 0).all():
         raise InvalidInput(f"heights: expected some above 0, got {checks.brief(levels)}")
-    poses = _some_poses(belief)
-    middles = se3.apply(poses, belief.model.center_object[None])[:, 0]
-    reach = (
-        float(np.linalg.norm(belief.area.high - belief.area.low)) / 2 + belief.model.radius + SWEEPS.margin
-    )
-    center = (belief.area.low + belief.area.high) / 2
+    area, some = belief.area, belief.placements[:: max(len(belief.placements) // SWEEPS.max_poses, 1), :2]
+    reach = float(np.linalg.norm(area.high - area.low)) / 2 + belief.model.radius + SWEEPS.margin
     sweeps = []
     for _ in range(SWEEPS.max_sweeps):
         angle, offset = rng.uniform(0, 2 * np.pi), belief.model.radius * rng.uniform(-1, 1)
         along, lateral = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-        through = middles[rng.integers(len(middles)), :2] + offset * lateral
-        height = belief.area.table.height + rng.choice(levels)
-        sweeps.append(level_sweep(center, reach, through, along, height))
+        through = some[rng.integers(len(some))] + offset * lateral
+        sweeps.append(area.sweep(through, along, rng.choice(levels), reach))
     return sweeps
-
-
-def level_sweep(center: Array, reach: float, through: Array, along: Array, height: float) -> Sweep:
-    """Returns the level sweep through a point (2,) in the direction `along` (2,), a unit vector, at a height [m].
-
-    It starts and ends at a distance `reach` from `center` (2,), measured along its direction [m].
-    """
-    start = through + ((center - through) @ along - reach) * along
-    return Sweep(np.array([*start, height]), np.array([*along, 0.0]), 2 * reach)
 
 
 def shortened(belief: Belief, sweep: Sweep, radius: float) -> Sweep:
@@ -94,7 +90,7 @@ def shortened(belief: Belief, sweep: Sweep, radius: float) -> Sweep:
 
     `radius` is the tip's [m].
     """
-    distances, _ = cast(belief.model, belief.Ts_world_object, [sweep], radius)
+    distances, _, _ = cast(belief.model, belief.Ts_world_object, [sweep], radius)
     hits = distances[np.isfinite(distances)]
     if not len(hits):
         return sweep

@@ -9,7 +9,7 @@ from handsight._deprecated import renamed_keywords
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.errors import InvalidInput
-from handsight.objects import ObjectModel
+from handsight.objects import ObjectModel, propose_symmetries
 
 MAX_CAST_STEPS = 40
 CAST_TOLERANCE = 2e-4
@@ -71,6 +71,17 @@ class Touch:
             raise InvalidInput(f"touch.contact_world: expected one contact with a normal or None, got {came}")
 
 
+def with_symmetries_of_touch(model: ObjectModel, sigma: float) -> ObjectModel:
+    """Returns a model with the symmetries that its surface has within `sigma` [m], the error of a touch.
+
+    A camera may distinguish such poses, by a print on the surface; touch cannot. The declared symmetries stay where
+    the surface proposes no more.
+    """
+    proposed, declared = propose_symmetries(model, sigma), model.symmetries
+    more = (len(proposed.axes), len(proposed.rotations)) > (len(declared.axes), len(declared.rotations))
+    return model.with_symmetries(proposed) if more else model
+
+
 def tip_center(contact_world: Contacts, radius: float) -> Array:
     """Returns the middle (3,) of a ball of `radius` [m] that touches the object at a contact.
 
@@ -81,11 +92,12 @@ def tip_center(contact_world: Contacts, radius: float) -> Array:
 
 def cast(
     model: ObjectModel, Ts_world_object: Array, sweeps: list[Sweep], radius: float
-) -> tuple[Array, Array]:
-    """Returns how far a ball moves along s sweeps until it meets the object at n poses, and the normals there.
+) -> tuple[Array, Array, Array]:
+    """Returns how far a ball moves along s sweeps until it meets the object at n poses, the normals there, and gaps.
 
     `Ts_world_object` is (n, 4, 4), `radius` the ball's [m]. The distances (s, n) are infinite where the ball passes by
-    [m]; the object's outward normals (s, n, 3) are along the world's axes. Each step is as long as the ball's distance
+    [m]; the object's outward normals (s, n, 3) are along the world's axes. The gaps (s, n) are the least
+    distances between ball and object [m]. Each step is as long as the ball's distance
     from the object (sphere tracing, Hart 1996).
     """
     s, n = len(sweeps), len(Ts_world_object)
@@ -96,10 +108,11 @@ def cast(
     u = np.einsum("nij,nj->ni", Ts_object_world[:, :3, :3], directions)
     lengths = np.repeat([sweep.length for sweep in sweeps], n)
     travelled, hit, active = np.zeros(s * n), np.full(s * n, np.inf), np.arange(s * n)
-    normals_object = np.zeros((s * n, 3))
+    normals_object, gaps = np.zeros((s * n, 3)), np.full(s * n, np.inf)
     for _ in range(MAX_CAST_STEPS):
         values = model.evaluate(p[active] + travelled[active, None] * u[active])
         gap = values.distance - radius
+        gaps[active] = np.minimum(gaps[active], gap)
         arrived = gap < CAST_TOLERANCE
         ended = active[arrived]
         hit[ended], normals_object[ended] = travelled[ended], values.gradient[arrived]
@@ -108,4 +121,4 @@ def cast(
         if not len(active):
             break
     normals = np.einsum("nji,nj->ni", Ts_object_world[:, :3, :3], normals_object)
-    return hit.reshape(s, n), normals.reshape(s, n, 3)
+    return hit.reshape(s, n), normals.reshape(s, n, 3), gaps.reshape(s, n)

@@ -8,7 +8,7 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.simulation.scenario import SCENARIO, Nuisances, Profile, Scenario
-from handsight.simulation.scene import FINGERS, PALM, SimulatedScene, scene
+from handsight.simulation.scene import FINGERS, PALM, SimulatedScene, TipErrors, scene
 
 if TYPE_CHECKING:
     from mujoco import MjData
@@ -22,6 +22,8 @@ class PullOptions(NamedTuple):
     step: float = 0.5  # duration of a step of the force [s]
     rise: float = 0.05  # how long the force takes to rise to a step [s]
     frequency: float = 1.5  # of a sine [1/s]
+    jerk: float = 0.06  # duration of a jerk; one begins with each step [s]
+    creep: float = 0.1  # factor on the speed at which a creeping pull no longer follows the object
     min_speed: float = 0.03
     """Smallest draw of the speed along the tips at which the pull no longer follows the object [m/s]."""
     max_speed: float = 0.1  # largest draw of that speed [m/s]
@@ -56,12 +58,9 @@ class Payload:
         """Returns the payload drawn by the scenario's seed; raises as `scene` does."""
         n, rng = scenario.nuisances, np.random.default_rng((int(scenario.seed), 10))
         off, force = rng.normal(size=3), rng.normal(size=3)
-        of_contacts: dict[str, Any] = {"friction": float(n.friction), "softness": float(n.contact_softness)}
-        of_contacts |= {
-            "pyramidal": bool(n.pyramidal_friction),
-            "tip_errors": tip_errors(n, int(scenario.seed)),
-        }
-        usual = scene(scenario.object, **of_contacts)
+        touch: dict[str, Any] = {"friction": float(n.friction), "pyramidal": bool(n.pyramidal_friction)}
+        touch |= {"softness": float(n.contact_softness), "tip_errors": tip_errors(n, int(scenario.seed))}
+        usual = scene(scenario.object, **touch)
         low, high = usual.bounds_object
         point = (low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low)
         force *= n.unsensed_force / np.linalg.norm(force)
@@ -71,7 +70,7 @@ class Payload:
         if mass != SCENARIO.object_mass or n.object_off_center:
             most = (high - low) / 3
             shift = np.clip(n.object_off_center * off / np.linalg.norm(off), -most, most)
-            usual = scene(scenario.object, mass, tuple(shift.tolist()), **of_contacts)
+            usual = scene(scenario.object, mass, tuple(shift.tolist()), **touch)
         return cls(usual, force, point, n.support_force, base)
 
     def press(self, data: "MjData") -> None:
@@ -86,7 +85,7 @@ class Payload:
         body.xfrc_applied[:3], body.xfrc_applied[3:] = sum(forces), torque
 
 
-def tip_errors(nuisances: Nuisances, seed: int) -> tuple[tuple[float, float], ...]:
+def tip_errors(nuisances: Nuisances, seed: int) -> TipErrors:
     """Returns by how much each finger's true radius and length differ from the rig's [m]."""
     draws = np.clip(np.random.default_rng((seed, 14)).normal(size=(len(FINGERS), 2)), -2, 2)
     return tuple((float(wider), float(longer)) for wider, longer in nuisances.tip_size * draws)
@@ -109,6 +108,7 @@ class Pull:
         self._force = scenario.nuisances.pull_force * direction / np.linalg.norm(direction)
         self._torque = scenario.nuisances.pull_torque * axis / np.linalg.norm(axis)
         self._max_speed = rng.uniform(PULL.min_speed, PULL.max_speed)
+        self._max_speed *= PULL.creep if scenario.motion == "creep" else 1.0
         self._max_travel = rng.uniform(PULL.min_travel, PULL.max_travel)
         self._profile, self._slipped = scenario.motion, 0.0
 
@@ -129,11 +129,14 @@ class Pull:
 def pull_share(profile: str, since: float) -> float:
     """Returns the strength of a pull as a share of its greatest force, at a time after its beginning [s]."""
     share = since / PULL.duration
-    if profile == "ramp":
+    steps, within = divmod(since, PULL.step)
+    if profile in ("ramp", "creep"):
         return share
     if profile == "steps":
-        steps, within = divmod(since, PULL.step)
         return min(1.0, (steps + min(within / PULL.rise, 1.0)) * PULL.step / PULL.duration)
+    if profile == "jerks":
+        height = min(1.0, (steps + 1) * PULL.step / PULL.duration)
+        return height * math.sin(math.pi * within / PULL.jerk) ** 2 if within < PULL.jerk else 0.0
     return share * (1 - math.cos(2 * math.pi * PULL.frequency * since)) / 2
 
 

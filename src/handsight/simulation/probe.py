@@ -16,7 +16,7 @@ from handsight.observation import Observation
 from handsight.search import Sweep, Touch
 from handsight.simulation.motion import Grasp, least_jerk
 from handsight.simulation.robot import rig_of
-from handsight.simulation.scenario import SCENARIO, Phase, Sample, Scenario
+from handsight.simulation.scenario import SCENARIO, Nuisances, Phase, Sample, Scenario
 from handsight.simulation.scene import PALM, T_MOUNT_PALM, scene
 from handsight.simulation.simulate import Sensors
 from handsight.simulation.world import World, rows
@@ -29,11 +29,13 @@ FINGER = "ff"
 class ProbeOptions(NamedTuple):
     """`ProbeOptions` say how a finger searches the table and the object."""
 
-    reach: float = 0.03
-    """How far the tip's middle is below the finger's first link, which is wider than the tip [m]. A taller part of the
-    object would be pushed by that link where the tip passes.
+    reach: float = 0.06
+    """How far the tip's middle may be below the object's top [m]: the lowest knuckle of the fist is 71 mm above it. The
+    finger's first link, 31 mm above it and 1 mm wider than the tip, trails by its lean.
     """
+    levels: int = 4  # heights of sweeps that are compared
     radius: float = 0.009  # of the tip's sides [m]
+    sigma_relative: float = 0.0005  # of the tip's height at one place relative to that at another [m]
     sigma: float = 0.0025  # of the tip's position, per axis [m]: a degree at each joint of the finger
     lean: float = float(np.deg2rad(12.0))
     """Angle of the finger from the vertical, its tip ahead, so that the tip is first to meet a wall [rad]."""
@@ -91,10 +93,13 @@ class Probe(World):
         super().__init__(replace(scenario, motion="grasp", images=False), grasp)
         self._hold_object(self._start)
         self.refresh()
-        self._sensors = Sensors(scenario, self)
+        # A robot that searches waits for a message until it has it.
+        certain = replace(scenario.nuisances, message_loss=0.0)
+        self._sensors = Sensors(replace(scenario, nuisances=certain), self)
         self._sensors.T_world_scene = T_world_table @ self._sensors.T_world_scene
         self.top = float(np.ptp(corners[:, 2]))
         """Height of the object above the table [m]."""
+        self._on_table = False
         self._recording, self.recorded = recording, list[Sample]()
         self._every = round(SCENARIO.steps_per_second / scenario.rate)
         self._T_world_palm = self._sensors.T_world_scene @ self.pose(PALM)
@@ -110,18 +115,18 @@ class Probe(World):
         return np.asarray(self._sensors.T_world_scene @ self.pose("object"))
 
     @property
-    def heights(self) -> tuple[float, float]:
-        """Lowest and highest middle of the tip above the table at which it alone meets the object [m]."""
+    def heights(self) -> Array:
+        """(n,) middles of the tip above the table at which it alone meets the object, the lowest first [m]."""
         lowest = max(PROBE.min_height, self.top - PROBE.reach)
-        return lowest, max(lowest, self.top - PROBE.top_margin)
+        return np.linspace(lowest, max(lowest, self.top - PROBE.top_margin), PROBE.levels)
 
-    def measure_table(self, places: ArrayLike) -> float:
-        """Returns the mean height of the table [m], touched by the tip at places (n, 2) in the world [m].
+    def measure_table(self, places: ArrayLike) -> tuple[float, Array]:
+        """Returns the table's height along its normal [m], and its axes R_world_table (3, 3), by touching it.
 
-        Places beside the table are left out; raises InvalidInput where all are.
+        `places` (n, 2) are in the world [m]. Those beside the table are left out; raises InvalidInput where all are.
         """
-        found, places = [], np.atleast_2d(places)
-        for x, y in places:
+        found = []
+        for x, y in np.atleast_2d(places):
             R = self._turned(np.array([1.0, 0.0, 0.0]))
             begin = self._palm(R, np.array([x, y, PROBE.table_start]))
             self._travel(begin)
@@ -131,14 +136,21 @@ class Probe(World):
                 if FINGER in sensed.fingers or sensed.reasons[FINGER] == "on the table":
                     T = self._tip(sample.observation)
                     # The lowest point of the tip's ellipsoid.
-                    found.append(float(T[2, 3] - np.linalg.norm(T[2, :3] * self._finger.tip.semi_axes)))
+                    low = float(T[2, 3] - np.linalg.norm(T[2, :3] * self._finger.tip.semi_axes))
+                    found.append([*T[:2, 3], low])
                     break
         if not found:
             raise InvalidInput(
-                f"places: expected some over the table, touched nothing at any of {len(places)}"
+                f"places: expected some over the table, touched nothing at any of {len(np.atleast_2d(places))}"
             )
-        heights = np.array(found)
-        return float(heights[np.abs(heights - np.median(heights)) < PROBE.table_unevenness].mean())
+        points = np.array(found)
+        points = points[np.abs(points[:, 2] - np.median(points[:, 2])) < PROBE.table_unevenness]
+        # The slopes are near 0, by the table's prior. An error that all touches share moves the height only.
+        prior = PROBE.sigma_relative / Nuisances().table_tilt
+        rows = np.vstack([np.insert(points[:, :2], 0, 1, axis=1), prior * np.eye(3)[1:]])
+        height, *slopes = np.linalg.lstsq(rows, np.append(points[:, 2], [0.0, 0.0]))[0]
+        R_world_table = _frame(np.array([1.0, 0.0, slopes[0]]), np.array([0.0, 1.0, slopes[1]]))
+        return float(height * R_world_table[2, 2]), R_world_table
 
     def touch(self, sweep: Sweep) -> Touch:
         """Returns the result of a sweep: the hand travels to its start, and along it until it touches something."""
@@ -148,7 +160,7 @@ class Probe(World):
         contact = None
         for sample in self._along(_shifted(start, _distances(sweep.length)[:, None] * sweep.direction_world)):
             contact = self._sensed_contact(sample.observation)
-            if contact is not None:
+            if contact is not None or self._on_table:
                 break
             tip = self._tip(sample.observation)[:3, 3]
             if not free or np.linalg.norm(tip - free[-1]) >= PROBE.free_spacing:
@@ -166,6 +178,7 @@ class Probe(World):
     def _sensed_contact(self, observation: Observation) -> Contacts | None:
         """Returns the contact of the stretched finger in the world; None where its force is below `stop_force`."""
         sensed = self._tips.contacts(observation)
+        self._on_table = sensed.reasons.get(FINGER) == "on the table"
         if FINGER not in sensed.fingers or sensed.contacts is None or sensed.loads is None:
             return None
         k = sensed.fingers.index(FINGER)

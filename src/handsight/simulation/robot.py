@@ -86,7 +86,7 @@ def model_of(scenario: Scenario) -> ObjectModel:
     else:
         vertices, faces = convex_hull(scenario.object)
         model = ObjectModel.from_mesh(n.object_scale * vertices, faces)
-    scan_points, center = 4000, model.volume_centroid
+    scan_points, center = 4000, model.volume_centroid if n.declared_mass else None
     if n.object_dent > 0:
         # A round dent at a random point of the sides; the mesh is made fine enough to be smooth there.
         import trimesh

@@ -15,7 +15,7 @@ from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig.rig import DepthCamera
 
-Profile = Literal["ramp", "steps", "sine"]
+Profile = Literal["ramp", "steps", "sine", "creep", "jerks"]
 Motion = Literal["grasp", "manipulate", "weigh", Profile]
 Phase = Literal["touch", "close", "hold", "move", "pull"]
 
@@ -109,7 +109,7 @@ class Nuisances:
     """Coefficient of friction of the fingertips; torsional friction is
     proportional to it, with an arm of 5 mm."""
     pull_force: float = 9.0
-    """Greatest force with which the object is pulled in the motions `ramp`, `steps` and `sine` [N]."""
+    """Greatest force with which the object is pulled, in the motions of a `Profile` [N]."""
     pull_torque: float = 0.0
     """Greatest torque of that pull [N m]."""
     force_gain: float = 0.0
@@ -235,7 +235,8 @@ class Scenario:
     motion: Motion = "grasp"
     """`grasp`: the fingers close, the object is let go and held for half a second. Then, with `manipulate`: it is moved
     over the table, lifted and turned; with `weigh`: lifted, tilted by 20° about two axes, with pauses, and shaken; with
-    `ramp`, `steps` and `sine`: lifted, pulled by a force of that profile while the hand is still, and tilted."""
+    `ramp`, `steps`, `sine`, `jerks` and `creep` (a ramp that follows slowly): lifted, pulled by a force of that profile
+    while the hand is still, and tilted."""
     rate: float = 100.0
     """Observations per second; 500 must be a multiple of it."""
     images: bool = False

@@ -29,6 +29,7 @@ PALM = "robot0:palm"
 T_MOUNT_PALM = se3.compose(np.eye(3), np.array([0.0, 0.01, 0.29]))
 """(4, 4) of the palm in the hand's mount, with the wrist straight."""
 FINGERS = ("ff", "mf", "rf", "lf", "th")
+TipErrors = tuple[tuple[float, float], ...]
 
 
 class SceneOptions(NamedTuple):
@@ -118,7 +119,7 @@ def scene(
     friction: float = 1.0,
     pyramidal: bool = False,
     softness: float = 0.0,
-    tip_errors: tuple[tuple[float, float], ...] = ((0.0, 0.0),) * len(FINGERS),
+    tip_errors: TipErrors = ((0.0, 0.0),) * 5,
 ) -> SimulatedScene:
     """Returns the scene with an object: `name` is `can`, `box` or a mesh file.
 
@@ -166,11 +167,7 @@ def hand_file() -> Path:
 
 
 def _change_hand(
-    mujoco: ModuleType,
-    spec: "MjSpec",
-    friction: float,
-    softness: float,
-    tip_errors: tuple[tuple[float, float], ...],
+    mujoco: ModuleType, spec: "MjSpec", friction: float, softness: float, tips: TipErrors
 ) -> None:
     """Replaces each distal link's collision shape by an ellipsoid on a sensor, which measures every force on the link.
 
@@ -180,7 +177,7 @@ def _change_hand(
     for pair in list(spec.pairs):
         if pair.geomname1 in replaced or pair.geomname2 in replaced:
             spec.delete(pair)
-    for finger, (wider, longer) in zip(FINGERS, tip_errors, strict=True):
+    for finger, (wider, longer) in zip(FINGERS, tips, strict=True):
         semi_axes, center_z = tip_shape(finger)
         semi_axes += [wider, wider, longer]
         spec.delete(spec.geom(f"robot0:C_{finger}distal"))

@@ -60,15 +60,15 @@ class Sensors:
         self._past.append((self.T_world_scene @ self.world.pose("object"), self.world.data.qpos.copy()))
         T_world_object, configuration = self._past[0]  # as old as the delay, or the oldest there is
         n, color, depth, vision = self.nuisances, None, None, None
-        self.lost, no_vision, no_image, *no_wrench = self._losses.random(3 + len(FINGERS)) < n.message_loss
+        lost, no_vision, no_image, *no_wrench = self._losses.random(3 + len(FINGERS)) < n.message_loss
+        self.lost = bool(lost)
         T_camera_world = self._T_camera_world @ self._drifted()
         if self._due(10.0):
             off = _errors(n.vision_position, n.vision_rotation, self._vision)
             vision = PoseMeasurement(se3.moved(T_camera_world @ T_world_object, off), "camera")
         if self._renderer is not None and self._due(30.0):
-            color, exact = self._renderer.take(
-                configuration, se3.inverse(T_camera_world @ self.T_world_scene)
-            )
+            T_scene_camera = se3.inverse(T_camera_world @ self.T_world_scene)
+            color, exact = self._renderer.take(configuration, T_scene_camera)
             depth = add_depth_noise(exact, self._depth_noise, self._image_noise, int(self.scenario.seed))
         self._samples += 1
         # A deflected tip, which the joints do not measure, looks like joints turned the other way.
@@ -79,6 +79,7 @@ class Sensors:
         loads = self._constant.gains * np.array([self.world.reading(finger) for finger in FINGERS])
         play = np.repeat([n.force_backlash, n.torque_backlash], 3)
         self._loads = np.clip(loads if self._loads is None else self._loads, loads - play, loads + play)
+        wrenches = zip(FINGERS, self._loads + errors, no_wrench, strict=True)
         late = min(n.stamp_jitter, 0.9 / self.scenario.rate) * self._jitter.random()
         skin: dict[str, Array] = {}
         if self._skin is not None:
@@ -86,11 +87,7 @@ class Sensors:
         return Observation(
             stamp=self.world.time + late,
             joint_positions=dict(zip(self.world.scene.joints, joints.tolist(), strict=True)),
-            wrenches={
-                finger: wrench
-                for finger, wrench, lost in zip(FINGERS, self._loads + errors, no_wrench, strict=True)
-                if not lost
-            },
+            wrenches={finger: wrench for finger, wrench, lost in wrenches if not lost},
             vision=None if no_vision else vision,
             T_world_palm=self.T_world_scene @ self.world.pose(PALM),
             color=None if no_image else color,
@@ -117,9 +114,8 @@ class Sensors:
         passed = 1 / (self.scenario.rate * n.vision_drift_time) if n.vision_drift_time else np.inf
         kept = np.exp(-passed) if self._samples else 0.0
         self._drift = kept * self._drift + np.sqrt(1 - kept**2) * self._wander.normal(size=6)
-        return moved_about_target(
-            n.vision_drift_position * self._drift[:3], n.vision_drift_rotation * self._drift[3:]
-        )
+        shift, rotation = n.vision_drift_position * self._drift[:3], n.vision_drift_rotation * self._drift[3:]
+        return moved_about_target(shift, rotation)
 
     def _due(self, per_second: float) -> bool:
         """Returns whether this sample has a measurement that comes at a rate [1/s]."""

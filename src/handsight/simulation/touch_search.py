@@ -1,6 +1,6 @@
 """The complete task without a camera: a search by touch, then a grasp at the estimated pose."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -8,11 +8,11 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.errors import InvalidInput
+from handsight.errors import InvalidInput, NotFound
 from handsight.objects import ObjectModel
 from handsight.observation import PoseMeasurement
 from handsight.rig import MountedCamera, Rig, Table
-from handsight.search import Area, Belief, best_sweep
+from handsight.search import Area, Belief, best_sweep, open_text, with_symmetries_of_touch
 from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.motion import Grasp
 from handsight.simulation.probe import PROBE, Probe
@@ -26,15 +26,19 @@ class TouchSearchOptions(NamedTuple):
     """`TouchSearchOptions` configure the search for an object on a table by touch."""
 
     area_side: float = 0.3  # of the square that contains the object [m]
-    sigma_table_height: float = 0.0025  # of the table under the object, between the touched places [m]
+    sigma_table_height: float = (
+        0.0015  # of the table after it is touched: an error of the finger's joints [m]
+    )
+    sigma_table_tilt: float = float(np.deg2rad(0.5))  # of the object on it, after the table is touched [rad]
     max_touches: int = 12  # before the search gives up
     pause: float = 0.5  # from the search to the open hand beside the object, which is not simulated [s]
 
 
 TOUCH_SEARCH = TouchSearchOptions()
 
-TABLE_PROBES = 0.2 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-"""(4, 2) places outside the searched square where the table is touched [m]."""
+TABLE_PROBES = np.kron([[0.2], [0.32]], [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+"""(8, 2) places outside the searched square where the table is touched [m]. Some may be beside it: the table ends near
+the object."""
 
 
 def touch_search_rig(scenario: Scenario) -> Rig:
@@ -63,32 +67,40 @@ def start_search(
     x, y, turn = np.random.default_rng((seed, 11)).uniform([-half, -half, -np.pi], [half, half, np.pi])
     T_world_table = se3.compose(se3.rotation_exp(np.array([0.0, 0.0, turn])), np.array([x, y, 0.0]))
     probe = Probe(scenario, R, T_world_table, recording=recording)
-    height = probe.measure_table(TABLE_PROBES)
-    table = Table(height=height, sigma_height=TOUCH_SEARCH.sigma_table_height)
-    return probe, Belief(model, Area(np.full(2, -half), np.full(2, half), table, R[None]), seed)
+    height, R_world_table = probe.measure_table(TABLE_PROBES)
+    table = Table(
+        height=height,
+        sigma_height=TOUCH_SEARCH.sigma_table_height,
+        sigma_tilt=TOUCH_SEARCH.sigma_table_tilt,
+    )
+    area = Area(np.full(2, -half), np.full(2, half), table, R[None], R_world_table)
+    return probe, Belief(with_symmetries_of_touch(model, PROBE.sigma), area, seed)
 
 
-def simulate_touch_search(scenario: Scenario, grasp: Grasp | None = None) -> Iterator[Sample]:
+def simulate_touch_search(
+    scenario: Scenario, grasp: Grasp | None = None, watch: Callable[[Belief, Array], None] | None = None
+) -> Iterator[Sample]:
     """Yields samples of a search by touch, until the object is found, and then of the scenario's own motion.
 
     No sample has data of a camera. The first sample after the search carries the pose that was found, in the world and
     with its covariance, as vision's. The hand's way from there to the object is not simulated. `grasp` replaces the
-    object's own, or the one that is searched. Raises as `simulate`, and InvalidInput where `TOUCH_SEARCH.max_touches`
-    are too few to find the object.
+    object's own, or the one that is searched. `watch` is called before the first touch and after each one, with the
+    belief and the object's true pose T_world_object (4, 4). Raises as `simulate`, and NotFound where
+    `TOUCH_SEARCH.max_touches` are too few.
     """
     grasp = grasp or grasp_for(scenario.object, int(scenario.seed))
     R_scene_object = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3]
     probe, belief = start_search(scenario, model_of(scenario), R_scene_object, recording=True)
-    for _ in range(TOUCH_SEARCH.max_touches):
+    while not belief.modes[0].is_certain:
+        if watch is not None:
+            watch(belief, probe.T_world_object)
+        if len(belief.touches) == TOUCH_SEARCH.max_touches:
+            raise NotFound(f"the object was not found by {len(belief.touches)} touches: {open_text(belief)}")
         belief = belief.after(probe.touch(best_sweep(belief, probe.heights, PROBE.radius)))
         yield from probe.recorded
         probe.recorded.clear()
-        if belief.modes[0].is_certain:
-            break
-    else:
-        raise InvalidInput(
-            f"object: expected to be found within {TOUCH_SEARCH.max_touches} touches; another seed may succeed"
-        )
+    if watch is not None:
+        watch(belief, probe.T_world_object)
     # The hand closes at the estimated pose, the object is at the true one.
     found, begins = belief.pose, probe.time + TOUCH_SEARCH.pause
     T_object_middle = se3.compose(np.eye(3), belief.model.center_object)

@@ -316,7 +316,7 @@ def diagnosed(name: str, unit: str, declared: float, prior: float, error: float,
     estimate includes the declared value as its prior.
     """
     factor = UNITS[unit]
-    own = 1 / sigma**2 - 1 / prior**2
+    own = 1 / sigma**2 - 1 / prior**2 if prior > 0 else 0.0  # what is declared exact stays as it is
     if own * prior**2 < 1e-6:  # the recording tells nothing
         return Diagnosed(name, unit, factor * declared, factor * prior, math.nan, math.inf, 0.0)
     estimated, sigma_estimated = declared + error / sigma**2 / own, own**-0.5

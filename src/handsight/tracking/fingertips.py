@@ -141,6 +141,7 @@ def finger_record(finger: Finger) -> tuple[object, ...]:
         known.mass,
         known.center_of_mass,
         [finger.sigma_force] * 3 + [finger.sigma_torque] * 3,
+        finger.sigma_gain,
         finger.sigma_point**2,
         finger.sigma_normal**2,
     )

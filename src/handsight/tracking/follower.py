@@ -18,7 +18,7 @@ from handsight.forces import WeightSensor
 from handsight.objects import ObjectModel
 from handsight.objects.resting import resting_poses
 from handsight.observation import Observation
-from handsight.rig import Rig
+from handsight.rig import MountedCamera, Rig
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
 from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside
@@ -33,7 +33,7 @@ from handsight.tracking.measurements import VisionUpdate
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
-from handsight.tracking.smoother import PoseBiasSmoother, process_variance
+from handsight.tracking.smoother import STILL, PoseBiasSmoother, process_variance
 from handsight.tracking.table import TableEstimate, TableEvidence, supports_of
 from handsight.tracking.track_state import NO_POSE, Correction, State, TrackState, point_uncertainty
 
@@ -86,6 +86,7 @@ class Follower:
     def __init__(self, rig: Rig, model: ObjectModel, settings: TrackerSettings) -> None:
         """The arguments are those of `Tracker`."""
         self.rig, self.model, self.settings, s = rig, model, settings, settings
+        self.camera = rig.camera or MountedCamera()
         self.sensors = FingertipSensors(rig)
         self.skin_sensors = SkinSensors(rig)
         self.hand = HandOutside(rig, model, s.outside)
@@ -107,7 +108,7 @@ class Follower:
             memory=ContactMemory(self.settings.memory, self.process_noise),
             vision=vision,
             images=ImageVision(self.rig, self.model, on=self.settings.images),
-            slip=SlipUpdate(self.rig),
+            slip=SlipUpdate(self.rig, self.model),
             weight=WeightSensor(self.rig, self.model),
             offsets=offsets,
         )
@@ -175,6 +176,7 @@ class Follower:
                 grasped=state.grasp.grasped,
                 lifted=state.grasp.lifted,
                 finger_on_table="on the table" in touch.reasons.values(),
+                pivots=state.slip.now.pivots,
             )
 
         # Vision.
@@ -214,7 +216,7 @@ class Follower:
                 state.smoother = state.smoother.transformed(se3.inverse(T_world_palm) @ state.T_world_palm)
             if stamp > state.stamp > -math.inf:
                 state.smoother = state.smoother.inflated(
-                    process_variance(self.process_noise, stamp - state.stamp)
+                    process_variance(self.process_noise, stamp - state.stamp), stamp - state.stamp
                 )
         if T_world_palm is not None:
             state.T_world_palm = T_world_palm
@@ -225,7 +227,7 @@ class Follower:
             state.memory = state.memory.only(fingers)
         if (smoother := state.smoother) is not None:
             smoother = smoother if change is None else self._regrasped(state, smoother, change)
-            state.smoother = state.slip.update(stamp, state.fingertips, smoother)
+            state.smoother = state.slip.update(stamp, state.fingertips, smoother, state.vision)
             if state.table is not None and state.smoother is not smoother:
                 slipped = state.smoother.prior.covariance - smoother.now.covariance
                 state.table = state.table.restarted(smoother, slipped[:6, :6])
@@ -261,10 +263,17 @@ class Follower:
             state.vision, state.smoother = state.vision.palm_detected(result.hand, before)
             if state.table is not None and before is not None and state.smoother is not before:
                 state.table = state.table.informed(before, result.hand.bias(before.pivot))
+        if (vision := result.observation.vision) is None:
+            return
         # Since the image was taken, an object in the hand has moved with the palm, another one stayed in the world.
-        T = result.then.T_world_palm if result.then is not None and grasped else None
-        T_world_palm = state.T_world_palm if T is None else T
-        state.vision, after = state.vision.updated(result.observation, state.smoother, T_world_palm)
+        latency = self.camera.latency if state.smoother is None else state.smoother.latency
+        stamp = observation.stamp if vision.stamp is None else vision.stamp
+        past = state.images.history.palm_at(stamp, latency) if grasped else None
+        T_world_palm, motion = past or (state.T_world_palm, STILL)
+        if vision is not observation.vision:
+            # An image's covariance includes what it shares with those before.
+            motion = motion._replace(drift_gain=0.0)
+        state.vision, after = state.vision.updated(result.observation, state.smoother, T_world_palm, motion)
         state.smoother = after
         if before is not None and after is not None and (after.process_noise < before.process_noise).any():
             state.table = None  # vision has started anew, as the object was moved
@@ -401,6 +410,8 @@ class Follower:
             return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
         if not estimate.consistent:
             return "uncertain", "the contacts do not fit the object at its estimated pose"
+        if doubt := state.weight.doubt(estimate):
+            return "uncertain", doubt
         if ambiguous := ambiguity(self.model, estimate):
             return "uncertain", ambiguous
         if state.correction is None and not state.vision.camera_from_palm.confirmed:

@@ -1,7 +1,9 @@
 """Depth images as measurements: of the object's pose in the camera, and, by the hand, of the camera's own pose."""
 
+from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +17,7 @@ from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import MountedCamera, Rig
 from handsight.tracking.camera_from_palm import CameraFromPalm, HandView
+from handsight.tracking.smoother import STILL, Motion
 from handsight.vision import PalmDetection
 from handsight.vision.depth_noise import PRESETS
 from handsight.vision.object.depth_tracker import HIDDEN, DepthTracker
@@ -32,10 +35,13 @@ class ImageOptions(NamedTuple):
     """Uncertainty of the palm's position in the next image once it was detected, per axis [m]."""
     sigma_palm_rotation: float = float(np.deg2rad(3.0))  # the same of its rotation [rad]
     history: float = 1.0  # how long joints and palm are kept: an image arrives later than it was taken [s]
+    palm_twist: float = 0.03
+    """Time before and after an instant, between which the velocity of the palm is measured [s]."""
     max_instants: int = 2000  # the most instants that are kept
 
 
 IMAGES = ImageOptions()
+STAMP = attrgetter("stamp")
 
 
 class Instant(NamedTuple):
@@ -69,13 +75,29 @@ class History:
 
         For the stamp None it is the last instant.
         """
-        if stamp is None or not self.instants:
-            return self.instants[-1] if self.instants else None
-        since = self.instants[-1].stamp - IMAGES.history
-        recent = [instant for instant in self.instants if instant.stamp >= since]
-        if stamp < recent[0].stamp - IMAGES.history / 10:
+        kept = self.instants
+        if stamp is None or not kept:
+            return kept[-1] if kept else None
+        if stamp < max(kept[0].stamp, kept[-1].stamp - IMAGES.history) - IMAGES.history / 10:
             return None
-        return min(recent, key=lambda instant: abs(instant.stamp - stamp))
+        k = bisect_left(kept, stamp, key=STAMP)
+        return min(kept[max(k - 1, 0) : k + 1], key=lambda instant: abs(instant.stamp - stamp))
+
+    def palm_at(self, stamp: float, latency: float) -> tuple[Array, Motion] | None:
+        """Returns T_world_palm (4, 4) when vision took what has a stamp, and how it moved; None where unknown.
+
+        It is that of the instant nearest to the stamp less the latency [s]; its motion says how far it is from that.
+        """
+        then = self.at(stamp - latency)
+        if then is None or then.T_world_palm is None:
+            return None
+        before, after = self.at(then.stamp - IMAGES.palm_twist), self.at(then.stamp + IMAGES.palm_twist)
+        ends = [each for each in (before, after) if each is not None and each.T_world_palm is not None]
+        twist = STILL.twist
+        if len(ends) == 2 and ends[1].stamp > ends[0].stamp:
+            moved = se3.difference(*(np.asarray(end.T_world_palm) for end in reversed(ends)))
+            twist = moved / (ends[1].stamp - ends[0].stamp)
+        return then.T_world_palm, Motion(twist, stamp - then.stamp)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,8 +108,6 @@ class ImageResult:
     """With the image's pose as its vision; None where the object was not detected."""
     hand: HandView | None
     """The palm in the image; None where it was not searched for, or not detected."""
-    then: Instant | None
-    """Joints and palm at the stamp of the observation's vision; None without vision, or where they are unknown."""
 
 
 class ImageVision:
@@ -95,7 +115,9 @@ class ImageVision:
 
     def __init__(self, rig: Rig, model: ObjectModel, *, on: bool) -> None:
         """Observations are left unchanged if it is not `on`, or if the rig has no camera with intrinsics."""
-        self._rig, self._model, self._history = rig, model, History()
+        self._rig, self._model = rig, model
+        self.history = History()
+        """Joint positions and palm of the last second."""
         self._on = on and rig.camera is not None and rig.camera.intrinsics is not None
         self._images: ObjectInImages | None = None
         """None before the first depth image."""
@@ -121,14 +143,14 @@ class ImageVision:
         `from_palm`: the camera's error, as earlier images have measured it. `T_palm_object` (4, 4): the pose of an
         object in the hand; None where it is not grasped. Raises InvalidInput for an image that cannot be the camera's.
         """
-        self._history = self._history.after(
+        self.history = self.history.after(
             Instant(observation.stamp, observation.joint_positions, observation.T_world_palm)
         )
         camera, hand = self._rig.camera, None
         if self._on and camera is not None and observation.depth is not None:
             self._images = self._images or ObjectInImages(self._rig, camera, self._model)
             stamp = observation.stamp if observation.image_stamp is None else observation.image_stamp
-            then = self._history.at(stamp)
+            then = self.history.at(stamp - camera.latency)
             if then is not None:
                 vision, hand = self._images.observe(stamp, observation.depth, then, from_palm, T_palm_object)
                 observation = replace(observation, vision=vision)
@@ -136,7 +158,7 @@ class ImageVision:
         if by_images and vision is not None and vision.frame == "camera":
             # This camera's images are the better measurement, so poses that come between them are left out.
             observation, vision = replace(observation, vision=None), None
-        return ImageResult(observation, hand, None if vision is None else self._history.at(vision.stamp))
+        return ImageResult(observation, hand)
 
 
 class ObjectInImages:

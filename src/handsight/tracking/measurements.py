@@ -13,7 +13,7 @@ from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import MountedCamera, Rig
 from handsight.tracking.camera_from_palm import CameraFromPalm, HandView
-from handsight.tracking.smoother import PoseBiasSmoother
+from handsight.tracking.smoother import STILL, Motion, PoseBiasSmoother
 
 Mount = Literal["world", "palm"]
 
@@ -53,8 +53,10 @@ class VisionUpdate:
     """How many of the last measurements were beyond the gate."""
     camera_from_palm: CameraFromPalm = field(default_factory=CameraFromPalm)
     """The camera's constant error, measured by the hand in its images."""
-    last: tuple[GaussianPose, Array] | None = None
-    """The last measured pose in the mount, and T_mount_palm (4, 4) at that instant."""
+    last: tuple[GaussianPose, Array, Motion] | None = None
+    """The last measured pose in the mount, T_mount_palm (4, 4) at that instant, and how the palm moved."""
+    chi2: float | None = None
+    """χ² of the last measurement, given those before: a number with six degrees of freedom; None before the second."""
 
     @property
     def camera(self) -> MountedCamera:
@@ -62,10 +64,15 @@ class VisionUpdate:
         return self.rig.camera or MountedCamera()
 
     def updated(
-        self, observation: Observation, smoother: PoseBiasSmoother | None, T_world_palm: Array | None
+        self,
+        observation: Observation,
+        smoother: PoseBiasSmoother | None,
+        T_world_palm: Array | None,
+        motion: Motion = STILL,
     ) -> tuple["VisionUpdate", PoseBiasSmoother | None]:
         """Returns this and the smoother after an observation; both unchanged where it has no pose.
 
+        `motion` is that of T_world_palm (4, 4), where the object is in the hand.
         Raises InvalidInput for a pose in the camera's frame if the rig has no camera, or for one far from any hand.
         """
         measured = observation.vision
@@ -76,13 +83,16 @@ class VisionUpdate:
         T_mount_palm = EYE if mount == "palm" else T_world_palm
         if mount != after.mount or T_mount_palm is None:
             return replace(after, unplaced=self.unplaced + 1), smoother
-        pose = self._in_mount(measured)
+        if mount == "palm":
+            motion = STILL
+        pose, gain = self._in_mount(measured), self._drift_gain(measured)
         position_palm = (se3.inverse(T_mount_palm) @ pose.T_a_b)[:3, 3]
         if not np.abs(position_palm).max() <= checks.MAX_DISTANCE:
             checks.position(position_palm, "vision: the object's place in the palm", (3,))
-        after = replace(after, last=(pose, T_mount_palm))
+        motion = motion._replace(drift_gain=gain * motion.drift_gain)
+        after = replace(after, last=(pose, T_mount_palm, motion))
         if smoother is not None:
-            after, smoother = after._gated(smoother, pose, T_mount_palm)
+            after, smoother = after._gated(smoother, pose, T_mount_palm, motion)
             if smoother.is_near:
                 return after, smoother
         return replace(after, rejected_in_a_row=0), after.afresh()
@@ -104,10 +114,10 @@ class VisionUpdate:
         """Returns a smoother from the last measurement alone, in the palm at its instant; None where there was none."""
         if self.last is None:
             return None
-        pose, T_mount_palm = self.last
+        pose, T_mount_palm, motion = self.last
         T_palm_object = se3.inverse(T_mount_palm) @ pose.T_a_b
         started = self.smoother_from(T_palm_object, np.diag(UNINFORMATIVE), pose.T_a_b[:3, 3])
-        return self._gated(started, pose, T_mount_palm)[1]
+        return self._gated(started, pose, T_mount_palm, motion)[1]
 
     def in_palm(self, observation: Observation | None, T_world_palm: Array | None) -> Array | None:
         """Returns (4, 4) the pose from vision in the palm, with vision's bias.
@@ -126,7 +136,9 @@ class VisionUpdate:
         # Even a camera without a constant error gets a tiny one: a covariance must be invertible.
         position, rotation = max(c.sigma_position_constant, 1e-6), max(c.sigma_rotation_constant, 1e-6)
         bias = np.diag([position**2] * 3 + [rotation**2] * 3)
-        smoother = PoseBiasSmoother.from_prior(T_palm_object, invertible(covariance), bias, pivot)
+        smoother = PoseBiasSmoother.from_prior(
+            T_palm_object, invertible(covariance), bias, pivot, c.drift, (c.latency, c.sigma_latency)
+        )
         for view in self.camera_from_palm.confirmed:
             smoother = smoother.informed(view.bias(pivot))
         return smoother
@@ -148,24 +160,41 @@ class VisionUpdate:
         pose = GaussianPose(measured.T_frame_object, covariance).transformed(T_mount_frame)
         return GaussianPose(pose.T_a_b, invertible(pose.covariance))
 
+    def _drift_gain(self, measured: PoseMeasurement) -> float:
+        """Returns how large vision's drift is in a measurement, relative to the rig's.
+
+        With a covariance of its own, it is larger or smaller by as much as that is than the rig's noise.
+        """
+        c, covariance = self.camera, measured.covariance
+        if covariance is None:
+            return 1.0
+        usual = max(c.sigma_position, 1e-6), max(c.sigma_rotation, 1e-6)
+        return float(np.sqrt((covariance.diagonal() / np.repeat(usual, 3) ** 2).mean()))
+
     def _gated(
-        self, smoother: PoseBiasSmoother, pose_mount_object: GaussianPose, T_mount_palm: Array
+        self,
+        smoother: PoseBiasSmoother,
+        pose_mount_object: GaussianPose,
+        T_mount_palm: Array,
+        motion: Motion,
     ) -> tuple["VisionUpdate", PoseBiasSmoother]:
         """Returns this and the smoother after a measured pose; one beyond the gate is rejected.
 
         After several rejected poses in a row the object must have moved: the smoother restarts with a wide pose.
         """
         T = self.model.nearest(pose_mount_object.T_a_b, smoother.expected(T_mount_palm))
-        nearest, after = GaussianPose(T, pose_mount_object.covariance), self
-        if smoother.mahalanobis2(nearest, T_mount_palm) > GATES.chi2:
+        nearest = GaussianPose(T, pose_mount_object.covariance)
+        chi2 = smoother.mahalanobis2(nearest, T_mount_palm, motion)
+        after = replace(self, chi2=chi2)
+        if chi2 > GATES.chi2:
             in_a_row = self.rejected_in_a_row + 1
-            after = replace(self, rejected=self.rejected + 1, rejected_in_a_row=in_a_row)
+            after = replace(after, rejected=self.rejected + 1, rejected_in_a_row=in_a_row)
             if in_a_row < GATES.max_rejected:
                 return after, smoother
             smoother = smoother.restarted(smoother.now.inflated(UNINFORMATIVE))
         if after.rejected_in_a_row:
             after = replace(after, rejected_in_a_row=0)
-        return after, smoother.updated(nearest, T_mount_palm)
+        return after, smoother.updated(nearest, T_mount_palm, motion)
 
 
 def invertible(covariance: Array) -> Array:

@@ -64,7 +64,7 @@ class Tally:
     refused: Counter[str] = field(default_factory=Counter)
     """By error message, the number of invalid observations; messages beyond `MAX_MESSAGES` are counted as others."""
     states: dict[str, float] = field(default_factory=dict)
-    """Seconds in each state."""
+    """Seconds in each state; `search`: before there is a pose."""
     recorded: float = 0.0
     """Seconds between the first observation and the last; summed over tracks if the clock was set back."""
     wall: float = 0.0
@@ -148,7 +148,8 @@ def _confirmed(observed: Unconfirmed, tally: Tally) -> Iterator[Step]:
     """Yields the answer to an observation that nothing can undo any more, if it has one, and counts it."""
     tally.recorded += observed.passed
     if observed.passed:
-        tally.states[observed.state] = tally.states.get(observed.state, 0.0) + observed.passed
+        state = "search" if observed.step is None and not tally.answered else observed.state
+        tally.states[state] = tally.states.get(state, 0.0) + observed.passed
     tally.touched.update(observed.fingertips.fingers)
     for finger, reason in observed.fingertips.reasons.items():
         if finger not in tally.touched:

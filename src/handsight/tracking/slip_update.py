@@ -1,15 +1,26 @@
-"""The effect of a slip on the pose: it becomes uncertain along the slip, and is corrected at once."""
+"""Slips of the object in the hand, and their effect on the pose.
 
+A slip makes the pose uncertain along its direction, and it is corrected at once. Where vision tells that a contact
+moves over the object, friction is learnt from it, even if it slides straight.
+"""
+
+import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
+from handsight import se3
+from handsight.checks import Array
 from handsight.copies import shallow_copy
 from handsight.forces import Slip, SlipDetector, slip_twist
 from handsight.forces.object_motion import LENGTH
+from handsight.gaussian_pose import GaussianPose
+from handsight.objects import ObjectModel
 from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipContacts
-from handsight.tracking.smoother import PoseBiasSmoother
+from handsight.tracking.measurements import VisionUpdate
+from handsight.tracking.smoother import Motion, PoseBiasSmoother
 
 
 class SlipUpdateOptions(NamedTuple):
@@ -22,6 +33,11 @@ class SlipUpdateOptions(NamedTuple):
     15°."""
     onset_delay: float = 0.03  # how long before its detection a slip may have begun [s]
     period: float = 0.02  # time between corrections while the object slips [s]
+    slide: float = (
+        0.003  # a contact slides if vision has it move over the object by this, more than it rolls [m]
+    )
+    slide_sigmas: float = 4.0  # and by so many standard deviations of that motion
+    slide_time: float = 1.0  # in this time at most [s]
 
 
 SLIP_UPDATE = SlipUpdateOptions()
@@ -33,9 +49,14 @@ ISOTROPIC = np.diag(np.repeat([1.0, 1 / LENGTH**2], 3))
 class SlipUpdate:
     """A `SlipUpdate` detects slips over time, and adds their possible motion to the pose's covariance."""
 
-    def __init__(self, rig: Rig) -> None:
-        """Starts without any load."""
-        self.detector = SlipDetector(rig)
+    def __init__(self, rig: Rig, model: ObjectModel | None = None) -> None:
+        """Starts without any load, and with the friction that the rig's fingers and the model declare."""
+        mu = None if model is None else model.friction
+        self.detector = SlipDetector(rig, None if model is None or mu is None else (mu, model.sigma_friction))
+        self._visible: tuple[GaussianPose, Array, Motion] | None = None
+        """Vision's last pose that was compared."""
+        self._anchors: Mapping[str, tuple[float, Array]] = {}
+        """By finger, a stamp, and where its contact was on the object (3,) by vision then."""
         self._sigma = 0.0
         """Standard deviation of this slip's motion that the smoother includes already [m]."""
 
@@ -52,13 +73,18 @@ class SlipUpdate:
         return self.detector.now
 
     def update(
-        self, stamp: float, fingertips: FingertipContacts, smoother: PoseBiasSmoother
+        self,
+        stamp: float,
+        fingertips: FingertipContacts,
+        smoother: PoseBiasSmoother,
+        vision: VisionUpdate | None = None,
     ) -> PoseBiasSmoother:
         """Returns the smoother after an observation's loads; it is unchanged where the object does not slip.
 
         A slip keeps its direction, so its sigma, not its variance, grows in proportion to time.
         """
-        now = self.detector.update(stamp, fingertips.fingers, fingertips.loads)
+        sliding = () if vision is None else self._sliding(stamp, fingertips, vision)
+        now = self.detector.update(stamp, fingertips.fingers, fingertips.loads, sliding)
         if not now.slipping or fingertips.contacts is None or fingertips.loads is None:
             self._sigma = 0.0
             return smoother
@@ -70,6 +96,38 @@ class SlipUpdate:
         if twist is not None:
             along = np.outer(twist, twist) + SLIP_UPDATE.lateral_share**2 * ISOTROPIC
         return smoother.restarted(state.spread(max(self._sigma**2 - before**2, 0.0) * along))
+
+    def _sliding(self, stamp: float, fingertips: FingertipContacts, vision: VisionUpdate) -> list[str]:
+        """Returns the fingers that have slid over the object since their anchors, by vision's last pose if it is new.
+
+        Vision's constant error moves a contact by as much at both ends, so only its noise and its drift count.
+        """
+        last, contacts = vision.last, fingertips.contacts
+        if last is None or last is self._visible:
+            return []
+        self._visible = last
+        if contacts is None or vision.rejected_in_a_row:
+            self._anchors = {}
+            return []
+        pose, T_mount_palm, _ = last
+        points = se3.apply(se3.inverse(pose.T_a_b) @ T_mount_palm, contacts.points_palm)
+        variances, (*drift, lasts) = pose.covariance.diagonal(), vision.camera.drift.tolist()
+        drifted = 1 - math.exp(-SLIP_UPDATE.slide_time / lasts)
+        position, rotation = (
+            variances[:3].max() + drifted * drift[0],
+            variances[3:].max() + drifted * drift[1],
+        )
+        noise = 2 * (position + (points**2).sum(axis=1) * rotation)
+        sliding, anchors = list[str](), dict[str, tuple[float, Array]]()
+        for name, point, variance in zip(fingertips.fingers, points, noise, strict=True):
+            then, anchor = self._anchors.get(name, (-math.inf, point))
+            far = max(SLIP_UPDATE.slide, SLIP_UPDATE.slide_sigmas * math.sqrt(variance))
+            slid = float(np.linalg.norm(point - anchor)) > far
+            sliding += [name] if slid else []
+            stays = not slid and stamp - then <= SLIP_UPDATE.slide_time
+            anchors[name] = (then, anchor) if stays else (stamp, point)
+        self._anchors = anchors
+        return sliding
 
     def news(self, corrected: float) -> bool:
         """Returns whether a correction is due, `corrected` being the stamp of the last one [s].

@@ -1,13 +1,15 @@
-"""A Bayesian estimate of the object's pose in the palm and of vision's constant bias, from vision alone.
+"""A Bayesian estimate of the object's pose in the palm and of vision's errors, from vision alone.
 
-State, 12 numbers: `T_palm_object` and a bias (6,), jointly Gaussian. Process: the pose does a random walk in the palm,
-the bias is constant. Measurement: `z = bias ∘ (T_mount_palm T_palm_object) + noise`, where the mount is what the camera
-is fixed to (world or palm). Pose and bias can be told apart once the palm has turned in the mount.
+State, 19 numbers, jointly Gaussian: `T_palm_object`, a constant bias (6,), a drift (6,) and a latency. Process: the
+pose does a random walk in the palm, bias and latency are constant, and the drift is an Ornstein-Uhlenbeck process, an
+error that images of nearly the same time share. Measurement: `z = bias ∘ (T_mount_palm(t - latency) T_palm_object) +
+drift + noise`, where the mount is what the camera is fixed to (world or palm). Pose and bias can be told apart once the
+palm has turned in the mount, the latency once it has moved.
 
-All measurements since the last restart are kept, at most `MOST_MEASUREMENTS`; those from nearly the same pose of the
-palm are merged. Each new one starts a Gauss-Newton iteration to the maximum a posteriori, from the last solution. A
-filter would keep derivatives from earlier estimates, and so separate pose and bias even without a turn of the palm: it
-is overconfident (measured: χ² forty times too large).
+All measurements since the last restart are kept, at most `MOST_MEASUREMENTS`; neighbours in time from nearly the same
+pose of the palm are merged. Each new one starts a Gauss-Newton iteration to the maximum a posteriori, from the last
+solution. A filter would keep derivatives from earlier estimates, and so separate pose and bias even without a turn of
+the palm: it is overconfident (measured: χ² forty times too large).
 
 Contacts are not measurements of this estimate: they stay the same while the hand holds still, and would be counted
 again at every instant. Instead, each correction fuses them anew, with this estimate as its prior.
@@ -16,6 +18,7 @@ The computation is in `_kernels/posterior/pose_bias.py`.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +33,25 @@ from handsight.gaussian_pose import GaussianPose, kalman_update
 MAX_PROPAGATION = 100.0
 """Variance at which process noise stops growing [m², rad²]: the object may be anywhere."""
 MOST_MEASUREMENTS = 48
-SAME_PALM = np.array([0.01, np.deg2rad(2.0)])
-"""Measurements from poses of the palm nearer to each other than this are merged [m, rad]. Where more than
-`MOST_MEASUREMENTS` remain, the two nearest ones are merged as well."""
+SAME_PALM = np.array([0.01, np.deg2rad(2.0), 0.5])
+"""Neighbours in time from poses of the palm nearer to each other than this are merged [m, rad], within so many
+correlation times of the drift. Where more than `MOST_MEASUREMENTS` remain, the two nearest ones are merged as well."""
+NO_DRIFT = np.array([0.0, 0.0, 1.0])
+EYE = np.eye(19)
+
+
+class Motion(NamedTuple):
+    """A `Motion` is how a palm moved when vision measured a pose, and how that measurement shares the drift."""
+
+    twist: Array = np.zeros(6)
+    """(6,) velocity of the palm's origin [m/s] and of its rotation [rad/s], along the mount's axes."""
+    latency: float = 0.0
+    """How long before the measurement's stamp the palm had the pose that is given with it [s]."""
+    drift_gain: float = 1.0
+    """Size of the drift in this measurement, relative to the usual."""
+
+
+STILL = Motion()
 
 
 def process_variance(process_noise: Array, seconds: float) -> Array:
@@ -42,12 +61,23 @@ def process_variance(process_noise: Array, seconds: float) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseAndBias:
-    """A `PoseAndBias` is the object's pose and vision's constant bias, jointly Gaussian."""
+    """A `PoseAndBias` is the object's pose and vision's errors, jointly Gaussian."""
 
     Ts: Array
     """(2, 4, 4): `T_palm_object` and `T_measured_true`."""
     covariance: Array
-    """(12, 12) of the perturbations (δp, δθ) of the pose, along the palm's axes, and of the bias, along the mount's."""
+    """(19, 19) of the perturbations (δp, δθ) of the pose, along the palm's axes, of the bias, along the mount's, and of
+    `rest`."""
+    rest: Array = field(default_factory=lambda: np.zeros(7))
+    """(7,) vision's drift, a shift of the object's origin [m] and a turn [rad] along the mount's axes, and its latency
+    [s]."""
+
+    def __post_init__(self) -> None:
+        """Completes a covariance (12, 12) of pose and bias by a drift and a latency that are known to be `rest`."""
+        if len(self.covariance) < len(EYE):
+            covariance = np.zeros_like(EYE)
+            covariance[:12, :12] = self.covariance
+            object.__setattr__(self, "covariance", covariance)
 
     @property
     def T_palm_object(self) -> Array:
@@ -65,26 +95,27 @@ class PoseAndBias:
         return np.concatenate([self.Ts[1, :3, 3], se3.rotation_log(self.Ts[1, :3, :3])])
 
     def moved(self, step: Array) -> "PoseAndBias":
-        """Returns the state moved by a step (12,), with the same covariance."""
-        return PoseAndBias(se3.moved(self.Ts, step.reshape(2, 6)), self.covariance)
+        """Returns the state moved by a step (19,), with the same covariance."""
+        Ts = se3.moved(self.Ts, step[:12].reshape(2, 6))
+        return PoseAndBias(Ts, self.covariance, self.rest + step[12:])
 
     def updated(self, H: Array, residual: Array, noise: Array) -> "PoseAndBias":
-        """Returns the state after a linear measurement; the arguments are those of `kalman_update` with n = 12."""
-        step, covariance = kalman_update(self.covariance, H, residual, noise)
-        return PoseAndBias(self.moved(step).Ts, covariance)
+        """Returns the state after a linear measurement of pose and bias; the arguments are those of `kalman_update`
+        with n = 12."""
+        step, covariance = kalman_update(self.covariance, H @ EYE[: H.shape[1]], residual, noise)
+        return replace(self.moved(step), covariance=covariance)
 
     def given_pose(self, T_palm_object: Array, information: Array) -> "PoseAndBias":
         """Returns the state after a correction whose prior was this state's pose.
 
         `T_palm_object` (4, 4) is the corrected pose, `information` (6, 6) that of contacts and prior together. Contacts
-        measure the pose alone; the bias changes through its correlation with the pose.
+        measure the pose alone; vision's errors change through their correlation with the pose.
         """
         P = self.covariance
         prior = np.linalg.inv(P[:6, :6])
         step = se3.difference(T_palm_object, self.T_palm_object)
-        joint = np.linalg.inv(P)
-        joint[:6, :6] += nearest_semidefinite(information - prior)
-        covariance = np.linalg.inv(joint)
+        added = nearest_semidefinite(information - prior)
+        covariance = P - P[:, :6] @ np.linalg.solve(np.eye(6) + added @ P[:6, :6], added) @ P[:6]
         moved = self.moved(np.concatenate([step, P[6:, :6] @ prior @ step]))
         return replace(moved, covariance=(covariance + covariance.T) / 2)
 
@@ -93,25 +124,33 @@ class PoseAndBias:
         covariance = self.covariance.copy()
         variances = np.einsum("ii->i", covariance)[:6]  # a view of the diagonal
         variances += np.minimum(variance, np.maximum(MAX_PROPAGATION - variances, 0.0))
-        return PoseAndBias(self.Ts, covariance)
+        return PoseAndBias(self.Ts, covariance, self.rest)
+
+    def later(self, seconds: float, drift: Array) -> "PoseAndBias":
+        """Returns the state with its drift so much later; `drift` (3,) is that of a `PoseBiasSmoother`."""
+        if seconds == 0:
+            return self
+        covariance, rest = self.covariance.copy(), self.rest.copy()
+        pose_bias.propagate(covariance, rest, drift, seconds)
+        return PoseAndBias(self.Ts, covariance, rest)
 
     def spread(self, covariance: Array) -> "PoseAndBias":
         """Returns the state with `covariance` (6, 6) added to the pose's."""
         more = self.covariance.copy()
         more[:6, :6] += covariance
-        return PoseAndBias(self.Ts, more)
+        return PoseAndBias(self.Ts, more, self.rest)
 
     def transformed(self, T_new_old: Array) -> "PoseAndBias":
         """Returns the state after the palm moved by T_new_old (4, 4) while the object stayed in the world."""
-        R = np.eye(12)
+        R = EYE.copy()
         R[:3, :3] = R[3:6, 3:6] = T_new_old[:3, :3]
         Ts = np.stack([T_new_old @ self.T_palm_object, self.T_measured_true])
-        return PoseAndBias(Ts, R @ self.covariance @ R.T)
+        return PoseAndBias(Ts, R @ self.covariance @ R.T, self.rest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseBiasSmoother:
-    """A `PoseBiasSmoother` is the posterior of pose and bias, given a prior and all poses from vision since then."""
+    """A `PoseBiasSmoother` is the posterior of pose and vision's errors, given a prior and all poses measured later."""
 
     prior: PoseAndBias
     pivot: Array
@@ -124,29 +163,44 @@ class PoseBiasSmoother:
     """(6,) variance of the object's random walk in the palm since the prior [m², rad²]."""
     measurements: NDArray[np.void] = field(default_factory=lambda: np.empty(0, dtype=MEASUREMENT))
     """(k,) MEASUREMENT, one row for each distinct pose of the palm, in the order of time."""
+    drift: Array = field(default_factory=lambda: NO_DRIFT)
+    """(3,) variance of vision's drift, of a position [m²] and a rotation [rad²], and its correlation time [s]."""
+    time: float = 0.0
+    """Since the prior [s]."""
+    solved_at: float = 0.0
+    """`time` at the last measurement [s]."""
 
     @classmethod
     def from_prior(
-        cls, T_palm_object: Array, pose_covariance: Array, bias_covariance: Array, pivot: Array
+        cls,
+        T_palm_object: Array,
+        pose_covariance: Array,
+        bias_covariance: Array,
+        pivot: Array,
+        drift: Array = NO_DRIFT,
+        latency: tuple[float, float] = (0.0, 0.0),
     ) -> "PoseBiasSmoother":
         """Returns the smoother that starts with a pose and a zero bias, independent of each other.
 
-        Each has a covariance (6, 6); the bias turns about `pivot` (3,), in the mount's frame [m].
+        Each has a covariance (6, 6); the bias turns about `pivot` (3,), in the mount's frame [m]. `latency` is
+        vision's, with its standard deviation [s].
         """
-        covariance = np.zeros((12, 12))
-        covariance[:6, :6], covariance[6:, 6:] = pose_covariance, bias_covariance
-        prior = PoseAndBias(np.stack([T_palm_object, np.eye(4)]), covariance)
-        return cls(prior, np.array(pivot), solved=prior)
+        covariance = np.diag(np.repeat([0.0, drift[0], drift[1], latency[1] ** 2], [12, 3, 3, 1]))
+        covariance[:6, :6], covariance[6:12, 6:12] = pose_covariance, bias_covariance
+        prior = PoseAndBias(np.stack([T_palm_object, np.eye(4)]), covariance, latency[0] * EYE[18, 12:])
+        return cls(prior, np.array(pivot), solved=prior, drift=np.array(drift))
 
     @property
     def now(self) -> PoseAndBias:
         """The posterior propagated to now."""
-        return self.solved.inflated(self.process_noise - self.solved_noise)
+        now = self.solved.inflated(self.process_noise - self.solved_noise)
+        return now.later(self.time - self.solved_at, self.drift)
 
     @property
     def without_touch(self) -> PosePrior:
         """The pose without contacts, as the prior of a correction."""
-        return PosePrior.trusted(self.solved.T_palm_object, self.now.covariance[:6, :6])
+        now = self.solved.inflated(self.process_noise - self.solved_noise)
+        return PosePrior.trusted(now.T_palm_object, now.covariance[:6, :6])
 
     @property
     def is_near(self) -> bool:
@@ -154,16 +208,25 @@ class PoseBiasSmoother:
         x, y, z = self.solved.Ts[0, :3, 3].tolist()
         return bool(abs(x) <= MAX_DISTANCE and abs(y) <= MAX_DISTANCE and abs(z) <= MAX_DISTANCE)
 
-    def inflated(self, variance: Array) -> "PoseBiasSmoother":
-        """Returns the smoother after a step of the pose's random walk with `variance` (6,) [m², rad²]."""
+    def inflated(self, variance: Array, seconds: float = 0.0) -> "PoseBiasSmoother":
+        """Returns the smoother after a step of the pose's random walk with `variance` (6,) [m², rad²], which took so
+        many seconds."""
         noise = np.minimum(self.process_noise + variance, MAX_PROPAGATION)
         return PoseBiasSmoother(
-            self.prior, self.pivot, self.solved, self.solved_noise, noise, self.measurements
+            self.prior,
+            self.pivot,
+            self.solved,
+            self.solved_noise,
+            noise,
+            self.measurements,
+            self.drift,
+            self.time + seconds,
+            self.solved_at,
         )
 
     def restarted(self, prior: PoseAndBias) -> "PoseBiasSmoother":
         """Returns a smoother without measurements; `prior` must include what they have measured."""
-        return PoseBiasSmoother(prior, self.pivot, solved=prior)
+        return PoseBiasSmoother(prior, self.pivot, solved=prior, drift=self.drift)
 
     def transformed(self, T_new_old: Array) -> "PoseBiasSmoother":
         """Returns the smoother after the palm moved by T_new_old (4, 4) while the object stayed in the world.
@@ -176,14 +239,24 @@ class PoseBiasSmoother:
         prior, solved = self.prior.transformed(T_new_old), self.solved.transformed(T_new_old)
         return replace(self, prior=prior, solved=solved, measurements=measurements)
 
-    def updated(self, pose_mount_object: GaussianPose, T_mount_palm: Array) -> "PoseBiasSmoother":
-        """Returns the smoother after vision measured a pose; the pose's covariance excludes the bias."""
+    def updated(
+        self, pose_mount_object: GaussianPose, T_mount_palm: Array, motion: Motion = STILL
+    ) -> "PoseBiasSmoother":
+        """Returns the smoother after vision measured a pose; the pose's covariance excludes bias and drift."""
         measurements = np.empty(len(self.measurements) + 1, dtype=MEASUREMENT)
         # NumPy copies structured rows ten times slower than plain ones.
         measurements.view(np.float64)[: -MEASUREMENT.itemsize // 8] = self.measurements.view(np.float64)
-        measurements[-1] = self._measurement(pose_mount_object, T_mount_palm)
-        count = pose_bias.merge(measurements, MOST_MEASUREMENTS, SAME_PALM, self.solved.Ts, self.pivot)
+        measurements[-1] = self._measurement(pose_mount_object, T_mount_palm, motion)
+        Ts, latency = self.solved.Ts, self.latency
+        count = pose_bias.merge(
+            measurements, MOST_MEASUREMENTS, SAME_PALM, Ts, latency, self.pivot, self.drift
+        )
         return self._solved(measurements[:count])
+
+    @property
+    def latency(self) -> float:
+        """How much older a pose from vision is than its stamp, as estimated [s]."""
+        return float(self.solved.rest[6])
 
     def informed(self, bias: GaussianPose) -> "PoseBiasSmoother":
         """Returns the smoother after a measurement of the bias itself (`PoseAndBias.T_measured_true`)."""
@@ -193,34 +266,54 @@ class PoseBiasSmoother:
     def with_prior(self, prior: PoseAndBias) -> "PoseBiasSmoother":
         """Returns the smoother of the same measurements with another prior."""
         if not len(self.measurements):
-            return replace(self, prior=prior, solved=prior.inflated(self.solved_noise))
+            solved = prior.inflated(self.solved_noise).later(self.solved_at, self.drift)
+            return replace(self, prior=prior, solved=solved)
         return replace(self, prior=prior)._solved(self.measurements)
 
-    def mahalanobis2(self, pose_mount_object: GaussianPose, T_mount_palm: Array) -> float:
+    def mahalanobis2(
+        self, pose_mount_object: GaussianPose, T_mount_palm: Array, motion: Motion = STILL
+    ) -> float:
         """Returns the squared Mahalanobis distance (χ² of six numbers) of a measurement from its prediction."""
         now, measured = self.now, np.empty(1, dtype=MEASUREMENT)
-        measured[0] = self._measurement(pose_mount_object, T_mount_palm)
-        return float(pose_bias.distance2(now.Ts, now.covariance, self.pivot, measured))
+        measured[0] = self._measurement(pose_mount_object, T_mount_palm, motion)
+        return float(pose_bias.distance2(now.Ts, now.rest, now.covariance, self.pivot, measured))
 
     def expected(self, T_mount_palm: Array) -> Array:
-        """Returns (4, 4) the object's pose in the mount that vision should measure, bias included."""
+        """Returns (4, 4) the object's pose in the mount that vision should measure, with its bias but no drift."""
         T = np.empty((4, 4))
         pose_bias.expect(self.solved.Ts, self.pivot, np.array(T_mount_palm), T)
         return T
 
-    def _measurement(self, pose: GaussianPose, T_mount_palm: Array) -> tuple[Array, Array, Array, Array]:
+    def _measurement(self, pose: GaussianPose, T_mount_palm: Array, motion: Motion) -> tuple[object, ...]:
         """Returns the fields of a MEASUREMENT."""
-        return T_mount_palm, pose.T_a_b, pose.covariance, self.process_noise
+        twist, latency, gain = motion
+        return (
+            T_mount_palm,
+            pose.T_a_b,
+            pose.covariance,
+            self.process_noise,
+            twist,
+            latency,
+            self.time,
+            self.time,
+            gain,
+        )
 
     def _solved(self, measurements: NDArray[np.void]) -> "PoseBiasSmoother":
         """Returns the smoother at the maximum a posteriori of its prior and these measurements."""
-        noise, Ts, covariance = self.process_noise, self.solved.Ts.copy(), np.empty((12, 12))
-        prior = self.prior
-        if not pose_bias.smooth(prior.Ts, prior.covariance, self.pivot, measurements, Ts, covariance):
+        noise, Ts, rest, covariance = (
+            self.process_noise,
+            self.solved.Ts.copy(),
+            self.solved.rest.copy(),
+            EYE.copy(),
+        )
+        prior, drift, time = self.prior, self.drift, self.time
+        given = prior.Ts, prior.rest, prior.covariance, self.pivot, drift, measurements
+        if not pose_bias.smooth(*given, Ts, rest, covariance):
             raise np.linalg.LinAlgError("vision: expected positive definite covariances")
-        since = measurements["process_noise"][-1]
-        state = PoseAndBias(Ts, covariance).inflated(noise - since)
-        return PoseBiasSmoother(prior, self.pivot, state, noise, noise, measurements)
+        state = PoseAndBias(Ts, covariance, rest).inflated(noise - measurements["process_noise"][-1])
+        state = state.later(time - measurements["time"][-1], drift)
+        return PoseBiasSmoother(prior, self.pivot, state, noise, noise, measurements, drift, time, time)
 
 
 def nearest_semidefinite(information: Array) -> Array:

@@ -274,7 +274,7 @@ class TableEvidence:
                 log_density = -math.log(4 * np.pi * self.model.diameter)
             else:
                 H, residual, noise = measured
-                S = H @ state.covariance @ H.T + noise
+                S = H @ state.covariance[:12, :12] @ H.T + noise
                 chi2 = float(residual @ np.linalg.solve(S, residual))
                 log_density = -0.5 * (chi2 + float(np.linalg.slogdet(2 * np.pi * S)[1]))
             rows.append(math.log(support.probability) + log_density)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from handsight import checks
 from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior
@@ -20,7 +22,7 @@ from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinContacts
-from handsight.tracking.smoother import PoseBiasSmoother
+from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
 from handsight.tracking.table import TableEstimate
 from handsight.tracking.track_state import State, TrackState
 from handsight.tracking.warm import warm_tracker
@@ -54,10 +56,13 @@ class Tracker:
         start: PosePrior | None = None,
         settings: TrackerSettings | None = None,
         joint_offsets: JointOffsets | None = None,
+        friction: tuple[float, float] | None = None,
     ) -> None:
         """`start`: the object's pose in the palm before the first observation; None: the first pose from vision.
 
         `joint_offsets`: those of a tracker that followed another object in this hand; None: zero, with the rig's sigma.
+        `friction`: coefficient of friction between tips and object, and its sigma; None: that of the model, else of
+        the rig's fingers, else it is learnt.
         """
         if not isinstance(rig, Rig) or not isinstance(model, ObjectModel):
             came = f"{type(rig).__name__} and {type(model).__name__}"
@@ -74,6 +79,12 @@ class Tracker:
         if offsets.joints != rig.hand.moving:
             came = checks.brief(", ".join(offsets.joints))
             raise InvalidInput(f"joint_offsets: expected those of this hand's joints, got those of {came}")
+        if friction is not None:
+            if not (isinstance(friction, tuple | list) and len(friction) == 2):
+                raise InvalidInput(
+                    f"friction: expected a coefficient and its sigma, got {checks.brief(friction)}"
+                )
+            model = model.with_friction(*friction)
         warm_tracker()
         self.rig, self.model, self.settings = rig, model, settings or TrackerSettings()
         self.follower = Follower(rig, model, self.settings)
@@ -143,16 +154,37 @@ class Tracker:
         self.state, self.reason = track_state.label, track_state.reason
 
     def vision_bias(self) -> tuple[Array, Array] | None:
-        """Returns vision's constant bias (6,), see `PoseAndBias.vision_bias`, and its covariance (6, 6).
+        """Returns the constant part (6,) of vision's error, see `PoseAndBias.vision_bias`, and its covariance (6, 6).
 
-        Vision and contacts together estimate it; None before there were both.
+        Vision and contacts together estimate it, the more the palm turns; None before there were both.
         """
+        state = self._vision_errors()
+        return None if state is None else (state.vision_bias, state.covariance[6:12, 6:12])
+
+    def vision_drift(self) -> tuple[Array, Array] | None:
+        """Returns the part (6,) of vision's error that lasts for the rig's `correlation_time`, and its covariance
+        (6, 6): a shift of the object's origin [m] and a turn [rad] along the mount's axes; None where the bias is.
+        """
+        state = self._vision_errors()
+        return None if state is None else (state.rest[:6], state.covariance[12:18, 12:18])
+
+    def vision_latency(self) -> tuple[float, float] | None:
+        """Returns how much older vision's poses are than their stamps, and its standard deviation [s].
+
+        It is estimated while the hand moves the object, and taken away: a pose from vision is compared with the palm's
+        at that earlier time. None before there was a pose from vision.
+        """
+        known = self.track_state
+        if known.smoother is None or known.vision.mount is None:
+            return None
+        return known.smoother.latency, float(np.sqrt(known.smoother.solved.covariance[18, 18]))
+
+    def _vision_errors(self) -> PoseAndBias | None:
         known = self.track_state
         if known.smoother is None or known.correction is None or known.vision.mount is None:
             return None
         estimate = known.correction.estimate
-        state = known.smoother.now.given_pose(estimate.T_palm_object, estimate.information)
-        return state.vision_bias, state.covariance[6:, 6:]
+        return known.smoother.now.given_pose(estimate.T_palm_object, estimate.information)
 
     @property
     def stamp(self) -> float:

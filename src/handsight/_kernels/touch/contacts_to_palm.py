@@ -98,6 +98,20 @@ def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, contact:
     _project_to_tangent(C, normal)
 
 
+@inner
+def _sigmas(finger: Any, load: Vec6) -> Vec6:
+    """Returns the sigmas of a reading: its noise, and the error of each axis' gain in proportion to the load."""
+    s, (x, y, z), (u, v, w) = (
+        finger.sigmas,
+        scale(load[0], finger.sigma_gain),
+        scale(load[1], finger.sigma_gain),
+    )
+    return (
+        (np.hypot(s[0], x), np.hypot(s[1], y), np.hypot(s[2], z)),
+        (np.hypot(s[3], u), np.hypot(s[4], v), np.hypot(s[5], w)),
+    )
+
+
 @entry
 def contacts_to_palm(
     fingers: Any, readings: Any, Ts_palm_tip: Any, by_error: Any, gravity_palm: Any, contacts: Any
@@ -125,8 +139,7 @@ def contacts_to_palm(
     for i in range(n):
         finger, contact, load = fingers[i], contacts[i], (vector(loads[i, :3]), vector(loads[i, 3:]))
         tip = unpack_fingertip(finger.tip)
-        sigmas = vector(finger.sigmas[:3]), vector(finger.sigmas[3:])
-        answer = uncertain_contact(load, tip, sigmas, contact.covariance)
+        answer = uncertain_contact(load, tip, _sigmas(finger, load), contact.covariance)
         contact.reason = int(answer[0])
         if answer[0] == CONTACT:
             store(answer[1], contact.point)

@@ -32,6 +32,7 @@ FINGER = np.dtype(
         ("mass", "f8"),
         ("center_of_mass", "f8", (3,)),  # in the sensor's frame [m]
         ("sigmas", "f8", (6,)),  # of a reading [N], [N m]
+        ("sigma_gain", "f8"),  # relative error of a reading, of each axis by itself
         ("variance_point", "f8"),  # per axis, of errors beside those of sensor and joints [m²]
         ("variance_normal", "f8"),  # [rad²]
     ]
