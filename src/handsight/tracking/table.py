@@ -243,7 +243,7 @@ class TableEvidence:
         rests = [i for i, support in enumerate(self.supports) if support.pose is not None]
         if not rests:
             return None
-        told = sum(float(self.probabilities[i]) for i in rests if self.supports[i].factors == (1.0, 1.0))
+        declared = sum(float(self.probabilities[i]) for i in rests if self.supports[i].factors == (1.0, 1.0))
         support = self.supports[max(rests, key=lambda i: self.probabilities[i])]
         covariance = np.zeros((12, 12))
         covariance[:6, :6] = estimate.bounded_covariance + self.moved + drift * np.eye(6)
@@ -259,7 +259,7 @@ class TableEvidence:
             side = "below" if off[0] > 0 else "above"
             reason = f"touch and vision have it {abs(1e3 * off[0]):.0f} mm {side} where the rig says"
         height, tilt = self.table.height - float(off[0]), float(np.linalg.norm(off[1:]))
-        return TableEstimate(height, float(sigma[0]), tilt, float(sigma[1:].max()), told, reason)
+        return TableEstimate(height, float(sigma[0]), tilt, float(sigma[1:].max()), declared, reason)
 
     def log_densities(self, state: PoseAndBias, drift: Array) -> Array:
         """Returns (k,) the log probability of each support by vision alone, up to a constant.
