@@ -70,7 +70,7 @@ def _values(kind: type[Form], part: object, **given: object) -> Values:
     values = Values()
     for key in keys(kind):
         value: Any = given[key.name] if key.name in given else getattr(part, key.name, None)
-        values[key.text] = np.rad2deg(value) if key.text.endswith("_deg") else value
+        values[key.text] = np.rad2deg(value) if key.text.endswith("_deg") and value is not None else value
     return values
 
 
@@ -113,7 +113,9 @@ def _camera(camera: MountedCamera) -> Values:
             camera,
             sigma_position=camera.sigma_position_correlated,
             sigma_rotation=camera.sigma_rotation_correlated,
-        ),
+        )
+        if camera.sigma_position_correlated is not None or camera.sigma_rotation_correlated is not None
+        else None,
         intrinsics=None,
         lens=None,
     )

@@ -38,9 +38,7 @@ class TableOptions(NamedTuple):
     """Log density of touch under a support, relative to the best, that is not lowered further: a search may fail."""
     certain: float = 0.8  # probability of the likeliest support from which on the others are compared seldom
     period: float = 3.0  # between two such comparisons [s]
-    doubt_period: float = (
-        0.5  # between two comparisons while none is certain, or touch contradicts the likeliest [s]
-    )
+    doubt_period: float = 0.5  # the same while none is certain, or touch contradicts the likeliest [s]
 
 
 TABLE = TableOptions()
@@ -231,7 +229,8 @@ class TableEvidence:
         # A direction that differs by d turns the object by d x up.
         by_side = axes @ se3.skew(up) @ T[:3, :3]
         noise = np.zeros((3, 3))
-        sigma_height, sigma_tilt = np.multiply(support.factors, (table.sigma_height, table.sigma_tilt))
+        sigmas = np.maximum((table.sigma_height, table.sigma_tilt), 1e-5)  # a covariance must be invertible
+        sigma_height, sigma_tilt = support.factors * sigmas
         noise[0, 0] = sigma_height**2
         noise[1:, 1:] = sigma_tilt**2 * np.eye(2) + by_side @ spread @ by_side.T
         return H, residual, noise + H[:, :6] @ (self.moved + drift * np.eye(6)) @ H[:, :6].T
@@ -244,7 +243,7 @@ class TableEvidence:
         rests = [i for i, support in enumerate(self.supports) if support.pose is not None]
         if not rests:
             return None
-        told = sum(float(self.probabilities[i]) for i in rests if self.supports[i].factors == (1.0, 1.0))
+        declared = sum(float(self.probabilities[i]) for i in rests if self.supports[i].factors == (1.0, 1.0))
         support = self.supports[max(rests, key=lambda i: self.probabilities[i])]
         covariance = np.zeros((12, 12))
         covariance[:6, :6] = estimate.bounded_covariance + self.moved + drift * np.eye(6)
@@ -260,7 +259,7 @@ class TableEvidence:
             side = "below" if off[0] > 0 else "above"
             reason = f"touch and vision have it {abs(1e3 * off[0]):.0f} mm {side} where the rig says"
         height, tilt = self.table.height - float(off[0]), float(np.linalg.norm(off[1:]))
-        return TableEstimate(height, float(sigma[0]), tilt, float(sigma[1:].max()), told, reason)
+        return TableEstimate(height, float(sigma[0]), tilt, float(sigma[1:].max()), declared, reason)
 
     def log_densities(self, state: PoseAndBias, drift: Array) -> Array:
         """Returns (k,) the log probability of each support by vision alone, up to a constant.

@@ -1,0 +1,104 @@
+"""Vision's error has a constant part, one that drifts, and a latency: none of them makes an answer worse than said."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handsight import se3
+from handsight.simulation import Scenario, model_of, rig_of
+from handsight.tracking import Tracker
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def delayed(observations, count):
+    """The same observations, with vision's poses so many observations later, by their stamps taken then."""
+    poses = [None] * count + [o.vision for o in observations]
+    return [replace(o, vision=vision) for o, vision in zip(observations, poses, strict=False)]
+
+
+def drifting(observations, seed):
+    """The same observations, with a random walk of vision's error: 4 mm and 1.5° in a second."""
+    rng, off, found, last = np.random.default_rng(seed), np.zeros(6), [], observations[0].stamp
+    for o in observations:
+        off = off + np.sqrt(o.stamp - last) * rng.normal(size=6) * np.repeat([0.004, np.deg2rad(1.5)], 3)
+        last = o.stamp
+        if o.vision is not None:
+            o = replace(o, vision=replace(o.vision, T_frame_object=se3.moved(o.vision.T_frame_object, off)))
+        found.append(o)
+    return found
+
+
+def run(scenario, samples, observations):
+    """Errors of the middle [m] and χ², in the last two thirds of a manipulation, and the tracker at its end."""
+    model = model_of(scenario)
+    tracker, errors, chi2 = Tracker(rig_of(scenario), model), [], []
+    for sample, observation in zip(samples, observations, strict=True):
+        estimate = tracker.update(observation)
+        if observation.stamp < 6:
+            continue
+        T = model.nearest(sample.T_palm_object, estimate.T_palm_object)
+        off = se3.difference(estimate.T_palm_object, T)
+        errors.append(np.linalg.norm((estimate.T_palm_object - T) @ np.append(model.center_object, 1)))
+        chi2.append(off @ estimate.information @ off)
+    return np.mean(errors), np.mean(np.array(chi2) < 12.6), tracker
+
+
+@pytest.mark.slow
+def test_more_vision_makes_no_answer_worse_and_its_latency_and_drift_are_covered(simulated):
+    """χ² of six numbers is below 12.6 in 95 %. One fifth of a second late, vision is 8 mm wrong where nothing tells."""
+    rows = {name: [] for name in ("usual", "first", "late", "drift")}
+    for name, seed in (("can", 1), ("can", 2), ("box", 0), ("box", 1), ("box", 2)):
+        scenario = Scenario(object=name, seed=seed, motion="manipulate", rate=50)
+        samples = simulated(scenario)
+        usual = [sample.observation for sample in samples]
+        first = [o if o.stamp <= 1 else replace(o, vision=None) for o in usual]
+        cases = {"usual": usual, "first": first, "late": delayed(usual, 9), "drift": drifting(usual, seed)}
+        for row, observations in cases.items():
+            error, inside, tracker = run(scenario, samples, observations)
+            rows[row].append((error, inside))
+            if row in ("usual", "late"):
+                latency, sigma = tracker.vision_latency()
+                true = 0.2 if row == "late" else 0.02  # the simulator's own is 20 ms
+                assert abs(latency - true) < max(0.02, 3 * sigma), (name, seed, row)
+    error, inside = ({row: np.mean(rows[row], axis=0)[k] for row in rows} for k in range(2))
+    assert error["usual"] <= 1.1 * error["first"]
+    assert error["late"] <= 1.5 * error["usual"]
+    assert min(inside.values()) >= 0.92, inside
+
+
+def poses(path):
+    """Poses (n, 4, 4) of a file of quaternions and positions, and which were detected."""
+    rows = np.loadtxt(path)
+    found = np.linalg.norm(rows[:, :4], axis=1) > 0.5
+    Ts = np.tile(np.eye(4), (len(rows), 1, 1))
+    Ts[found] = [se3.from_position_quaternion(row[4:7], row[[1, 2, 3, 0]]) for row in rows[found]]
+    return Ts, found
+
+
+def test_published_estimators_share_most_of_their_error_from_image_to_image():
+    """Of objects without symmetry: the covariance of successive key frames' errors, less each sequence's mean."""
+    folder = Path(os.environ.get("HANDSIGHT_DATA", ROOT.parent / "shared" / "data")) / "ycbv_vision_poses"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not there: set HANDSIGHT_DATA to the folder with the test data")
+    for method in ("cosypose", "posecnn_rss2018", "sundermeyer", "posecnn_icp_rss2018"):
+        shared, total = np.zeros(2), np.zeros(2)
+        for path in sorted((folder / "ground_truth").glob("*mustard*")) + sorted(
+            (folder / "ground_truth").glob("*sugar*")
+        ):
+            (true, _), (vision, found) = poses(path), poses(folder / method / path.name)
+            off = se3.difference(vision, true)
+            good = found & (np.linalg.norm(off[:, :3], axis=1) < 0.08)
+            good &= np.linalg.norm(off[:, 3:], axis=1) < np.deg2rad(60)
+            off -= off[good].mean(axis=0)
+            both = good[1:] & good[:-1]
+            for k in range(2):
+                part = off[:, 3 * k : 3 * k + 3]
+                shared[k] += (part[1:] * part[:-1])[both].sum()
+                total[k] += (part[1:] ** 2)[both].sum()
+        ratio = np.sqrt(shared / (total - shared))
+        assert (ratio > 0.8).all(), (method, ratio)
+        assert (ratio < 3.2).all(), (method, ratio)
