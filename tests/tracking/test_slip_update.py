@@ -15,6 +15,7 @@ from handsight.forces.friction import Friction
 from handsight.gaussian_pose import GaussianPose
 from handsight.tracking import FingertipContacts, PoseBiasSmoother, Tracker
 from handsight.tracking.slip_update import SLIP_UPDATE, SlipUpdate
+from handsight.tracking.smoother import STILL
 
 FINGERS = ("ff", "mf", "th")
 FRICTION, PERIOD = 0.7, 0.004
@@ -118,11 +119,12 @@ def pushed(speed, sigma, mu=0.4, seconds=1.5):
     part, rng = SlipUpdate(some_rig()), np.random.default_rng(0)
     contact = Contacts(np.array([[0.02, 0, 0]]), np.array([[0.0, 0, 1]]))
     covariance = np.diag([sigma**2] * 3 + [(sigma / 0.1) ** 2] * 3)
-    vision = SimpleNamespace(last=None, rejected_in_a_row=0)
+    camera = SimpleNamespace(drift=np.array([sigma**2, (sigma / 0.1) ** 2, 5.0]))
+    vision = SimpleNamespace(last=None, rejected_in_a_row=0, camera=camera)
     for k in range(round(250 * seconds)):
         if k % 8 == 0:
             place = se3.compose(np.eye(3), np.array([speed * k / 250, 0, 0]) + sigma * rng.normal(size=3))
-            vision.last = GaussianPose(place, covariance), np.eye(4)
+            vision.last = GaussianPose(place, covariance), np.eye(4), STILL
         loads = load(mu, 2.0 + np.sin(k / 20))[None]
         part.update(0.004 * (k + 1), FingertipContacts(("ff",), contact, {}, loads=loads), smoother(), vision)
     return part.now

@@ -88,6 +88,7 @@ class YamlFile:
             raise self.error(field, f"expected values without tags, got {checks.brief(str(tag))}")
         if isinstance(value, dict):
             for key in value:
+                self._plain(key, field)
                 if not isinstance(key, str):
                     raise self.error(field, f"expected names as keys, got {checks.brief(key)} (not quoted?)")
             return {str(key): self._plain(part, (*field, key)) for key, part in value.items()}
@@ -97,6 +98,8 @@ class YamlFile:
             raise self.error(field, f"expected a finite number, got {float(value)}")
         for kind in (bool, int, float, str):
             if isinstance(value, kind):
+                if isinstance(value, str) and not value.isprintable() and any("\ud800" <= c <= "\udfff" for c in value):
+                    raise self.error(field, "expected text, got half of a surrogate pair")
                 return kind(value)
         return value
 
