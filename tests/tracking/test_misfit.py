@@ -6,6 +6,7 @@ import pytest
 import handsight as hs
 from handsight import se3
 from handsight.correction import PoseEstimate
+from handsight.simulation import Scenario, rig_of
 from handsight.tracking import Tracker
 from handsight.tracking.misfit import MISFIT, Innovations, Misfit
 
@@ -59,3 +60,20 @@ def test_the_right_model_is_tracked(can):
     for seen in can.observations:
         tracker.update(seen)
     assert tracker.state == "tracking", tracker.misfits
+
+
+def test_another_object_is_named_and_an_alternative_that_explains_the_touch_better(can):
+    box, thin = hs.ObjectModel.box([0.06, 0.09, 0.14]), hs.ObjectModel.cylinder(0.02, 0.1)
+    tracker = Tracker(can.rig, box, alternatives=[thin, box, can.model])
+    reasons = []
+    for seen in can.observations:
+        tracker.update(seen)
+        reasons.append(tracker.reason)
+    assert any("another object" in reason for reason in reasons)
+    assert f"another object, {can.model.name}, explains the touch better" in reasons[-1]
+
+
+def test_alternatives_are_models():
+    box, ball = hs.ObjectModel.box([0.06, 0.09, 0.14]), hs.ObjectModel.sphere(0.04)
+    with pytest.raises(hs.InvalidInput, match=r"alternatives\[1\]: expected an ObjectModel, got str"):
+        Tracker(rig_of(Scenario()), box, alternatives=[ball, "can"])

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -107,10 +107,17 @@ class Run:
     rig: "Rig"
     model: "ObjectModel"
     settings: "TrackerSettings | None" = None
+    alternatives: "tuple[ObjectModel, ...]" = ()
+    """Other objects that may be in the hand."""
 
     @classmethod
     def of(
-        cls, recording: Path, rig: Path | None, name: str | None, settings: "TrackerSettings | None" = None
+        cls,
+        recording: Path,
+        rig: Path | None,
+        name: str | None,
+        settings: "TrackerSettings | None" = None,
+        alternatives: Sequence[str] = (),
     ) -> "Run":
         """Returns the run that a command's options name; raises InvalidInput, InvalidFile."""
         announce_compiling()
@@ -119,7 +126,8 @@ class Run:
             known = ", ".join(found.objects) or "none"
             raise InvalidInput(f"--object: expected, got nothing; {path} has {known}")
         (model,) = find_models(() if name is None else (name,), found, path).values()
-        return cls(recording, found, model, settings)
+        others = find_models(alternatives, found, path).values() if alternatives else ()
+        return cls(recording, found, model, settings, tuple(others))
 
     @contextlib.contextmanager
     def opened(self) -> "Iterator[tuple[Recording, Tracker]]":
@@ -132,7 +140,8 @@ class Run:
         from handsight.tracking import Tracker
 
         with open_recording(self.recording, self.rig) as recording:
-            yield recording, Tracker(recording.calibrated_rig(), self.model, settings=self.settings)
+            rig = recording.calibrated_rig()
+            yield recording, Tracker(rig, self.model, settings=self.settings, alternatives=self.alternatives)
 
 
 def rig_beside(recording: Path) -> Path:

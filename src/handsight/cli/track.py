@@ -35,6 +35,14 @@ def track(
     samples: options.Samples = 0,
     outside: options.OutsidePoints = 200,
     images: options.WithImages = True,
+    alternative: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Another object that may be in the hand; repeatable. If contacts contradict the object for a second, "
+            "the reason names the alternative that explains them better.",
+        ),
+    ] = None,
     diagnose: Annotated[
         bool,
         typer.Option(
@@ -62,7 +70,7 @@ def track(
     its end and there is at least one pose.
     """
     settings = tracker_settings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
-    run = Run.of(recording, rig, object, settings)
+    run = Run.of(recording, rig, object, settings, alternative or ())
     output_folder = renamed(output_folder, former_output, ("--output-folder", "--output"))
     folder = output_folder or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
     with live_rows(recording.name, progress) as watch:

@@ -98,7 +98,11 @@ class YamlFile:
             raise self.error(field, f"expected a finite number, got {float(value)}")
         for kind in (bool, int, float, str):
             if isinstance(value, kind):
-                if isinstance(value, str) and not value.isprintable() and any("\ud800" <= c <= "\udfff" for c in value):
+                if (
+                    isinstance(value, str)
+                    and not value.isprintable()
+                    and any("\ud800" <= c <= "\udfff" for c in value)
+                ):
                     raise self.error(field, "expected text, got half of a surrogate pair")
                 return kind(value)
         return value

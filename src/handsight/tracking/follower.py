@@ -30,7 +30,7 @@ from handsight.tracking.hypotheses import (
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate
-from handsight.tracking.misfit import MISFIT, NO_INNOVATIONS, OTHER_OBJECT
+from handsight.tracking.misfit import MISFIT, NO_INNOVATIONS, OTHER_OBJECT, better_object
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
@@ -84,8 +84,15 @@ class _Next(TrackState):
 class Follower:
     """A `Follower` makes the next state of a track; it holds the robot, the object and the settings, but no state."""
 
-    def __init__(self, rig: Rig, model: ObjectModel, settings: TrackerSettings) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        model: ObjectModel,
+        settings: TrackerSettings,
+        alternatives: Sequence[ObjectModel] = (),
+    ) -> None:
         """The arguments are those of `Tracker`."""
+        self.alternatives = tuple(other for other in alternatives if other is not model)
         self.rig, self.model, self.settings, s = rig, model, settings, settings
         self.camera = rig.camera or MountedCamera()
         self.sensors = FingertipSensors(rig)
@@ -376,6 +383,11 @@ class Follower:
             if touch.fingers != last.fingers:
                 noise = noise + self.regrasp_noise
             watched = watched.moved(age, self.model, last.estimate, estimate, noise)
+        if not watched.another_object:
+            state.better_object = ""
+        elif self.alternatives and now - state.objects_compared_at >= MISFIT.compare_period:
+            state.objects_compared_at, explained = now, (self.model, estimate, prior)
+            state.better_object = better_object(self.alternatives, contacts, links, explained)
         state.innovations, estimate = watched, watched.inflated(estimate)
         _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
         state.correction = Correction(
@@ -413,23 +425,27 @@ class Follower:
 
     def _trust(self, state: _Next, estimate: PoseEstimate) -> tuple[State, str]:
         """Returns how far the estimate can be trusted, and why not further."""
+        other = ""
+        if state.innovations.another_object:
+            better = state.better_object
+            other = f"another object, {better}, explains the touch better" if better else OTHER_OBJECT
         if state.measured_at == -math.inf:
             return "lost", "nothing was touched or seen yet"
         if (since := state.stamp - state.measured_at) > self.settings.lost_after:
             return "lost", f"nothing touched and nothing seen for {since:.1f} s"
         if (since := state.stamp - state.fits_at) > FOLLOWER.lost_without_fit:
-            return "lost", f"the contacts have fitted no pose for {since:.1f} s: {OTHER_OBJECT}"
+            return "lost", f"the contacts have fitted no pose for {since:.1f} s: {other or OTHER_OBJECT}"
         if state.slip.now.slipping:
             return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
         if not estimate.consistent:
             reason = "the contacts do not fit the object at its estimated pose"
-            return "uncertain", f"{reason}: {OTHER_OBJECT}" if since > MISFIT.other_after else reason
+            return "uncertain", f"{reason}: {other}" if other else reason
         if doubt := state.weight.doubt(estimate):
             return "uncertain", doubt
         if ambiguous := ambiguity(self.model, estimate):
             return "uncertain", ambiguous
         if state.correction is not None and (misfit := state.innovations.worst):
-            return "uncertain", str(misfit)
+            return "uncertain", f"{misfit}: {other}" if other else str(misfit)
         if state.correction is None and not state.vision.camera_from_palm.confirmed:
             return "uncertain", "nothing is touched: the pose is vision's"
         if (sigma := self.sigma(state)) > self.settings.uncertain_position:

@@ -16,6 +16,7 @@ n degrees of freedom gives E[1/s²] = (ν + n) / (ν + NIS) (the weight of Stude
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -23,9 +24,12 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.correction import PoseEstimate, PosePrior
+from handsight.contact import Contacts
+from handsight.correction import Outside, PoseEstimate, PosePrior, correct_pose
 from handsight.correction.modes import chi2_limit
+from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
+from handsight.tracking.hypotheses import log_evidence
 
 
 class MisfitOptions(NamedTuple):
@@ -36,16 +40,21 @@ class MisfitOptions(NamedTuple):
     noise_freedom: float = 4.0
     """Degrees of freedom of the prior of the factor on the noise's variance: residuals are Student's t with so many, a
     usual choice for measurements with outliers (Lange, Little and Taylor 1989)."""
-    rejected: float = (
-        0.5  # a finger whose contact is rejected for a larger share of the window contradicts the others
-    )
-    other_after: float = 1.0
-    """The object may be another one once contacts have fitted no pose for so long [s]: two searches from wider priors
-    have failed then."""
+    rejected: float = 0.5
+    """A finger whose contact is rejected for a larger share of the window contradicts the others."""
+    suspicious: float = 0.6
+    """The object may be another one once contacts fitted no pose, or one finger at least had to be rejected, for a
+    larger share of the window: that is for about a second, in which two searches from wider priors have failed."""
+    decisive: float = math.log(100.0)
+    """Another object explains the touch better if its log evidence is higher by so much."""
+    sigma_turn: float = 1.0  # of another object's rotation about that of the model, per axis [rad]
+    compare_period: float = 1.0  # between two comparisons with other objects [s]
 
 
 MISFIT = MisfitOptions()
-OTHER_OBJECT = "is this another object than the model?"
+OTHER_OBJECT = "this may be another object than the model"
+TOUCH = "touch"
+"""Name of the misfit of all contacts together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +74,7 @@ class Misfit:
     def contradicts(self) -> bool:
         """Whether the evidence does not fit."""
         if self.rejected:
-            return self.rejected > MISFIT.rejected
+            return self.rejected > (MISFIT.suspicious if self.name == TOUCH else MISFIT.rejected)
         return bool(self.nis > chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm))
 
     @property
@@ -77,6 +86,8 @@ class Misfit:
 
     def __str__(self) -> str:
         """Returns a sentence such as "finger ff contradicts the others"."""
+        if self.name == TOUCH:
+            return f"contacts contradict the model: {OTHER_OBJECT}"
         if self.name == "motion":
             return f"the answer has moved by {math.sqrt(self.nis):.0f} sigma at once"
         if self.name == "vision":
@@ -103,6 +114,11 @@ class Innovations:
         return max((m for m in self.misfits.values() if m.contradicts), key=lambda m: m.factor, default=None)
 
     @property
+    def another_object(self) -> bool:
+        """Whether contacts have contradicted the model for so long that the object may be another one."""
+        return self.misfits.get(TOUCH, Misfit(TOUCH)).contradicts
+
+    @property
     def factor(self) -> float:
         """By how much the answer's covariance is multiplied."""
         return max((m.factor for m in self.misfits.values()), default=1.0)
@@ -123,6 +139,8 @@ class Innovations:
                 nis, freedom = (0.0, 3) if conflict is None else (conflict.chi2, conflict.freedom)
                 before = before or Misfit(finger, expected=freedom)
                 new[finger] = before.after(share, nis, freedom, float(i in estimate.outliers))
+        wrong = not estimate.consistent or any(i < len(fingers) for i in estimate.outliers)
+        new[TOUCH] = known.get(TOUCH, Misfit(TOUCH)).after(share, 0.0, 0.0, float(wrong))
         inverse = np.linalg.inv(prior.covariance)
         off = se3.difference(estimate.T_palm_object, prior.T_palm_object)
         expected = 6.0 - float((inverse * estimate.bounded_covariance).sum())
@@ -155,3 +173,28 @@ class Innovations:
 
 
 NO_INNOVATIONS = Innovations()
+
+
+def better_object(
+    models: Sequence[ObjectModel],
+    contacts: Contacts,
+    outside: Outside | None,
+    explained: tuple[ObjectModel, PoseEstimate, PosePrior],
+) -> str:
+    """Returns the name of the object that explains the touch far better than the model; empty where none does.
+
+    `explained`: the model, with the estimate and its prior. Another object is about where the model was expected, for
+    that is where vision detected something; its rotation is hardly known.
+    """
+    model, estimate, prior = explained
+    T, limit = prior.T_palm_object, log_evidence(model, estimate, prior) + MISFIT.decisive
+    middle = GaussianPose(T, prior.covariance).at_point(model.center_object)
+    best = ""
+    for other in models:
+        spread = np.repeat([(other.diameter / 4) ** 2, MISFIT.sigma_turn**2], 3)
+        there = GaussianPose(middle.T_a_b, middle.covariance + np.diag(spread)).at_point(-other.center_object)
+        wide = PosePrior(there.T_a_b, there.covariance)
+        found = correct_pose(other, contacts, vision=wide, outside=outside)
+        if found.consistent and (evidence := log_evidence(other, found, wide)) > limit:
+            best, limit = other.name, evidence
+    return best

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -58,12 +59,15 @@ class Tracker:
         settings: TrackerSettings | None = None,
         joint_offsets: JointOffsets | None = None,
         friction: tuple[float, float] | None = None,
+        alternatives: Sequence[ObjectModel] = (),
     ) -> None:
         """`start`: the object's pose in the palm before the first observation; None: the first pose from vision.
 
         `joint_offsets`: those of a tracker that followed another object in this hand; None: zero, with the rig's sigma.
         `friction`: coefficient of friction between tips and object, and its sigma; None: that of the model, else of
         the rig's fingers, else it is learnt.
+        `alternatives`: other objects that may be in the hand; where contacts contradict the model for a second,
+        `reason` names the one that explains them better.
         """
         if not isinstance(rig, Rig) or not isinstance(model, ObjectModel):
             came = f"{type(rig).__name__} and {type(model).__name__}"
@@ -88,7 +92,10 @@ class Tracker:
             model = model.with_friction(*friction)
         warm_tracker()
         self.rig, self.model, self.settings = rig, model, settings or TrackerSettings()
-        self.follower = Follower(rig, model, self.settings)
+        for k, other in enumerate(alternatives):
+            if not isinstance(other, ObjectModel):
+                raise InvalidInput(f"alternatives[{k}]: expected an ObjectModel, got {type(other).__name__}")
+        self.follower = Follower(rig, model, self.settings, alternatives)
         """Makes the next state of a state and an observation."""
         self.track_state = self.follower.initial(start, offsets)
         """All that is known of the object, as a value."""
