@@ -120,6 +120,7 @@ def test_a_finger_that_the_others_contradict_is_reported(grasp, folder, monkeypa
     first = next(iter(grasp[0].fingers))
     assert called(monkeypatch, folder, "track", "can.mcap", "--object", "can") == 0
     told = [line for line in capsys.readouterr().err.splitlines() if "contradicts the others" in line]
+    assert f"at the end: finger {first} contradicts the others" in told.pop(0)
     assert [line.split(":")[0] for line in told] == [f"finger {first}"]
     rejected = json.loads((folder / "can-track" / "summary.json").read_text())["fingers_rejected"]
     assert rejected[first] > 0.9

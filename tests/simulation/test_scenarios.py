@@ -21,7 +21,7 @@ from simulation.simulated import only
         ({"seed": 1.5}, "seed: expected a whole number of at least 0, got 1.5"),
         (
             {"motion": "throw"},
-            "motion: expected one of grasp, manipulate, weigh, ramp, steps, sine, got 'throw'",
+            "motion: expected one of grasp, manipulate, weigh, ramp, steps, sine, creep, jerks, got 'throw'",
         ),
         ({"nuisances": {"force_noise": 0}}, "nuisances: expected Nuisances, got dict"),
         ({"rate": 0}, "rate: expected a number above 0, got 0"),

@@ -175,7 +175,10 @@ def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, 
         wrong = estimate.conflicts[0] if estimate.conflicts else None  # the least probable one
         if wrong is None or wrong.evidence != "vision" or problem.vision is None or limit.cut_short:
             break
-        covariance = max(wrong.chi2 / wrong.freedom, 1.0) * problem.vision.covariance
+        # A prior that is 10 m or 10 rad wide says nothing already.
+        widest = 100.0 / max(float(problem.vision.covariance.diagonal().max()), 1e-18)
+        factor = max(min(wrong.chi2 / wrong.freedom, widest), 1.0)
+        covariance = factor * problem.vision.covariance
         problem = replace(problem, vision=PosePrior.trusted(problem.vision.T_palm_object, covariance))
         estimate = _searched(problem, options, limit, answer, samples)
     if estimate is first:

@@ -15,7 +15,7 @@ from handsight._kernels.posterior import mean
 from handsight._kernels.posterior.options import INTEGRATION
 from handsight.checks import Array, Mask
 from handsight.correction import conflicts, modes, solve
-from handsight.correction.estimate import PoseEstimate
+from handsight.correction.estimate import PoseEstimate, bounded_covariance
 from handsight.correction.problem import Problem, Records, descents_at
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
@@ -104,7 +104,10 @@ def _merged(problem: Problem, rows: Records, answer: str) -> Records:
         offsets = np.vstack([np.zeros(6), se3.difference(Ts, T)])
         shares = np.append(1.0, share) / (1 + share.sum())
         middle = shares @ offsets
-        C = np.einsum("k,kij->ij", shares, np.concatenate([[row["covariance"]], beside["covariance"]]))
+        parts = [
+            r["covariance"] if r["complete"] else bounded_covariance(r["information"]) for r in (row, *beside)
+        ]
+        C = np.einsum("k,kij->ij", shares, parts)
         C += (offsets - middle).T @ ((offsets - middle) * shares[:, None])
         row["T_palm_object"], row["covariance"] = se3.moved(T, middle), C
         row["log_weight"] += np.log1p(share.sum())
@@ -117,7 +120,11 @@ def _known_information(model: ObjectModel, T: Array, covariance: Array) -> Array
     scale = np.repeat([1.0, 1 / model.radius], 3)
     known = _across(tangents(model.symmetries, T), model.radius)
     metres = known @ (covariance / scale[:, None] / scale) @ known.T
-    return np.asarray(known.T @ np.linalg.inv(metres) @ known / scale[:, None] / scale)
+    # Of the correlations, as variances may differ by a factor that is beyond rounding; positive definite in any case.
+    deviations = np.sqrt(metres.diagonal())
+    values, vectors = np.linalg.eigh(metres / deviations[:, None] / deviations)
+    rows = (vectors / np.sqrt(np.maximum(values, 1e-12))).T / deviations @ known / scale
+    return np.asarray(rows.T @ rows)
 
 
 def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, samples: int) -> PoseEstimate:

@@ -53,6 +53,9 @@ def rig_of(scenario: Scenario) -> Rig:
             sigma_rotation=usual.vision_rotation,
             sigma_position_constant=usual.camera_height,
             sigma_rotation_constant=usual.camera_rotation,
+            # Images of nearly the same time share as much of a real camera's error.
+            sigma_position_correlated=usual.vision_position,
+            sigma_rotation_correlated=usual.vision_rotation,
         ),
         table=Table(height=0.0, sigma_height=usual.table_height, sigma_tilt=usual.table_tilt),
         gravity=GRAVITY,

@@ -30,6 +30,7 @@ from handsight.correction.modes import chi2_limit
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.tracking.hypotheses import log_evidence
+from handsight.tracking.smoother import MAX_PROPAGATION
 
 
 class MisfitOptions(NamedTuple):
@@ -166,7 +167,9 @@ class Innovations:
 
     def inflated(self, estimate: PoseEstimate) -> PoseEstimate:
         """Returns the estimate with its covariance inflated until the evidence fits."""
-        if (factor := self.factor) <= 1:
+        # A variance stops growing where the object may be anywhere.
+        widest = MAX_PROPAGATION / float(estimate.bounded_covariance.diagonal().max())
+        if (factor := min(self.factor, max(widest, 1.0))) <= 1:
             return estimate
         covariance = None if estimate.covariance is None else factor * estimate.covariance
         return estimate.with_gaussian(estimate.T_palm_object, covariance, estimate.information / factor)
