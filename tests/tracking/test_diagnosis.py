@@ -93,3 +93,20 @@ def test_a_recording_without_touch_tells_nothing_of_the_hand() -> None:
     diagnosis = diagnose(observations, declared(), model_of(Scenario(object="can")))
     assert diagnosis.instants == 0
     assert not any(value.measured or value.wrong for value in diagnosis.values)
+
+
+@pytest.mark.slow
+def test_a_late_camera_and_a_wrong_mass_are_measured_from_one_manipulation() -> None:
+    late = Nuisances(vision_delay=0.2)
+    scenario = Scenario(object="can", seed=3, motion="manipulate", rate=50.0, nuisances=late)
+    model = model_of(scenario).with_weight(mass=0.2, center_of_mass=np.zeros(3))  # it weighs 0.15 kg
+    observations = [sample.observation for sample in simulate(scenario)]
+    values = {v.name: v for v in diagnose(observations, rig_of(scenario), model).values}
+    latency, mass, height = values["camera latency"], values["object mass"], values["table height"]
+    assert latency.measured
+    assert abs(latency.estimated - 200) < 4 * latency.sigma_estimated
+    assert latency.sigma_estimated < 40
+    assert mass.wrong
+    assert abs(mass.estimated - 150) < 10
+    assert "smaller than declared" in mass.verdict
+    assert not height.wrong

@@ -24,11 +24,13 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts, Ellipsoid
 from handsight.errors import InvalidInput
+from handsight.forces import Weighing
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Finger, Rig
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.joint_offsets import JointOffsets, contact_equations
+from handsight.tracking.table import TableEstimate
 from handsight.tracking.tracker import Tracker
 
 
@@ -58,7 +60,7 @@ class DiagnosisOptions(NamedTuple):
 
 
 DIAGNOSIS = DiagnosisOptions()
-UNITS = {"mm": 1e3, "°": 180 / math.pi, "%": 100.0, "N": 1.0, "kg": 1.0, "ms": 1e3, "": 1.0}
+UNITS = {"mm": 1e3, "°": 180 / math.pi, "%": 100.0, "N": 1.0, "g": 1e3, "ms": 1e3, "": 1.0}
 """So many of each unit are one in SI."""
 UNLIKE = (
     "no small errors of hand and object explain the contacts: another object, or a finger that is far off"
@@ -187,6 +189,10 @@ class Diagnoser:
         self._instants = list[Instant]()
         self._bias: tuple[Array, Array] | None = None
         """Vision's constant error (6,) and its covariance (6, 6), when they were known best."""
+        self._weighing: tuple[Weighing, bool] | None = None
+        """The last weighing in most directions of gravity, and whether it includes the declared mass."""
+        self._table: TableEstimate | None = None
+        """Where the table must be, when its height was known best."""
 
     def watch(self) -> None:
         """Adds the tracker's last observation, if a finger touches elsewhere than in those that are kept."""
@@ -194,6 +200,12 @@ class Diagnoser:
         corrected = self.tracker.track_state.correction
         if observation is None or estimate is None or not estimate.consistent:
             return
+        weigher, table = self.tracker.track_state.weight.weigher, self.tracker.table
+        found, best = weigher.weighing, self._weighing
+        if found is not None and (best is None or found.directions >= best[0].directions):
+            self._weighing = found, weigher.mass is not None and not weigher.reason
+        if table is not None and (self._table is None or table.sigma_height < self._table.sigma_height):
+            self._table = table
         if corrected is None or corrected.stamp != observation.stamp:
             return
         bias = self.tracker.vision_bias()
@@ -241,7 +253,7 @@ class Diagnoser:
         errors, covariance = self._solve()
         far = bool(np.abs(errors / self._sigmas).max() > DIAGNOSIS.max_errors)
         by_touch = () if far else self._contact_values(errors, covariance)
-        values = [*by_touch, *self._vision_values()]
+        values = [*by_touch, *self._vision_values(), *self._other_values()]
         # Bonferroni: that any of n right values is called wrong has at most the stated probability.
         level = DIAGNOSIS.level / max(len(values), 1)
         judged = (replace(value, wrong=float(chdtrc(1, value.chi2)) < level) for value in values)
@@ -307,6 +319,43 @@ class Diagnoser:
         for i, name in enumerate(names):
             unit, found = "mm" if i < 3 else "°", math.sqrt(covariance[i, i])
             yield diagnosed(name, unit, 0.0, float(sigmas[i]), float(bias[i]), found)
+        if (latency := self.tracker.vision_latency()) is not None and camera.sigma_latency > 0:
+            off = latency[0] - camera.latency
+            yield diagnosed("camera latency", "ms", camera.latency, camera.sigma_latency, off, latency[1])
+
+    def _other_values(self) -> Iterator[Diagnosed]:
+        """Yields what the table, the object's weight, slips, and sensors in the air tell."""
+        rig, model, table = self.tracker.rig, self.tracker.model, self._table
+        if rig.table is not None and table is not None:
+            off = table.height - rig.table.height
+            height, tilt = rig.table.sigma_height, rig.table.sigma_tilt
+            yield diagnosed("table height", "mm", rig.table.height, height, off, table.sigma_height)
+            yield diagnosed("table tilt", "°", 0.0, tilt, table.tilt, table.sigma_tilt)
+        weigher, slip = self.tracker.track_state.weight.weigher, self.tracker.slip
+        if self._weighing is not None and model.mass is not None:
+            found, includes = self._weighing
+            numbers = "object mass", "g", model.mass, weigher.sigma_mass
+            if includes:
+                yield diagnosed(*numbers, found.mass - model.mass, found.sigma_mass)
+            else:
+                yield measured(*numbers, found.mass, found.sigma_mass)
+        if model.friction is not None and slip.friction is not None:
+            off = slip.friction - model.friction
+            yield diagnosed("friction", "", model.friction, model.sigma_friction, off, slip.sigma_friction or math.inf)
+        for row, (name, finger) in zip(weigher.tare, rig.fingers.items(), strict=True):
+            if row.any():  # a mean of ten readings or so
+                force, sigma = float(np.linalg.norm(row[:3])), finger.sigma_force
+                yield measured(f"sensor {name} bias", "N", 0.0, sigma, force, sigma / 3)
+
+
+def measured(
+    name: str, unit: str, declared: float, prior: float, estimated: float, sigma: float
+) -> Diagnosed:
+    """Returns a value, with its sigma `prior`, from an estimate that does not include it; all in SI units."""
+    information = prior**-2 + sigma**-2
+    return diagnosed(
+        name, unit, declared, prior, (estimated - declared) / sigma**2 / information, information**-0.5
+    )
 
 
 def diagnosed(name: str, unit: str, declared: float, prior: float, error: float, sigma: float) -> Diagnosed:
