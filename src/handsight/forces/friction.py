@@ -13,6 +13,9 @@ import math
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 class FrictionOptions(NamedTuple):
     """`FrictionOptions` say how a friction coefficient is learnt from turns of the ratio vectors."""
@@ -51,6 +54,9 @@ class FrictionOptions(NamedTuple):
 
 
 FRICTION = FrictionOptions()
+FIRST = round(math.log(FRICTION.min_ratio) / FRICTION.bin_width)
+BINS = round(math.log(FRICTION.max_ratio) / FRICTION.bin_width) - FIRST + 1
+"""Number of the first bin, and how many there are."""
 
 
 Vector = tuple[float, float, float, float]
@@ -72,8 +78,8 @@ class Friction:
         self._declared = None if declared is None or sigma is None else (declared, sigma)
         self._anchors: Mapping[str, Vector] = {}
         """By finger, the ratio vector from which the next turn is measured."""
-        self._turns: Mapping[int, int] = {}
-        """By bin, the number of turns."""
+        self._turns = np.zeros(BINS, dtype=np.int64)
+        """(BINS,) number of turns in each bin of the logarithm of the ratio."""
         self._heap: tuple[float, int] | None = None
         """Mean ratio of the highest heap, and its turns; None before there was one."""
         self._kept_up: Mapping[str, float] = {}
@@ -148,26 +154,31 @@ class Friction:
 
     def _count(self, ratio: float, turns: int) -> None:
         """Counts turns at a ratio."""
-        at = round(math.log(ratio) / FRICTION.bin_width)
-        self._turns = {**self._turns, at: self._turns.get(at, 0) + turns}
+        self._turns = self._turns.copy()
+        self._turns[round(math.log(ratio) / FRICTION.bin_width) - FIRST] += turns
         shared = FRICTION.near_heap * self._kept_by_two
         self._heap = _highest_heap(
-            self._turns, math.log(shared) / FRICTION.bin_width if shared > 0 else -math.inf
+            self._turns, math.log(shared) / FRICTION.bin_width - FIRST if shared > 0 else -math.inf
         )
 
 
-def _highest_heap(turns: Mapping[int, int], shared: float) -> tuple[float, int] | None:
+def _highest_heap(turns: NDArray[np.int64], shared: float) -> tuple[float, int] | None:
     """Returns the mean ratio of the highest heap, with the bins just below it, and its turns; None without a heap.
 
-    `shared` is the bin up to which two fingers have kept up a ratio.
-    A few turns that are spread over higher ratios, as by a tip that touches at two places, are not the limit.
+    `turns` (BINS,); `shared` is the bin up to which two fingers have kept up a ratio. A few turns that are spread over
+    higher ratios, as by a tip that touches at two places, are not the limit.
     """
-    counts = {at: sum(turns.get(at + k, 0) for k in range(FRICTION.band)) for at in turns}
-    for at in sorted(counts, reverse=True):
+    through = np.concatenate([[0], np.cumsum(turns)])
+    occupied = np.flatnonzero(turns)
+    heaps = np.zeros(BINS, dtype=np.int64)
+    heaps[occupied] = through[np.minimum(occupied + FRICTION.band, BINS)] - through[occupied]
+    for at in occupied[::-1].tolist():
         below = FRICTION.max_below if at <= shared else FRICTION.max_below_alone
-        near = max(count for other, count in counts.items() if at - below <= other <= at)
-        if counts[at] >= max(FRICTION.min_turns, FRICTION.min_share * near):
-            heap = [(at + k, turns.get(at + k, 0)) for k in range(-FRICTION.spread, FRICTION.band)]
-            total = sum(count for _, count in heap)
-            return math.exp(FRICTION.bin_width * sum(k * count for k, count in heap) / total), total
+        near = heaps[max(at - below, 0) : at + 1].max()
+        if heaps[at] >= max(FRICTION.min_turns, FRICTION.min_share * near):
+            first = max(at - FRICTION.spread, 0)
+            heap = turns[first : at + FRICTION.band]
+            total = int(heap.sum())
+            mean = FIRST + first + float(np.arange(len(heap)) @ heap) / total
+            return math.exp(FRICTION.bin_width * mean), total
     return None

@@ -341,7 +341,9 @@ class Diagnoser:
                 yield measured(*numbers, found.mass, found.sigma_mass)
         if model.friction is not None and slip.friction is not None:
             off = slip.friction - model.friction
-            yield diagnosed("friction", "", model.friction, model.sigma_friction, off, slip.sigma_friction or math.inf)
+            yield diagnosed(
+                "friction", "", model.friction, model.sigma_friction, off, slip.sigma_friction or math.inf
+            )
         for row, (name, finger) in zip(weigher.tare, rig.fingers.items(), strict=True):
             if row.any():  # a mean of ten readings or so
                 force, sigma = float(np.linalg.norm(row[:3])), finger.sigma_force
