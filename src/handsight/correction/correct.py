@@ -116,13 +116,13 @@ def correct_pose(
     if isinstance(options, PaperMethod):
         estimate = _by_paper(problem, options)
     else:
-        solved = partial(_solved, options=options, limit=limit, answer=answer, samples=samples)
         if skin is not None and prior is not None:
             by_contacts = replace(problem, outside=NO_OUTSIDE, weight=None)
             around = _solved(by_contacts, options=options, limit=limit, answer="maximum", samples=0)
             problem = replace(problem, starts=starts.within_footprint(problem, around))
-        estimate = solved(problem)
+        estimate = _solved(problem, options=options, limit=limit, answer=answer, samples=samples)
         if problem.weight is not None:
+            solved = partial(_solved, options=options, limit=limit, answer=answer, samples=samples)
             estimate = _weighed(problem, problem.weight, estimate, solved)
     return estimate if skin is None else estimate.inflated(skin.sigmas**2)
 

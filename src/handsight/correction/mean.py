@@ -54,6 +54,9 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEst
     an unobservable direction stays a maximum: the direction is not bounded, and several maxima along it are more
     informative than one mean.
     """
+    gaussian = answer == "maximum" or estimate.answer["departure"] <= INTEGRATION.max_gaussian_rise
+    if gaussian and answer != "mean" and len(estimate.modes) == 1:
+        return estimate
     likeliest = estimate.modes[: INTEGRATION.max_modes]
     integrated = [
         row["departure"] > INTEGRATION.max_gaussian_rise and (row["complete"] or not problem.blind)
