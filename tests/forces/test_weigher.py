@@ -208,3 +208,13 @@ def test_two_contacts_turn_nothing_about_their_line():
     _, w = small_motion(points, np.array([[0.0, 0, 0.001], [0, 0, -0.001]]))
     assert abs(w[0]) < 1e-12
     assert w[1] == pytest.approx(0.02, rel=2e-3)
+
+
+@pytest.mark.parametrize("torque", [0.5, 3.0])
+def test_a_torque_that_no_weight_in_the_hand_exerts_is_refused(torque):
+    def spoil(wrenches):
+        return {"th": wrenches["th"] + [0, 0, 0, torque, torque, torque]}
+
+    weigher = weighed(Weigher(rig()), Held(), spoil=spoil)
+    assert weigher.believed is None
+    assert weigher.reason

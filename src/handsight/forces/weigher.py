@@ -30,6 +30,7 @@ class WeigherOptions(NamedTuple):
     window: float = 0.2  # over which loads are averaged [s]
     max_gap: float = 0.1  # between two observations: after a longer one averaging starts anew [s]
     min_observations: int = 3  # fewest observations of a mean
+    max_reach: float = 0.5  # a centre of mass farther from the loads is not that of an object in a hand [m]
     min_weight: float = 0.25  # a smaller force is not weighed [N]
     new_direction: float = np.deg2rad(3.0)
     """Angle by which gravity must have turned in the palm for another instant to be kept [rad]."""
@@ -212,6 +213,9 @@ class Weigher:
                 found = known
             else:
                 self.reason = f"it weighs {found.mass:.3g} kg, not {self.mass:.3g}"
+        away = float(np.abs(found.center_palm - load.middle_palm).max())
+        if not self.reason and not away < WEIGHER.max_reach:
+            self.reason = f"the loads would be those of a weight {away:.1f} m away from the hand"
         if not self.reason and not found.consistent:
             self.reason = "the loads are not those of this weight alone: something else bears part of it"
         if not self.reason and self._doubted and len(instants) < WEIGHER.trusted_directions:
