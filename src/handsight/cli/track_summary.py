@@ -227,7 +227,7 @@ def print_diagnosis(diagnosis: "Diagnosis") -> None:
     """Prints a line for each value that a recording measures, the most doubtful first, and names the others."""
     measured = sorted((v for v in diagnosis.values if v.measured), key=lambda v: (not v.wrong, -v.chi2))
     rows = [
-        (v.name, v.unit, f"{v.declared:.4g} ± {v.sigma:.2g}", f"{v.estimated:.4g} ± {v.sigma_estimated:.2g}",
+        (v.name, v.unit, f"{v.declared:.4g} ± {v.sigma:.3g}", f"{v.estimated:.4g} ± {v.sigma_estimated:.3g}",
          f"{v.chi2:.1f}", v.verdict)
         for v in measured
     ]  # fmt: skip

@@ -83,6 +83,8 @@ class Diagnosed:
     """Its standard deviation; infinite where the recording tells nothing."""
     chi2: float
     """Squared deviation of the estimate from the declared value, in units of its variance if that value is right."""
+    freedom: int = 1
+    """Degrees of freedom of `chi2`: how many numbers it is the length of, such as 3 of a force."""
     wrong: bool = False
     """Whether the recording contradicts the value."""
 
@@ -200,14 +202,15 @@ class Diagnoser:
         corrected = self.tracker.track_state.correction
         if observation is None or estimate is None or not estimate.consistent:
             return
-        weigher, table = self.tracker.track_state.weight.weigher, self.tracker.table
+        weigher = self.tracker.track_state.weight.weigher
         found, best = weigher.weighing, self._weighing
         if found is not None and (best is None or found.directions >= best[0].directions):
             self._weighing = found, weigher.mass is not None and not weigher.reason
-        if table is not None and (self._table is None or table.sigma_height < self._table.sigma_height):
-            self._table = table
         if corrected is None or corrected.stamp != observation.stamp:
             return
+        table = self.tracker.table
+        if table is not None and (self._table is None or table.sigma_height < self._table.sigma_height):
+            self._table = table
         bias = self.tracker.vision_bias()
         if bias is not None and (self._bias is None or np.trace(bias[1]) < np.trace(self._bias[1])):
             self._bias = bias
@@ -223,13 +226,12 @@ class Diagnoser:
             return
         if len(contacts) < DIAGNOSIS.min_fingers or not loads[:, 3].min() >= DIAGNOSIS.min_force:
             return
+        if not self._is_new(touch.fingers, contacts):
+            return
         larger = self._larger.contacts(observation)
         if larger.contacts is None or larger.fingers != touch.fingers:
             return
-        if not self._is_new(touch.fingers, contacts):
-            return
-        K = touch.by_error @ np.linalg.inv(self._offsets.root)
-        alone = contacts.covariance - K @ self._offsets.covariance @ K.swapaxes(1, 2)
+        K, alone = self._offsets.separated(contacts, touch.by_error)
         names, j = list(self.tracker.rig.fingers), K.shape[2]
         J = np.zeros((len(contacts), 6, len(self._sigmas)))
         J[:, :, :j] = -K  # a joint that reads too much is at a smaller angle
@@ -256,7 +258,7 @@ class Diagnoser:
         values = [*by_touch, *self._vision_values(), *self._other_values()]
         # Bonferroni: that any of n right values is called wrong has at most the stated probability.
         level = DIAGNOSIS.level / max(len(values), 1)
-        judged = (replace(value, wrong=float(chdtrc(1, value.chi2)) < level) for value in values)
+        judged = (replace(value, wrong=float(chdtrc(value.freedom, value.chi2)) < level) for value in values)
         return Diagnosis(tuple(judged), len(self._instants), UNLIKE if far else "")
 
     def _is_new(self, fingers: tuple[str, ...], contacts: Contacts) -> bool:
@@ -330,7 +332,8 @@ class Diagnoser:
             off = table.height - rig.table.height
             height, tilt = rig.table.sigma_height, rig.table.sigma_tilt
             yield diagnosed("table height", "mm", rig.table.height, height, off, table.sigma_height)
-            yield diagnosed("table tilt", "°", 0.0, tilt, table.tilt, table.sigma_tilt)
+            value = diagnosed("table tilt", "°", 0.0, tilt, table.tilt, table.sigma_tilt)
+            yield replace(value, freedom=2)
         weigher, slip = self.tracker.track_state.weight.weigher, self.tracker.slip
         if self._weighing is not None and model.mass is not None:
             found, includes = self._weighing
@@ -347,7 +350,7 @@ class Diagnoser:
         for row, (name, finger) in zip(weigher.tare, rig.fingers.items(), strict=True):
             if row.any():  # a mean of ten readings or so
                 force, sigma = float(np.linalg.norm(row[:3])), finger.sigma_force
-                yield measured(f"sensor {name} bias", "N", 0.0, sigma, force, sigma / 3)
+                yield replace(measured(f"sensor {name} bias", "N", 0.0, sigma, force, sigma / 3), freedom=3)
 
 
 def measured(

@@ -121,12 +121,17 @@ class JointOffsets:
         C = (covariance[:6, :6] + covariance[:6, :6].T) / 2
         return estimate.with_gaussian(se3.moved(T, step), C, np.asarray(np.linalg.inv(C)))
 
+    def separated(self, contacts: Contacts, by_error: Array) -> tuple[Array, Array]:
+        """Returns the change (n, 6, j) of contacts by the error of each joint, and their covariance (n, 6, 6) without
+        the joints' constant errors; the arguments are those of `after`."""
+        K = by_error @ np.linalg.inv(self.root)
+        return K, contacts.covariance - K @ self.covariance @ K.swapaxes(1, 2)
+
     def _normal_equations(
         self, model: ObjectModel, contacts: Contacts, by_error: Array, T_palm_object: Array, prior: PosePrior
     ) -> tuple[Array, Array]:
         """Returns H (6 + j, 6 + j) and the slope (6 + j,) of the cost of contacts and prior, by pose and offsets."""
-        K = by_error @ np.linalg.inv(self.root)
-        alone = contacts.covariance - K @ self.covariance @ K.swapaxes(1, 2)
+        K, alone = self.separated(contacts, by_error)
         H, slope = contact_equations(model, contacts, alone, -K, T_palm_object)
         by_prior = np.linalg.inv(prior.covariance)
         expected = model.nearest(prior.T_palm_object, T_palm_object)
