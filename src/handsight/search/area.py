@@ -9,6 +9,7 @@ from handsight._deprecated import renamed_keywords, renamed_members
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
+from handsight.objects.resting import resting_poses
 from handsight.objects.symmetry import nearest
 from handsight.rig import Table
 from handsight.search.touch import Sweep
@@ -101,27 +102,26 @@ class Area:
 
 
 def resting(model: ObjectModel) -> Array:
-    """Returns Rs_world_object (k, 3, 3) of the object's stable poses on a plane, the likeliest first.
+    """Returns Rs_world_object (k, 3, 3) of the object's resting poses on a plane, the likeliest first.
 
-    The object is taken to be of constant density (`trimesh.poses`). Poses that differ by a symmetry of the object or by
-    a rotation about the vertical count as one. Raises InvalidInput for a cloud or an open surface.
+    Poses that differ by a symmetry of the object or by a rotation about the vertical count as one. Raises InvalidInput
+    for a cloud or an open surface.
     """
-    import trimesh
-
     if not (model.closed and len(model.faces)):
         raise InvalidInput(
             "model: expected a closed mesh to rest on its faces, got a cloud or an open surface"
         )
-    mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
-    Ts, _ = trimesh.poses.compute_stable_poses(mesh, n_samples=1, threshold=1e-3)
     turns = se3.rotation_exp(np.linspace(0, 2 * np.pi, 24, endpoint=False)[:, None] * [0.0, 0, 1])
     distinct: list[Array] = []
-    for R in (T[:3, :3] for T in Ts):
+    for pose in resting_poses(model, model.center_of_mass):
+        up = -pose.down[0]
+        axes = np.linalg.svd(up[None])[2]
+        R = np.stack([axes[1], np.cross(up, axes[1]), up])
         turned, tilts = se3.compose(turns @ R, np.zeros(3)), []
         for other in distinct:
             T_other = se3.compose(other, np.zeros(3))
-            up = nearest(model.symmetries, turned, T_other, model.radius)[:, 2, :3]
-            tilts.append(np.arccos(np.clip(up @ other[2], -1, 1)).min())
+            ups = nearest(model.symmetries, turned, T_other, model.radius)[:, 2, :3]
+            tilts.append(np.arccos(np.clip(ups @ other[2], -1, 1)).min())
         if all(tilt > SAME_STABLE_POSE for tilt in tilts):
             distinct.append(R)
     return np.array(distinct[:MAX_STABLE_POSES])

@@ -249,9 +249,14 @@ class Follower:
         state.learnt_from = last = state.correction
         pose, T, table = smoother.now, state.T_world_palm, self.rig.table
         if change == "released":
-            if last is not None:
+            touch = None if last is None else last.estimate
+            if last is not None and touch is not None and state.table is not None:
+                # The table may be misplaced, and the next grasp would count it a second time: contacts alone stay.
+                prior, start = smoother.without_touch, touch.T_palm_object_maximum
+                touch = refine_pose(self.model, last.contacts, prior, start)
+            if touch is not None:
                 # What was measured of the pose up to now stays true; the object's motion from now on is unknown.
-                pose = pose.given_pose(last.estimate.T_palm_object, last.estimate.information)
+                pose = pose.given_pose(touch.T_palm_object, touch.information)
             state.correction = state.table = None
         pose = pose.inflated(self.regrasp_noise)
         if change != "released" and table is not None and T is not None and not state.grasp.lifted:
