@@ -52,6 +52,22 @@ def test_the_weight_of_an_object_with_a_known_centre_of_mass_measures_its_pose(l
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("off", [-0.015, 0.015])
+def test_a_table_that_is_elsewhere_is_found_by_the_weight_or_said(lifted, off):
+    """The table is believed five sigmas off. Fingers hold the box at its sides, vision has a constant error: nothing but
+    the weight, in three directions, says how high the box is in the hand."""
+    observations, samples = lifted
+    rig, model = rig_of(SCENARIO), model_of(SCENARIO)
+    wrong = replace(rig, table=replace(rig.table, height=rig.table.height + off))
+    without = follow(hs.Tracker(wrong, model), observations)
+    tracker = follow(hs.Tracker(wrong, model.with_weight(center_of_mass=np.zeros(3))), observations)
+    assert middle_error(without, samples[-1]) > 0.01
+    near = middle_error(tracker, samples[-1]) < 0.006
+    assert near or (tracker.state == "uncertain" and "where the weight has it" in tracker.reason)
+    assert near == (tracker.estimate.weight_fits is True)
+
+
+@pytest.mark.slow
 def test_an_unknown_centre_of_mass_is_estimated(lifted):
     observations, samples = lifted
     tracker = follow(hs.Tracker(rig_of(SCENARIO), model_of(SCENARIO)), observations)

@@ -455,7 +455,8 @@ class Follower:
         if state.correction is None and not state.vision.camera_from_palm.confirmed:
             return "uncertain", "nothing is touched: the pose is vision's"
         if (sigma := self.sigma(state)) > self.settings.uncertain_position:
-            return "uncertain", f"the position is known to {1e3 * sigma:.0f} mm only"
+            table, reason = self.table(state), f"the position is known to {1e3 * sigma:.0f} mm only"
+            return "uncertain", f"{reason}; the table: {table.reason}" if table and table.reason else reason
         return "tracking", ""
 
 
