@@ -17,6 +17,7 @@ from handsight._kernels.math.vec3 import (
     Vec3,
     add,
     add33,
+    apply,
     block,
     cross,
     dot,
@@ -75,7 +76,13 @@ def vision_prior(model: Any, vision: Any, prior: Any, u: Any) -> None:
     from_eigen(u.values, u.vectors, radius, prior.information)
     about_point(prior.information, arm, prior.information)
     for k in range(symmetry.axes):
-        _forget_spin(mul(R, vector(symmetry.axis[k])), prior.information)
+        # The turn about an axis is removed, by the Schur complement.
+        axis, information = mul(R, vector(symmetry.axis[k])), prior.information
+        by_shift, by_turn = mul(block(information, 0, 3), axis), mul(block(information, 3, 3), axis)
+        along, turned = max(dot(axis, by_turn), 1e-300), by_shift + by_turn
+        for i in range(6):
+            for j in range(6):
+                information[i, j] -= turned[i] * turned[j] / along
 
 
 @inner
@@ -92,17 +99,6 @@ def about_point(information: Any, lever: Vec3, out: Any) -> None:
         turned = cross((out[0, j], out[1, j], out[2, j]), lever)
         for i in range(3):
             out[3 + i, j] += turned[i]
-
-
-@inner
-def _forget_spin(axis: Vec3, information: Any) -> None:
-    """Removes the turn around an axis, given in the palm, from an information (6, 6), by the Schur complement."""
-    by_shift, by_turn = mul(block(information, 0, 3), axis), mul(block(information, 3, 3), axis)
-    along = max(dot(axis, by_turn), 1e-300)
-    turned = by_shift + by_turn
-    for i in range(6):
-        for j in range(6):
-            information[i, j] -= turned[i] * turned[j] / along
 
 
 @inner
@@ -135,8 +131,7 @@ def swing(axis_from: Vec3, axis_to: Vec3) -> tuple[Vec3, Mat33]:
 @inner
 def point_off(point_object: Any, point_palm: Any, pose: Pose) -> tuple[Vec3, Vec3]:
     """Returns where a point of the object is in the palm, and how far that is from where it should be."""
-    R, p = pose
-    place = add(p, mul(R, vector(point_object)))
+    place = apply(pose, vector(point_object))
     return place, sub(place, vector(point_palm))
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame
-from handsight._kernels.math.dense6 import eigen, factor, solve
+from handsight._kernels.math.dense6 import eigen, factor, from_eigen, solve
 from handsight._kernels.math.so3 import IDENTITY, rotation_exp
 from handsight._kernels.math.vec3 import (
     Mat33,
@@ -106,16 +106,6 @@ def pose_jacobian(R: Mat33, arm: Vec3, before: float, after: float, out: Any) ->
 
 
 @inner
-def _compose(values: Any, vectors: Any, out: Any) -> None:
-    """Fills `out` (6, 6) with the symmetric matrix of eigenvalues (6) and of eigenvectors in columns."""
-    for i in range(6):
-        for j in range(6):
-            out[i, j] = 0.0
-            for k in range(6):
-                out[i, j] += values[k] * vectors[i, k] * vectors[j, k]
-
-
-@inner
 def pose_covariance(informed: Any, error: Any, out: Any) -> None:
     """Fills `out` (6, 6) with the covariance of a pose by (δp, r δθ) of its centre: (A S⁻¹ A + U)⁻¹ + v.
 
@@ -131,11 +121,11 @@ def pose_covariance(informed: Any, error: Any, out: Any) -> None:
     for k in range(6):
         # S is summed over some of the pairs of points, and may be less than nothing along a direction.
         values[k] = 1 / (max(values[k], 0.0) + 1e-3 * trace / 6 + 1e-12)
-    _compose(values, vectors, S_inverse)
+    from_eigen(values, vectors, 1.0, S_inverse)
     eigen(A, values, vectors)
     for k in range(6):
         values[k] = max(values[k], 0.0)
-    _compose(values, vectors, A)
+    from_eigen(values, vectors, 1.0, A)
     congruence(A, S_inverse, information)
     for i in range(6):
         information[i, i] += error.known_shift if i < 3 else error.known_turn

@@ -84,11 +84,8 @@ def scan(
     (2, m, 3), normals of 0 for points in the air beside it. rotations (r, 3, 3), middles (s, 3) of it in the camera.
     """
     height, width, count = cells.shape[0], cells.shape[1], hand.shape[1]
-    there, agree, turned = (
-        np.empty(PALM_SCAN.range_bins),
-        np.empty(PALM_SCAN.range_bins),
-        np.empty((count, 2, 3)),
-    )
+    there, agree = np.empty(PALM_SCAN.range_bins), np.empty(PALM_SCAN.range_bins)
+    turned = np.empty((count, 2, 3))
     half, finer, bins = PALM_SCAN.range_bins // 2, 1 / corner[2], 1 / bin_width
     for r in range(len(rotations)):
         R = matrix(rotations[r])
