@@ -209,9 +209,6 @@ class FingerForm(Section, kw_only=True):
             bias_torque=np.array(bias.torque),
             mass=sensor.tip_mass,
             center_of_mass=np.array(sensor.tip_center),
-            residual_force=np.zeros(3),
-            residual_torque=np.zeros(3),
-            condition=1.0,
             reading=sensor.reading,
         )
         return Finger(

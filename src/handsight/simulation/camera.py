@@ -1,10 +1,11 @@
 """The depth camera at the shoulder: its calibrated pose, the error of that pose, and the errors of its depth."""
 
-from functools import lru_cache, reduce
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import fftfreq, irfft2, rfft2
+from scipy.ndimage import minimum_filter
 from scipy.special import ndtri
 
 from handsight import checks, se3
@@ -101,11 +102,8 @@ def _dropout_rate(z: Depth, noise: DepthNoise) -> Depth | np.float32:
     """Returns the probability that a pixel has no depth, (h, w) or the same for all; it is larger behind edges."""
     if noise.edges == 0:
         return np.float32(noise.dropouts)
-    height, width = z.shape
-    around = np.pad(np.where(z > 0, z, np.float32(np.inf)), noise.edge_width, constant_values=np.inf)
-    sides = range(2 * noise.edge_width + 1)
-    nearest = reduce(np.minimum, (around[:, k : k + width] for k in sides))
-    nearest = reduce(np.minimum, (nearest[k : k + height] for k in sides))
+    known = np.where(z > 0, z, np.float32(np.inf))
+    nearest = minimum_filter(known, 2 * noise.edge_width + 1, mode="constant", cval=np.inf)
     behind = z > nearest + np.float32(EDGE) * np.square(np.maximum(nearest, 1))
     return np.where(behind, np.float32(noise.edges), np.float32(noise.dropouts))
 

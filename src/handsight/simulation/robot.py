@@ -39,9 +39,7 @@ def rig_of(scenario: Scenario) -> Rig:
     usual = Nuisances()
     return Rig(
         hand=_hand(),
-        fingers={
-            finger: _finger(finger, unloaded) for finger, unloaded in zip(FINGERS, UNLOADED, strict=True)
-        },
+        fingers={name: _finger(name, unloaded) for name, unloaded in zip(FINGERS, UNLOADED, strict=True)},
         sigma_joint_offset=usual.joint_offset,
         sigma_joint=usual.joint_noise,
         camera=MountedCamera(
@@ -130,15 +128,12 @@ def _hand() -> Hand:
 def _finger(name: str, unloaded: Array) -> Finger:
     """Returns a finger whose sensor reads `unloaded` (6,) without load."""
     semi_axes, center_z = tip_shape(name)
-    center, zero = np.array([0.0, 0.0, center_z]), np.zeros(3)
+    center = np.array([0.0, 0.0, center_z])
     calibration = WrenchCalibration(
         bias_force=unloaded[:3],
         bias_torque=unloaded[3:],
         mass=SCENE.tip_mass,
         center_of_mass=center,
-        residual_force=zero,
-        residual_torque=zero,
-        condition=1.0,
         reading="on_tip",
     )
     tip = Ellipsoid(

@@ -106,8 +106,7 @@ class Nuisances:
     object_scan: float = 0.0
     """Sigma of the points of a scan [m]: above zero the robot's model is a cloud of 4 000 such points."""
     friction: float = 1.0
-    """Coefficient of friction of the fingertips; torsional friction is
-    proportional to it, with an arm of 5 mm."""
+    """Coefficient of friction of the fingertips; torsional friction is proportional to it, with an arm of 5 mm."""
     pull_force: float = 9.0
     """Greatest force with which the object is pulled, in the motions of a `Profile` [N]."""
     pull_torque: float = 0.0
@@ -248,13 +247,12 @@ class Scenario:
     nuisances: Nuisances = dataclasses.field(default_factory=Nuisances)
 
     def __post_init__(self) -> None:
-        named = isinstance(self.object, str)
-        meshes = (".stl", ".obj", ".ply", ".off")
-        if not named or (
-            self.object not in ("can", "box") and Path(self.object).suffix.lower() not in meshes
+        meshes, name = (".stl", ".obj", ".ply", ".off"), self.object
+        if not isinstance(name, str) or (
+            name not in ("can", "box") and Path(name).suffix.lower() not in meshes
         ):
             raise InvalidInput(
-                f"object: expected can, box or a mesh file ({', '.join(meshes)}), got {self.object!r:.80}"
+                f"object: expected can, box or a mesh file ({', '.join(meshes)}), got {name!r:.80}"
             )
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
             raise InvalidInput(f"seed: expected a whole number of at least 0, got {self.seed!r:.60}")
