@@ -35,9 +35,7 @@ class LoadOptions(NamedTuple):
     min_travel: float = 0.005
     """A tip that moves this far in the palm during a window is in the air, not pressed against something [m]."""
     still: float = 0.3  # length of the means by which a sensor is calibrated [s]
-    still_turn: float = float(
-        np.deg2rad(0.5)
-    )  # a hand whose sensors turn less than this meanwhile is still [rad]
+    still_turn: float = np.deg2rad(0.5)  # a hand whose sensors turn less than this meanwhile is still [rad]
     max_bias: float = 0.5  # a larger reading in the air is a load, or a broken sensor [N]
     unsteady_p: float = 0.001
     """Readings vary by more than noise where noise would exceed their spread with less than this probability."""
@@ -129,9 +127,8 @@ def load_sum(
     step = (observations[-1].stamp - observations[0].stamp) / max(n - 1, 1)
     acceleration, turning = accelerations(Ts_world_palm, middle, step)
     gravity = np.einsum("nji,nj->i", Ts_world_palm[:, :3, :3], rig.gravity - acceleration) / n
-    wrench, by_joint, by_bias, readings, forces = _summed(
-        rig, observations, gravity, sensors, hand.jacobians(places, tips)
-    )
+    J = hand.jacobians(places, tips)
+    wrench, by_joint, by_bias, readings, forces = _summed(rig, observations, gravity, sensors, J)
     B = by_bias * np.concatenate([[f.sigma_force] * 3 + [f.sigma_torque] * 3 for f in rig.fingers.values()])
     return LoadSum(
         stamp=(observations[0].stamp + observations[-1].stamp) / 2,
@@ -208,11 +205,7 @@ def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
     It is NaN for a tip that may touch something: one that has hardly moved, or whose load has changed or is too large.
     `observations` are those of a short time, with joints and T_world_palm; nothing may be `lacking` in them.
     """
-    tips, Ts_tip_sensor = _tips(rig), _Ts_tip_sensor(rig)
-    first, last = (
-        rig.hand.kinematics(dict(o.joint_positions or {})).Ts_palm_tip[tips] @ Ts_tip_sensor
-        for o in (observations[0], observations[-1])
-    )
+    first, last = (_Ts_palm_sensor(rig, o) for o in (observations[0], observations[-1]))
     far = np.linalg.norm(last[:, :3, 3] - first[:, :3, 3], axis=1) > LOADS.min_travel
     found = np.full((len(rig.fingers), 6), np.nan)
     R_palm_world = np.asarray(observations[-1].T_world_palm)[:3, :3].T
@@ -237,29 +230,21 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
     sigmas become what it leaves, with the noise of single readings (`Finger.calibrated`). Raises InvalidInput, which
     names the finger, where there are too few orientations.
     """
-    tips, Ts_tip_sensor, window = _tips(rig), _Ts_tip_sensor(rig), list[Observation]()
-    rows: dict[str, list[Array]] = {name: [] for name in rig.fingers}
+    window, rows = list[Observation](), {name: list[Array]() for name in rig.fingers}
     for observation in observations:
         if observation.joint_positions is None or observation.T_world_palm is None:
             continue
         window.append(observation)
         if observation.stamp - window[0].stamp < LOADS.still:
             continue
-        first, last = (
-            np.array(o.T_world_palm)
-            @ rig.hand.kinematics(dict(o.joint_positions or {})).Ts_palm_tip[tips]
-            @ Ts_tip_sensor
-            for o in (window[0], window[-1])
-        )
+        first, last = (np.array(o.T_world_palm) @ _Ts_palm_sensor(rig, o) for o in (window[0], window[-1]))
         readings, window = window, []
         turned = np.linalg.norm(se3.rotation_log(first[:, :3, :3].swapaxes(1, 2) @ last[:, :3, :3]), axis=1)
         if turned.max() > LOADS.still_turn or lacking(rig, readings):
             continue
         for R, (name, means) in zip(last[:, :3, :3], rows.items(), strict=True):
             wrenches = np.array([o.wrenches[name] for o in readings])
-            means.append(
-                np.concatenate([wrenches.mean(axis=0), R.T @ rig.gravity, wrenches.var(axis=0, ddof=1)])
-            )
+            means.append(np.hstack([wrenches.mean(axis=0), R.T @ rig.gravity, wrenches.var(axis=0, ddof=1)]))
     fingers = {}
     for name, finger in rig.fingers.items():
         F, M, G, v = np.split(np.array(rows[name]).reshape(-1, 15), [3, 6, 9], axis=1)
@@ -275,6 +260,12 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
 def _tips(rig: Rig) -> list[int]:
     """Returns the index of each finger's tip among the hand's tips."""
     return [tuple(rig.hand.tips).index(name) for name in rig.fingers]
+
+
+def _Ts_palm_sensor(rig: Rig, observation: Observation) -> Array:
+    """Returns (t, 4, 4) the pose of each sensor in the palm at an observation."""
+    hand = rig.hand.kinematics(dict(observation.joint_positions or {}))
+    return np.asarray(hand.Ts_palm_tip[_tips(rig)] @ _Ts_tip_sensor(rig))
 
 
 def _Ts_tip_sensor(rig: Rig) -> Array:
