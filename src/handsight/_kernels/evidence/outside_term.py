@@ -98,10 +98,20 @@ def measure_clearances(evidence: Any, field: Any, pose: Pose, reach: float, near
 
 
 @inner
+def _depth(evidence: Any, field: Any, pose: Pose, point: Any) -> tuple[float, Vec3]:
+    """Returns how deep a point of OUTSIDE is in the object, in its sigmas, and the field's gradient there; a depth of 0
+    for a plane, and where the point is certainly outside."""
+    nothing, place = (0.0, 0.0, 0.0), apply_inverse(pose, vector(point.point))
+    if point.far or point.is_plane or _beyond_bounds(evidence.model, place) > 0:
+        return 0.0, nothing
+    distance, g, _ = field_at(evidence.nodes, field, place)
+    return -(distance + point.slack) / point.sigma, g
+
+
+@inner
 def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     """Adds the row of every link: the norm ρ of its points' depths u, with dρ = Σ (u / ρ)^(POWER - 1) du."""
-    outside, model = evidence.outside, evidence.model
-    center, radius = frame
+    outside, (center, radius) = evidence.outside, frame
     n, link, total = len(outside), 0, 0.0
     if n == 0:
         return
@@ -109,13 +119,7 @@ def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: 
     for i in range(n + 1):  # one more, for the last link's row
         u, g, point = 0.0, (0.0, 0.0, 0.0), outside[min(i, n - 1)]
         if i < n:
-            if point.far or point.is_plane:
-                continue
-            place = apply_inverse(pose, vector(point.point))
-            if _beyond_bounds(model, place) > 0:
-                continue
-            distance, g, _ = field_at(evidence.nodes, field, place)
-            u = -(distance + point.slack) / point.sigma
+            u, g = _depth(evidence, field, pose, point)
             if u <= 0:
                 continue
         if total > 0 and (i == n or point.link != link):
@@ -134,17 +138,10 @@ def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: 
 @inner
 def outside_cost(evidence: Any, field: Any, pose: Pose) -> float:
     """Returns the squared residuals of all links."""
-    outside, model = evidence.outside, evidence.model
     cost, total, link = 0.0, 0.0, 0
-    for i in range(len(outside)):
-        point = outside[i]
-        if point.far or point.is_plane:
-            continue
-        place = apply_inverse(pose, vector(point.point))
-        if _beyond_bounds(model, place) > 0:
-            continue
-        distance, _, _ = field_at(evidence.nodes, field, place)
-        u = -(distance + point.slack) / point.sigma
+    for i in range(len(evidence.outside)):
+        point = evidence.outside[i]
+        u, _ = _depth(evidence, field, pose, point)
         if u > 0:
             if point.link != link:
                 cost, total, link = cost + total ** (2 / POWER), 0.0, point.link

@@ -11,8 +11,7 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import distance_row
 from handsight._kernels.image.depth_term import bound_at, stepped
-from handsight._kernels.image.palm_scan import PALM_SCAN
-from handsight._kernels.image.pinhole import project
+from handsight._kernels.image.palm_scan import PALM_SCAN, observed_at
 from handsight._kernels.image.pose_score import ScoreWeights, finish_score
 from handsight._kernels.math.simd import accumulate, local
 from handsight._kernels.math.symmetry import pose_of, store_pose
@@ -38,17 +37,6 @@ HAND_SCORE = ScoreWeights(passed=1.5, hidden=0.1, unexplained=0.2, max_unexplain
 
 
 @inner
-def _observed_at(camera: Any, depth: Any, P: Vec3) -> tuple[int, int, float]:
-    """Returns row, column and depth [m] of a point's pixel; the depth is 0 where there is none, -1 out of the image."""
-    u, v = project(camera, P)
-    if not (-0.5 < u < depth.shape[1] - 0.5 and -0.5 < v < depth.shape[0] - 0.5):
-        return 0, 0, -1.0
-    row, column = int(v + 0.5), int(u + 0.5)
-    z = depth[row, column]
-    return row, column, float(z) if z > 0 else 0.0
-
-
-@inner
 def _cosine(cells: Any, corner: Any, P: Vec3, n: Vec3) -> float:
     """Returns the cosine of a normal with that of the cell that a point is in; above 1 where none is known."""
     row = int((P[1] / P[2] - corner[1]) / corner[2] + 0.5)
@@ -70,7 +58,7 @@ def _row(camera: Any, image: Any, P: Vec3, n: Vec3, bound: float) -> tuple[float
     depth, rays, cells, corner = image
     if not -dot(n, P) > PALM_SCAN.facing_cosine * norm(P):
         return 0.0, 0.0
-    row, column, z = _observed_at(camera, depth, P)
+    row, column, z = observed_at(camera, depth, P)
     if not z > 0:
         return 0.0, 0.0
     away = sub((float(rays[row, column, 0]) * z, float(rays[row, column, 1]) * z, z), P)
@@ -117,7 +105,7 @@ def _add(camera: Any, image: Any, P: Vec3, n: Vec3, area: float, bound: float, c
     cosine = -dot(n, P) / way
     if not cosine > PALM_SCAN.facing_cosine:
         return
-    _, _, z = _observed_at(camera, image[0], P)
+    _, _, z = observed_at(camera, image[0], P)
     if z < 0:
         return
     pixels = area * camera.fx * camera.fy * cosine / (P[2] * P[2])

@@ -9,19 +9,8 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.math.so3 import IDENTITY, rotation_about
-from handsight._kernels.math.vec3 import (
-    add,
-    apply,
-    cross,
-    matmul,
-    matrix,
-    mul,
-    scale,
-    store,
-    store33,
-    sub,
-    vector,
-)
+from handsight._kernels.math.symmetry import store_transform, transform_of
+from handsight._kernels.math.vec3 import add, apply, cross, matmul, mul, scale, store, sub, vector
 from handsight._kernels.runtime.compilation import entry
 
 
@@ -48,11 +37,8 @@ def poses(values: Any, starts: Any, joints: Any, homes: Any, Ts: Any, axes: Any)
             else:
                 R = matmul(rotation_about(axis, np.cos(travel), np.sin(travel)), R)
                 p = sub(point, mul(R, vector(joint.point)))
-        T, home = Ts[i], homes[i]
-        store33(matmul(R, matrix(home)), T)
-        store(apply((R, p), vector(home[:3, 3])), T[:3, 3])
-        T[3, 0] = T[3, 1] = T[3, 2] = 0.0
-        T[3, 3] = 1.0
+        home, at = transform_of(homes[i])
+        store_transform((matmul(R, home), apply((R, p), at)), Ts[i])
     return True
 
 
@@ -76,5 +62,4 @@ def jacobians(points: Any, bodies: Any, starts: Any, joints: Any, axes: Any, out
 def transform_points(points: Any, bodies: Any, Ts: Any, out: Any) -> None:
     """Writes to `out` (m, 3) the points (m, 3), each transformed by the pose `Ts[bodies[i]]` of its body."""
     for i in range(len(points)):
-        T = Ts[bodies[i]]
-        store(apply((matrix(T), vector(T[:3, 3])), vector(points[i])), out[i])
+        store(apply(transform_of(Ts[bodies[i]]), vector(points[i])), out[i])
