@@ -106,9 +106,13 @@ class Friction:
         }
         if moved or len(before) > len(vectors):
             self._anchors = {name: moved.get(name) or before[name] for name in vectors}
-        for name, vector in moved.items():
-            if name in before:
-                self._turned(before[name], vector)
+        for name, now in moved.items():
+            anchor = before.get(name, now)
+            least, most = sorted([math.hypot(*anchor), load[name]])
+            inside = least >= FRICTION.min_ratio and most <= FRICTION.max_ratio
+            # A motion that hardly changed the length was a turn.
+            if name in before and inside and most - least <= FRICTION.max_radial * math.dist(now, anchor):
+                self._count(math.sqrt(least * most), 1)
         for name in sliding:
             if FRICTION.min_ratio < load.get(name, 0.0) < FRICTION.max_ratio:
                 self._count(load[name], FRICTION.sliding_turns)
@@ -135,15 +139,6 @@ class Friction:
             mu, sigma = joined(estimates)
             self.coefficient = mu if self._declared is None else max(mu, kept)
             self.sigma = sigma * self.coefficient / mu
-
-    def _turned(self, before: Vector, now: Vector) -> None:
-        """Counts a motion of a ratio vector if it was a turn."""
-        length, was = math.hypot(*now), math.hypot(*before)
-        if min(length, was) < FRICTION.min_ratio or max(length, was) > FRICTION.max_ratio:
-            return
-        if abs(length - was) > FRICTION.max_radial * math.dist(now, before):
-            return
-        self._count(math.sqrt(length * was), 1)
 
     def _count(self, ratio: float, turns: int) -> None:
         """Counts turns at a ratio."""

@@ -93,9 +93,8 @@ def _finger(finger: Finger) -> Values:
 
 
 def _camera(camera: MountedCamera) -> Values:
-    errors = {"noise": "", "constant_error": "_constant", "correlated_error": "_correlated"}
     given: dict[str, Any] = {"fixed_to": camera.on, "pose": _pose(camera.T_mount_camera)}
-    for name, kind in errors.items():
+    for name, kind in form.CAMERA_ERRORS.items():
         sigmas = {key: getattr(camera, key + kind) for key in ("sigma_position", "sigma_rotation")}
         given[name] = _values(form.VisionNoiseForm, camera, **sigmas)
     values = _values(form.CameraForm, camera, **given, intrinsics=None, lens=None)

@@ -13,20 +13,8 @@ import numpy as np
 from handsight._kernels.evidence.contact_term import Frame
 from handsight._kernels.math.dense6 import eigen, factor, from_eigen, solve
 from handsight._kernels.math.so3 import IDENTITY, rotation_exp
-from handsight._kernels.math.vec3 import (
-    Mat33,
-    Vec3,
-    add,
-    cross,
-    dot,
-    matrix,
-    mul,
-    scale,
-    store,
-    sub,
-    tmul,
-    vector,
-)
+from handsight._kernels.math.symmetry import transform_of
+from handsight._kernels.math.vec3 import Mat33, Vec3, add, cross, dot, mul, scale, store, sub, tmul, vector
 from handsight._kernels.mesh.field import field_at
 from handsight._kernels.runtime.compilation import entry, inner
 
@@ -152,7 +140,7 @@ def largest_shift(model: Any, nodes: Any, T_camera_object: Any, covariance: Any)
     covariance (6, 6): of (δp, δθ) of the object's origin along the camera's axes. A turn that the object looks the same
     after does not move its surface.
     """
-    R, radius, center = matrix(T_camera_object), model[0].radius, vector(model[0].center)
+    R, radius, center = transform_of(T_camera_object)[0], model[0].radius, vector(model[0].center)
     J, along_object, values, vectors = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty((6, 6))
     pose_jacobian(R, mul(R, center), 1.0, radius, J)
     congruence(J, covariance, along_object)

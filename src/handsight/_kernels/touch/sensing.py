@@ -109,7 +109,10 @@ def sense(forces: Any, torques: Any, tip: Any, reasons: Any, rows: Any, contacts
     n, k = len(reasons), 0
     for start in range(0, n, LANES):
         count = min(LANES, n - start)
-        _read(w, forces, torques, start, count)
+        if count == LANES:
+            _read(w, forces, torques, start, LANES)
+        else:
+            _read(w, forces, torques, start, count)
         _solve(w, fingertip)
         for j in range(count):
             # Written always, and kept only for a contact: a branch could not be predicted.
