@@ -256,11 +256,9 @@ class Scenario:
             )
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
             raise InvalidInput(f"seed: expected a whole number of at least 0, got {self.seed!r:.60}")
-        if self.motion not in get_args(Motion):
-            raise InvalidInput(f"motion: expected one of {', '.join(get_args(Motion))}, got {self.motion!r}")
-        if self.depth_camera not in get_args(DepthCamera):
-            kinds = ", ".join(get_args(DepthCamera))
-            raise InvalidInput(f"depth_camera: expected one of {kinds}, got {self.depth_camera!r:.80}")
+        for name, kinds in (("motion", get_args(Motion)), ("depth_camera", get_args(DepthCamera))):
+            if (value := getattr(self, name)) not in kinds:
+                raise InvalidInput(f"{name}: expected one of {', '.join(kinds)}, got {value!r:.80}")
         if not isinstance(self.nuisances, Nuisances):
             raise InvalidInput(f"nuisances: expected Nuisances, got {type(self.nuisances).__name__}")
         for name in ("images", "skin"):
@@ -326,18 +324,13 @@ class Sample:
     def forces_object(self) -> Mapping[str, float]:
         """Force of the object on each finger that it touches, by name [N]."""
         total: dict[str, Array] = {}
-        for contact in self.contacts_truth:
-            if contact.other == "object":
-                total[contact.finger] = total.get(contact.finger, np.zeros(3)) + contact.force_palm
+        for c in (c for c in self.contacts_truth if c.other == "object"):
+            total[c.finger] = total.get(c.finger, np.zeros(3)) + c.force_palm
         return {finger: float(np.linalg.norm(force)) for finger, force in total.items()}
 
     @property
     def touches(self) -> Mapping[str, TipContact]:
         """Contact with the largest force between the object and each finger that it touches, by name."""
-        hardest: dict[str, TipContact] = {}
-        for contact in self.contacts_truth:
-            if contact.other == "object":
-                kept = hardest.get(contact.finger, contact)
-                harder = np.linalg.norm(contact.force_palm) >= np.linalg.norm(kept.force_palm)
-                hardest[contact.finger] = contact if harder else kept
-        return hardest
+        found = [contact for contact in self.contacts_truth if contact.other == "object"]
+        by_force = sorted(found, key=lambda contact: float(np.linalg.norm(contact.force_palm)))
+        return {c.finger: c for c in found} | {c.finger: c for c in by_force}
