@@ -291,10 +291,8 @@ class CameraForm(Section):
     def camera(self) -> MountedCamera:
         """Returns the part of the rig."""
         given, k = self.given(), self.intrinsics
-        given |= {
-            "on": given.pop("fixed_to"),
-            "T_mount_camera": (given.pop("pose", None) or PoseForm()).matrix(),
-        }
+        pose = given.pop("pose", None) or PoseForm()
+        given |= {"on": given.pop("fixed_to"), "T_mount_camera": pose.matrix()}
         if k is not None:
             given["intrinsics"] = np.array([[k.fx, 0, k.cx], [0, k.fy, k.cy], [0, 0, 1.0]])
             given["size"] = (int(k.width), int(k.height))

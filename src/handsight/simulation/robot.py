@@ -125,9 +125,8 @@ def _finger(name: str, unloaded: Array) -> Finger:
         center_of_mass=center,
         reading="on_tip",
     )
-    tip = Ellipsoid(
-        semi_axes, cap=-semi_axes[2] / 2, max_friction=1.2, T_surface_sensor=se3.compose(np.eye(3), -center)
-    )
+    T_surface_sensor = se3.compose(np.eye(3), -center)
+    tip = Ellipsoid(semi_axes, -semi_axes[2] / 2, max_friction=1.2, T_surface_sensor=T_surface_sensor)
     return Finger(
         frame=f"robot0:{name}distal",
         T_frame_surface=se3.compose(np.eye(3), np.array([0, 0, scene.SCENE.sensor_z + center_z])),

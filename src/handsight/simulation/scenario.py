@@ -268,12 +268,10 @@ class Scenario:
             raise InvalidInput(
                 "skin: expected can or a mesh, got box, which the hand cannot press on its palm"
             )
-        rate = checks.positive(self.rate, "rate")
-        steps = SCENARIO.steps_per_second / rate
+        rate, per_second = checks.positive(self.rate, "rate"), SCENARIO.steps_per_second
+        steps = per_second / rate
         if rate < SCENARIO.min_rate or steps < 1 or abs(steps - round(steps)) > 1e-9 * steps:
-            raise InvalidInput(
-                f"rate: expected a divisor of {SCENARIO.steps_per_second} per second, got {rate:g}"
-            )
+            raise InvalidInput(f"rate: expected a divisor of {per_second} per second, got {rate:g}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
