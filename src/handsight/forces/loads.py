@@ -21,6 +21,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import calibrate_wrench, compensate
 from handsight.errors import InvalidInput
+from handsight.hand import HandPose
 from handsight.observation import Observation
 from handsight.rig import Rig
 
@@ -117,10 +118,8 @@ def load_sum(
     n, names = len(observations), tuple(rig.fingers)
     rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]
     offsets = zip(rig.hand.moving, joints.tolist(), strict=True)
-    hand = rig.hand.kinematics({name: sum(row[name] for row in rows) / n - off for name, off in offsets})
-    tips = _tips(rig)
-    Ts_palm_tip = hand.Ts_palm_tip[tips]
-    sensors = Ts_palm_tip @ _Ts_tip_sensor(rig)
+    mean = {name: sum(row[name] for row in rows) / n - off for name, off in offsets}
+    hand, tips, sensors = _sensors(rig, mean)
     places = sensors[:, :3, 3]
     middle = np.mean([point for point, _ in touched.values()] or places, axis=0)
     Ts_world_palm = np.array([o.T_world_palm for o in observations])
@@ -141,7 +140,7 @@ def load_sum(
         noise=(B @ B.T + rig.sigma_joint**2 * by_joint @ by_joint.T) / n,
         acceleration=float(np.sqrt((acceleration**2).mean())),
         turning=float(np.sqrt((turning**2).mean())),
-        Ts_palm_tip=Ts_palm_tip,
+        Ts_palm_tip=hand.Ts_palm_tip[tips],
         forces=forces,
         touched={i: touched[name] for i, name in enumerate(names) if name in touched},
     )
@@ -205,7 +204,7 @@ def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
     It is NaN for a tip that may touch something: one that has hardly moved, or whose load has changed or is too large.
     `observations` are those of a short time, with joints and T_world_palm; nothing may be `lacking` in them.
     """
-    first, last = (_Ts_palm_sensor(rig, o) for o in (observations[0], observations[-1]))
+    first, last = (_sensors(rig, o.joint_positions)[2] for o in (observations[0], observations[-1]))
     far = np.linalg.norm(last[:, :3, 3] - first[:, :3, 3], axis=1) > LOADS.min_travel
     found = np.full((len(rig.fingers), 6), np.nan)
     R_palm_world = np.asarray(observations[-1].T_world_palm)[:3, :3].T
@@ -237,7 +236,9 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
         window.append(observation)
         if observation.stamp - window[0].stamp < LOADS.still:
             continue
-        first, last = (np.array(o.T_world_palm) @ _Ts_palm_sensor(rig, o) for o in (window[0], window[-1]))
+        first, last = (
+            np.array(o.T_world_palm) @ _sensors(rig, o.joint_positions)[2] for o in (window[0], window[-1])
+        )
         readings, window = window, []
         turned = np.linalg.norm(se3.rotation_log(first[:, :3, :3].swapaxes(1, 2) @ last[:, :3, :3]), axis=1)
         if turned.max() > LOADS.still_turn or lacking(rig, readings):
@@ -257,19 +258,11 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
     return replace(rig, fingers=fingers)
 
 
-def _tips(rig: Rig) -> list[int]:
-    """Returns the index of each finger's tip among the hand's tips."""
-    return [tuple(rig.hand.tips).index(name) for name in rig.fingers]
-
-
-def _Ts_palm_sensor(rig: Rig, observation: Observation) -> Array:
-    """Returns (t, 4, 4) the pose of each sensor in the palm at an observation."""
-    hand = rig.hand.kinematics(dict(observation.joint_positions or {}))
-    return np.asarray(hand.Ts_palm_tip[_tips(rig)] @ _Ts_tip_sensor(rig))
-
-
-def _Ts_tip_sensor(rig: Rig) -> Array:
-    """Returns (t, 4, 4) the pose of each sensor in the body to which its tip is fixed."""
-    fingers = rig.fingers.values()
-    at = ((f.T_frame_surface, f.tip.T_surface_sensor) for f in fingers)
-    return np.stack([T if T_sensor is None else T @ T_sensor for T, T_sensor in at])
+def _sensors(rig: Rig, joint_positions: Mapping[str, float] | None) -> tuple[HandPose, list[int], Array]:
+    """Returns the hand, the index of each finger's tip among its tips, and the pose of each sensor in the palm (t, 4,
+    4)."""
+    hand = rig.hand.kinematics(joint_positions or {})
+    tips = [tuple(rig.hand.tips).index(name) for name in rig.fingers]
+    at = ((f.T_frame_surface, f.tip.T_surface_sensor) for f in rig.fingers.values())
+    Ts_tip_sensor = np.stack([T if T_sensor is None else T @ T_sensor for T, T_sensor in at])
+    return hand, tips, hand.Ts_palm_tip[tips] @ Ts_tip_sensor

@@ -30,9 +30,8 @@ def rotation_exp(turn: Vec3) -> Mat33:
     half = 0.5 * norm(turn)
     ratio = np.sin(half) / half if half > 1e-9 else 1.0
     S = skew(turn)
-    return add33(
-        IDENTITY, add33(scale33(S, ratio * np.cos(half)), scale33(matmul(S, S), 0.5 * ratio * ratio))
-    )
+    first, second = scale33(S, ratio * np.cos(half)), scale33(matmul(S, S), 0.5 * ratio * ratio)
+    return add33(IDENTITY, add33(first, second))
 
 
 @inner

@@ -25,6 +25,7 @@ from handsight._kernels.math.vec3 import (
     mul,
     norm,
     scale,
+    store33,
     sub,
     transpose,
     vector,
@@ -50,9 +51,7 @@ def draw(constraints: Any, draws: Any, descents: Any) -> None:
     for a in range(0, 6, 3):
         for b in range(0, 6, 3):
             turned = matmul(transpose(R), matmul(block(prior.covariance, a, b), R))
-            for i in range(3):
-                for j in range(3):
-                    u.matrix[a + i, b + j] = turned[i][j]
+            store33(turned, u.matrix[a : a + 3, b : b + 3])
     # In `u.row` the standard deviations, in `u.factor` the Cholesky factor of the correlation.
     for i in range(6):
         u.row[i] = np.sqrt(max(u.matrix[i, i], 0.0)) + 1e-12
