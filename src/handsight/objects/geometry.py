@@ -108,15 +108,23 @@ def geometry_of(
     remarks: tuple[str, ...] = (),
 ) -> Geometry:
     """Returns the geometry of a surface with these distance fields: its samples, sizes and errors; `diameter` [m]."""
+    from handsight._kernels.math.spreading import snapped, spread_out  # numba's import is long
+
     vertices, _ = frozen(surface.vertices), frozen(surface.faces)
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
-    points, normals = _spread(surface, GEOMETRY.samples)
+    # The samples are chosen from many random points, each the farthest from those before it, and then moved by Lloyd's
+    # steps, each to the random point nearest to the middle of its own. Distances include normals, so that the two sides
+    # of a thin wall are separate.
+    n = GEOMETRY.samples
+    points, normals = surface.draw(GEOMETRY.drawn_per_sample * n, np.random.default_rng(0))
+    features = np.hstack([points, np.sqrt(surface.area / n) * normals])
+    chosen = snapped(features, spread_out(features, n, GEOMETRY.lloyd_steps))
     _, distance, angle = _errors(surface, fine, GEOMETRY.typical_samples, seed=1)
     return Geometry(
         coarse=coarse,
         fine=fine,
-        points_object=frozen(points),
-        normals_object=frozen(normals),
+        points_object=frozen(points[chosen]),
+        normals_object=frozen(normals[chosen]),
         area=surface.area,
         diameter=diameter,
         bounds_object=frozen(bounds),
@@ -165,22 +173,6 @@ def frozen(array: NDArray[Number]) -> NDArray[Number]:
     """Returns the same array, made read-only."""
     array.flags.writeable = False
     return array
-
-
-def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
-    """Returns n evenly spread surface points (n, 3) [m] with normals (n, 3), each standing for about the same area.
-
-    They are chosen from many random points, each the farthest from those before it, and then moved by Lloyd's steps,
-    each to the middle of the random points nearest to it. Distances include normals, so that the two sides of a thin
-    wall are separate.
-    """
-    from handsight._kernels.math.spreading import snapped, spread_out  # numba's import is long
-
-    points, normals = surface.draw(GEOMETRY.drawn_per_sample * n, np.random.default_rng(0))
-    features = np.hstack([points, np.sqrt(surface.area / n) * normals])
-    # A middle lies off a curved surface, so the random point nearest to it is taken, each once.
-    index = snapped(features, spread_out(features, n, GEOMETRY.lloyd_steps))
-    return points[index], normals[index]
 
 
 def _field_error(surface: Surface, fine: Field, cell: float) -> FieldError:

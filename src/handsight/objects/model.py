@@ -75,15 +75,14 @@ class ObjectModel(Geometry):
     @classmethod
     def cylinder(cls, radius: float, height: float, *, symmetries: Symmetries | None = None) -> Self:
         """Returns a cylinder centred at the origin, axis z, `radius` and `height` [m]; raises InvalidInput."""
-        radius, height = _length(radius, "radius"), _length(height, "height")
+        radius, height = _checked_length(radius, "radius"), _checked_length(height, "height")
         geometry, own = primitives.cylinder(radius, height)
         return cls._from(geometry, "cylinder", symmetries or own)
 
     @classmethod
     def sphere(cls, radius: float, *, symmetries: Symmetries | None = None) -> Self:
         """Returns a ball centred at the origin, `radius` [m]; raises InvalidInput."""
-        radius = _length(radius, "radius")
-        geometry, own = primitives.sphere(radius)
+        geometry, own = primitives.sphere(_checked_length(radius, "radius"))
         return cls._from(geometry, "sphere", symmetries or own)
 
     @classmethod
@@ -257,9 +256,8 @@ def check_friction(friction: float | None, sigma: float, name: str) -> None:
         raise InvalidInput(f"sigma_{name}: expected a number from 0.0001 to 10, got {sigma:g}")
 
 
-def _length(value: float, name: str) -> float:
-    length = checks.positive(value, name)
-    _check_range(length, name)
+def _checked_length(value: float, name: str) -> float:
+    _check_range(length := checks.positive(value, name), name)
     return length
 
 

@@ -79,6 +79,14 @@ class Triangles:
         return Edges(ordered[first], which.reshape(-1, 3), count)
 
     @property
+    def shared(self) -> tuple[Indices, Indices]:
+        """(s,) each: the two triangles of each edge that two have, as 3 * triangle + the side of the triangle."""
+        edges = self.edges
+        order = np.argsort(edges.of_face, axis=None, kind="stable")
+        first = (np.cumsum(edges.counts) - edges.counts)[edges.counts == 2]
+        return order[first], order[first + 1]
+
+    @property
     def volume_centroid(self) -> Array:
         """(3,) the centroid of the enclosed volume [m]; raises InvalidObject where that volume is zero."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))

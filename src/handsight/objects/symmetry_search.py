@@ -5,6 +5,7 @@ Only a person can decide whether a print on the surface distinguishes two poses 
 
 import re
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -60,10 +61,8 @@ def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Sy
     dihedral groups and those of the tetrahedron, the cube, the cylinder and the ball. The model stays as it is:
     `model.with_symmetries(...)` declares them. Raises InvalidInput for a tolerance that is not positive.
     """
-    limit = SEARCH.tolerance * model.diameter
-    if tolerance is not None:
-        limit = checks.positive(tolerance, "tolerance")
-    search = _Search(model, limit)
+    default = SEARCH.tolerance * model.diameter
+    search = _Search(model, default if tolerance is None else checks.positive(tolerance, "tolerance"))
     directions = search.directions()
     for direction in directions:
         line = search.continuous(direction)
@@ -100,7 +99,7 @@ def declared_symmetries(model: ObjectModel, words: Sequence[str]) -> Symmetries:
             raise InvalidInput(f"symmetry: expected {expected}, got {word!r}")
         axis = np.eye(3)["xyz".index(found[1])]
         angles = [2 * np.pi / int(found[2])] if found[2] else 2 * np.pi * np.arange(1, 12) / 12
-        off = max(_distance(model, about(center, angle * axis), points) for angle in angles)
+        off = max(_distance(model, points, about(center, angle * axis)) for angle in angles)
         if off > SEARCH.declared_tolerance * model.diameter:
             expected = "expected turns that leave the surface in place"
             raise InvalidInput(f"symmetry: {expected}, got {word}, which is {1e3 * off:.1f} mm off")
@@ -111,7 +110,7 @@ def declared_symmetries(model: ObjectModel, words: Sequence[str]) -> Symmetries:
     return Symmetries(axes, np.array(turns) if turns else None)
 
 
-def _distance(model: ObjectModel, T: Array, points: Array) -> float:
+def _distance(model: ObjectModel, points: Array, T: Array) -> float:
     """Returns a high percentile of the distances [m] to the surface from its points (n, 3) after the motion `T`."""
     distance = model.fine.evaluate(se3.apply(T, points)).distance
     return float(np.percentile(np.abs(distance), SEARCH.percentile))
@@ -126,26 +125,16 @@ class _Search:
         self.center = many.mean(axis=0)
         self.moments, self.principal = np.linalg.eigh(np.cov((many - self.center).T))
         self.model, self.size = model, model.diameter
+        self.worst = partial(_distance, model, self.points)
         self.limit = tolerance + self.worst(np.eye(4))
-
-    def worst(self, T: Array) -> float:
-        """Returns a high percentile of the distances [m] of the samples from the surface after the motion `T`."""
-        return _distance(self.model, T, self.points)
 
     def directions(self) -> Array:
         """Returns directions (k, 3) of possible axes: principal ones, x, y, z, and those between equal moments."""
-        found = np.vstack([self.principal.T[::-1], np.eye(3)])
-        low, middle, high = self.moments
-        if low > (1 - SEARCH.equal_moments) * high:
-            k = np.arange(SEARCH.directions) + 0.5
-            z, angle = k / SEARCH.directions, np.pi * (1 + np.sqrt(5)) * k
-            r = np.sqrt(1 - z * z)
-            return np.vstack([found, np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)])
-        for i, j, alike in (
-            (0, 1, low > (1 - SEARCH.equal_moments) * middle),
-            (1, 2, middle > (1 - SEARCH.equal_moments) * high),
-        ):
-            if alike:
+        found, moments = np.vstack([self.principal.T[::-1], np.eye(3)]), self.moments
+        if moments[0] > (1 - SEARCH.equal_moments) * moments[2]:
+            return np.vstack([found, se3.directions(2 * SEARCH.directions)[: SEARCH.directions]])
+        for i, j in ((0, 1), (1, 2)):
+            if moments[i] > (1 - SEARCH.equal_moments) * moments[j]:
                 angle = np.pi * np.arange(48)[:, None] / 48
                 between = np.cos(angle) * self.principal[:, i] + np.sin(angle) * self.principal[:, j]
                 found = np.vstack([found, between])
@@ -223,7 +212,22 @@ class _Search:
         axes = sorted(axes, key=lambda a: -a.order)
         center = np.mean([a.point for a in axes], axis=0) if len(axes) > 1 else axes[0].point
         cyclic = 2 * np.pi / axes[0].order * axes[0].direction
-        for vectors in (*_polyhedral(axes), *_dihedral(axes), cyclic[None]):
+        candidates = []  # rotation vectors (m, 3) that generate a group
+        for order in (4, 2):  # the cube's, the tetrahedron's
+            square = [a.direction for a in axes if a.order % order == 0]
+            pairs = [(a, b) for a in square for b in square if abs(a @ b) < 0.1]
+            if pairs and sum(a.order % 3 == 0 for a in axes) > 1:
+                frame = _frame(*pairs[0])
+                diagonal = 2 * np.pi / 3 / np.sqrt(3) * frame.sum(axis=0)
+                candidates.append(np.vstack([2 * np.pi / order * frame, diagonal]))
+        for main in axes:  # dihedral: an axis with half turns across it
+            across = [
+                a.direction for a in axes if a.order % 2 == 0 and abs(a.direction @ main.direction) < 0.1
+            ]
+            if across:
+                frame = _frame(main.direction, across[0])
+                candidates.append(np.stack([2 * np.pi / main.order * frame[0], np.pi * frame[1]]))
+        for vectors in (*candidates, cyclic[None]):
             found = Symmetries(rotations=about(center, vectors))
             if all(self.worst(T) < 1.2 * self.limit for T in found.rotations):
                 return found
@@ -235,28 +239,3 @@ def _frame(x: Array, near_y: Array) -> Array:
     y = near_y - (near_y @ x) * x
     y = y / np.linalg.norm(y)
     return np.stack([x, y, np.cross(x, y)])
-
-
-def _polyhedral(axes: list[_Axis]) -> list[Array]:
-    """Returns rotation vectors (4, 3) that generate the cube's or the tetrahedron's group, for each that the axes
-    allow."""
-    found = []
-    for order in (4, 2):
-        square = [a.direction for a in axes if a.order % order == 0]
-        pairs = [(a, b) for a in square for b in square if abs(a @ b) < 0.1]
-        if pairs and sum(a.order % 3 == 0 for a in axes) > 1:
-            frame = _frame(*pairs[0])
-            diagonal = 2 * np.pi / 3 / np.sqrt(3) * frame.sum(axis=0)
-            found.append(np.vstack([2 * np.pi / order * frame, diagonal]))
-    return found
-
-
-def _dihedral(axes: list[_Axis]) -> list[Array]:
-    """Returns rotation vectors (2, 3) that generate the group of an axis with half turns across it, for each axis."""
-    found = []
-    for main in axes:
-        across = [a.direction for a in axes if a.order % 2 == 0 and abs(a.direction @ main.direction) < 0.1]
-        if across:
-            frame = _frame(main.direction, across[0])
-            found.append(np.stack([2 * np.pi / main.order * frame[0], np.pi * frame[1]]))
-    return found

@@ -42,7 +42,13 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
     search, winding = ClosestPointSearch(mesh, tree), Winding.of_mesh(mesh, tree)
     rim = rim_of(mesh, winding, fine.cell)
     holes = holes_of(mesh, rim)
-    closed = _is_closed(mesh, winding, holes, size)
+    closed = bool(holes.extents.max(initial=0.0) <= SURFACE.max_hole * size)
+    if closed:  # are the winding numbers those of a closed surface?
+        points, normals, _ = side_samples(mesh)
+        behind, front = (winding.at(points + side * size * normals) for side in (-1e-4, 1e-4))
+        # Where pieces overlap, the winding number is 2 and the surface within is no boundary: that is closed too.
+        good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
+        closed = bool(good.mean() >= MESH.closed_share)
     if closed:
         signed = partial(signed_by_winding, winding, holes)
     else:
@@ -116,18 +122,6 @@ def holes_of(mesh: Triangles, rim: Mask | None = None) -> Holes:
     return Holes((low + high) / 2, np.linalg.norm(high - low, axis=1))
 
 
-def _is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) -> bool:
-    """Returns whether the surface has an inside: its holes are small, and its winding numbers a closed surface's."""
-    if holes.extents.max(initial=0.0) > SURFACE.max_hole * diameter:
-        return False
-    points, normals, _ = side_samples(mesh)
-    step = 1e-4 * diameter
-    behind, front = winding.at(points - step * normals), winding.at(points + step * normals)
-    # Where pieces overlap, the winding number is 2 and the surface within is no boundary: that is closed too.
-    good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
-    return bool(good.mean() >= MESH.closed_share)
-
-
 def signed_by_winding(
     winding: Winding, holes: Holes, index: Indices, grid: Grid, closest: ClosestPoints
 ) -> Array:
@@ -172,12 +166,10 @@ def signed_by_normal(normals: Array, index: Indices, grid: Grid, closest: Closes
 
     `normals` (m, 7, 3): `_pseudonormals`. `index` (n,) of the nodes; `closest`: their closest points.
     """
-    zero = closest.weights == 0
-    count = zero.sum(axis=1)
     # One zero: the closest point is on the edge opposite that corner (12 for corner 0). Two: it is the third corner.
-    edge = np.array([2, 3, 1])[zero.argmax(axis=1)]
-    corner = 4 + (~zero).argmax(axis=1)
-    feature = np.where(count == 0, 0, np.where(count == 1, edge, corner))
+    zero = closest.weights == 0
+    edge, corner = np.array([2, 3, 1])[zero.argmax(axis=1)], 4 + (~zero).argmax(axis=1)
+    feature = np.choose(zero.sum(axis=1), [np.zeros_like(edge), edge, corner])
     normal = normals[closest.face, feature]
     behind = ((grid.nodes_at(index) - closest.points) * normal).sum(axis=1) < 0
     return np.asarray(np.where(behind, -closest.distance, closest.distance))

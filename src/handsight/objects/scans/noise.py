@@ -116,24 +116,17 @@ def noise_of(points: Points, thickness: float) -> Noise:
     level = int(flat[0])
     calm = patches[spread[:, level] <= quiet[level]]
     widened(points, calm, windows[: level + 1], **every_point)
-    return Noise(float(quiet[level]) / NOISE.chance, _sharing_points(points, calm, float(windows[level])))
-
-
-def _sharing_points(points: Points, patches: Patches, window: float) -> float:
-    """Returns how many points share one error, from residuals about patches in windows of that radius [m].
-
-    It is the number of points on the area that is the integral, over a plane, of the correlation exp(-d²/2L²) of the
-    errors of two points at the distance d.
-    """
     pairs = cKDTree(points.places).query_pairs(NOISE.near * points.spacing, output_type="ndarray")
-    sums = np.zeros(4)
-    neighbours(points.places, pairs, patches, window, sums)
-    products, squares, distances, count = sums
+    sums, together = np.zeros(4), 1.0
+    neighbours(points.places, pairs, calm, float(windows[level]), sums)
+    products, squares, distances, number = sums
     correlation = products / max(squares, 1e-300)
-    if not correlation > NOISE.independent:
-        return 1.0
-    length2 = (distances / count) ** 2 / max(-2 * np.log(correlation), 1e-9)
-    return float(min(1 + 2 * np.pi * length2 / points.spacing**2, NOISE.max_together))
+    # Points that share one error: those on the area that is the integral, over a plane, of the correlation exp(-d²/2L²)
+    # of the errors of two points at the distance d.
+    if correlation > NOISE.independent:
+        length2 = (distances / number) ** 2 / max(-2 * np.log(correlation), 1e-9)
+        together = float(min(1 + 2 * np.pi * length2 / points.spacing**2, NOISE.max_together))
+    return Noise(float(quiet[level]) / NOISE.chance, together)
 
 
 def spacing_of(places: Array, least: float = 0.0) -> float:

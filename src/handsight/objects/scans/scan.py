@@ -69,11 +69,9 @@ def smoothed(mesh: Triangles, diameter: float) -> tuple[Triangles, Roughness | N
     used, faces = np.unique(mesh.faces, return_inverse=True)
     if len(used) < SCAN.min_vertices:
         return mesh, None
-    edges = mesh.edges
-    order = np.argsort(edges.of_face.reshape(-1), kind="stable") // 3
-    first = (np.cumsum(edges.counts) - edges.counts)[edges.counts == 2]
+    i, j = mesh.shared
     face_normals = mesh.doubled_normals / np.maximum(2 * mesh.areas, 1e-300)[:, None]
-    differences = np.linalg.norm(face_normals[order[first]] - face_normals[order[first + 1]], axis=1)
+    differences = np.linalg.norm(face_normals[i // 3] - face_normals[j // 3], axis=1)
     if not len(differences) or (differences < SCAN.flat_angle).mean() > SCAN.flat_share:
         return mesh, None
     vertices, faces = mesh.vertices[used], faces.reshape(mesh.faces.shape)

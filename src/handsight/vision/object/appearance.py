@@ -42,12 +42,14 @@ def appearance_of(model: ObjectModel) -> Appearance:
         f"visible 1 {type(model.fine).__name__}", places, facing, surface.vertices, surface.faces
     )
 
-    def visible_sets() -> NDArray[np.bool_]:
+    def visible_sets() -> NDArray[np.uint8]:
         visible = np.empty((DIRECTIONS, SAMPLES), dtype=np.bool_)
         pose_score.visible_sets(*model.record[:2], places, facing, directions, visible)
-        return visible
+        return np.packbits(visible)
 
-    visible = cache.remembered_bits(name, (DIRECTIONS, SAMPLES), visible_sets)
+    size = DIRECTIONS * SAMPLES
+    packed = cache.remembered_numbers("bits", name, np.uint8, lambda p: 8 * len(p) == size, visible_sets)
+    visible = np.unpackbits(packed).reshape(DIRECTIONS, SAMPLES).astype(np.bool_)
     sides = np.stack([places, facing]), directions, visible, float(model.area / SAMPLES)
     return Appearance(_pairs(voters, model.diameter), voters, sides)
 
@@ -75,5 +77,7 @@ def _pairs(voters: Array, diameter: float) -> tuple[NDArray[np.int32], NDArray[n
 
     steps = f"{votes.DISTANCES} {votes.ANGLES} {votes.POINT_BITS}"
     name = cache.key(f"pairs 1 {steps}", voters, np.array(diameter))
-    starts, pairs = np.split(cache.remembered_numbers(name, fits, table), [votes.CELLS + 1])
+    starts, pairs = np.split(
+        cache.remembered_numbers("numbers", name, np.int32, fits, table), [votes.CELLS + 1]
+    )
     return starts, pairs
