@@ -16,7 +16,7 @@ from handsight.checks import Array
 from handsight.recording.detections import Located
 from handsight.recording.frames import Frame
 from handsight.viewer.correction_figures import require_matplotlib, save
-from handsight.viewer.shapes import creases, silhouette
+from handsight.viewer.shapes import creases, grey, silhouette
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,7 +62,10 @@ def _draw(left: "Axes", right: "Axes", row: Located) -> None:
         likeliest = list(row.recognition.scores.items())[: FIGURE.max_scores]
         each = [*likeliest, ("none", row.recognition.none)]
         scores = "\n" + ", ".join(f"{label} {share:.2f}" for label, share in each)
-    left.imshow(_background(frame), interpolation="nearest")
+    image = grey(frame.depth) if frame.color is None else frame.color / 255
+    if frame.hand is not None:
+        image = np.where(frame.hand[..., None], 0.55 * image + 0.45 * HAND, image)
+    left.imshow(image, interpolation="nearest")
     for axes in (left, right):
         axes.set_xticks([])
         axes.set_yticks([])
@@ -83,27 +86,19 @@ def _draw(left: "Axes", right: "Axes", row: Located) -> None:
     for T, (color, style, _) in reversed(list(zip(shown, styles, strict=False))):
         _outline(left, row, T, color, style)
     drawn = silhouette(frame.camera, row.model, shown[0])
-    if np.isfinite(drawn).any():
-        _crop(left, drawn)
+    rows, columns = np.nonzero(np.isfinite(drawn))
+    if len(rows):  # the picture is limited to the object and its surroundings
+        height, width = drawn.shape
+        across = max(float(np.ptp(rows)), float(np.ptp(columns)) / FIGURE.aspect, 60.0)
+        tall = min(max((1 + 2 * FIGURE.margin) * across, 0.45 * height), height, width / FIGURE.aspect)
+        sides = np.array([FIGURE.aspect * tall, tall])
+        middle = np.array([columns.min() + columns.max(), rows.min() + rows.max()]) / 2
+        low = np.clip(middle - sides / 2, -0.5, np.array([width, height]) - 0.5 - sides)
+        left.set(xlim=(low[0], low[0] + sides[0]), ylim=(low[1] + sides[1], low[1]))
     _residual(right, frame, drawn)
     x, y, z = (1e3 * shown[0][:3, 3]).round() + 0.0  # no -0
     place = f"{name} at {x:.0f}, {y:.0f}, {z:.0f} mm, weight {found.weights[0]:.2f}"
     left.set_title(f"{frame.name}: {place}{scores}", fontsize=11)
-
-
-def _background(frame: Frame) -> Array:
-    """Returns red, green, blue (h, w, 3) from 0 to 1: colour, else depth in grey, near light; the hand is tinted."""
-    if frame.color is not None:
-        image = frame.color / 255.0
-    else:
-        known = np.isfinite(frame.depth) & (frame.depth > 0)
-        z = np.where(known, frame.depth, 1)
-        near, far = np.percentile(z[known], [1, 95]) if known.any() else (0, 1)
-        grey = np.where(known, 0.9 - 0.75 * np.clip((z - near) / max(far - near, 1e-6), 0, 1), 0)
-        image = np.repeat(grey[..., None], 3, axis=2)
-    if frame.hand is not None:
-        image = np.where(frame.hand[..., None], 0.55 * image + 0.45 * HAND, image)
-    return np.asarray(image)
 
 
 def _outline(axes: "Axes", row: Located, T: Array, color: str, style: str) -> None:
@@ -133,20 +128,6 @@ def _outline(axes: "Axes", row: Located, T: Array, color: str, style: str) -> No
                 axes.plot(*pixels.T, color=color, lw=0.9)
 
 
-def _crop(axes: "Axes", drawn: Depth) -> None:
-    """Limits the axes to the object in its depth image `drawn` (h, w) [m] and its surroundings."""
-    rows, columns = np.nonzero(np.isfinite(drawn))
-    height, width = drawn.shape
-    across = max(float(np.ptp(rows)), float(np.ptp(columns)) / FIGURE.aspect, 60.0)
-    tall = max((1 + 2 * FIGURE.margin) * across, 0.45 * height)
-    tall = min(tall, height, width / FIGURE.aspect)
-    sides = np.array([FIGURE.aspect * tall, tall])
-    middle = np.array([columns.min() + columns.max(), rows.min() + rows.max()]) / 2
-    low = np.clip(middle - sides / 2, -0.5, np.array([width, height]) - 0.5 - sides)
-    axes.set_xlim(low[0], low[0] + sides[0])
-    axes.set_ylim(low[1] + sides[1], low[1])
-
-
 def _residual(axes: "Axes", frame: Frame, drawn: Depth) -> None:
     """Draws the measured depth less the depth `drawn` (h, w) of the object, around it."""
     inside = np.isfinite(drawn)
@@ -165,8 +146,8 @@ def _residual(axes: "Axes", frame: Frame, drawn: Depth) -> None:
         axes.imshow(before, interpolation="nearest")
     axes.contour(inside, [0.5], colors=[BEST], linewidths=1.5)
     rows, columns = np.nonzero(inside)
-    around = 0.12 * max(float(np.ptp(rows)), float(np.ptp(columns)), 20.0)
-    axes.set_xlim(columns.min() - around, columns.max() + around)
-    axes.set_ylim(rows.max() + around, rows.min() - around)
+    low, high = np.array([columns.min(), rows.min()]), np.array([columns.max(), rows.max()])
+    around = 0.12 * max((high - low).max(), 20.0)
+    axes.set(xlim=(low[0] - around, high[0] + around), ylim=(high[1] + around, low[1] - around))
     bar = axes.figure.colorbar(shown, ax=axes, shrink=0.8, extend="both")
     bar.set_label("nearer  ←  [mm]  →  farther", fontsize=9)

@@ -73,6 +73,14 @@ def silhouette(camera: Camera, model: ObjectModel, T_camera_object: Array) -> De
     return np.asarray(minimum_filter(depth, footprint=dot, mode="constant", cval=np.inf))
 
 
+def grey(depth: Depth) -> Array:
+    """Returns a depth image (h, w) [m] as red, green, blue (h, w, 3) from 0 to 1, near light, black without depth."""
+    known = np.isfinite(depth) & (depth > 0)
+    near, far = np.percentile(depth[known][::16], [1, 95]) if known.any() else (0, 1)
+    share = np.clip((np.where(known, depth, 1) - near) / max(far - near, 1e-6), 0, 1)
+    return np.repeat(np.where(known, 0.9 - 0.75 * share, 0)[..., None], 3, axis=2)
+
+
 def middle(model: ObjectModel, T_palm_object: Array) -> Array:
     """Returns the object's middle (3,) in the palm [m]."""
     return np.asarray(se3.apply(T_palm_object, model.center_object[None])[0])

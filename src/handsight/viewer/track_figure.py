@@ -24,9 +24,8 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
     shown = [step for k, step in enumerate(steps) if k % every == 0 or step.T_palm_object_vision is not None]
     times = np.array([step.stamp - steps[0].stamp for step in shown])
     curves = _curves(model, shown, truths)
-    figure, axes = plt.subplots(
-        4, 1, figsize=(9, 9), sharex=True, height_ratios=[3, 3, 3, 0.5], layout="constrained"
-    )
+    size = {"figsize": (9, 9), "height_ratios": [3, 3, 3, 0.5]}
+    figure, axes = plt.subplots(4, 1, sharex=True, layout="constrained", **size)
     pink, grey = "#c2185b", "0.6"
     for k, axis in enumerate("xyz"):
         tracked, vision, true, sigma = curves[:, :, k]

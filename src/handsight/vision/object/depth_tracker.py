@@ -201,12 +201,9 @@ class DepthTracker:
         if against > max(candidate["explained"], DEPTH_TRACKER.min_against):
             share = candidate["explained"] / (candidate["explained"] + against)
             return f"it explains {100 * share:.0f} % of what is seen there"
-        if _is_enough(refined):
-            return ""
-        far_off = (
-            surface_shift(self.model, predicted.pose_camera_object) > DEPTH_TRACKER.lost * self.model.diameter
-        )
-        return HIDDEN if predicted.lost or far_off else ""
+        limit = DEPTH_TRACKER.lost * self.model.diameter
+        unknown = predicted.lost or surface_shift(self.model, predicted.pose_camera_object) > limit
+        return HIDDEN if unknown and not _is_enough(refined) else ""
 
     def _found(self, image: _Image) -> tuple[_Belief, RefinedPose] | None:
         """Returns the object somewhere in the image, if it is time to search and it is there."""
@@ -258,8 +255,7 @@ def _is_enough(refined: RefinedPose) -> bool:
     return bool(refined.points >= options.min_points and explained >= options.min_pixels)
 
 
-def surface_shift(model: ObjectModel, pose_camera_object: GaussianPose) -> float:
+def surface_shift(model: ObjectModel, pose: GaussianPose) -> float:
     """Returns the most that one sigma along any of the three least known directions moves the object's surface [m]. A
     turn that the object looks the same after does not move it."""
-    pose = pose_camera_object
     return depth_covariance.largest_shift(*model.record[:2], pose.T_a_b, pose.covariance)

@@ -111,15 +111,13 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
     close = FIRST_POSE.close_sigmas * np.hypot(noise.sigma(z), noise.bias(z))
     depth_term.closeness(*model.record[:2], observed, close, found)
     found["close"] *= scene.sizes.sum() / max(len(observed), 1)
-    log_weights = np.stack([found["score"], found["close"] ** FIRST_POSE.close_exponent], axis=1)
-    log_weights = log_weights @ FIRST_POSE.score_weights
+    evidence = np.stack([found["score"], found["close"] ** FIRST_POSE.close_exponent], axis=1)
+    log_weights = evidence @ FIRST_POSE.score_weights
     order = np.argsort(-log_weights, kind="stable")
     found, weights = found[order], np.exp(log_weights[order] - log_weights.max(initial=-np.inf))
     covariances = pose_covariances(model, camera, observed, found, noise)
-    probability = float(probabilities(log_odds(found[:1])).sum())
-    return ObjectDetection(
-        poses_of(found), covariances, weights / max(weights.sum(), 1.0), found, probability
-    )
+    probability, weights = float(probabilities(log_odds(found[:1])).sum()), weights / max(weights.sum(), 1.0)
+    return ObjectDetection(poses_of(found), covariances, weights, found, probability)
 
 
 def explained_within(noise: DepthNoise, z: Array) -> Array:
@@ -155,8 +153,6 @@ def distinct(
     axes, kept = model.symmetries.axes, np.empty(most, dtype=np.int64)
     about = axes[0][0] if axes else model.center_object
     group = model.symmetries.rotations, np.array([axis for _, axis in axes]).reshape(-1, 3)
-    limits, order = (
-        np.array([*about, model.radius, spacing * model.diameter]),
-        np.argsort(-score, kind="stable"),
-    )
+    limits = np.array([*about, model.radius, spacing * model.diameter])
+    order = np.argsort(-score, kind="stable")
     return candidates[kept[: distinct_poses.distinct_candidates(group, limits, candidates, order, kept)]]

@@ -102,9 +102,8 @@ class PoseRefiner:
         self._depth[last], self._labels[last] = 0, OUT
         copied = self._depth[box]
         copied[:] = depth[box]
-        if not np.isfinite(
-            copied.sum()
-        ):  # many cameras have 0 for no depth, and one sum is quicker than a mask
+        # Many cameras have 0 for no depth, and one sum is quicker than a mask.
+        if not np.isfinite(copied.sum()):
             copied[~np.isfinite(copied)] = 0
         self._labels[box] = 0 if hand is None else np.where(hand[box], np.int32(HAND), np.int32(0))
         rows, columns = box

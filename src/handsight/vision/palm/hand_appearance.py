@@ -15,7 +15,8 @@ from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.hand.chains import Chains, transform_points
-from handsight.hand.surface import HandShape, sample_by_area
+from handsight.hand.surface import sample_by_area
+from handsight.objects import Triangles
 
 
 class AppearanceOptions(NamedTuple):
@@ -52,11 +53,20 @@ class HandAppearance:
         file has no shapes."""
         shape, (points, normals, body) = hand.shape(), skin_points(hand, APPEARANCE.points)
         order = np.random.default_rng(0).permutation(len(points))
-        corners = shape.vertices_body[shape.faces]
-        crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = float(np.linalg.norm(crosses, axis=1).sum() / 2)
+        area = Triangles(shape.vertices_body, shape.faces).area
         skin = points[order], normals[order], body[order]
-        return cls(shape.chains, skin, _coarser(shape), area / len(points))
+        # The coarse hand: the vertices of a link in one cell are merged to their mean.
+        cells = np.c_[shape.body_of, np.floor(shape.vertices_body / APPEARANCE.merge_distance)]
+        _, where = np.unique(cells, axis=0, return_inverse=True)
+        where = where.reshape(-1)
+        middles = [np.bincount(where, column) / np.bincount(where) for column in shape.vertices_body.T]
+        body = np.zeros(len(middles[0]), dtype=np.int64)
+        body[where] = shape.body_of
+        faces = where[shape.faces]
+        faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+        _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+        coarse = np.stack(middles, axis=1), body, faces[first].astype(np.int64)
+        return cls(shape.chains, skin, coarse, area / len(points))
 
     def placed(self, joint_positions: Mapping[str, float], *, sigma_joint: float = 0.0) -> "PlacedHand":
         """Returns the hand with its joints there, each off by a constant `sigma_joint` [rad, for slides m].
@@ -175,18 +185,3 @@ def _drawn(hand: PlacedHand, camera: Camera, T_camera_palm: bytes) -> Depth:
     """Returns the depth of the coarse triangles [m] in the smaller camera; inf beside them."""
     T = np.frombuffer(T_camera_palm).reshape(4, 4)
     return _smaller(camera).draw(se3.apply(T, hand.vertices), hand.appearance.coarse[2]).depth
-
-
-def _coarser(shape: HandShape) -> tuple[Array, Indices, Indices]:
-    """Returns vertices, their links and faces, with the vertices of a link in one cell merged to their mean."""
-    cells = np.c_[shape.body_of, np.floor(shape.vertices_body / APPEARANCE.merge_distance)]
-    _, where = np.unique(cells, axis=0, return_inverse=True)
-    where = where.reshape(-1)
-    count = np.bincount(where)
-    middles = [np.bincount(where, shape.vertices_body[:, i]) / count for i in range(3)]
-    body = np.zeros(len(count), dtype=np.int64)
-    body[where] = shape.body_of
-    faces = where[shape.faces]
-    proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    _, first = np.unique(np.sort(faces[proper], axis=1), axis=0, return_index=True)
-    return np.stack(middles, axis=1), body, faces[proper][first].astype(np.int64)

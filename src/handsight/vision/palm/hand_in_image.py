@@ -46,16 +46,8 @@ class HandInImage:
         if hand is None:
             return None
         found = follow_palm(camera, depth, hand, T_camera_palm, noise=self._noise) if follow else None
-        position, rotation = sigmas
-        return found or detect_palm(
-            camera,
-            depth,
-            hand,
-            T_camera_palm,
-            sigma_position=position,
-            sigma_rotation=rotation,
-            noise=self._noise,
-        )
+        known = {"sigma_position": sigmas[0], "sigma_rotation": sigmas[1]}
+        return found or detect_palm(camera, depth, hand, T_camera_palm, noise=self._noise, **known)
 
     def mask(
         self, camera: Camera, depth: Depth, joint_positions: Joints, T_camera_palm: Array

@@ -18,7 +18,6 @@ from handsight._kernels.image import hand_term
 from handsight._kernels.image.vision_records import STAGE
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices
-from handsight.errors import InvalidInput
 from handsight.vision.candidates import Candidates, candidates_at, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.palm.hand_appearance import PlacedHand
@@ -115,8 +114,12 @@ def detect_palm(
     T_camera_palm: as predicted, with sigmas `sigma_position` [m] of the hand's middle and `sigma_rotation` [rad] per
     axis; the time of the search grows with these. `noise`: of the depth, for the covariance. Raises InvalidInput.
     """
-    T = _checked(camera, depth, T_camera_palm)
-    sigmas = _positive(sigma_position, "sigma_position"), _positive(sigma_rotation, "sigma_rotation")
+    T = se3.check(T_camera_palm, "T_camera_palm")
+    camera.check_size(depth, "depth")
+    sigmas = (
+        checks.positive(sigma_position, "sigma_position"),
+        checks.positive(sigma_rotation, "sigma_rotation"),
+    )
     belief = Belief(hand, T, sigmas)
     picture = picture_of(camera, depth, hand, T, sigmas[0])
     if picture is None:
@@ -148,7 +151,8 @@ def follow_palm(
 
     T_camera_palm: off by about 10 mm and 3° per axis. The answer is `no_fit` where too little of the hand is there.
     """
-    T, sigmas = _checked(camera, depth, T_camera_palm), DETECTOR.followed_sigmas
+    T, sigmas = se3.check(T_camera_palm, "T_camera_palm"), DETECTOR.followed_sigmas
+    camera.check_size(depth, "depth")
     picture = picture_of(camera, depth, hand, T, sigmas[0])
     if picture is None:
         return PalmNotFound("outside")
@@ -160,19 +164,6 @@ def follow_palm(
         if not (fits & (candidate["passed"] < DETECTOR.max_passed * free)).all():
             return PalmNotFound("no_fit")
     return _answer(picture, candidate, noise)
-
-
-def _checked(camera: Camera, depth: Depth, T_camera_palm: Array) -> Array:
-    T = se3.check(T_camera_palm, "T_camera_palm")
-    camera.check_size(depth, "depth")
-    return T
-
-
-def _positive(value: float, name: str) -> float:
-    number = float(checks.finite(value, name, ()))
-    if not number > 0:
-        raise InvalidInput(f"{name}: expected a number above 0, got {number:g}")
-    return number
 
 
 def _align(picture: Picture, rows: Indices, stage: AlignStage, candidates: Candidates) -> None:

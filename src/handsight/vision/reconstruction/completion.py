@@ -14,6 +14,7 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from handsight import se3
 from handsight.checks import Array, Mask
+from handsight.objects import about
 from handsight.vision.reconstruction.volume import SurfacePoints, Volume, thinned
 
 
@@ -109,7 +110,16 @@ def _symmetries(surface: SurfacePoints, volume: Volume, table: bool) -> list[tup
         return []
     some = np.random.default_rng(0).permutation(len(surface.points))[: COMPLETION.judged_points]
     judge = _Judge(volume, surface.points[some])
-    axis = _revolution(surface)
+    # Turns about the line that the surface's normals come nearest to meeting: a line of direction d and moment m meets
+    # that of a normal n at p where d·(p × n) + m·n = 0 (Pottmann 1999).
+    middle = surface.points.mean(axis=0)
+    p, n = surface.points - middle, surface.normals
+    moments = np.cross(p, n)
+    nn, nd, dd = n.T @ n, n.T @ moments, moments.T @ moments
+    lever = np.linalg.solve(nn + 1e-9 * np.trace(nn) * np.eye(3), nd)
+    d = np.linalg.eigh(dd - nd.T @ lever)[1][:, 0]
+    angles = 2 * np.pi / COMPLETION.turns * np.arange(1, COMPLETION.turns)
+    axis = about(middle - np.cross(d, lever @ d), angles[:, None] * d)
     if judge.allows(axis):
         return [("a body of revolution", axis)]
     found = list[tuple[str, Array]]()
@@ -196,23 +206,6 @@ def _mirror(plane: Array) -> Array:
     return T
 
 
-def _revolution(surface: SurfacePoints) -> Array:
-    """Returns turns (turns - 1, 4, 4) about the line that the surface's normals come nearest to meeting.
-
-    A line of direction d and moment m meets that of a normal n at p where d·(p × n) + m·n = 0 (Pottmann 1999).
-    """
-    middle = surface.points.mean(axis=0)
-    p, n = surface.points - middle, surface.normals
-    moments = np.cross(p, n)
-    nn, nd, dd = n.T @ n, n.T @ moments, moments.T @ moments
-    lever = np.linalg.solve(nn + 1e-9 * np.trace(nn) * np.eye(3), nd)
-    d = np.linalg.eigh(dd - nd.T @ lever)[1][:, 0]
-    m = -lever @ d
-    through = middle + np.cross(d, m)
-    turns = se3.rotation_exp(2 * np.pi / COMPLETION.turns * np.arange(1, COMPLETION.turns)[:, None] * d)
-    return se3.compose(turns, through - turns @ through)
-
-
 def _filled(surface: SurfacePoints, maps: Array, volume: Volume, table: bool) -> SurfacePoints:
     """Returns the points of a surface under maps (k, 4, 4), one a cell, where they come to unknown places."""
     points = se3.apply(maps, surface.points).reshape(-1, 3)
@@ -240,22 +233,17 @@ def _base(surface: SurfacePoints, cell: float) -> SurfacePoints:
     heights = cell * np.arange(0.5, COMPLETION.table_margin)
     wall = np.concatenate([np.column_stack([ring, np.full(len(ring), z)]) for z in heights])
     walls, ways = thinned(wall / cell, np.tile(outward, (len(heights), 1)))
-    inside = _filled_in(ring, cell)
-    base = np.column_stack([inside, np.zeros(len(inside))])
-    down = np.tile([0.0, 0, -1], (len(base), 1))
-    return SurfacePoints(np.concatenate([walls * cell, base]), np.concatenate([ways, down]))
-
-
-def _filled_in(ring: Array, cell: float) -> Array:
-    """Returns places (m, 2) a cell apart [m] inside a ring of points (n, 2); those of its hull, if the ring is open."""
-    low = ring.min(axis=0) - (COMPLETION.closed_gap + 1) * cell
-    at = np.rint((ring - low) / cell).astype(int)
+    # The base is inside the ring of lowest points; inside its hull, if the ring is open.
+    corner = ring.min(axis=0) - (COMPLETION.closed_gap + 1) * cell
+    at = np.rint((ring - corner) / cell).astype(int)
     image = np.zeros(tuple(at.max(axis=0) + COMPLETION.closed_gap + 2), dtype=bool)
     image[tuple(at.T)] = True
     solid = binary_fill_holes(binary_closing(image, np.ones((3, 3)), iterations=COMPLETION.closed_gap))
-    nodes = np.argwhere(np.ones_like(image))
+    filled, nodes = np.argwhere(solid), np.argwhere(np.ones_like(image))
     with contextlib.suppress(QhullError):  # all on one line
         hull = nodes[Delaunay(at).find_simplex(nodes) >= 0]
-        if solid.sum() < COMPLETION.open_share * len(hull):
-            return np.asarray(low + cell * hull)
-    return np.asarray(low + cell * np.argwhere(solid))
+        filled = hull if len(filled) < COMPLETION.open_share * len(hull) else filled
+    inside = corner + cell * filled
+    base = np.column_stack([inside, np.zeros(len(inside))])
+    down = np.tile([0.0, 0, -1], (len(base), 1))
+    return SurfacePoints(np.concatenate([walls * cell, base]), np.concatenate([ways, down]))

@@ -98,6 +98,7 @@ class Reconstruction:
         for stage in STAGES:
             fine = bool(stage["fine"])
             bound = (self.volume if fine else self._coarse).bound
+            # Places that no view has observed yet would be pulled onto known surfaces.
             known = points[surface.is_known(fine, se3.apply(se3.inverse(T), points["point"]))]
             T = surface.refined(known, T, np.atleast_1d(stage), bound)
         off = np.abs(surface.distances(se3.apply(se3.inverse(T), known["point"])))
@@ -129,8 +130,7 @@ class _Surface:
         self._model["radius"], self._model["center"] = np.linalg.norm(high - low) / 2, (low + high) / 2
 
     def is_known(self, fine: bool, points_object: Array) -> Mask:
-        """Returns (n,) whether any view has observed the places of points (n, 3) [m]; new ones would be pulled onto
-        known surfaces."""
+        """Returns (n,) whether any view has observed the places of points (n, 3) [m]."""
         return self._volumes[fine].among(self._known[fine], points_object)
 
     def distances(self, points_object: Array) -> Array:
