@@ -50,22 +50,12 @@ def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
 
 
 def remembered_numbers(
-    kind: str,
-    name: str,
-    dtype: type[Number],
-    fits: Callable[[NDArray[Number]], bool],
-    compute: Callable[[], NDArray[Number]],
+    kind: str, name: str, dtype: type[Number], compute: Callable[[], NDArray[Number]]
 ) -> NDArray[Number]:
-    """Returns the numbers (n,) of a `kind` kept under the key `name`, or computes and keeps them as `remembered` does.
-
-    `fits`: whether numbers that were read from the file are possible; if not, they are computed again.
-    """
+    """Returns the numbers (n,) of a `kind` kept under the key `name`, or computes and keeps them, as `remembered`."""
 
     def load(data: memoryview) -> NDArray[Number]:
-        numbers = np.frombuffer(data, dtype=dtype)
-        if not fits(numbers):
-            raise ValueError("other numbers than those that were kept")
-        return numbers.copy()
+        return np.frombuffer(data, dtype=dtype).copy()
 
     path = cache_folder() / f"{kind}-{name}"
     return _remembered(path, name, "appearances of objects", load, lambda found: found.tobytes(), compute)

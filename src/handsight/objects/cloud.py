@@ -102,14 +102,13 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
 
 def _checked(points: Array, normals: Array | None) -> tuple[Array, Array | None, tuple[str, ...]]:
     """Returns the points and normals without repeats, and a remark where there were any; raises InvalidObject."""
+    expected = f"points: expected at least {CLOUD.min_points}"
     if len(points) < CLOUD.min_points:
-        raise InvalidObject(f"points: expected at least {CLOUD.min_points} points, got {len(points)}")
+        raise InvalidObject(f"{expected} points, got {len(points)}")
     extent = check_extent(points, "points")
     first, _ = distinct(points, extent)
     if len(first) < CLOUD.min_points:
-        raise InvalidObject(
-            f"points: expected at least {CLOUD.min_points} different points, got {len(first)}"
-        )
+        raise InvalidObject(f"{expected} different points, got {len(first)}")
     repeated = len(points) - len(first)
     points, normals = points[first], None if normals is None else normals[first]
     if np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6 * extent) < 2:

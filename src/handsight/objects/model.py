@@ -269,7 +269,7 @@ def _check_range(value: ArrayLike, name: str) -> None:
 
 
 def _of_mesh(mesh: Triangles) -> Geometry:
-    # Imported here because it imports SciPy, which an object from the cache does not need.
+    # An object from the cache does not need SciPy, which this imports.
     from handsight.objects.meshes.mesh_geometry import mesh_geometry
 
     return mesh_geometry(mesh)
@@ -297,11 +297,9 @@ def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> Triangles:
     if triangles.size == 0:
         raise InvalidObject("faces: expected at least one triangle, got none")
     if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
-        raise InvalidObject(
-            f"faces: expected whole numbers of shape (m, 3), got {triangles.dtype} {triangles.shape}"
-        )
-    if triangles.min() < 0 or triangles.max() >= len(points):
-        raise InvalidObject(
-            f"faces: expected indices 0 to {len(points) - 1}, got {triangles.min()} to {triangles.max()}"
-        )
+        came = f"{triangles.dtype} {triangles.shape}"
+        raise InvalidObject(f"faces: expected whole numbers of shape (m, 3), got {came}")
+    low, high, last = triangles.min(), triangles.max(), len(points) - 1
+    if low < 0 or high > last:
+        raise InvalidObject(f"faces: expected indices 0 to {last}, got {low} to {high}")
     return Triangles(points, triangles.astype(np.int64))

@@ -161,9 +161,8 @@ def check_extent(points: Array, name: str) -> float:
     if extent == 0:
         raise InvalidObject(f"{name}: expected an object with a size, got all points in one place")
     if not SURFACE.min_size <= extent <= SURFACE.max_size or np.abs(points).max() > SURFACE.max_size:
-        raise InvalidObject(
-            f"{name}: expected a size of {SURFACE.min_size:g} to {SURFACE.max_size:g} m, got {extent:.4g}"
-        )
+        expected = f"expected a size of {SURFACE.min_size:g} to {SURFACE.max_size:g} m"
+        raise InvalidObject(f"{name}: {expected}, got {extent:.4g}")
     return extent
 
 

@@ -103,9 +103,8 @@ def nearest(symmetries: Symmetries, T: Array, T_reference: Array, radius: float)
     candidates = T[..., None, :, :] @ symmetries.rotations
     reference = T_reference[..., None, :, :]
     if symmetries.round:
-        candidates = _nearest_about_center(
-            candidates[..., :1, :, :], reference, symmetries.axes[0][0], radius
-        )
+        first, center = candidates[..., :1, :, :], symmetries.axes[0][0]
+        candidates = _nearest_about_center(first, reference, center, radius)
     elif symmetries.axes:
         candidates = _nearest_about_axis(candidates, reference, symmetries.axes[0], radius)
     delta = se3.difference(candidates, np.broadcast_to(reference, candidates.shape))

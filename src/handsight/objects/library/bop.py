@@ -76,13 +76,10 @@ def symmetries_of(info: Info) -> Symmetries:
         if not (np.abs(R - given[:3, :3]).max() < TOLERANCE and (given[3] == [0, 0, 0, 1]).all()):
             raise InvalidInput(f"{name}: expected a rigid transform, got {checks.brief(given)}")
         turns.append(se3.compose(R, shift))
-    lines = [
-        (
-            checks.position(METRES * np.array(line.offset), f"symmetries_continuous[{k}].offset", (3,)),
-            line.axis,
-        )
-        for k, line in enumerate(info.symmetries_continuous)
-    ]
+    lines = []
+    for k, line in enumerate(info.symmetries_continuous):
+        offset, name = METRES * np.array(line.offset), f"symmetries_continuous[{k}].offset"
+        lines.append((checks.position(offset, name, (3,)), line.axis))
     if len(turns) > MAX_ROTATIONS:
         raise InvalidInput(f"symmetries_discrete: expected at most {MAX_ROTATIONS}, got {len(turns)}")
     if not lines:

@@ -208,12 +208,8 @@ def check_content(path: Path, sha256: str | None, size: int | None) -> None:
         came = os.fstat(file.fileno()).st_size
         if size is not None and came != size:
             raise InvalidFile(f"{path}: expected {size} bytes, got {came}: changed since it was added")
-        if sha256 is not None:
-            try:
-                found = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
-            except OSError as error:
-                raise InvalidFile(f"{path}: cannot be read: {error.strerror or error}") from None
-            check_sha256(path, sha256, found)
+    if sha256 is not None:
+        check_sha256(path, sha256, hashlib.sha256(read_bytes(path, came)).hexdigest())
 
 
 def check_sha256(name: str | Path, sha256: str, found: str) -> None:

@@ -76,13 +76,9 @@ class Library:
         """Returns the object with that name, its symmetries and its weight; raises the errors of `entry` and `file`."""
         entry = self.entry(name)
         model = ObjectModel.from_file(self.file(entry), scale=METRES, symmetries=entry.symmetries)
-        facts = entry.facts
-        if facts is not None and (facts.mass is not None or facts.center_of_mass is not None):
-            model = model.with_weight(
-                mass=facts.mass,
-                center_of_mass=facts.center_of_mass,
-                sigma_center_of_mass=facts.sigma_center_of_mass,
-            )
+        if facts := entry.facts:
+            keys = ("mass", "center_of_mass", "sigma_center_of_mass")
+            model = model.with_weight(**{key: getattr(facts, key) for key in keys})
         return replace(model, name=entry.name)
 
     def wrong(self, entries: Iterable[Entry]) -> Iterator[str]:
@@ -94,10 +90,9 @@ class Library:
                     measured, declared = diameter(points), entry.info.diameter
                     # Some documents state the diagonal of the bounding box, which is at most √3 times too large.
                     if not 1 / 3 < measured / declared < 3:
-                        message = (
-                            f"expected the diameter {declared:.4g} mm, got {measured:.4g}: another unit?"
-                        )
-                        raise InvalidFile(f"{entry.place}: {entry.file}: {message}")
+                        expected = f"expected the diameter {declared:.4g} mm"
+                        where = f"{entry.place}: {entry.file}"
+                        raise InvalidFile(f"{where}: {expected}, got {measured:.4g}: another unit?")
                 _ = entry.symmetries
             except HandsightError as error:
                 yield str(error)
@@ -188,6 +183,5 @@ def find_model(
             return library.model(entry.name)
     in_library = f"the library {library.place}" if known else f"a library (there is none at {library.place})"
     near = checks.suggestion(name, {*objects, *(entry.name for entry in known)})
-    raise InvalidInput(
-        f"{argument}: expected a name of {place or in_library} or a mesh file, got {checks.brief(name)!r}{near}"
-    )
+    expected = f"expected a name of {place or in_library} or a mesh file"
+    raise InvalidInput(f"{argument}: {expected}, got {checks.brief(name)!r}{near}")

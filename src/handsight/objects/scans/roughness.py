@@ -73,9 +73,8 @@ def roughness_of(surface: ScannedSurface, points: Points, noise: Noise) -> Rough
     slope = normal + np.maximum(by_slope, 0.0)
     # Such detail is missing in the surface's normals, but adds no bumps and no spurious information.
     missing = 2 * detail / points.spacing**2
-    variances = np.stack(
-        [height + by_height + detail, slope + missing, CHI2_95 * slope, CHI2_95 * bend], axis=1
-    )
+    values = height + by_height + detail, slope + missing, CHI2_95 * slope, CHI2_95 * bend
+    variances = np.stack(values, axis=1)
     return Roughness(patches["point"], variances, patches["trust"] ** ROUGHNESS.shared)
 
 

@@ -47,8 +47,7 @@ def appearance_of(model: ObjectModel) -> Appearance:
         pose_score.visible_sets(*model.record[:2], places, facing, directions, visible)
         return np.packbits(visible)
 
-    size = DIRECTIONS * SAMPLES
-    packed = cache.remembered_numbers("bits", name, np.uint8, lambda p: 8 * len(p) == size, visible_sets)
+    packed = cache.remembered_numbers("bits", name, np.uint8, visible_sets)
     visible = np.unpackbits(packed).reshape(DIRECTIONS, SAMPLES).astype(np.bool_)
     sides = np.stack([places, facing]), directions, visible, float(model.area / SAMPLES)
     return Appearance(_pairs(voters, model.diameter), voters, sides)
@@ -69,15 +68,7 @@ def _pairs(voters: Array, diameter: float) -> tuple[NDArray[np.int32], NDArray[n
         turns = np.floor(spin[order] * (votes.TURN / (2 * np.pi))).astype(np.int64) % votes.TURN
         return np.concatenate([starts, (order // count << votes.POINT_BITS) + turns]).astype(np.int32)
 
-    def fits(numbers: NDArray[np.int32]) -> bool:
-        starts, pairs = np.split(numbers, [votes.CELLS + 1])
-        points = pairs >> votes.POINT_BITS
-        complete = len(starts) > votes.CELLS and starts[0] == 0 and starts[-1] == len(pairs)
-        return bool(complete and (np.diff(starts) >= 0).all() and ((points >= 0) & (points < count)).all())
-
     steps = f"{votes.DISTANCES} {votes.ANGLES} {votes.POINT_BITS}"
     name = cache.key(f"pairs 1 {steps}", voters, np.array(diameter))
-    starts, pairs = np.split(
-        cache.remembered_numbers("numbers", name, np.int32, fits, table), [votes.CELLS + 1]
-    )
+    starts, pairs = np.split(cache.remembered_numbers("numbers", name, np.int32, table), [votes.CELLS + 1])
     return starts, pairs

@@ -19,11 +19,10 @@ from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import candidates_at
+from handsight.vision.candidates import UNKNOWN, candidates_at
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.locate import locate
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
-from handsight.vision.pose_covariance import UNKNOWN
 
 State = Literal["tracking", "uncertain", "lost"]
 

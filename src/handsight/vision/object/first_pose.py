@@ -11,11 +11,10 @@ from handsight._kernels.image.vision_records import CANDIDATE, STAGE
 from handsight._kernels.solve import distinct_poses
 from handsight.checks import Array
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import NOTHING_KNOWN, Candidates, center_depths, poses_of
+from handsight.vision.candidates import NOTHING_KNOWN, Candidates, center_depths, pose_covariances, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.region import Scene, observed_points
-from handsight.vision.pose_covariance import pose_covariances
 
 
 class FirstPoseOptions(NamedTuple):

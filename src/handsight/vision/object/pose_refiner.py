@@ -11,12 +11,11 @@ from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import Candidates, candidates_at, center_depths, poses_of
+from handsight.vision.candidates import Candidates, candidates_at, center_depths, pose_covariances, poses_of
 from handsight.vision.depth_noise import DepthNoise
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.first_pose import explained_within
 from handsight.vision.object.region import REGION
-from handsight.vision.pose_covariance import pose_covariances
 
 
 class RefinerOptions(NamedTuple):

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from handsight import checks, se3
 from handsight._deprecated import renamed_members
-from handsight._kernels.image import hand_term
+from handsight._kernels.image import depth_covariance, hand_term
 from handsight._kernels.image.vision_records import STAGE
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices
-from handsight.vision.candidates import Candidates, candidates_at, poses_of
+from handsight.gaussian_pose import GaussianPose
+from handsight.vision.candidates import Candidates, candidates_at, depth_errors, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.palm.hand_appearance import PlacedHand
-from handsight.vision.palm.palm_covariance import palm_covariance
 from handsight.vision.palm.palm_search import Belief, Picture, distinct, picture_of, searched
 
 
@@ -211,5 +211,37 @@ def _answer(picture: Picture, candidates: Candidates, noise: DepthNoise) -> Palm
     if picture.hand.outline_continued(picture.camera, picture.depth, T) > DETECTOR.max_continued:
         return PalmNotFound("no_fit")
     rows = np.flatnonzero(picture.hand.visible_from(picture.camera, T))
-    covariance = palm_covariance(picture, best, rows, DETECTOR.last_stage.last_bound, noise)
+    covariance = _covariance(picture, best, rows, DETECTOR.last_stage.last_bound, noise)
     return PalmDetection(T, covariance, float(fits[0]), best)
+
+
+def _covariance(
+    picture: Picture, candidate: Candidates, rows: Indices, bound: float, noise: DepthNoise
+) -> Array:
+    """Returns (6, 6) of CANDIDATE (1,) by (δp, δθ) of the palm along the camera's axes.
+
+    rows (k,): the visible points; bound: Tukey's [m]. The errors of points are those of `noise`. Those of whole
+    pixels are added, and those of constant errors of the joints, to first order: a weighted fit follows a joint that is
+    off.
+    """
+    T, hand, camera, compared = poses_of(candidate)[0], picture.hand, picture.camera, 150
+    skin, fitted = np.ascontiguousarray(hand.skin[:, rows]), np.empty((len(rows), 8))
+    hand_term.rows_of(camera.record, picture.arrays, skin, candidate["pose"].copy(), bound, fitted)
+    used = fitted[:, 0] > 0
+    weights, normals = fitted[used, 0], np.ascontiguousarray(fitted[used, 2:5])
+    points, center = se3.apply(T, skin[0, used]), se3.apply(T, hand.middle[None])[0]
+    z = np.maximum(center[2:], 1e-3)
+    # Along a direction that no point observes: half the hand's size, and 1.8 rad.
+    errors = depth_errors(camera, noise, z, (hand.radius, 1.8 * hand.radius))
+    informed, covariance = np.empty((2, 6, 6)), np.empty((6, 6))
+    depth_covariance.inform_points(weights, points, normals, center, hand.radius, errors, compared, informed)
+    depth_covariance.covariance_of(informed, errors, covariance)
+    if hand.sigma_joint > 0:
+        lines = np.hstack([normals, np.cross(points - center, normals) / hand.radius])
+        by_joints = np.einsum("mi,ij,mjk->mk", normals, T[:3, :3], hand.by_joints(rows[used]))
+        information = informed[0] + (weights.sum() + 1e-9) * 1e-9 * np.eye(6)
+        follows = np.linalg.solve(information, np.einsum("m,mi,mk->ik", weights, lines, by_joints))
+        covariance = covariance + hand.sigma_joint**2 * follows @ follows.T
+    scale = np.repeat([1.0, hand.radius], 3)
+    covariance = GaussianPose(T, covariance / np.outer(scale, scale)).at_point(-hand.middle).covariance
+    return np.asarray((covariance + covariance.T) / 2)
