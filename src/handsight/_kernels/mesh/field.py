@@ -47,7 +47,9 @@ def field_at(nodes: Any, field: Any, place: Vec3) -> Values:
         return _cylinder(field, place)
     if field.kind == SHEET:
         return _sheet(nodes, field, place)
-    return _sphere(field, place)
+    r = norm(place)  # a ball
+    g = scale(place, 1 / r) if r > 0 or r != r else (0.0, 0.0, 1.0)
+    return r - field.origin[0], g, _around(g, 1 / max(r, field.least_radius))
 
 
 @inner
@@ -113,11 +115,7 @@ def _clamped(u: float, most: float) -> float:
 @inner
 def _where_zero(way: Vec3, v: Vec3) -> Vec3:
     """Returns `v` with zeros along the axes along which `way` is not zero."""
-    return (
-        v[0] if way[0] == 0 else 0.0,
-        v[1] if way[1] == 0 else 0.0,
-        v[2] if way[2] == 0 else 0.0,
-    )
+    return v[0] if way[0] == 0 else 0.0, v[1] if way[1] == 0 else 0.0, v[2] if way[2] == 0 else 0.0
 
 
 @inner
@@ -141,13 +139,6 @@ def _beyond(edge: Values, way: Vec3) -> Values:
 def _around(n: Vec3, curvature: float) -> Mat33:
     """Returns the Hessian of the distance to a ball, (1 - n nᵀ) times its curvature."""
     return scale33(sub33(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), outer(n, n)), curvature)
-
-
-@inner
-def _sphere(field: Any, place: Vec3) -> Values:
-    r = norm(place)
-    g = scale(place, 1 / r) if r > 0 or r != r else (0.0, 0.0, 1.0)
-    return r - field.origin[0], g, _around(g, 1 / max(r, field.least_radius))
 
 
 @inner
@@ -176,9 +167,7 @@ def _cylinder(field: Any, place: Vec3) -> Values:
     r = np.sqrt(x * x + y * y)
     qr, qz = r - field.origin[0], abs(z) - field.origin[1]
     up = -1.0 if z < 0 else 1.0
-    cosine, sine = 1.0, 0.0
-    if r > 0 or r != r:
-        cosine, sine = x / r, y / r
+    cosine, sine = (x / r, y / r) if r > 0 or r != r else (1.0, 0.0)
     er, ez = max(qr, 0.0), max(qz, 0.0)
     outside = np.sqrt(er * er + ez * ez)
     distance, gr, gz = max(qr, qz), 1.0 if qr >= qz else 0.0, 0.0 if qr >= qz else 1.0
@@ -186,12 +175,10 @@ def _cylinder(field: Any, place: Vec3) -> Values:
         distance, gr, gz = outside, er / outside, ez / outside
     gz = gz * up
     over = 1 / max(outside, field.least_radius) if qr > 0 and qz > 0 else 0.0
-    round_it = (-sine, cosine, 0.0)
+    side = (-sine, cosine, 0.0)
     rim = (-gz * cosine, -gz * sine, gr)  # across the edge
-    H = add33(
-        scale33(outer(round_it, round_it), gr / max(r, field.least_radius)), scale33(outer(rim, rim), over)
-    )
-    return distance, (gr * cosine, gr * sine, gz), H
+    around = scale33(outer(side, side), gr / max(r, field.least_radius))
+    return distance, (gr * cosine, gr * sine, gz), add33(around, scale33(outer(rim, rim), over))
 
 
 @entry

@@ -57,17 +57,9 @@ def _weights(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
     if first <= 0 and bv > bu and cu >= cv:
         s = (bv - bu) / ((bv - bu) + (cu - cv))
         return 0.0, 1 - s, s
-    if area2 <= 1e-14 * uu * vv or min(first, min(second, third)) < 0:  # too flat to have an inside
-        return _on_edges(uu, uv, vv, wu, wv)
-    return scale((first, second, third), 1 / area2)
-
-
-@inner
-def _on_edges(uu: float, uv: float, vv: float, wu: float, wv: float) -> Vec3:
-    """Returns what `_weights` returns, considering the edges only.
-
-    Edges are compared by their squared distances from p, less that of the first corner.
-    """
+    if not (area2 <= 1e-14 * uu * vv or min(first, min(second, third)) < 0):
+        return scale((first, second, third), 1 / area2)
+    # It is too flat to have an inside. Edges are compared by their squared distances from p, less that of corner a.
     s = min(wu / uu, 1.0) if wu > 0 else 0.0
     t = min(wv / vv, 1.0) if wv > 0 else 0.0
     along, size = wv - wu + uu - uv, uu - 2 * uv + vv

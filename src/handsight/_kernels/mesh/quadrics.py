@@ -34,11 +34,7 @@ LEVEL = np.dtype(
     [
         ("place", "i8"),  # number of this window size, from the smallest
         ("window", "f8"),  # radius [m]
-        (
-            "origin",
-            "f8",
-            (3,),
-        ),  # of the grid whose cells sort the points; a cell is as wide as the window's radius
+        ("origin", "f8", (3,)),  # of the grid whose cells, as wide as the window's radius, sort the points
         ("shape", "i8", (3,)),  # of that grid
         ("variance", "f8"),  # of a point's noise [m²]
         ("together", "f8"),  # how many points share one noise
@@ -58,7 +54,7 @@ ROOM = np.dtype(
         ("solution", "f8", (6,)),
         ("x", "f8", (6,)),
         ("powers", "f8", (6,)),
-        ("tensor", "f8", (6,)),
+        ("values", "f8", (16,)),  # WINDOW_VALUES
     ],
     align=True,
 )
@@ -114,16 +110,11 @@ def _normal_equations(cloud: Any, index: Any, level: Any, room: Any) -> tuple[fl
     """Writes the normal equations of a fit; returns the sums of weights, squared weights, weights that are left out,
     and weighted squared heights."""
     patch, h = room.trial, level.window
-    n, a, b, origin = (
-        vector(patch.normal),
-        vector(patch.along[0]),
-        vector(patch.along[1]),
-        vector(patch.point),
-    )
+    n, a, b = vector(patch.normal), vector(patch.along[0]), vector(patch.along[1])
     room.matrix[:], room.right[:] = 0.0, 0.0
     total, squares, rejected, heights = 0.0, 0.0, 0.0, 0.0
     for i in index:
-        offset = sub(vector(cloud[i]), origin)
+        offset = sub(vector(cloud[i]), vector(patch.point))
         u, v, z = dot(a, offset), dot(b, offset), dot(n, offset)
         # Weighted by the distance along the surface: with the height in it, thick noise would seem thin.
         w = max(1 - (u * u + v * v) / (h * h), 0.0)
@@ -197,27 +188,18 @@ def _move(patch: Any, solution: Any, powers: Any) -> None:
 
 
 @inner
-def _tensor(patch: Any, out: Any) -> None:
-    """Writes the tensor of second derivatives along the object's axes to `out` (6): xx, yy, zz, xy, xz, yz."""
-    a, b = vector(patch.along[0]), vector(patch.along[1])
-    for k in range(6):
-        i, j = (k, k) if k < 3 else ((0, k - 2) if k < 5 else (1, 2))
-        mixed = a[i] * b[j] + b[i] * a[j]
-        out[k] = patch.bends[0] * a[i] * a[j] + patch.bends[1] * mixed + patch.bends[2] * b[i] * b[j]
-
-
-@inner
-def _has_drifted(patch: Any, earlier: Any, windows: int, tensor: Any) -> bool:
-    """Returns whether a patch differs from its fit in a smaller window by more than that one's standard deviations."""
-    n, limit = vector(patch.normal), QUADRICS.max_drift * QUADRICS.max_drift
+def _has_drifted(fit: Any, earlier: Any, windows: int) -> bool:
+    """Returns whether a fit differs from that in a smaller window by more than that one's standard deviations; each of
+    them is WINDOW_VALUES."""
+    n, limit = vector(fit[3:6]), QUADRICS.max_drift * QUADRICS.max_drift
     for j in range(windows):
         row = earlier[j]
-        height = dot(n, sub(vector(patch.point), vector(row)))
+        height = dot(n, sub(vector(fit), vector(row)))
         turn, bend = 0.0, 0.0
         for k in range(3):
             turn += (n[k] - row[3 + k]) ** 2
         for k in range(6):
-            bend += (1.0 if k < 3 else 2.0) * (tensor[k] - row[6 + k]) ** 2
+            bend += (1.0 if k < 3 else 2.0) * (fit[6 + k] - row[6 + k]) ** 2
         if height * height > limit * row[12] or turn > 2 * limit * row[13]:
             return True
         if bend > QUADRICS.bend_variances * limit * row[14]:
@@ -238,13 +220,15 @@ def _copy(patch: Any, other: Any) -> None:
 
 
 @inner
-def _note(patch: Any, tensor: Any, row: Any) -> None:
-    """Writes the WINDOW_VALUES of a fit, with which fits in wider windows are compared."""
-    C = patch.covariance
+def _note(patch: Any, row: Any) -> None:
+    """Writes the WINDOW_VALUES of a fit; the tensor is along the object's axes: xx, yy, zz, xy, xz, yz."""
+    C, a, b = patch.covariance, vector(patch.along[0]), vector(patch.along[1])
     for k in range(3):
         row[k], row[3 + k] = patch.point[k], patch.normal[k]
     for k in range(6):
-        row[6 + k] = tensor[k]
+        i, j = (k, k) if k < 3 else ((0, k - 2) if k < 5 else (1, 2))
+        mixed = a[i] * b[j] + b[i] * a[j]
+        row[6 + k] = patch.bends[0] * a[i] * a[j] + patch.bends[1] * mixed + patch.bends[2] * b[i] * b[j]
     row[12], row[13], row[14] = C[0, 0], 0.5 * (C[1, 1] + C[2, 2]), 0.5 * (C[3, 3] + C[5, 5])
     row[15] = patch.spread
 
@@ -269,18 +253,14 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
                 left_out = _fitted(cloud, index[:count], level, room)
         if left_out > 1:
             continue
-        _tensor(trial, room.tensor)
+        _note(trial, room.values)
         if patch.fits > 0 and not level.free:
             excess = QUADRICS.max_excess * np.sqrt(2 * level.together / room.many)
             expected = level.variance * (1 + excess) + level.tolerance
-            if (
-                left_out > QUADRICS.max_left_out
-                or trial.spread > expected
-                or _has_drifted(trial, earlier[k], level.place, room.tensor)
-            ):
+            beyond = left_out > QUADRICS.max_left_out or trial.spread > expected
+            if beyond or _has_drifted(room.values, earlier[k], level.place):
                 patch.ended = 1
                 continue
         _copy(trial, patch)
-        patch.window = level.window
-        _note(patch, room.tensor, earlier[k, level.place])
+        patch.window, earlier[k, level.place] = level.window, room.values
         patch.fits += 1

@@ -13,14 +13,6 @@ FAR_PATCH, FAR_TRIANGLE = 2.0, 4.0
 
 
 @inner
-def _solid_angle(a: Vec3, b: Vec3, c: Vec3) -> float:
-    """Returns the solid angle of a triangle seen from the origin, signed (Oosterom, Strackee 1983)."""
-    la, lb, lc = norm(a), norm(b), norm(c)
-    volume = dot(a, cross(b, c))
-    return 2 * np.arctan2(volume, la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb)
-
-
-@inner
 def _near(elements: Any, first: int, last: int, p: Vec3) -> float:
     """Returns the sum of the solid angles of the elements from number `first` to `last`, exclusive, seen from p."""
     centers, vectors, reach, corners = elements
@@ -29,8 +21,15 @@ def _near(elements: Any, first: int, last: int, p: Vec3) -> float:
         way = sub(vector(centers[t]), p)
         gap = norm(way)
         if len(corners) and gap < FAR_TRIANGLE * reach[t]:
-            a, b, c = vector(corners[t, 0]), vector(corners[t, 1]), vector(corners[t, 2])
-            total += _solid_angle(sub(a, p), sub(b, p), sub(c, p))
+            # The solid angle of a triangle, signed (Oosterom, Strackee 1983).
+            a, b, c = (
+                sub(vector(corners[t, 0]), p),
+                sub(vector(corners[t, 1]), p),
+                sub(vector(corners[t, 2]), p),
+            )
+            la, lb, lc = norm(a), norm(b), norm(c)
+            cosine = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
+            total += 2 * np.arctan2(dot(a, cross(b, c)), cosine)
         elif gap > 0:
             total += dot(vector(vectors[t]), way) / (gap * gap * gap)
     return total
