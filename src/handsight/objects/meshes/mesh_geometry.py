@@ -133,7 +133,6 @@ def signed_by_winding(
     nodes of each connected set are enough. Near holes, where inside and outside are connected, that of every node is
     computed.
     """
-    from handsight._kernels.mesh.connected_nodes import linked  # numba's import is long
 
     points = grid.nodes_at(index)
     free = np.ones(len(points), dtype=bool)
@@ -159,6 +158,22 @@ def signed_by_winding(
         if not len(todo):
             break
     return np.asarray(np.where(inside, -closest.distance, closest.distance))
+
+
+def linked(index: Indices, shape: tuple[int, ...], distance: Array, free: Mask, limit: float) -> Indices:
+    """Returns (n,) the number of the connected set of each node; `index` (n,): the nodes' places in a grid of `shape`.
+
+    Neighbours are in one set where both are `free` (n,) and their values of `distance` (n,) add up to over `limit`.
+    """
+    place = np.full(shape, -1)
+    place.reshape(-1)[index] = np.arange(len(index))
+    pairs = []
+    for axis, n in enumerate(shape):
+        i, j = (place.take(steps, axis).reshape(-1) for steps in (range(n - 1), range(1, n)))
+        i, j = np.stack([i, j])[:, (i >= 0) & (j >= 0)]
+        pairs.append(np.stack([i, j])[:, free[i] & free[j] & (distance[i] + distance[j] > limit)])
+    row, column = np.hstack(pairs)
+    return components(row, column, len(index))
 
 
 def signed_by_normal(normals: Array, index: Indices, grid: Grid, closest: ClosestPoints) -> Array:
