@@ -176,8 +176,7 @@ def frozen(array: NDArray[Number]) -> NDArray[Number]:
 
 
 def _field_error(surface: Surface, fine: Field, cell: float) -> FieldError:
-    """Returns the error of a fine field on a grid with this cell [m], from the samples of the surface nearest to each
-    node."""
+    """Returns the error of a fine field on a grid with this cell [m], from the surface's samples nearest to a node."""
     points, distance, angle = _errors(surface, fine, GEOMETRY.error_samples, seed=2)
     # From mean magnitudes, √(2/π) and √(π/2) of a Gaussian's deviation, because squares would let a few samples at an
     # edge dominate their neighbours.

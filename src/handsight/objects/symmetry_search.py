@@ -33,8 +33,7 @@ class SymmetrySearchOptions(NamedTuple):
     steps: int = 6  # of a refinement
     directions: int = 150  # directions tried on the half sphere where no axis is distinguished
     percentile: int = 98
-    """Per cent of the samples that must be within the tolerance; the others may be at corners, which the field rounds
-    off."""
+    """Per cent of the samples that must be within the tolerance; others may be at corners, which the field rounds."""
     declared_tolerance: float = 0.04  # `tolerance` for a symmetry that a person declares [diameters]
     declared_samples: int = 1000  # `samples` for such a symmetry
 
@@ -190,10 +189,8 @@ class _Search:
         return None
 
     def of_revolution(self, point: Array, axis: Array) -> Symmetries:
-        """Returns the symmetries of a surface with this continuous axis: those of a ball, or the axis with or without a
-        half turn that swaps its ends."""
-        side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-        side /= np.linalg.norm(side)
+        """Returns the symmetries of a surface with this axis: a ball's, or the axis with or without swapped ends."""
+        side = se3.perpendicular(axis)
         if self.continuous(side) is not None:
             return Symmetries([(self.center, axis) for axis in np.eye(3)])
         T = self.refined(about(point, np.pi * side))

@@ -78,19 +78,22 @@ class Moment:
     def _from_tracker(
         cls, known: Tracker | Step, observation: Observation | None, T_vision: Array | None
     ) -> "Moment":
+        names = (
+            "stamp",
+            "state",
+            "reason",
+            "estimate",
+            "sigma",
+            "fingertips",
+            "T_world_palm",
+            "slip",
+            "skin",
+        )
         return cls(
-            stamp=known.stamp,
-            state=known.state,
-            reason=known.reason,
-            estimate=known.estimate,
-            sigma=known.sigma,
-            fingertips=known.fingertips,
-            T_world_palm=known.T_world_palm,
+            **{name: getattr(known, name) for name in names},
             joint_positions=None if observation is None else observation.joint_positions,
             wrenches={} if observation is None else observation.wrenches,
             vision=None if T_vision is None else Measured(known.stamp, T_vision),
-            slip=known.slip,
-            skin=known.skin,
         )
 
     def after(self, last: "Moment | None", picture: Picture | None) -> "Moment":

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handsight import se3
 from handsight.checks import Array
 from handsight.errors import HandsightError, InvalidInput, MissingExtra
 from handsight.objects import ObjectModel
@@ -156,7 +157,7 @@ class Page:
         along = places[-1] - places[0]
         across = np.cross(up, along)
         if np.linalg.norm(across) < 0.2 * np.linalg.norm(along):
-            across = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+            across = se3.perpendicular(up)
         across = across / np.linalg.norm(across)
         view = across + 0.45 * np.cross(across, up) + 0.4 * up
         position = center + PAGE.distance * span * np.asarray(view / np.linalg.norm(view))

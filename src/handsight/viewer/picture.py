@@ -149,8 +149,7 @@ def palm_in_camera(rig: Rig, from_palm: CameraFromPalm, T_world_palm: Array | No
 def _window(
     camera: Camera | None, T_camera_palm: Array | None, shape: tuple[int, int]
 ) -> tuple[slice, slice]:
-    """Returns the rows and columns of an image (h, w) that are shown: around the hand if it is visible, at most
-    `max_width` columns."""
+    """Returns the shown rows and columns (at most `max_width`) of an image (h, w): around the hand, if it is there."""
     rows, columns = slice(0, shape[0]), slice(0, shape[1])
     if camera is not None and T_camera_palm is not None:
         pixel, focal = camera.project(T_camera_palm[None, :3, 3])[0], camera.matrix[0, 0]

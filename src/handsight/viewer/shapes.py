@@ -95,8 +95,7 @@ def direction_line(direction: Array, center: Array, model: ObjectModel) -> Direc
         reach = SHAPES.open_shift * model.diameter * direction[:3] / np.linalg.norm(direction[:3])
         return DirectionLine(np.stack([center - reach, center + reach]), turn=False)
     axis = direction[3:] / np.linalg.norm(direction[3:])
-    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    side /= np.linalg.norm(side)
+    side = se3.perpendicular(axis)
     angle = np.linspace(0, SHAPES.arc_angle, SHAPES.arc_points)[:, None]
     ring = np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)
     return DirectionLine(center + SHAPES.open_rotation * model.radius * ring, turn=True)

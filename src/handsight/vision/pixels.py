@@ -95,8 +95,7 @@ def read_depth(path: str | Path, scale: float = MILLIMETRE, *, camera: Camera | 
 
 
 def read_color(path: str | Path, *, camera: Camera | None = None) -> Color:
-    """Returns red, green, blue (h, w, 3) of a PNG or JPEG, which must have the size of `camera`; raises InvalidFile,
-    MissingExtra."""
+    """Returns red, green, blue (h, w, 3) of a PNG or JPEG of the size of `camera`; raises InvalidFile, MissingExtra."""
     data = read_bytes(path, LIMITS.max_image)
     try:
         return _of_size(color(data), camera)

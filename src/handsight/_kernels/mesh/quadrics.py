@@ -107,8 +107,7 @@ def _is_left_out(patch: Any, level: Any, normal: Vec3, place: Vec3, x: Any) -> i
 
 @inner
 def _normal_equations(cloud: Any, index: Any, level: Any, room: Any) -> tuple[float, float, float, float]:
-    """Writes the normal equations of a fit; returns the sums of weights, squared weights, weights that are left out,
-    and weighted squared heights."""
+    """Writes the normal equations; returns the sums of weights, their squares, those left out, and w heights²."""
     patch, h = room.trial, level.window
     n, a, b = vector(patch.normal), vector(patch.along[0]), vector(patch.along[1])
     room.matrix[:], room.right[:] = 0.0, 0.0
@@ -189,8 +188,7 @@ def _move(patch: Any, solution: Any, powers: Any) -> None:
 
 @inner
 def _has_drifted(fit: Any, earlier: Any, windows: int) -> bool:
-    """Returns whether a fit differs from that in a smaller window by more than that one's standard deviations; each of
-    them is WINDOW_VALUES."""
+    """Returns whether a fit (WINDOW_VALUES) is off one in a smaller window by more than that one's deviations."""
     n, limit = vector(fit[3:6]), QUADRICS.max_drift * QUADRICS.max_drift
     for j in range(windows):
         row = earlier[j]

@@ -152,8 +152,7 @@ def _binary_table(data: bytes, at: int, order: str, element: _Element) -> tuple[
     """Returns the rows of a binary body that begin at the offset `at`, and the offset behind them; raises BadText."""
 
     def row_at(at: int) -> tuple[list[tuple[Any, ...]], int]:
-        """Returns the numbers of each property in a row, and the offset behind it; raises struct.error where the file
-        ends before."""
+        """Returns the numbers of each property in a row, and the offset behind it; raises struct.error at the end."""
         row = []
         for _, kind, length in element.properties:
             n = 1

@@ -2,7 +2,7 @@
 
 Only the named file is opened: no material, texture or other path inside it is followed. Text is read line by line, so
 that only the numbers of a large file are kept in memory. The counts that a file states are compared with its content: a
-file that was cut, or whose header is wrong, is refused and never read in part (general mesh libraries read it in part).
+file that was cut, or whose header is wrong, is refused; general mesh libraries read it in part.
 """
 
 import codecs

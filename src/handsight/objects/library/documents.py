@@ -105,8 +105,7 @@ class Entry:
     name: str
     """The name under which the object was added; `obj_000005` for one without a name."""
     facts: Record | None
-    """Mass, licence and so on, with size and checksum of the model's file; None for an object that BOP alone
-    describes."""
+    """Mass, licence and so on, size and checksum of the model's file; None for an object that BOP alone describes."""
     info: Info
     place: str
     """Folder or URL of the library."""

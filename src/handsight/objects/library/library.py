@@ -27,8 +27,7 @@ from handsight.objects.symmetry import Symmetries
 
 
 def default_place() -> str:
-    """Returns `$HANDSIGHT_LIBRARY`, else `$XDG_DATA_HOME/handsight/library`, else
-    `~/.local/share/handsight/library`."""
+    """Returns `$HANDSIGHT_LIBRARY`, else `handsight/library` in `$XDG_DATA_HOME`, else in `~/.local/share`."""
     if named := os.environ.get("HANDSIGHT_LIBRARY"):
         return named
     base = os.environ.get("XDG_DATA_HOME", "")
@@ -54,8 +53,7 @@ class Library:
         return f"<Library {self.place}>"
 
     def entries(self) -> tuple[Entry, ...]:
-        """Returns all objects in the order of their numbers; raises InvalidFile where there is no library, or a damaged
-        one."""
+        """Returns all objects in the order of their numbers; raises InvalidFile for no library, or a damaged one."""
         return entries(self._source.documents(), self.place)
 
     def entry(self, name: str) -> Entry:
@@ -68,8 +66,7 @@ class Library:
         raise InvalidInput(f"name: expected an object of {self.place}, got {checks.brief(name)!r}{near}")
 
     def file(self, entry: Entry) -> Path:
-        """Returns the path of the object's model on this machine; raises InvalidFile where that file is missing, or is
-        not the one that was added."""
+        """Returns the path of the object's model on this machine; raises InvalidFile where it is not the added file."""
         return self._source.file(entry)
 
     def model(self, name: str) -> ObjectModel:

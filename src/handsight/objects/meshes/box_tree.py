@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handsight import se3
 from handsight.checks import Array, Indices, Mask
 from handsight.objects.surface import Triangles
 
@@ -82,9 +83,7 @@ class ClosestPointSearch:
         normals = np.add.reduceat(mesh.doubled_normals[tree.order], tree.starts[:-1])
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         third = np.where(length > 0, normals / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
-        lateral = np.eye(3)[np.abs(third).argmin(axis=1)]
-        first = np.cross(lateral, third)
-        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        first = se3.perpendicular(third)
         frames = np.stack([first, np.cross(third, first), third], axis=1)
         turned = corners @ np.repeat(frames, np.diff(tree.starts), axis=0).swapaxes(1, 2)
         around = np.hstack([turned.min(axis=1), turned.max(axis=1)])

@@ -19,8 +19,7 @@ class RepairOptions(NamedTuple):
     flat: float = 1e-12  # a triangle whose height is below this share of its longest side has no area
     side_samples: int = 400  # places at which a mesh's outside is found
     inside_out: float = -0.55
-    """A piece is inside out if the winding number in front of it is below this: it is -0.5 for a patch, -1 for a solid
-    that is inside out."""
+    """A piece is inside out if the winding number in front of it is below this: a patch has -0.5, a turned solid -1."""
     small_piece: float = 0.01  # share of the area below which a separate piece is remarked
     same_corner: float = 1e-4
     """Ends of edges with one triangle that are closer than this share of the extent are merged, because files round."""
@@ -71,8 +70,7 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
 
 
 def _referenced(points: Array, triangles: Indices, remarks: list[str]) -> tuple[Array, Indices]:
-    """Returns the vertices that triangles use, and the triangles with indices of these; raises InvalidObject where such
-    a vertex is not finite."""
+    """Returns the vertices that triangles use, and the triangles by their indices; raises InvalidObject for NaN."""
     used, which = np.unique(triangles, return_inverse=True)
     finite = np.asarray(np.isfinite(points).all(axis=1))
     if not finite[used].all():

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from handsight import se3
 from handsight._kernels.mesh import quadrics as kernel
 from handsight._kernels.mesh.patches import PATCH, neighbours
 from handsight._kernels.runtime.threads import in_parts
@@ -150,10 +151,8 @@ def flat_patches(places: Array, normals: Array) -> Patches:
     """Returns a flat patch at each place (m, 3) [m], with the normal (m, 3) there."""
     patches = np.zeros(len(places), dtype=PATCH)
     patches["point"], patches["normal"] = places, normals
-    least = np.abs(normals).argmin(axis=1)
-    a = np.cross(normals, np.eye(3)[least])
-    a /= np.linalg.norm(a, axis=1, keepdims=True)
-    patches["along"][:, 0], patches["along"][:, 1] = a, np.cross(normals, a)
+    patches["along"][:, 0] = se3.perpendicular(normals)
+    patches["along"][:, 1] = np.cross(normals, patches["along"][:, 0])
     return patches
 
 

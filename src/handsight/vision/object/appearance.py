@@ -54,8 +54,7 @@ def appearance_of(model: ObjectModel) -> Appearance:
 
 
 def _pairs(voters: Array, diameter: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Returns the pairs of points with normals (2, m, 3) by cells, as `votes.vote` takes them; they are kept on
-    disk."""
+    """Returns the pairs of points with normals (2, m, 3) by cells, as `votes.vote` takes them; the disk keeps them."""
     count = voters.shape[1]
 
     def table() -> NDArray[np.int32]:

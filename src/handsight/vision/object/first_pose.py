@@ -35,8 +35,7 @@ class FirstPoseOptions(NamedTuple):
     close_exponent: float = 1 - pose_score.POSE_SCORE.size_exponent  # makes pixels a score
     score_weights: tuple[float, float] = (1.2, 22.0)
     """Of the score, and of the close pixels to that power, in the logarithm of a mode's weight. They were chosen by
-    hand between fits to two sets of drawn pictures, which differ (`experiments/sight_fit.py` prints the likeliest of
-    the one that it draws)."""
+    hand between fits to two sets of drawn pictures, which differ (`experiments/sight_fit.py` prints one of them)."""
 
 
 FIRST_POSE = FirstPoseOptions()
@@ -125,8 +124,7 @@ def explained_within(noise: DepthNoise, z: Array) -> Array:
 
 
 def evidence_of(candidates: Candidates) -> Array:
-    """Returns (k, 5) of CANDIDATE (k,): 1, and the shares of the expected pixels that are explained, passed, hidden and
-    unexplained."""
+    """Returns (k, 5) of CANDIDATE (k,): 1, and its explained, passed, hidden and unexplained pixels by the expected."""
     size = np.maximum(candidates["expected"], pose_score.POSE_SCORE.min_expected)
     shares = [candidates[name] / size for name in ("explained", "passed", "hidden")]
     left = np.minimum(candidates["unexplained"] / size, pose_score.POSE_SCORE.max_unexplained)

@@ -49,8 +49,7 @@ class HandAppearance:
 
     @classmethod
     def of(cls, hand: Hand) -> "HandAppearance":
-        """Returns the appearance of the links that move with the palm or hang on it; raises InvalidInput where its
-        file has no shapes."""
+        """Returns the appearance of the links that the palm carries; raises InvalidInput for a file without shapes."""
         shape, (points, normals, body) = hand.shape(), skin_points(hand, APPEARANCE.points)
         order = np.random.default_rng(0).permutation(len(points))
         area = Triangles(shape.vertices_body, shape.faces).area
@@ -143,8 +142,7 @@ class PlacedHand:
         return se3.apply(se3.inverse(T_camera_palm), points)
 
     def visible_from(self, camera: Camera, T_camera_palm: Array) -> Mask:
-        """Returns (m,) which points of the hand alone are visible at a pose; out of the image, all that face the
-        camera."""
+        """Returns (m,) which points of the hand alone are visible at a pose; out of the image, all that face it."""
         small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
         points, normals = se3.apply(T_camera_palm, self.skin[0]), self.skin[1] @ T_camera_palm[:3, :3].T
         way = np.linalg.norm(points, axis=1)

@@ -107,8 +107,7 @@ def searched(picture: Picture, belief: Belief, visible: Mask) -> Candidates:
 
 
 def _about_middle(hand: PlacedHand, rows: Indices, air: Array) -> Array:
-    """Returns points (k, 3) of the skin and in the air, about the hand's middle [m], and their normals, zero in the
-    air: (2, k, 3)."""
+    """Returns (2, k, 3): points of the skin and in the air, about the hand's middle [m]; their normals, or zeros."""
     points = np.concatenate([hand.skin[0, rows], air]) - hand.middle
     return np.stack([points, np.concatenate([hand.skin[1, rows], np.zeros_like(air)])])
 

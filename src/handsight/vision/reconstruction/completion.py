@@ -37,8 +37,7 @@ class CompletionOptions(NamedTuple):
     open_share: float = 0.6  # an outline that fills less than this of its hull is open
     part_gap: int = 2  # half the gap that there may be between parts of one object [cells]
     sigma_measured: float = 5e-4
-    """Common error of the measured points [m]: mostly the constant one of the camera, which no number of views
-    lowers."""
+    """Common error of the measured points [m]: mostly the camera's constant one, which no number of views lowers."""
     sigma_guessed: float = 1.5e-3  # common error of the guessed points [m]
     guess_distance: float = 1.5  # from any measured point, beyond which a guess is added [cells]
 

@@ -68,8 +68,7 @@ class InHandView:
     """An `InHandView` takes the hand out of depth images of it and the object that it holds."""
 
     def __init__(self, hand: Hand, sigma_joint: float) -> None:
-        """`sigma_joint`: constant error of each joint [rad, for slides m]. Raises InvalidInput for a hand without
-        shapes."""
+        """`sigma_joint`: constant error of a joint [rad, slides: m]. Raises InvalidInput for a hand without shapes."""
         self._hand, self._chains, self._sigma_joint = hand, hand.shape().chains, sigma_joint
         self._points, _, self._bodies = skin_points(hand, SEGMENTATION.skin_points)
 

@@ -53,8 +53,7 @@ class Volume:
         self.views += 1
 
     def known(self, least: int = MIN_VIEWS) -> Mask:
-        """Returns (nx, ny, nz) whether the distance is known: so many views had the surface near, and no more of them
-        saw past the node."""
+        """Returns (nx, ny, nz) whether so many views had the surface near a node, and no more of them saw past it."""
         views = self.voxels["views"]
         return np.asarray((views >= least) & (self.voxels["passed"] <= views))
 
