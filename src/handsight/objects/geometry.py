@@ -120,6 +120,16 @@ def geometry_of(
     features = np.hstack([points, np.sqrt(surface.area / n) * normals])
     chosen = snapped(features, spread_out(features, n, GEOMETRY.lloyd_steps))
     _, distance, angle = _errors(surface, fine, GEOMETRY.typical_samples, seed=1)
+    field_error = None
+    if isinstance(fine, GridField):  # at each node of a grid, from the samples of the surface nearest to it
+        places, *off = _errors(surface, fine, GEOMETRY.error_samples, seed=2)
+        # From mean magnitudes, √(2/π) and √(π/2) of a Gaussian's deviation, because squares would let a few samples at
+        # an edge dominate their neighbours.
+        lengths = np.stack([off[0] * np.sqrt(np.pi / 2), off[1] * np.sqrt(2 / np.pi)], axis=1)
+        grid = centered_grid(vertices, coarse.cell, np.ceil(np.ptp(vertices, axis=0) / coarse.cell) + 2)
+        values = np.zeros((*grid.shape, 4))
+        values[..., :2] = _mean_of_nearest(places, lengths, grid.nodes()).reshape(*grid.shape, 2) ** 2
+        field_error = FieldError(grid.origin, coarse.cell, values)
     return Geometry(
         coarse=coarse,
         fine=fine,
@@ -133,7 +143,7 @@ def geometry_of(
         # |x| for a standard deviation of 1, and 1.1774 that of the length of two such numbers.
         sigma_point=float(np.median(distance) / 0.6745),
         sigma_normal=float(np.median(angle) / 1.1774),
-        field_error=_field_error(surface, fine, coarse.cell) if isinstance(fine, GridField) else None,
+        field_error=field_error,
         remarks=(*remarks, *_unit_remarks(bounds)),
         surface=surface,
     )
@@ -173,19 +183,6 @@ def frozen(array: NDArray[Number]) -> NDArray[Number]:
     """Returns the same array, made read-only."""
     array.flags.writeable = False
     return array
-
-
-def _field_error(surface: Surface, fine: Field, cell: float) -> FieldError:
-    """Returns the error of a fine field on a grid with this cell [m], from the surface's samples nearest to a node."""
-    points, distance, angle = _errors(surface, fine, GEOMETRY.error_samples, seed=2)
-    # From mean magnitudes, √(2/π) and √(π/2) of a Gaussian's deviation, because squares would let a few samples at an
-    # edge dominate their neighbours.
-    lengths = np.stack([distance * np.sqrt(np.pi / 2), angle * np.sqrt(2 / np.pi)], axis=1)
-    grid = centered_grid(surface.vertices, cell, np.ceil(np.ptp(surface.vertices, axis=0) / cell) + 2)
-    nodes = grid.nodes()
-    values = np.zeros((len(nodes), 4))
-    values[:, :2] = _mean_of_nearest(points, lengths, nodes) ** 2
-    return FieldError(grid.origin, cell, values.reshape(*grid.shape, 4))
 
 
 def _mean_of_nearest(points: Array, values: Array, nodes: Array) -> Array:

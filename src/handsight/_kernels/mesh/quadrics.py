@@ -34,7 +34,11 @@ LEVEL = np.dtype(
     [
         ("place", "i8"),  # number of this window size, from the smallest
         ("window", "f8"),  # radius [m]
-        ("origin", "f8", (3,)),  # of the grid whose cells, as wide as the window's radius, sort the points
+        (
+            "origin",
+            "f8",
+            (3,),
+        ),  # of the grid whose cells sort the points; a cell is as wide as the window's radius
         ("shape", "i8", (3,)),  # of that grid
         ("variance", "f8"),  # of a point's noise [m²]
         ("together", "f8"),  # how many points share one noise
@@ -46,7 +50,6 @@ LEVEL = np.dtype(
 )
 ROOM = np.dtype(
     [
-        ("trial", PATCH),
         ("many", "f8"),  # effective number of points
         ("matrix", "f8", (6, 6)),
         ("factor", "f8", (6, 6)),
@@ -54,7 +57,7 @@ ROOM = np.dtype(
         ("solution", "f8", (6,)),
         ("x", "f8", (6,)),
         ("powers", "f8", (6,)),
-        ("values", "f8", (16,)),  # WINDOW_VALUES
+        ("tensor", "f8", (6,)),
     ],
     align=True,
 )
@@ -106,14 +109,17 @@ def _is_left_out(patch: Any, level: Any, normal: Vec3, place: Vec3, x: Any) -> i
 
 
 @inner
-def _normal_equations(cloud: Any, index: Any, level: Any, room: Any) -> tuple[float, float, float, float]:
-    """Writes the normal equations; returns the sums of weights, their squares, those left out, and w heights²."""
-    patch, h = room.trial, level.window
-    n, a, b = vector(patch.normal), vector(patch.along[0]), vector(patch.along[1])
+def _normal_equations(
+    cloud: Any, index: Any, level: Any, patch: Any, room: Any
+) -> tuple[float, float, float, float]:
+    """Writes the normal equations of a fit; returns the sums of weights, squared weights, weights that are left out,
+    and weighted squared heights."""
+    n, origin, h = vector(patch.normal), vector(patch.point), level.window
+    a, b = vector(patch.along[0]), vector(patch.along[1])
     room.matrix[:], room.right[:] = 0.0, 0.0
     total, squares, rejected, heights = 0.0, 0.0, 0.0, 0.0
     for i in index:
-        offset = sub(vector(cloud[i]), vector(patch.point))
+        offset = sub(vector(cloud[i]), origin)
         u, v, z = dot(a, offset), dot(b, offset), dot(n, offset)
         # Weighted by the distance along the surface: with the height in it, thick noise would seem thin.
         w = max(1 - (u * u + v * v) / (h * h), 0.0)
@@ -134,10 +140,10 @@ def _normal_equations(cloud: Any, index: Any, level: Any, room: Any) -> tuple[fl
 
 
 @inner
-def _fitted(cloud: Any, index: Any, level: Any, room: Any) -> float:
-    """Fits the trial patch; returns the share of weight that is left out, above 1 where there is no fit."""
-    patch, h = room.trial, level.window
-    total, squares, rejected, heights = _normal_equations(cloud, index, level, room)
+def _fitted(cloud: Any, index: Any, level: Any, patch: Any, room: Any) -> float:
+    """Fits a patch; returns the share of weight that is left out, above 1 where there is no fit."""
+    h = level.window
+    total, squares, rejected, heights = _normal_equations(cloud, index, level, patch, room)
     if total * total < QUADRICS.min_weight * squares or not total > 0:
         return 2.0
     ridge = level.variance / (level.bend * h * h) ** 2
@@ -187,17 +193,27 @@ def _move(patch: Any, solution: Any, powers: Any) -> None:
 
 
 @inner
-def _has_drifted(fit: Any, earlier: Any, windows: int) -> bool:
-    """Returns whether a fit (WINDOW_VALUES) is off one in a smaller window by more than that one's deviations."""
-    n, limit = vector(fit[3:6]), QUADRICS.max_drift * QUADRICS.max_drift
+def _tensor(patch: Any, out: Any) -> None:
+    """Writes the tensor of second derivatives along the object's axes to `out` (6): xx, yy, zz, xy, xz, yz."""
+    a, b = vector(patch.along[0]), vector(patch.along[1])
+    for k in range(6):
+        i, j = (k, k) if k < 3 else ((0, k - 2) if k < 5 else (1, 2))
+        mixed = a[i] * b[j] + b[i] * a[j]
+        out[k] = patch.bends[0] * a[i] * a[j] + patch.bends[1] * mixed + patch.bends[2] * b[i] * b[j]
+
+
+@inner
+def _has_drifted(patch: Any, earlier: Any, windows: int, tensor: Any) -> bool:
+    """Returns whether a patch differs from its fit in a smaller window by more than that one's standard deviations."""
+    n, limit = vector(patch.normal), QUADRICS.max_drift * QUADRICS.max_drift
     for j in range(windows):
         row = earlier[j]
-        height = dot(n, sub(vector(fit), vector(row)))
+        height = dot(n, sub(vector(patch.point), vector(row)))
         turn, bend = 0.0, 0.0
         for k in range(3):
             turn += (n[k] - row[3 + k]) ** 2
         for k in range(6):
-            bend += (1.0 if k < 3 else 2.0) * (fit[6 + k] - row[6 + k]) ** 2
+            bend += (1.0 if k < 3 else 2.0) * (tensor[k] - row[6 + k]) ** 2
         if height * height > limit * row[12] or turn > 2 * limit * row[13]:
             return True
         if bend > QUADRICS.bend_variances * limit * row[14]:
@@ -206,27 +222,13 @@ def _has_drifted(fit: Any, earlier: Any, windows: int) -> bool:
 
 
 @inner
-def _copy(patch: Any, other: Any) -> None:
-    """Copies a patch's shape, and what was measured of it, to another one."""
-    for i in range(3):
-        other.point[i], other.normal[i], other.bends[i] = patch.point[i], patch.normal[i], patch.bends[i]
-        other.along[0, i], other.along[1, i] = patch.along[0, i], patch.along[1, i]
-    for i in range(6):
-        for j in range(6):
-            other.covariance[i, j] = patch.covariance[i, j]
-    other.bend, other.spread, other.window, other.fits = patch.bend, patch.spread, patch.window, patch.fits
-
-
-@inner
-def _note(patch: Any, row: Any) -> None:
-    """Writes the WINDOW_VALUES of a fit; the tensor is along the object's axes: xx, yy, zz, xy, xz, yz."""
-    C, a, b = patch.covariance, vector(patch.along[0]), vector(patch.along[1])
+def _note(patch: Any, tensor: Any, row: Any) -> None:
+    """Writes the WINDOW_VALUES of a fit, with which fits in wider windows are compared."""
+    C = patch.covariance
     for k in range(3):
         row[k], row[3 + k] = patch.point[k], patch.normal[k]
     for k in range(6):
-        i, j = (k, k) if k < 3 else ((0, k - 2) if k < 5 else (1, 2))
-        mixed = a[i] * b[j] + b[i] * a[j]
-        row[6 + k] = patch.bends[0] * a[i] * a[j] + patch.bends[1] * mixed + patch.bends[2] * b[i] * b[j]
+        row[6 + k] = tensor[k]
     row[12], row[13], row[14] = C[0, 0], 0.5 * (C[1, 1] + C[2, 2]), 0.5 * (C[3, 3] + C[5, 5])
     row[15] = patch.spread
 
@@ -239,26 +241,31 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
     (m, windows, WINDOW_VALUES): the fits in smaller windows; those in this one are added.
     """
     level, room, index = levels[0], local(ROOM), np.empty(QUADRICS.max_points, np.int64)
+    trials = np.empty(1, PATCH)
     for k in range(len(patches)):
-        patch, trial = patches[k], room.trial
+        patch, trial = patches[k], trials[0]
         if patch.ended:
             continue
         count = _gathered(cloud, keys, level, vector(patch.point), index)
-        _copy(patch, trial)
+        trials[0] = patch
         left_out = 0.0
         for _ in range(QUADRICS.passes):
             if left_out <= 1:
-                left_out = _fitted(cloud, index[:count], level, room)
+                left_out = _fitted(cloud, index[:count], level, trial, room)
         if left_out > 1:
             continue
-        _note(trial, room.values)
+        _tensor(trial, room.tensor)
         if patch.fits > 0 and not level.free:
             excess = QUADRICS.max_excess * np.sqrt(2 * level.together / room.many)
             expected = level.variance * (1 + excess) + level.tolerance
-            beyond = left_out > QUADRICS.max_left_out or trial.spread > expected
-            if beyond or _has_drifted(room.values, earlier[k], level.place):
+            if (
+                left_out > QUADRICS.max_left_out
+                or trial.spread > expected
+                or _has_drifted(trial, earlier[k], level.place, room.tensor)
+            ):
                 patch.ended = 1
                 continue
-        _copy(trial, patch)
-        patch.window, earlier[k, level.place] = level.window, room.values
+        patches[k] = trial
+        patch.window = level.window
+        _note(patch, room.tensor, earlier[k, level.place])
         patch.fits += 1

@@ -14,22 +14,22 @@ FAR_PATCH, FAR_TRIANGLE = 2.0, 4.0
 
 @inner
 def _near(elements: Any, first: int, last: int, p: Vec3) -> float:
-    """Returns the sum of the solid angles of the elements from number `first` to `last`, exclusive, seen from p."""
+    """Returns the sum of the signed solid angles of the elements from number `first` to `last`, exclusive, seen from p
+    (Oosterom, Strackee 1983)."""
     centers, vectors, reach, corners = elements
     total = 0.0
     for t in range(first, last):
         way = sub(vector(centers[t]), p)
         gap = norm(way)
         if len(corners) and gap < FAR_TRIANGLE * reach[t]:
-            # The solid angle of a triangle, signed (Oosterom, Strackee 1983).
             a, b, c = (
                 sub(vector(corners[t, 0]), p),
                 sub(vector(corners[t, 1]), p),
                 sub(vector(corners[t, 2]), p),
             )
             la, lb, lc = norm(a), norm(b), norm(c)
-            cosine = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
-            total += 2 * np.arctan2(dot(a, cross(b, c)), cosine)
+            size = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
+            total += 2 * np.arctan2(dot(a, cross(b, c)), size)
         elif gap > 0:
             total += dot(vector(vectors[t]), way) / (gap * gap * gap)
     return total

@@ -8,7 +8,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import msgspec
 
@@ -88,12 +87,8 @@ class FactsDocument(msgspec.Struct, forbid_unknown_fields=True):
     objects: dict[str, Record]
 
 
-class Documents(NamedTuple):
-    """`Documents` are the contents of a library's two documents."""
-
-    info: bytes
-    facts: bytes | None
-    """None for a BOP folder that has no `handsight.json`."""
+Documents = tuple[bytes, bytes | None]
+"""The contents of `models_info.json` and of `handsight.json`, which a folder of BOP does not have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,13 +137,14 @@ class Entry:
 def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
     """Returns the objects in the order of their numbers; raises InvalidFile, whose message begins with the place."""
     where, there = f"{place}: {INFO}", f"{place}: {FACTS}"
-    infos = _by_number(decode(documents.info, dict[str, Info], where), where)
+    info, facts = documents
+    infos = _by_number(decode(info, dict[str, Info], where), where)
     records: dict[int, Record] = {}
-    if documents.facts is not None:
-        version = decode_object(documents.facts, there).get("version")
+    if facts is not None:
+        version = decode_object(facts, there).get("version")
         if version != VERSION:  # another version may have other keys
             raise InvalidFile(f"{there}: version: expected {VERSION}, got {checks.brief(version)}")
-        records = _by_number(decode(documents.facts, FactsDocument, there).objects, there)
+        records = _by_number(decode(facts, FactsDocument, there).objects, there)
     entries, owners = list[Entry](), dict[str, int]()
     for number in sorted(infos):
         record = records.get(number)

@@ -129,7 +129,7 @@ class Library:
         """
         if isinstance(self._source, Remote):
             raise InvalidInput(f"{self.place}: expected a folder to add to, got a URL")
-        self._source.add(new_object(file, facts, scale, symmetries))
+        self._source.add(*new_object(file, facts, scale, symmetries))
         return self.entry(facts.name)
 
     def weigh(self, name: str, mass: float, center_of_mass: Array, sigma_center_of_mass: float) -> Entry:

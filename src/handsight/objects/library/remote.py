@@ -41,7 +41,7 @@ class Remote:
     def documents(self) -> Documents:
         """Returns both documents as they were last fetched; raises InvalidFile where there is no library."""
         copy = self._kept() or self.refresh()
-        return Documents(copy.info, copy.facts)
+        return copy.info, copy.facts
 
     def refresh(self) -> _Copy:
         """Fetches the documents and keeps them; where it raises InvalidFile, those fetched before stay."""

@@ -50,12 +50,7 @@ def appearance_of(model: ObjectModel) -> Appearance:
     packed = cache.remembered_numbers("bits", name, np.uint8, visible_sets)
     visible = np.unpackbits(packed).reshape(DIRECTIONS, SAMPLES).astype(np.bool_)
     sides = np.stack([places, facing]), directions, visible, float(model.area / SAMPLES)
-    return Appearance(_pairs(voters, model.diameter), voters, sides)
-
-
-def _pairs(voters: Array, diameter: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Returns the pairs of points with normals (2, m, 3) by cells, as `votes.vote` takes them; the disk keeps them."""
-    count = voters.shape[1]
+    count, diameter = voters.shape[1], model.diameter
 
     def table() -> NDArray[np.int32]:
         cells, spins = np.empty((count, count), dtype=np.int64), np.empty((count, count))
@@ -70,4 +65,4 @@ def _pairs(voters: Array, diameter: float) -> tuple[NDArray[np.int32], NDArray[n
     steps = f"{votes.DISTANCES} {votes.ANGLES} {votes.POINT_BITS}"
     name = cache.key(f"pairs 1 {steps}", voters, np.array(diameter))
     starts, pairs = np.split(cache.remembered_numbers("numbers", name, np.int32, table), [votes.CELLS + 1])
-    return starts, pairs
+    return Appearance((starts, pairs), voters, sides)
