@@ -26,8 +26,7 @@ class SymmetrySearchOptions(NamedTuple):
 
     tolerance: float = 0.01  # distance of the turned surface from the surface that counts as none [diameters]
     samples: int = 400  # surface points that are compared
-    max_start_error: float = 0.06
-    """Root mean square distance above which no refinement leads to a symmetry [diameters]."""
+    max_start_error: float = 0.06  # root mean square distance above which no refinement helps [diameters]
     equal_moments: float = 0.15
     """Where two principal moments differ by less than this share, axes between theirs are tried too."""
     steps: int = 6  # of a refinement

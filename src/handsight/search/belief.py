@@ -32,14 +32,12 @@ class ParticleOptions(NamedTuple):
     step: tuple[float, float, float] = (0.004, 0.004, float(np.deg2rad(4.0)))
     """Largest standard deviation of a Metropolis step: x, y [m] and yaw [rad]."""
     max_modes: int = 8
-    contact_draws: int = 2048
-    """Placements that are drawn about a contact to decide whether it can be one with the object."""
+    contact_draws: int = 2048  # placements that decide whether a contact can be one with the object
     min_inside: int = 8  # so many of them must be within the area
     tip_positions: int = 20_000
     """Random positions of the tip around the object, for each stable pose; those that touch it are used."""
     shell: float = 0.003  # a tip within this distance of touching the surface counts as touching [m]
-    widening: float = 1.5
-    """Factor on a contact's standard deviations when placements are drawn about it: a proposal needs wide tails."""
+    widening: float = 1.5  # factor on a contact's sigmas for placements about it: a proposal needs wide tails
 
 
 class LikelihoodOptions(NamedTuple):
@@ -47,8 +45,7 @@ class LikelihoodOptions(NamedTuple):
 
     push: float = 0.0005
     """How far each touch pushes the object, one standard deviation per axis, which displaces older contacts [m]."""
-    freedom: float = 5.0
-    """Degrees of freedom of Student's t: errors of contacts at an edge are larger than their covariance."""
+    freedom: float = 5.0  # of Student's t: errors of contacts at an edge are larger than their covariance
     other_share: float = 0.02  # of contacts that are with something else, such as the table or a cable
     other_range: float = 0.3  # over which the distance of such a contact from the object is uniform [m]
     min_sigma_yaw: float = float(np.deg2rad(0.1))  # least standard deviation of the yaw [rad]

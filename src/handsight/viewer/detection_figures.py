@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from handsight import se3
 from handsight.camera import Depth
@@ -115,17 +116,16 @@ def _outline(axes: "Axes", row: Located, T: Array, color: str, style: str) -> No
     edges = creases(row.model)
     long = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) > FIGURE.min_edge * row.model.diameter
     lines = se3.apply(T, edges[long].reshape(-1, 3)).reshape(-1, 2, 3)
-    for line in lines[(lines[..., 2] > 0).all(axis=1)][: FIGURE.max_edges]:
-        pixels = row.frame.camera.project(line)
-        if not np.isfinite(pixels).all():
-            continue
-        u, v = np.round(pixels.mean(axis=0)).astype(int)
-        if 0 <= u < drawn.shape[1] and 0 <= v < drawn.shape[0]:
-            # An edge is visible if its middle is not behind the surface that is drawn around it.
-            around = drawn[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2]
-            surface = np.nanmax(np.where(np.isfinite(around), around, -np.inf))
-            if line[:, 2].mean() < surface + FIGURE.edge_depth:
-                axes.plot(*pixels.T, color=color, lw=0.9)
+    lines = lines[(lines[..., 2] > 0).all(axis=1)][: FIGURE.max_edges]
+    pixels = row.frame.camera.project(lines.reshape(-1, 3)).reshape(-1, 2, 2)
+    # An edge is visible if its middle is in the image, and not behind the surface that is drawn around it.
+    surface = np.pad(maximum_filter(np.where(inside, drawn, -np.inf), size=3), 1, constant_values=-np.inf)
+    middles = (
+        np.nan_to_num(pixels.mean(axis=1), nan=-1).round().clip(-1, np.array(inside.shape[::-1])).astype(int)
+    )
+    visible = lines[..., 2].mean(axis=1) < surface[middles[:, 1] + 1, middles[:, 0] + 1] + FIGURE.edge_depth
+    for line in pixels[visible]:
+        axes.plot(*line.T, color=color, lw=0.9)
 
 
 def _residual(axes: "Axes", frame: Frame, drawn: Depth) -> None:

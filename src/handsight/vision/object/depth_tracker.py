@@ -30,8 +30,7 @@ State = Literal["tracking", "uncertain", "lost"]
 class DepthTrackerOptions(NamedTuple):
     """`DepthTrackerOptions` say how an object is followed from image to image."""
 
-    velocity_share: float = 0.8
-    """Share of its velocity that an object outside a grip is expected to keep until the next image."""
+    velocity_share: float = 0.8  # of its velocity, that an object outside a grip keeps until the next image
     max_gap: float = 0.5  # between images, for a velocity to be used [s]
     drift: tuple[float, float] = (0.15, 1.0)  # sigma of its other motion [m/s, rad/s]
     drift_in_palm: tuple[float, float] = (0.02, 0.15)  # and of its motion in a grip [m/s, rad/s]

@@ -28,8 +28,7 @@ class AppearanceOptions(NamedTuple):
     max_depth: float = 0.006  # how far a visible point may lie behind what is drawn [m]
     min_facing: float = 0.1  # the least cosine of its normal with the direction to the camera
     beside: float = 0.02  # distance from the hand's outline at which there is air, in steps of a search [m]
-    continued_depth: float = 0.015
-    """A surface beside the outline continues it where it is no farther behind the hand than this [m]."""
+    continued_depth: float = 0.015  # how far behind the hand a surface beside the outline continues it [m]
 
 
 APPEARANCE = AppearanceOptions()

@@ -52,8 +52,7 @@ class DetectorOptions(NamedTuple):
     continued_weight: float = 0.3
     """Cost of a surface that continues beside the hand's entire outline, as a share of the pixels that the hand should
     fill."""
-    max_continued: float = 0.55
-    """Share of the outline above which no answer is taken: the hand was found in a table or a wall."""
+    max_continued: float = 0.55  # share of the outline above which the hand was found in a table or a wall
     candidate_spacing: float = 0.025  # poses farther than this from each other are different [m]
     as_good: float = 0.85  # another pose with so much of the best score makes the answer ambiguous
     # A wide bound lets an object in the hand pull the hand away.
