@@ -69,10 +69,8 @@ def _remembered(
     to_bytes: Callable[[T], bytes],
     compute: Callable[[], T],
 ) -> T:
-    """Returns what `load` makes of the file's content; else what `compute` returns, and writes that to the file.
-
-    `what` names the content in the warning about a folder that cannot be written.
-    """
+    """Returns what `load` makes of the file's content; else what `compute` returns, and writes that to the file. `what`
+    names the content in the warning about a folder that cannot be written."""
     with contextlib.suppress(Exception):  # whatever is wrong with the file, its content can be computed again
         return load(read_entry(path, name))
     built = compute()

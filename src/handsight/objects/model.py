@@ -175,10 +175,8 @@ class ObjectModel(Geometry):
         return self.surface.draw(int(n), np.random.default_rng(seed))
 
     def evaluate(self, points_object: ArrayLike, *, fine: bool = True) -> FieldValues:
-        """Returns distance, gradient and Hessian at the points (n, 3) [m]; raises InvalidInput.
-
-        `fine`: from the sharp distance field; False: from the smooth, coarse one.
-        """
+        """Returns distance, gradient and Hessian at the points (n, 3) [m]; raises InvalidInput. `fine`: from the sharp
+        distance field; False: from the smooth, coarse one."""
         points = checks.finite(points_object, "points_object", (None, 3))
         return (self.fine if fine else self.coarse).evaluate(points)
 
@@ -230,19 +228,15 @@ class ObjectModel(Geometry):
         return dataclasses.replace(self, mass=weight, center_of_mass=center, sigma_center_of_mass=sigma)
 
     def with_friction(self, friction: float | None, sigma: float = 0.1) -> Self:
-        """Returns the same object with this coefficient of friction and its sigma; None: to be learnt.
-
-        Raises InvalidInput.
-        """
+        """Returns the same object with this coefficient of friction and its sigma; None: to be learnt. Raises
+        InvalidInput."""
         check_friction(friction, sigma, "friction")
         return dataclasses.replace(self, friction=friction, sigma_friction=sigma)
 
     @property
     def volume_centroid(self) -> Array:
-        """(3,) the centroid of the volume: the centre of mass of a homogeneous object [m].
-
-        Raises InvalidObject for an open surface or a cloud.
-        """
+        """(3,) the centroid of the volume: the centre of mass of a homogeneous object [m]. Raises InvalidObject for an
+        open surface or a cloud."""
         if not self.closed or not isinstance(self.surface, Triangles):
             raise InvalidObject("object: expected a closed mesh for its volume's centroid, got none")
         return self.surface.volume_centroid

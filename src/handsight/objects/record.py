@@ -11,10 +11,8 @@ from handsight.objects.symmetry import Symmetries
 
 
 class RecordOptions(NamedTuple):
-    """`RecordOptions` are the errors that an object's model is assumed to have, and the weights of phase 1.
-
-    Phase 1 of a correction matches contacts with samples of the surface.
-    """
+    """`RecordOptions` are the errors that an object's model is assumed to have, and the weights of phase 1. Phase 1 of
+    a correction matches contacts with samples of the surface."""
 
     edge: float = 0.75  # radius of curvature below which the surface counts as an edge [coarse cells]
     facet_margin: float = 0.01  # how far facets may be within the surface that they approximate [diameters]

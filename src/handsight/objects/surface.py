@@ -168,9 +168,7 @@ def check_extent(points: Array, name: str) -> float:
 
 def distinct(points: Array, extent: float) -> tuple[Indices, Indices]:
     """Returns the indices (k,) of the points (n, 3) that repeat no earlier one, and each point's place (n,) in them.
-
-    Points closer than 1e-9 of the `extent` [m] are repeats.
-    """
+    Points closer than 1e-9 of the `extent` [m] are repeats."""
     keys = np.round((points - points.min(axis=0)) / (1e-9 * extent)).astype(np.int64)
     _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(first))

@@ -78,9 +78,7 @@ def candidates(belief: Belief, heights: ArrayLike, rng: np.random.Generator) -> 
 
 def shortened(belief: Belief, sweep: Sweep, radius: float) -> Sweep:
     """Returns the part of a sweep in which it may meet the object; all of it if it meets the object of no particle.
-
-    `radius` is the tip's [m].
-    """
+    `radius` is the tip's [m]."""
     distances, _, _ = cast(belief.model, belief.Ts_world_object, [sweep], radius)
     hits = distances[np.isfinite(distances)]
     if not len(hits):

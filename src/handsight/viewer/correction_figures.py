@@ -58,10 +58,8 @@ def draw_corrections(panels: Sequence[CorrectionPanel], path: Path) -> None:
 
 
 def save(figure: "Figure", path: Path) -> None:
-    """Writes a figure with one legend to an image file, whose suffix is its format, and closes it.
-
-    Raises HandsightError.
-    """
+    """Writes a figure with one legend to an image file, whose suffix is its format, and closes it. Raises
+    HandsightError."""
     legends = [axes.get_legend_handles_labels() for axes in figure.axes]
     labelled = {label: handle for legend in legends for handle, label in zip(*legend, strict=True)}
     figure.legend(labelled.values(), labelled, loc="outside lower center", ncols=len(labelled), frameon=False)

@@ -45,9 +45,7 @@ FIGURE = DetectionFigureOptions()
 
 def draw_located(rows: Sequence[Located], path: Path) -> None:
     """Writes a row for each picture to an image file: the picture with the poses, and the residuals of its depth.
-
-    Raises MissingExtra, HandsightError.
-    """
+    Raises MissingExtra, HandsightError."""
     plt = require_matplotlib()
     size = {"figsize": (11.5, 4.6 * len(rows) + 0.5), "width_ratios": [1.5, 1]}
     figure, axes = plt.subplots(len(rows), 2, squeeze=False, layout="constrained", **size)

@@ -82,9 +82,7 @@ class NullViewer:
 
 class Viewer(NullViewer):
     """A `Viewer` shows the newest estimate of a tracker, at most 30 times a second, and nothing while nobody watches.
-
-    It may be updated at any rate, and draws in a process of its own.
-    """
+    It may be updated at any rate, and draws in a process of its own."""
 
     def __init__(self, tracker: Tracker, *, port: int = PAGE.port) -> None:
         """See `view`."""

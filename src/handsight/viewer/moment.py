@@ -118,10 +118,8 @@ class Moment:
             return {}
 
     def forces(self, rig: Rig) -> dict[str, Array]:
-        """Returns the force (3,) of the object on each finger that touches and has a reading, in the palm [N].
-
-        Without the palm's pose in the world the weight of the tips is included.
-        """
+        """Returns the force (3,) of the object on each finger that touches and has a reading, in the palm [N]. Without
+        the palm's pose in the world the weight of the tips is included."""
         if self.joint_positions is None:
             return {}
         Ts = dict(zip(rig.hand.tips, rig.hand.Ts_palm_tip(self.joint_positions), strict=True))

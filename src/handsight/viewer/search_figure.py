@@ -21,9 +21,7 @@ PINK, BLUE, GREY = "#c2185b", "#1565c0", "0.55"
 
 def draw_search(name: str, beliefs: Sequence[Belief], T_world_object: Array, path: Path) -> None:
     """Writes the beliefs of a search, the one before the first touch first, and the truth (4, 4) to an image file.
-
-    Raises MissingExtra, HandsightError.
-    """
+    Raises MissingExtra, HandsightError."""
     plt = require_matplotlib()
     columns = min(4, len(beliefs) + 1)
     rows = -(-(len(beliefs) + 1) // columns)

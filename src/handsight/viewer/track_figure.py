@@ -64,10 +64,8 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
 
 
 def _curves(model: ObjectModel, steps: Sequence[Step], truths: Truths) -> Array:
-    """Returns (4, n, 3) [cm]: the base's position as tracked, by vision and true, and sigma of the tracked one.
-
-    What is not known is NaN.
-    """
+    """Returns (4, n, 3) [cm]: the base's position as tracked, by vision and true, and sigma of the tracked one. What is
+    not known is NaN."""
     curves = np.full((4, len(steps), 3), np.nan)
     for i, step in enumerate(steps):
         T_world_palm = np.eye(4) if step.T_world_palm is None else step.T_world_palm

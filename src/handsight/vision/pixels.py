@@ -104,10 +104,8 @@ def read_color(path: str | Path, *, camera: Camera | None = None) -> Color:
 
 
 def metres(pixels: NDArray[np.generic], scale: float = MILLIMETRE) -> Depth:
-    """Returns the depth (h, w) [m], NaN where there is none, of whole numbers of `scale` metres, or of metres.
-
-    Raises InvalidInput where the median says that the unit is another.
-    """
+    """Returns the depth (h, w) [m], NaN where there is none, of whole numbers of `scale` metres, or of metres. Raises
+    InvalidInput where the median says that the unit is another."""
     is_integer = pixels.dtype.kind in "iu"
     unit = scale if is_integer else 1.0
     depth = pixels.astype(np.float32)

@@ -30,10 +30,8 @@ def _gap2(boxes: Any, k: int, p: Vec3) -> float:
 
 @inner
 def _weights(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
-    """Returns the weights of the corners in the point of triangle abc that is closest to p.
-
-    On an edge the weight of the corner opposite is exactly 0.
-    """
+    """Returns the weights of the corners in the point of triangle abc that is closest to p. On an edge the weight of
+    the corner opposite is exactly 0."""
     u, v, w = sub(b, a), sub(c, a), sub(p, a)
     uu, uv, vv, wu, wv = dot(u, u), dot(u, v), dot(v, v), dot(w, u), dot(w, v)
     # Corner, edge or inside, with one division at most: Ericson, Real-Time Collision Detection, 5.1.5.
@@ -76,9 +74,7 @@ def _weights(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
 @inner
 def _try_leaf(tree: Any, leaf: int, point: Vec3, found: Any) -> None:
     """Writes the closest point on a leaf's triangles, in the leaf's frame, to `found` if it is closer than that.
-
-    `found` is a RESULT with the squared distance in the place of the distance.
-    """
+    `found` is a RESULT with the squared distance in the place of the distance."""
     starts, _, frames, triangles, around = tree
     p = mul(matrix(frames[leaf]), point)
     for t in range(starts[leaf], starts[leaf + 1]):

@@ -50,10 +50,8 @@ Table = dict[str, Column]
 
 
 def ply_shape(data: bytes) -> Shape:
-    """Returns the mesh in a PLY file, or the cloud if the file has no faces; raises BadText.
-
-    The vertex property `sigma` is the standard deviation of a cloud's points.
-    """
+    """Returns the mesh in a PLY file, or the cloud if the file has no faces; raises BadText. The vertex property
+    `sigma` is the standard deviation of a cloud's points."""
     order, elements, at = _header(data)
     lines = iter(()) if order else rows(text_lines(data[at:]))
     tables: dict[str, Table] = {}

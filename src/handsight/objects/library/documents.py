@@ -158,10 +158,8 @@ def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
 
 
 def _by_number(values: Mapping[str, Form], where: str) -> dict[int, Form]:
-    """Returns the values by their keys as numbers; raises InvalidFile for a key that is no number.
-
-    Numbers become the names of files, so that another key could name any file.
-    """
+    """Returns the values by their keys as numbers; raises InvalidFile for a key that is no number. Numbers become the
+    names of files, so that another key could name any file."""
     found: dict[int, Form] = {}
     for key, value in values.items():
         if not (key.isascii() and key.isdecimal() and len(key) < 10 and str(int(key)) == key):

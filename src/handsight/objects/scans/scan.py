@@ -61,10 +61,8 @@ def scanned(points: Array, normals: Array | None, diameter: float) -> Scan | Non
 
 
 def smoothed(mesh: Triangles, diameter: float) -> tuple[Triangles, Roughness | None]:
-    """Returns a mesh with its vertices moved onto the surface behind their noise, and the error of that surface.
-
-    A mesh that is no noisy scan is returned as it is, with None.
-    """
+    """Returns a mesh with its vertices moved onto the surface behind their noise, and the error of that surface. A mesh
+    that is no noisy scan is returned as it is, with None."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     if len(used) < SCAN.min_vertices:
         return mesh, None

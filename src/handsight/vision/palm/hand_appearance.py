@@ -67,10 +67,8 @@ class HandAppearance:
         return cls(shape.chains, skin, coarse, area / len(points))
 
     def placed(self, joint_positions: Mapping[str, float], *, sigma_joint: float = 0.0) -> "PlacedHand":
-        """Returns the hand with its joints there, each off by a constant `sigma_joint` [rad, for slides m].
-
-        Raises InvalidInput as `Hand.Ts_palm_tip` does.
-        """
+        """Returns the hand with its joints there, each off by a constant `sigma_joint` [rad, for slides m]. Raises
+        InvalidInput as `Hand.Ts_palm_tip` does."""
         Ts, axes = self.chains.poses(joint_positions)
         turns = Ts.copy()
         turns[:, :3, 3] = 0

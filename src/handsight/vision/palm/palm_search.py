@@ -89,9 +89,7 @@ class Belief:
 
 def searched(picture: Picture, belief: Belief, visible: Mask) -> Candidates:
     """Returns CANDIDATE (k,) from which the hand is aligned: the best poses of all within the belief, and around them.
-
-    visible (m,): which points of the hand the camera sees at the belief.
-    """
+    visible (m,): which points of the hand the camera sees at the belief."""
     hand, rows, options = picture.hand, np.flatnonzero(visible), PALM_SEARCH
     air = hand.beside(picture.camera, belief.T, options.scanned)
     points = _about_middle(hand, rows[: options.scanned], air[: options.scanned // 2])
@@ -167,10 +165,8 @@ def _shifts(reach: float) -> Array:
 
 
 def distinct(hand: PlacedHand, candidates: Candidates, spacing: float, most: int) -> Candidates:
-    """Returns the best candidates, the best first, each at least `spacing` from all better ones.
-
-    Their distance is the root mean square of that of a few points of the hand [m].
-    """
+    """Returns the best candidates, the best first, each at least `spacing` from all better ones. Their distance is the
+    root mean square of that of a few points of the hand [m]."""
     candidates = candidates[np.argsort(-candidates["score"], kind="stable")]
     points = hand.skin[0, : PALM_SEARCH.compared]
     places = se3.apply(poses_of(candidates), points).reshape(len(candidates), points.size)
