@@ -18,15 +18,7 @@ from handsight.errors import InvalidFile
 from handsight.files import read_bytes
 from handsight.objects.files.pcd import pcd_shape
 from handsight.objects.files.ply import ply_shape
-from handsight.objects.files.shape import (
-    BadText,
-    Shape,
-    number_table,
-    numbers,
-    rows,
-    text_lines,
-    triangles,
-)
+from handsight.objects.files.shape import BadText, Shape, number_table, numbers, rows, text_lines, triangles
 
 LARGEST_FILE = 500_000_000
 """The largest number of bytes that a file may have."""

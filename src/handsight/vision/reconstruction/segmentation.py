@@ -81,11 +81,7 @@ class InHandView:
         return np.asarray(self._hand.Ts_palm_tip(joint_positions)[:, :3, 3].mean(axis=0))
 
     def without_hand(
-        self,
-        camera: Camera,
-        depth: Depth,
-        joint_positions: Mapping[str, float],
-        T_camera_palm: Array,
+        self, camera: Camera, depth: Depth, joint_positions: Mapping[str, float], T_camera_palm: Array
     ) -> Depth:
         """Returns a depth image (h, w) [m] with 0 for all points as near to the hand as the errors of its joints.
 
