@@ -118,10 +118,9 @@ def _outline(axes: "Axes", row: Located, T: Array, color: str, style: str) -> No
     pixels = row.frame.camera.project(lines.reshape(-1, 3)).reshape(-1, 2, 2)
     # An edge is visible if its middle is in the image, and not behind the surface that is drawn around it.
     surface = np.pad(maximum_filter(np.where(inside, drawn, -np.inf), size=3), 1, constant_values=-np.inf)
-    middles = (
-        np.nan_to_num(pixels.mean(axis=1), nan=-1).round().clip(-1, np.array(inside.shape[::-1])).astype(int)
-    )
-    visible = lines[..., 2].mean(axis=1) < surface[middles[:, 1] + 1, middles[:, 0] + 1] + FIGURE.edge_depth
+    middles = np.nan_to_num(pixels.mean(axis=1), nan=-1).round()
+    columns, rows = middles.clip(-1, inside.shape[::-1]).astype(int).T + 1
+    visible = lines[..., 2].mean(axis=1) < surface[rows, columns] + FIGURE.edge_depth
     for line in pixels[visible]:
         axes.plot(*line.T, color=color, lw=0.9)
 

@@ -78,19 +78,9 @@ class Moment:
     def _from_tracker(
         cls, known: Tracker | Step, observation: Observation | None, T_vision: Array | None
     ) -> "Moment":
-        names = (
-            "stamp",
-            "state",
-            "reason",
-            "estimate",
-            "sigma",
-            "fingertips",
-            "T_world_palm",
-            "slip",
-            "skin",
-        )
+        names = "stamp state reason estimate sigma fingertips T_world_palm slip skin"
         return cls(
-            **{name: getattr(known, name) for name in names},
+            **{name: getattr(known, name) for name in names.split()},
             joint_positions=None if observation is None else observation.joint_positions,
             wrenches={} if observation is None else observation.wrenches,
             vision=None if T_vision is None else Measured(known.stamp, T_vision),

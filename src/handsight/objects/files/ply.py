@@ -3,7 +3,7 @@
 import codecs
 import struct
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -121,90 +121,81 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
 
 def _text_table(lines: Iterator[list[str]], element: _Element) -> Table:
     """Returns the next rows of a text body, a line each; raises BadText."""
-    found, properties = islice(lines, element.rows), element.properties
+    properties = element.properties
     if not any(length for _, _, length in properties):
-        table = number_table(found, len(properties), element.name)
+        table = number_table(islice(lines, element.rows), len(properties), element.name)
         if len(table) < element.rows:
             raise element.cut_short(len(table))
         return {name: (table[:, k], None) for k, (name, _, _) in enumerate(properties)}
 
-    def ragged() -> Iterator[list[list[float]]]:
-        """Yields the numbers of each property, row after row; raises BadText."""
-        for words in found:
-            left, row = iter(words), list[list[float]]()
-            try:
-                for _, kind, length in properties:
-                    n = int(next(left)) if length else 1
-                    row.append(list(map(float if kind in _FLOATS else int, islice(left, n))))
-                    if len(row[-1]) < n:
-                        raise ValueError
-            except (ValueError, StopIteration):
-                message = f"expected numbers, as many as there are properties, got {' '.join(words)[:40]!r}"
-                raise BadText(f"{element.name}: {message}") from None
-            yield row
+    def row() -> list[list[float]]:
+        """Returns the numbers of each property in the next line; raises BadText, StopIteration where there is none."""
+        words = next(lines)
+        left, found = iter(words), list[list[float]]()
+        try:
+            for _, kind, length in properties:
+                n = int(next(left)) if length else 1
+                found.append(list(map(float if kind in _FLOATS else int, islice(left, n))))
+                if len(found[-1]) < n:
+                    raise ValueError
+        except (ValueError, StopIteration):
+            message = f"expected numbers, as many as there are properties, got {' '.join(words)[:40]!r}"
+            raise BadText(f"{element.name}: {message}") from None
+        return found
 
-    return _table_of_rows(element, ragged())
+    return _table_of_rows(element, row)
 
 
 def _binary_table(data: bytes, at: int, order: str, element: _Element) -> tuple[Table, int]:
     """Returns the rows of a binary body that begin at the offset `at`, and the offset behind them; raises BadText."""
+    start, properties = at, element.properties
 
-    def row_at(at: int) -> tuple[list[tuple[Any, ...]], int]:
-        """Returns the numbers of each property in a row, and the offset behind it; raises struct.error at the end."""
-        row = []
-        for _, kind, length in element.properties:
+    def row() -> list[tuple[Any, ...]]:
+        """Returns the numbers of each property in the next row; raises struct.error where the file ends before."""
+        nonlocal at
+        found = []
+        for _, kind, length in properties:
             n = 1
             if length:
                 (n,) = struct.unpack_from(order + length, data, at)
                 at += struct.calcsize(order + length)
-            row.append(struct.unpack_from(f"{order}{n}{kind}", data, at))
+            found.append(struct.unpack_from(f"{order}{n}{kind}", data, at))
             at += struct.calcsize(f"{order}{n}{kind}")
-        return row, at
+        return found
 
     # In most files each list is as long in every row as in the first, so that all rows have one layout.
     try:
-        first, end = row_at(at)
+        first = row()
     except struct.error:
         raise element.cut_short(0) from None
-    size, names = end - at, [name for name, _, _ in element.properties]
+    size, at = at - start, start
     if element.rows <= (len(data) - at) // size:
         parts: list[Any] = []
-        for k, ((_, kind, length), values) in enumerate(zip(element.properties, first, strict=True)):
+        for k, ((_, kind, length), values) in enumerate(zip(properties, first, strict=True)):
             parts += [(f"n{k}", order + length)] if length else []
             parts.append((f"v{k}", order + kind, (len(values),)))
         table = np.frombuffer(data, np.dtype(parts), element.rows, at)
-        counts = {k: table[f"n{k}"] for k, (_, _, length) in enumerate(element.properties) if length}
+        counts = {k: table[f"n{k}"] for k, (_, _, length) in enumerate(properties) if length}
         if all((count == len(first[k])).all() for k, count in counts.items()):
-            columns = {name: (table[f"v{k}"].reshape(-1), counts.get(k)) for k, name in enumerate(names)}
-            return columns, at + element.rows * size
-
-    def ragged() -> Iterator[list[tuple[Any, ...]]]:
-        """Yields the numbers of each property, row after row."""
-        nonlocal at
-        for _ in range(element.rows):
-            row, at = row_at(at)
-            yield row
-
-    return _table_of_rows(element, ragged()), at
+            columns = [(table[f"v{k}"].reshape(-1), counts.get(k)) for k in range(len(properties))]
+            return {name: columns[k] for k, (name, _, _) in enumerate(properties)}, at + element.rows * size
+    found = _table_of_rows(element, row)
+    return found, at
 
 
-def _table_of_rows(element: _Element, found: Iterator[Sequence[Sequence[Any]]]) -> Table:
-    """Returns an element's table from its rows, each the numbers of every property; raises BadText."""
+def _table_of_rows(element: _Element, row: Callable[[], Sequence[Sequence[Any]]]) -> Table:
+    """Returns an element's table; `row` returns the numbers of every property in the next row. Raises BadText."""
     values = [array("d" if kind in _FLOATS else "q") for _, kind, _ in element.properties]
     counts = [array("q") for _ in element.properties]
-    done = 0
-    try:
-        for row in found:
-            for k, numbers in enumerate(row):
+    for done in range(element.rows):
+        try:
+            for k, numbers in enumerate(row()):
                 values[k].extend(numbers)
                 counts[k].append(len(numbers))
-            done += 1
-    except struct.error:
-        raise element.cut_short(done) from None
-    except OverflowError:
-        raise BadText(f"{element.name}: expected numbers of 64 bits, got a larger one") from None
-    if done < element.rows:
-        raise element.cut_short(done)
+        except (struct.error, StopIteration):
+            raise element.cut_short(done) from None
+        except OverflowError:
+            raise BadText(f"{element.name}: expected numbers of 64 bits, got a larger one") from None
     columns = zip(element.properties, values, counts, strict=True)
     return {name: (np.array(v), np.array(n) if length else None) for (name, _, length), v, n in columns}
 

@@ -89,10 +89,9 @@ class PoseRefiner:
             return slice(0, 0), slice(0, 0)
         focal = self.camera.matrix[0, 0]
         margin = 1 + REFINER.margin * self.model.diameter * focal / max(points[:, 2].min(), REFINER.margin)
-        (left, top), (right, bottom) = (low - margin).tolist(), (high + margin + 1).tolist()
-        width, height = self.camera.size
-        rows = slice(int(min(max(top, 0), height)), int(min(max(bottom, 0), height)))
-        return rows, slice(int(min(max(left, 0), width)), int(min(max(right, 0), width)))
+        ends = np.stack([low - margin, high + margin + 1]).clip(0, self.camera.size)
+        (left, top), (right, bottom) = ends.astype(int).tolist()
+        return slice(top, bottom), slice(left, right)
 
     def _take(self, box: tuple[slice, slice], depth: Depth, hand: Mask | None, table: Array | None) -> None:
         """Copies a box of the image, and clears the last one."""
