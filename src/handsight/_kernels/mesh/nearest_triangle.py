@@ -13,7 +13,6 @@ import numpy as np
 
 from handsight._kernels.math.vec3 import Vec3, add, dot, matrix, mul, scale, store, sub, tmul, vector
 from handsight._kernels.runtime.compilation import entry, inner
-from handsight._kernels.runtime.threads import in_parts
 
 RESULT = 8
 """Numbers for each closest point: distance, point (3), weights of the corners (3), triangle."""
@@ -130,10 +129,3 @@ def closest(points: Any, within: float, tree: Any, out: Any) -> None:
         else:
             found[0] = np.sqrt(found[0])
             store(tmul(matrix(frames[last]), vector(found[1:4])), found[1:4])
-
-
-def closest_points(points: Any, within: float, tree: Any) -> Any:
-    """Returns what `closest` writes (n, 8), computed on several threads."""
-    out = np.zeros((len(points), RESULT))
-    in_parts(lambda some, there: closest(some, within, tree, there), (points, out), 1000)
-    return out

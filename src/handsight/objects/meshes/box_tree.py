@@ -95,9 +95,11 @@ class ClosestPointSearch:
 
         Of equally near triangles any one is returned. The search is fastest if neighbours in space follow each other.
         """
-        from handsight._kernels.mesh.nearest_triangle import closest_points  # numba's import is long
+        from handsight._kernels.mesh.nearest_triangle import RESULT, closest  # numba's import is long
+        from handsight._kernels.runtime.threads import in_parts
 
-        found = closest_points(np.require(points, np.float64, ["C", "W"]), within, self._tree)
+        places, found = np.require(points, np.float64, ["C", "W"]), np.zeros((len(points), RESULT))
+        in_parts(lambda some, there: closest(some, within, self._tree, there), (places, found), 1000)
         index = np.flatnonzero(np.isfinite(found[:, 0]))
         found = found[index]
         face = self._order[found[:, 7].astype(np.int64)]
@@ -146,9 +148,13 @@ class Winding:
 
     def at(self, points: Array) -> Array:
         """Returns winding numbers (n,) at the points (n, 3) [m]."""
-        from handsight._kernels.mesh.winding import winding_at  # numba's import is long
+        from handsight._kernels.mesh.winding import winding  # numba's import is long
+        from handsight._kernels.runtime.threads import in_parts
 
-        return np.asarray(winding_at(np.require(points, np.float64, ["C", "W"]), self.patches, self.elements))
+        places, found = np.require(points, np.float64, ["C", "W"]), np.zeros(len(points))
+        surface = self.patches, self.elements
+        in_parts(lambda some, there: winding(some, *surface, there), (places, found), 200)
+        return found
 
     def inside(self, points: Array) -> Mask:
         """Returns (n,) whether the winding numbers at the points (n, 3) [m] are above one half."""
