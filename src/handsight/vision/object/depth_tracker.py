@@ -199,9 +199,9 @@ class DepthTracker:
         if against > max(candidate["explained"], DEPTH_TRACKER.min_against):
             share = candidate["explained"] / (candidate["explained"] + against)
             return f"it explains {100 * share:.0f} % of what is seen there"
-        limit = DEPTH_TRACKER.lost * self.model.diameter
-        unknown = predicted.lost or surface_shift(self.model, predicted.pose_camera_object) > limit
-        return HIDDEN if unknown and not _is_enough(refined) else ""
+        limit, pose = DEPTH_TRACKER.lost * self.model.diameter, predicted.pose_camera_object
+        hidden = not _is_enough(refined) and (predicted.lost or surface_shift(self.model, pose) > limit)
+        return HIDDEN if hidden else ""
 
     def _found(self, image: _Image) -> tuple[_Belief, RefinedPose] | None:
         """Returns the object somewhere in the image, if it is time to search and it is there."""

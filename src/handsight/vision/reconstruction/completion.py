@@ -92,9 +92,18 @@ def closed(surface: SurfacePoints, volume: Volume, table: bool) -> Reconstructed
     points, normals, guesses = surface.points, surface.normals, list[str]()
     count = len(points)
     for description, maps in _symmetries(surface, volume, table):
-        new = _filled(SurfacePoints(points, normals), maps, volume, table)
-        if len(new.points) > 0.01 * count:
-            points, normals = np.concatenate([points, new.points]), np.concatenate([normals, new.normals])
+        # The points under the symmetry, one a cell, where they come to unknown places.
+        places = se3.apply(maps, points).reshape(-1, 3)
+        facing = np.concatenate([normals @ T[:3, :3].T for T in maps])
+        (low, high), cell = volume.bounds_object, volume.grid.cell
+        new = ~volume.among(volume.known(1) | volume.clear(), places)
+        new &= ((places > low) & (places < high)).all(axis=1)
+        new &= cKDTree(points).query(places)[0] > COMPLETION.guess_distance * cell
+        if table:
+            new &= places[:, 2] > COMPLETION.table_margin * cell
+        cells, ways = thinned(places[new] / cell, facing[new]) if new.any() else (places[new], facing[new])
+        if len(cells) > 0.01 * count:
+            points, normals = np.concatenate([points, cells * cell]), np.concatenate([normals, ways])
             guesses.append(description)
     if table and count:
         lowest = _base(SurfacePoints(points, normals), volume.grid.cell)
@@ -203,22 +212,6 @@ def _mirror(plane: Array) -> Array:
     T[:3, :3] -= 2 * np.outer(n, n)
     T[:3, 3] = 2 * plane[3] * n
     return T
-
-
-def _filled(surface: SurfacePoints, maps: Array, volume: Volume, table: bool) -> SurfacePoints:
-    """Returns the points of a surface under maps (k, 4, 4), one a cell, where they come to unknown places."""
-    points = se3.apply(maps, surface.points).reshape(-1, 3)
-    normals = np.concatenate([surface.normals @ T[:3, :3].T for T in maps])
-    (low, high), cell = volume.bounds_object, volume.grid.cell
-    new = ~volume.among(volume.known(1) | volume.clear(), points)
-    new &= ((points > low) & (points < high)).all(axis=1)
-    new &= cKDTree(surface.points).query(points)[0] > COMPLETION.guess_distance * cell
-    if table:
-        new &= points[:, 2] > COMPLETION.table_margin * cell
-    if not new.any():
-        return SurfacePoints(points[new], normals[new])
-    at, facing = thinned(points[new] / cell, normals[new])
-    return SurfacePoints(at * cell, facing)
 
 
 def _base(surface: SurfacePoints, cell: float) -> SurfacePoints:
