@@ -63,7 +63,7 @@ def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Sy
     search = _Search(model, default if tolerance is None else checks.positive(tolerance, "tolerance"))
     directions = search.directions()
     for direction in directions:
-        line = search.continuous(direction)
+        line = search.axis(direction, _SPINS)
         if line is not None:
             return search.of_revolution(*line)
     axes: list[_Axis] = []
@@ -154,43 +154,35 @@ class _Search:
             T = se3.moved(T, change)
         return T
 
-    def line(self, T: Array) -> tuple[Array, Array]:
-        """Returns the axis of a rotation `T`: its point nearest to the object's centre, and its direction."""
-        vector = se3.rotation_log(T[:3, :3])
-        direction = vector / np.linalg.norm(vector)
-        offset = se3.apply(T, self.center[None])[0] - self.center
-        across = offset - (offset @ direction) * direction
-        point, *_ = np.linalg.lstsq(np.eye(3) - T[:3, :3], across, rcond=1e-6)
-        return self.center + point, direction
-
-    def continuous(self, direction: Array) -> tuple[Array, Array] | None:
-        """Returns point and direction of an axis near a direction about which any turn keeps the surface, or None."""
-        T = self.refined(about(self.center, _SPINS[0] * direction))
+    def axis(self, direction: Array, angles: Array, drift: float = np.inf) -> tuple[Array, Array] | None:
+        """Returns point and direction of an axis near a direction about which turns by the angles [rad] keep the
+        surface, or None; `drift`: the most by which the first angle may change in the refinement [rad]."""
+        T = self.refined(about(self.center, angles[0] * direction))
         if T is None:
             return None
-        point, axis = self.line(T)
-        if all(self.worst(about(point, angle * axis)) < self.limit for angle in _SPINS):
-            return point, axis * np.sign(axis @ direction)
-        return None
+        vector = se3.rotation_log(T[:3, :3])
+        angle = np.linalg.norm(vector)
+        along, offset = vector / angle, se3.apply(T, self.center[None])[0] - self.center
+        across = offset - (offset @ along) * along
+        point = self.center + np.linalg.lstsq(np.eye(3) - T[:3, :3], across, rcond=1e-6)[0]
+        if abs(angle - angles[0]) > drift or any(
+            self.worst(about(point, a * along)) >= self.limit for a in angles
+        ):
+            return None
+        return point, along * np.sign(along @ direction)
 
     def finite(self, direction: Array) -> _Axis | None:
         """Returns the axis near a direction with the highest order that keeps the surface, or None."""
         for order in ORDERS:
-            T = self.refined(about(self.center, 2 * np.pi / order * direction))
-            if T is None:
-                continue
-            vector = se3.rotation_log(T[:3, :3])
-            if abs(np.linalg.norm(vector) - 2 * np.pi / order) > 0.2 / order:
-                continue
-            point, axis = self.line(T)
-            if self.worst(about(point, 2 * np.pi / order * axis)) < self.limit:
-                return _Axis(point, axis, order)
+            found = self.axis(direction, np.array([2 * np.pi / order]), 0.2 / order)
+            if found is not None:
+                return _Axis(*found, order)
         return None
 
     def of_revolution(self, point: Array, axis: Array) -> Symmetries:
         """Returns the symmetries of a surface with this axis: a ball's, or the axis with or without swapped ends."""
         side = se3.perpendicular(axis)
-        if self.continuous(side) is not None:
+        if self.axis(side, _SPINS) is not None:
             return Symmetries([(self.center, axis) for axis in np.eye(3)])
         T = self.refined(about(point, np.pi * side))
         if T is not None:
