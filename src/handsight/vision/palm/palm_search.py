@@ -170,14 +170,10 @@ def distinct(hand: PlacedHand, candidates: Candidates, spacing: float, most: int
     candidates = candidates[np.argsort(-candidates["score"], kind="stable")]
     points = hand.skin[0, : PALM_SEARCH.compared]
     places = se3.apply(poses_of(candidates), points).reshape(len(candidates), points.size)
-    taken = np.zeros(len(candidates), dtype=bool)
-    kept = list[int]()
+    taken, kept = np.zeros(len(candidates), dtype=bool), list[int]()
     for k in range(len(candidates)):
-        if taken[k]:
-            continue
-        kept.append(k)
-        if len(kept) == most:
-            break
-        away = places - places[k]
-        taken |= np.einsum("ki,ki->k", away, away) < PALM_SEARCH.compared * spacing**2
+        if not taken[k] and len(kept) < most:
+            kept.append(k)
+            away = places - places[k]
+            taken |= np.einsum("ki,ki->k", away, away) < PALM_SEARCH.compared * spacing**2
     return candidates[kept]

@@ -191,18 +191,13 @@ class _Judge:
 
     def _refined(self, plane: Array, table: bool) -> Array:
         """Returns the mirror (4, 4) near a plane (4,) that fits best."""
-        free = [0, 1, 3] if table else [0, 1, 2, 3]
-
-        def moved(x: Array) -> Array:
-            turned = plane.copy()
-            turned[free] += x * np.where(np.array(free) == 3, 0.01, 0.1)
-            return turned
+        steps = np.diag([0.1, 0.1, 0.1, 0.01])[[0, 1, 3] if table else [0, 1, 2, 3]]
 
         def cost(x: Array) -> float:
-            return float(self.cost(_mirror(moved(x))[None])[0])
+            return float(self.cost(_mirror(plane + x @ steps)[None])[0])
 
-        best = minimize(cost, np.zeros(len(free)), method="Nelder-Mead")
-        return _mirror(moved(best.x))
+        best = minimize(cost, np.zeros(len(steps)), method="Nelder-Mead")
+        return _mirror(plane + best.x @ steps)
 
 
 def _mirror(plane: Array) -> Array:
