@@ -17,7 +17,7 @@ from handsight.errors import InvalidObject
 from handsight.objects.fields import grid_fields, grids
 from handsight.objects.geometry import Geometry, geometry_of, roughened, with_error
 from handsight.objects.meshes.box_tree import Winding
-from handsight.objects.scans.normals import estimated_normals
+from handsight.objects.scans.normals import NORMALS, outwards, planes
 from handsight.objects.scans.roughness import unseen_variances
 from handsight.objects.scans.scan import scanned
 from handsight.objects.surface import SURFACE, Cloud, check_extent, diameter, distinct
@@ -57,7 +57,7 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
         points, normals = scan.surface.converged()
     tree = cKDTree(points)
     if normals is None:
-        normals = estimated_normals(points, tree)
+        normals = outwards(points, planes(points, points, NORMALS.neighbours), tree)
     reach = tree.query(points, k=CLOUD.area_neighbours + 1)[0][:, -1]
     # A disc holds its neighbours and half the one on its rim.
     cloud = Cloud(points, normals, np.pi * reach**2 / (CLOUD.area_neighbours + 0.5))

@@ -139,12 +139,12 @@ class MomentScene:
     def _draw_uncertainty(self, moment: Moment) -> None:
         """Shows where the object's middle is with 95 %, and the directions that contacts leave open."""
         estimate, model = moment.estimate, self._model
-        found = None if estimate is None else ellipsoid(estimate, model)
-        self._put(self.covariance, "covariance", None if found is None else found.T_palm_axes)
-        if found is not None and self.layers["covariance"]:
-            self.covariance.scale = tuple(float(a) for a in found.semi_axes.clip(min=2e-4))
+        T_palm_axes, semi_axes = (None, np.zeros(3)) if estimate is None else ellipsoid(estimate, model)
+        self._put(self.covariance, "covariance", T_palm_axes)
+        if T_palm_axes is not None and self.layers["covariance"]:
+            self.covariance.scale = tuple(float(a) for a in semi_axes.clip(min=2e-4))
             # Inside the object it must be opaque, to be drawn before it; around the object it must be translucent.
-            inside = found.semi_axes.max() < STYLE.inside * model.radius
+            inside = semi_axes.max() < STYLE.inside * model.radius
             self.covariance.opacity = None if inside else STYLE.ghost_opacity / 2
         open_shifts, turns = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 3))]
         if estimate is not None and moment.fingertips.fingers:
