@@ -1,6 +1,5 @@
 """The geometry of a triangle mesh: whether it is closed, and its two distance fields."""
 
-from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -42,7 +41,7 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
     search, winding = ClosestPointSearch(mesh, tree), Winding.of_mesh(mesh, tree)
     rim = rim_of(mesh, winding, fine.cell)
     holes = holes_of(mesh, rim)
-    closed = bool(holes.extents.max(initial=0.0) <= SURFACE.max_hole * size)
+    closed = bool(holes[1].max(initial=0.0) <= SURFACE.max_hole * size)
     if closed:  # are the winding numbers those of a closed surface?
         points, normals, _ = side_samples(mesh)
         behind, front = (winding.at(points + side * size * normals) for side in (-1e-4, 1e-4))
@@ -96,22 +95,12 @@ def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
     return rim
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Holes:
-    """`Holes` are the places where a surface ends: the bounding boxes of connected runs of rim edges."""
-
-    middles: Array
-    """(h, 3) the middle of each box [m]."""
-    extents: Array
-    """(h,) the diagonal of each box [m]."""
-
-
-def holes_of(mesh: Triangles, rim: Mask | None = None) -> Holes:
-    """Returns the holes of a mesh whose rim is the edges in `rim` (e,); None: all edges with one triangle."""
-    edges = mesh.edges
-    pairs = edges.vertices[edges.counts == 1 if rim is None else rim]
+def holes_of(mesh: Triangles, rim: Mask) -> tuple[Array, Array]:
+    """Returns the middles (h, 3) and the diagonals (h,) [m] of a mesh's holes: of the bounding boxes of connected runs
+    of its rim's edges; `rim` (e,): which edges these are."""
+    pairs = mesh.edges.vertices[rim]
     if not len(pairs):
-        return Holes(np.empty((0, 3)), np.empty(0))
+        return np.empty((0, 3)), np.empty(0)
     used, local = np.unique(pairs, return_inverse=True)
     start, end = local.reshape(-1, 2).T
     label = components(start, end, len(used))
@@ -119,11 +108,11 @@ def holes_of(mesh: Triangles, rim: Mask | None = None) -> Holes:
     high = -low
     np.minimum.at(low, label, mesh.vertices[used])
     np.maximum.at(high, label, mesh.vertices[used])
-    return Holes((low + high) / 2, np.linalg.norm(high - low, axis=1))
+    return (low + high) / 2, np.linalg.norm(high - low, axis=1)
 
 
 def signed_by_winding(
-    winding: Winding, holes: Holes, index: Indices, grid: Grid, closest: ClosestPoints
+    winding: Winding, holes: tuple[Array, Array], index: Indices, grid: Grid, closest: ClosestPoints
 ) -> Array:
     """Returns signed distances (n,) [m] of nodes of a grid from a closed mesh: negative where its winding number is
     above one half.
@@ -136,7 +125,7 @@ def signed_by_winding(
 
     points = grid.nodes_at(index)
     free = np.ones(len(points), dtype=bool)
-    for middle, extent in zip(holes.middles, holes.extents, strict=True):
+    for middle, extent in zip(*holes, strict=True):
         free &= ((points - middle) ** 2).sum(axis=1) > (extent / 2 + grid.cell) ** 2
     inside = np.zeros(len(points), dtype=bool)
     todo = np.arange(len(points))
