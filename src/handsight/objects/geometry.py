@@ -130,19 +130,6 @@ def geometry_of(
         values = np.zeros((*grid.shape, 4))
         values[..., :2] = _mean_of_nearest(places, lengths, grid.nodes()).reshape(*grid.shape, 2) ** 2
         field_error = FieldError(grid.origin, coarse.cell, values)
-    # Bounds may suggest another unit than metres.
-    extent, more = float((bounds[1] - bounds[0]).max()), list(remarks)
-    if not GEOMETRY.min_extent <= extent <= GEOMETRY.max_extent:
-        units = {
-            "millimetres": 0.001,
-            "centimetres": 0.01,
-            "inches": 0.0254,
-            "metres, scaled down twice": 1000.0,
-        }
-        fits = [u for u in units if GEOMETRY.min_extent < extent * units[u] < GEOMETRY.max_extent / 4]
-        hint = "not the size of an object in a hand; is the unit right?"
-        hint = f"looks like {fits[0]}; try scale={units[fits[0]]:g}" if fits else hint
-        more.append(f"largest extent {extent:.4g} m: {hint}")
     return Geometry(
         coarse=coarse,
         fine=fine,
@@ -157,7 +144,7 @@ def geometry_of(
         sigma_point=float(np.median(distance) / 0.6745),
         sigma_normal=float(np.median(angle) / 1.1774),
         field_error=field_error,
-        remarks=tuple(more),
+        remarks=(*remarks, *_unit_remarks(float((bounds[1] - bounds[0]).max()))),
         surface=surface,
     )
 
@@ -214,3 +201,14 @@ def _errors(surface: Surface, fine: Field, count: int, seed: int) -> tuple[Array
     distance, gradient, _ = fine.evaluate(points)
     sine = np.linalg.norm(np.cross(gradient, normals), axis=1)
     return points, np.abs(distance), np.arctan2(sine, (gradient * normals).sum(axis=1))
+
+
+def _unit_remarks(extent: float) -> tuple[str, ...]:
+    """Returns a remark where the largest extent [m] suggests another unit than metres."""
+    if GEOMETRY.min_extent <= extent <= GEOMETRY.max_extent:
+        return ()
+    units = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "metres, scaled down twice": 1000.0}
+    for unit, scale in units.items():
+        if GEOMETRY.min_extent < extent * scale < GEOMETRY.max_extent / 4:
+            return (f"largest extent {extent:.4g} m: looks like {unit}; try scale={scale:g}",)
+    return (f"largest extent {extent:.4g} m: not the size of an object in a hand; is the unit right?",)
