@@ -162,9 +162,7 @@ def _cylinder(field: Any, place: Vec3) -> Values:
     r = np.sqrt(x * x + y * y)
     qr, qz = r - field.origin[0], abs(z) - field.origin[1]
     up = -1.0 if z < 0 else 1.0
-    cosine, sine = 1.0, 0.0
-    if r > 0 or r != r:
-        cosine, sine = x / r, y / r
+    cosine, sine = (x / r, y / r) if r > 0 or r != r else (1.0, 0.0)
     er, ez = max(qr, 0.0), max(qz, 0.0)
     outside = np.sqrt(er * er + ez * ez)
     distance, gr, gz = max(qr, qz), 1.0 if qr >= qz else 0.0, 0.0 if qr >= qz else 1.0
@@ -172,12 +170,10 @@ def _cylinder(field: Any, place: Vec3) -> Values:
         distance, gr, gz = outside, er / outside, ez / outside
     gz = gz * up
     over = 1 / max(outside, field.least_radius) if qr > 0 and qz > 0 else 0.0
-    round_it = (-sine, cosine, 0.0)
+    side = (-sine, cosine, 0.0)
     rim = (-gz * cosine, -gz * sine, gr)  # across the edge
-    H = add33(
-        scale33(outer(round_it, round_it), gr / max(r, field.least_radius)), scale33(outer(rim, rim), over)
-    )
-    return distance, (gr * cosine, gr * sine, gz), H
+    around = scale33(outer(side, side), gr / max(r, field.least_radius))
+    return distance, (gr * cosine, gr * sine, gz), add33(around, scale33(outer(rim, rim), over))
 
 
 @entry

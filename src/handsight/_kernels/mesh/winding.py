@@ -6,7 +6,6 @@ import numpy as np
 
 from handsight._kernels.math.vec3 import Vec3, cross, dot, norm, sub, vector
 from handsight._kernels.runtime.compilation import entry, inner
-from handsight._kernels.runtime.threads import in_parts
 
 FAR_PATCH, FAR_TRIANGLE = 2.0, 4.0
 """At a distance of this many of its radii, a patch or a triangle is approximated by one dipole."""
@@ -54,10 +53,3 @@ def winding(points: Any, patches: Any, elements: Any, out: Any) -> None:
             else:
                 total += dot(vector(vectors[k]), way) / (gap2 * np.sqrt(gap2))
         out[i] = total / (4 * np.pi)
-
-
-def winding_at(points: Any, patches: Any, elements: Any) -> Any:
-    """Returns what `winding` writes (n,), computed on several threads."""
-    out = np.zeros(len(points))
-    in_parts(lambda some, there: winding(some, patches, elements, there), (points, out), 200)
-    return out
