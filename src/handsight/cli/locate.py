@@ -1,55 +1,18 @@
 """`handsight locate`: where an object is in depth images, without a guess."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from handsight.cli.locate_images import MOST_PANELS, Targets, draw, locate_all
-from handsight.cli.options import (
-    DEPTH_CAMERAS,
-    LibraryPlace,
-    RigPath,
-    find_models,
-    find_rig,
-)
-from handsight.cli.terminal import announce_compiling, say
+from handsight.cli.options import DEPTH_CAMERAS, LibraryPlace, RigPath, find_models, find_rig
+from handsight.cli.terminal import announce_compiling, check_plots, say
 from handsight.errors import InvalidInput
 from handsight.files import check_not_overwritten
 
 if TYPE_CHECKING:
-    from handsight.recording.frames import Frames
-    from handsight.vision import DepthNoise
-
-
-class Images(NamedTuple):
-    """`Images` are the depth images that a user names, with their camera, colour and unit."""
-
-    path: Path
-    rig: Path | None
-    """Rig file of a recording; None: the one beside it."""
-    camera: Path | None
-    color: Path | None
-    depth_scale: float
-    """Metres per step of depth."""
-    depth_camera: str | None
-
-
-class Objects(NamedTuple):
-    """`Objects` are the objects that may be in the images."""
-
-    names: list[str]
-    """Empty: all of the rig, else of the library."""
-    library: str | None
-    scale: float
-    """Metres per unit of a mesh file."""
-
-
-class Region(NamedTuple):
-    """A `Region` is the part of each image in which an object is searched for."""
-
-    box: str | None
-    mask: Path | None
+    from handsight.rig import DepthCamera
 
 
 def locate(
@@ -153,82 +116,58 @@ def locate(
     is then 1; it is 2 if no image can be read, and 74 if answers cannot be written. After Ctrl-C, the answers until
     then are kept.
     """
+    from handsight.checks import suggestion
+    from handsight.objects import Library
+    from handsight.recording.frames import Beside, Frame, within
+    from handsight.recording.open_frames import is_recording, open_frames
+    from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
+
     announce_compiling()
     for place, what in ((output, "the answers"), (plot, "the picture")):
         for source in (images, camera, color, mask, rig):
             check_not_overwritten(place, what, source, "what is read")
     check_not_overwritten(plot, "the picture", output, "the answers")
-    if plot is not None:
-        from handsight.viewer.correction_figures import require_matplotlib
-
-        require_matplotlib()
-    frames, targets = _opened(
-        Images(images, rig, camera, color, depth_scale, depth_camera),
-        Objects(object or [], library, scale),
-        Region(box, mask),
-        csv=output is not None and output.suffix.lower() == ".csv",
-    )
-    result = locate_all(frames, targets, output)
+    check_plots(plot)
+    csv, numbers, names = output is not None and output.suffix.lower() == ".csv", None, object or []
+    beside = Beside(camera=camera, color=color, mask=mask, depth_scale=depth_scale)
+    if is_recording(images):
+        if csv:
+            raise InvalidInput("--output: expected JSON lines of a recording, got BOP's .csv")
+        if depth_camera is not None:
+            raise InvalidInput(f"--depth-camera: expected beside depth images, got it beside {images}")
+        robot, rig_path = find_rig(images, rig)
+        models = find_models(names, robot, rig_path)
+        noise = STRUCTURED_LIGHT if robot.camera is None else PRESETS[robot.camera.depth_camera]
+        frames = open_frames(images, beside, robot)
+    else:
+        if rig is not None:
+            raise InvalidInput(f"--rig: expected beside a recording, got it beside {images}")
+        noise = STRUCTURED_LIGHT
+        if depth_camera is not None:
+            if depth_camera not in PRESETS:
+                expected = f"expected one of {', '.join(PRESETS)}"
+                hint = suggestion(depth_camera, PRESETS)
+                raise InvalidInput(f"--depth-camera: {expected}, got {depth_camera!r:.80}{hint}")
+            noise = PRESETS[cast("DepthCamera", depth_camera)]
+        frames = open_frames(images, beside)
+        library = library or (str(frames.library) if frames.library else None)
+        models = find_models(names, library=library, scale=scale)
+        if csv:  # BOP's results name objects by the library's numbers
+            entries, opened = zip(models, names or models, strict=True), Library(library)
+            numbers = {name: opened.entry(entry).number for name, entry in entries}
+    if box is not None:
+        try:
+            left, top, right, bottom = (int(part) for part in box.split(","))
+        except ValueError:
+            expected = "expected 4 whole numbers u0,v0,u1,v1"
+            raise InvalidInput(f"--box: {expected}, got {box!r:.60}") from None
+        area = (left, top, right, bottom)
+        each = (within(frame, area) if isinstance(frame, Frame) else frame for frame in frames.each)
+        frames = frames._replace(each=each)
+    result = locate_all(frames, Targets(models, noise, numbers), output)
     if plot is not None and result.panels:
         result.messages.append(draw(result.panels, plot))
     for sentence in result.sentences(output):
         say(sentence)
     if result.exit_code:
         raise typer.Exit(result.exit_code)
-
-
-def _opened(images: Images, objects: Objects, region: Region, *, csv: bool) -> "tuple[Frames, Targets]":
-    """Returns the images one by one, and the objects to locate; raises InvalidInput, InvalidFile."""
-    from handsight.objects import Library
-    from handsight.recording.frames import Beside, Frame, within
-    from handsight.recording.open_frames import is_recording, open_frames
-
-    path = images.path
-    beside = Beside(
-        camera=images.camera, color=images.color, mask=region.mask, depth_scale=images.depth_scale
-    )
-    numbers = None
-    if is_recording(path):
-        if csv:
-            raise InvalidInput("--output: expected JSON lines of a recording, got BOP's .csv")
-        if images.depth_camera is not None:
-            raise InvalidInput(f"--depth-camera: expected beside depth images, got it beside {path}")
-        rig, rig_path = find_rig(path, images.rig)
-        models = find_models(objects.names, rig, rig_path)
-        noise = _noise(None if rig.camera is None else rig.camera.depth_camera)
-        frames = open_frames(path, beside, rig)
-    else:
-        if images.rig is not None:
-            raise InvalidInput(f"--rig: expected beside a recording, got it beside {path}")
-        noise = _noise(images.depth_camera)
-        frames = open_frames(path, beside)
-        library = objects.library or (str(frames.library) if frames.library else None)
-        models = find_models(objects.names, library=library, scale=objects.scale)
-        if csv:  # BOP's results name objects by the library's numbers
-            entries = zip(models, objects.names or models, strict=True)
-            opened = Library(library)
-            numbers = {name: opened.entry(entry).number for name, entry in entries}
-    if region.box is not None:
-        try:
-            left, top, right, bottom = (int(part) for part in region.box.split(","))
-        except ValueError:
-            expected = "expected 4 whole numbers u0,v0,u1,v1"
-            raise InvalidInput(f"--box: {expected}, got {region.box!r:.60}") from None
-        box = (left, top, right, bottom)
-        each = (within(frame, box) if isinstance(frame, Frame) else frame for frame in frames.each)
-        frames = frames._replace(each=each)
-    return frames, Targets(models, noise, numbers)
-
-
-def _noise(kind: str | None) -> "DepthNoise":
-    """Returns the depth noise of a kind of camera (None: structured light); raises InvalidInput for an unknown kind."""
-    from handsight.checks import suggestion
-    from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
-
-    for known, noise in PRESETS.items():
-        if kind == known:
-            return noise
-    if kind is None:
-        return STRUCTURED_LIGHT
-    expected = f"expected one of {', '.join(PRESETS)}"
-    raise InvalidInput(f"--depth-camera: {expected}, got {kind!r:.80}{suggestion(kind, PRESETS)}")

@@ -42,37 +42,13 @@ class LocateResult:
     found: int = 0
     unread: list[str] = field(default_factory=list)
     """Messages about images that cannot be read."""
-    missed: list[str] = field(default_factory=list)
-    """Messages about images without the object."""
     panels: "list[Located]" = field(default_factory=list)
     """The first answers, for the picture."""
-    cells: list[list[str]] = field(default_factory=list)
-    """The rows of the table, if the answers are shown as one; images would be too large to keep."""
     messages: list[str] = field(default_factory=list)
     """Other sentences to print."""
-    ended: int = 0
-    """Exit code of the Ctrl-C or the error that ended it early; 0: nothing did."""
-
-    @property
-    def exit_code(self) -> int:
-        """Returns the command's exit code: 1 where some images could not be read, 2 where none could."""
-        if self.ended or not self.unread:
-            return self.ended
-        return WRONG_INPUT if len(self.unread) == self.done else FAILED
-
-    def add(self, row: "Located | Unread") -> None:
-        """Counts an answer."""
-        from handsight.recording.frames import Unread
-
-        self.done += 1
-        if isinstance(row, Unread):
-            self.unread.append(row.reason)
-            return
-        self.found += row.reason is None
-        if row.reason is not None:
-            self.missed.append(f"{row.frame.name}: not here: {row.reason}")
-        if len(self.panels) < MOST_PANELS:
-            self.panels.append(row)
+    exit_code: int = 0
+    """The command's exit code: that of the Ctrl-C or the error that ended it early; else 1 where some images could not
+    be read, 2 where none could."""
 
     def sentences(self, output: Path | None) -> Iterator[str]:
         """Yields the result for a person."""
@@ -93,8 +69,9 @@ def locate_all(frames: "Frames", targets: Targets, output: Path | None) -> Locat
     from handsight.recording.detections import BOP_COLUMNS, bop_line, json_line
     from handsight.recording.frames import Unread
 
-    result, locate_in = LocateResult(), None
-    as_table = output is None and sys.stdout.isatty()
+    result, locate_in, several = LocateResult(), None, len(targets.models) > 1
+    as_table, missed = output is None and sys.stdout.isatty(), list[str]()
+    cells = list[list[str]]()  # the rows of the table; images would be too large to keep
     with output_stream(output) as sink, kept_going() as end, bar("locating") as move:
 
         def write(line: str | None) -> None:
@@ -110,20 +87,28 @@ def locate_all(frames: "Frames", targets: Targets, output: Path | None) -> Locat
             row: Located | Unread
             if isinstance(frame, Unread):
                 row = frame
+                result.unread.append(row.reason)
             else:
                 locate_in = locate_in or locator(targets)
                 row = locate_in(frame)
-            result.add(row)
+                result.found += row.reason is None
+                if row.reason is not None:
+                    missed.append(f"{row.frame.name}: not here: {row.reason}")
+                if len(result.panels) < MOST_PANELS:
+                    result.panels.append(row)
+            result.done += 1  # after the search, which Ctrl-C may end
             if as_table:
-                result.cells.append(_cells(row, several=len(targets.models) > 1))
+                cells.append(_cells(row, several=several))
             else:
                 write(json_line(row) if targets.numbers is None else bop_line(row, targets.numbers))
             total = frames.total
             move(result.done / total if total else None, f"{result.done} of {total or '?'} images")
-    if as_table and result.cells:
-        names = list(targets.models)
+    if cells:
+        which = ["object"] * several
+        title = f"{len(targets.models)} objects" if several else next(iter(targets.models))
         columns = [
             "image",
+            *which,
             "x, y, z in the camera [mm]",
             "± [mm]",
             "± [°]",
@@ -132,16 +117,14 @@ def locate_all(frames: "Frames", targets: Targets, output: Path | None) -> Locat
             "others",
             "ms",
         ]
-        if len(names) > 1:
-            columns.insert(1, "object")
-        title = f"{len(names)} objects" if len(names) > 1 else names[0]
-        title += " in depth images"
-        print_out(table(columns, result.cells, texts=1 + (len(names) > 1), title=title))
-        result.messages += result.missed[:MAX_MESSAGES]
-    result.ended = end.exit_code
+        print_out(table(columns, cells, texts=1 + several, title=f"{title} in depth images"))
+        result.messages += missed[:MAX_MESSAGES]
     if isinstance(end.error, HandsightError) and not result.done:
         raise end.error
+    if result.unread:
+        result.exit_code = WRONG_INPUT if len(result.unread) == result.done else FAILED
     if end.exit_code:
+        result.exit_code = end.exit_code
         stopped = f"handsight: stopped after {result.done} images; what was found is kept"
         result.messages.append(end.message or stopped)
     return result

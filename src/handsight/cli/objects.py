@@ -1,6 +1,5 @@
 """`handsight objects`: a library of objects: list, show, add, weigh, verify and fetch."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +13,7 @@ from handsight.errors import InvalidInput, printable
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from handsight.objects.library import Entry, Library
+    from handsight.objects.library import Library
     from handsight.objects.symmetry import Symmetries
 
 objects_app = typer.Typer(
@@ -54,7 +53,26 @@ def show(name: Name, library: LibraryPlace = None) -> None:
     """
     opened = _opened(library)
     entry = opened.entry(name)
-    for key, value in _known(entry):
+    known = {
+        "name": entry.name,
+        "file": f"{entry.file} of {entry.place}",
+        "diameter": f"{1e3 * entry.diameter:.1f} mm",
+    }
+    if entry.size is not None:
+        known["size"] = " x ".join(f"{1e3 * side:.1f}" for side in entry.size) + " mm"
+    known["symmetries"] = _symmetries(entry.symmetries)
+    if (facts := entry.facts) is not None:
+        if facts.mass is not None:
+            known["mass"] = f"{1e3 * facts.mass:.4g} g"
+        if facts.center_of_mass is not None:
+            place, sigma = (
+                ", ".join(f"{1e3 * x:.1f}" for x in facts.center_of_mass),
+                facts.sigma_center_of_mass,
+            )
+            known["centre of mass"] = f"[{place}] mm" + (f" ± {1e3 * sigma:.1f} mm per axis" if sigma else "")
+        known |= {key: text for key in ("licence", "source") if (text := getattr(facts, key))}
+        known["SHA-256"] = facts.sha256
+    for key, value in known.items():
         typer.echo(printable(f"{key:16}{value}"))
     _print_wrong(opened.wrong([entry]))
 
@@ -183,9 +201,8 @@ def weigh(
     with run.opened() as (recorded, tracker):
         found, reason = best_weight(recorded.observations(), tracker)
     if found is None:
-        raise InvalidInput(
-            f"{recording.name}: expected an object that is weighed in the air, got none: {reason}"
-        )
+        expected = "expected an object that is weighed in the air"
+        raise InvalidInput(f"{recording.name}: {expected}, got none: {reason}")
     center, sigma = found.kept_by_symmetries(model)
     place = ", ".join(f"{1e3 * x:.1f}" for x in center)
     text = f"{1e3 * found.mass:.4g} ± {1e3 * found.sigma_mass:.2g} g, centre [{place}] ± {1e3 * sigma:.1f} mm per axis"
@@ -214,29 +231,6 @@ def _print_wrong(sentences: "Iterable[str]") -> None:
         wrong = True
     if wrong:
         raise typer.Exit(1)
-
-
-def _known(entry: "Entry") -> Iterator[tuple[str, str]]:
-    """Yields names and values of the facts about an object, in units for a person."""
-    yield "name", entry.name
-    yield "file", f"{entry.file} of {entry.place}"
-    yield "diameter", f"{1e3 * entry.diameter:.1f} mm"
-    if entry.size is not None:
-        yield "size", " x ".join(f"{1e3 * side:.1f}" for side in entry.size) + " mm"
-    yield "symmetries", _symmetries(entry.symmetries)
-    facts = entry.facts
-    if facts is None:
-        return
-    if facts.mass is not None:
-        yield "mass", f"{1e3 * facts.mass:.4g} g"
-    if facts.center_of_mass is not None:
-        place = ", ".join(f"{1e3 * x:.1f}" for x in facts.center_of_mass)
-        sigma = facts.sigma_center_of_mass
-        yield "centre of mass", f"[{place}] mm" + (f" ± {1e3 * sigma:.1f} mm per axis" if sigma else "")
-    for key in ("licence", "source"):
-        if text := getattr(facts, key):
-            yield key, text
-    yield "SHA-256", facts.sha256
 
 
 def _symmetries(of: "Symmetries") -> str:

@@ -64,6 +64,9 @@ def reconstruct(
 
     After an error or Ctrl-C, the model from the views until then is written.
     """
+    import numpy as np
+
+    from handsight.objects.files import Shape, ply_bytes
     from handsight.recording import open_recording
 
     announce_compiling()
@@ -84,7 +87,18 @@ def reconstruct(
         messages = [f"{recording}: cut: {cut}; what lies before was read"] if cut else []
         messages += [end.message] if end.message else []
     try:
-        messages += write(fusion, output)
+        model = fusion.model()
+        content = ply_bytes(Shape(model.points, sigmas=model.sigmas), 1.0, model.measured)
+        with write_errors(output):
+            output.write_bytes(content)
+        misfits = fusion.images - fusion.skipped - fusion.fitted
+        size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(model.points, axis=0))
+        guessed = "; ".join(model.guesses) or "nothing"
+        messages += [
+            f"{fusion.views} views fused of {fusion.images} depth images, {misfits} did not fit",
+            f"{size} mm, {100 * model.share_measured:.0f} % of the surface measured; guessed: {guessed}",
+            f"wrote {output}: {len(model.points)} points",
+        ]
     finally:
         for sentence in messages:
             say(sentence)
@@ -126,9 +140,8 @@ class Fusion:
         T_reference_object = np.eye(4)
         for view in (in_hand_views if self.in_hand else views_of)(chain([first], with_depth), rig, camera):
             if self.reconstruction is None:
-                found = (
-                    (view.T_camera_object, IN_HAND_BOUNDS) if self.in_hand else on_table(camera, view.depth)
-                )
+                in_hand = (view.T_camera_object, IN_HAND_BOUNDS)
+                found = in_hand if self.in_hand else on_table(camera, view.depth)
                 if found is None:
                     self.skipped = self.images = self.images + 1
                     continue
@@ -151,9 +164,9 @@ class Fusion:
                 f"recording: expected an object {where}, got none in {self.images} depth images"
             )
         volume = self.reconstruction.volume
-        if volume.views < min_views:
+        if self.views < min_views:
             raise InvalidInput(
-                f"recording: expected at least {min_views} views of different sides, got {volume.views} "
+                f"recording: expected at least {min_views} views of different sides, got {self.views} "
                 f"in {self.images} depth images, of which {self.fitted} fitted"
             )
         surface = one_object(volume.surface(), volume, table=not self.in_hand)
@@ -164,28 +177,11 @@ class Fusion:
             )
         return closed(surface, volume, table=not self.in_hand)
 
+    @property
+    def views(self) -> int:
+        """Number of views in the surface."""
+        return self.reconstruction.volume.views if self.reconstruction else 0
+
     def progress(self) -> list[tuple[str, str]]:
         """Returns names and values that show the progress."""
-        views = self.reconstruction.volume.views if self.reconstruction else 0
-        return [("images", str(self.images)), ("fitted", str(self.fitted)), ("fused", str(views))]
-
-
-def write(fusion: Fusion, output: Path) -> list[str]:
-    """Writes the model, and returns sentences about it."""
-    import numpy as np
-
-    from handsight.objects.files import Shape, ply_bytes
-
-    model = fusion.model()
-    content = ply_bytes(Shape(model.points, sigmas=model.sigmas), 1.0, model.measured)
-    with write_errors(output):
-        output.write_bytes(content)
-    size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(model.points, axis=0))
-    views = fusion.reconstruction.volume.views if fusion.reconstruction else 0
-    misfits = fusion.images - fusion.skipped - fusion.fitted
-    return [
-        f"{views} views fused of {fusion.images} depth images, {misfits} did not fit",
-        f"{size} mm, {100 * model.share_measured:.0f} % of the surface measured; guessed: "
-        + ("; ".join(model.guesses) or "nothing"),
-        f"wrote {output}: {len(model.points)} points",
-    ]
+        return [("images", str(self.images)), ("fitted", str(self.fitted)), ("fused", str(self.views))]

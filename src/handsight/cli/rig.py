@@ -53,6 +53,8 @@ def check(
     if recording is None:
         return
     from handsight.recording import open_recording
+    from handsight.tracking.diagnosis import Diagnoser
+    from handsight.tracking.replay import Tally, replay
 
     with open_recording(recording, found) as opened:
         untouched = _untouched(opened.observations(), found)
@@ -67,17 +69,9 @@ def check(
     except InvalidInput as error:
         typer.echo(printable(f"The links' shapes and the declared values were not checked: {error}"))
         return
-    _print_tracked(run)
-
-
-def _print_tracked(run: Run) -> None:
-    """Tracks a recording, and prints by how much the shape of each link is too large [mm], and the diagnosis."""
-    from handsight.tracking.diagnosis import Diagnoser
-    from handsight.tracking.replay import Tally, replay
-
-    with run.opened() as (recording, tracker):
+    with run.opened() as (opened, tracker):
         diagnoser = Diagnoser(tracker)
-        for _ in replay(recording.observations(), tracker, Tally()):
+        for _ in replay(opened.observations(), tracker, Tally()):
             diagnoser.watch()
     print_diagnosis(diagnoser.diagnosis())
     if not tracker.links:
@@ -227,25 +221,17 @@ def _print_rig(rig: "Rig", name: str) -> None:
     print_out(printable(title) + "\n", soft_wrap=True)
     shapes, sensors = [], []
     for finger, of in rig.fingers.items():
-        tip = of.tip
+        tip, topics = of.tip, rig.topics
         sizes = " x ".join(f"{1e3 * a:g}" for a in tip.semi_axes)
-        shapes.append((
-            finger,
-            of.frame,
-            f"sphere {1e3 * tip.radius:g}" if isinstance(tip, Sphere) else sizes,
-            "whole" if tip.cap is None else f"{1e3 * tip.cap:g}",
-            "any" if tip.max_friction is None else f"{tip.max_friction:g}",
-            f"{1e3 * of.sigma_point:g}",
-            f"{math.degrees(of.sigma_normal):.2g}",
-        ))  # fmt: skip
-        sensors.append((
-            finger,
-            rig.topics.wrenches.get(finger, rig.topics.contacts.get(finger, "none")),
-            f"{1e3 * of.sigma_force:g}",
-            f"{1e3 * of.sigma_torque:g}",
-            *(("?", "?") if of.full_scale is None else (f"{value:g}" for value in of.full_scale)),
-            f"{1e3 * of.calibration.mass:g}",
-        ))  # fmt: skip
+        shape = f"sphere {1e3 * tip.radius:g}" if isinstance(tip, Sphere) else sizes
+        cap = "whole" if tip.cap is None else f"{1e3 * tip.cap:g}"
+        friction = "any" if tip.max_friction is None else f"{tip.max_friction:g}"
+        sigmas = f"{1e3 * of.sigma_point:g}", f"{math.degrees(of.sigma_normal):.2g}"
+        shapes.append((finger, of.frame, shape, cap, friction, *sigmas))
+        topic = topics.wrenches.get(finger, topics.contacts.get(finger, "none"))
+        noise = f"{1e3 * of.sigma_force:g}", f"{1e3 * of.sigma_torque:g}"
+        ranges = ("?", "?") if of.full_scale is None else (f"{value:g}" for value in of.full_scale)
+        sensors.append((finger, topic, *noise, *ranges, f"{1e3 * of.calibration.mass:g}"))
     bold = {"header_style": "bold underline"}
     columns = ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")
     print_out(plain_table(columns, shapes, texts=2, **bold), "")

@@ -138,21 +138,17 @@ def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> TrackR
             raise end.error
         result.messages = [*recording.report.sentences(), *recording.lacks()]
         result.truths = Truths(recording.truth)
-    result.images, result.corrections, result.margins = (
-        tracker.images,
-        tracker.corrections,
-        tracker.link_margins,
-    )
-    result.reason, result.diagnosis = tracker.reason, diagnoser.diagnosis()
+    result.images, result.corrections = tracker.images, tracker.corrections
+    result.margins, result.reason = tracker.link_margins, tracker.reason
+    result.diagnosis = diagnoser.diagnosis()
     result.latency, result.latency_declared = tracker.vision_latency(), tracker.vision.camera.latency
     if not result.steps and not tally.observations:
         result.reason = "the recording has no observation"
     elif not result.steps and tally.refused.total() == tally.observations:
         result.reason = "all observations were left out"
     elif not result.steps and (unplaced := tracker.vision.unplaced):
-        result.reason = (
-            f"{unplaced} poses of vision could not be placed, as the palm's pose in the world was not known"
-        )
+        why = "as the palm's pose in the world was not known"
+        result.reason = f"{unplaced} poses of vision could not be placed, {why}"
     result.untouched = {
         name: dict(tally.without.get(name, {})) for name in run.rig.fingers if name not in tally.touched
     }
@@ -171,15 +167,9 @@ def write(result: TrackResult, run: Run, folder: Path) -> Iterator[str]:
     with write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     rows = [
-        TrackRow(
-            s.stamp,
-            s.estimate.T_palm_object,
-            s.estimate.covariance,
-            s.state,
-            s.reason,
-            s.estimate.information,
-        )
+        TrackRow(s.stamp, e.T_palm_object, e.covariance, s.state, s.reason, e.information)
         for s in result.steps
+        for e in [s.estimate]
     ]
     files: dict[str, Callable[..., None]] = {
         "track.mcap": partial(write_track_mcap, frame=run.rig.frames["palm"]),

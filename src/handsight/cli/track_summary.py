@@ -88,7 +88,7 @@ class TrackResult:
 
     def summary(self) -> dict[str, object]:
         """Returns the result in numbers, ready for JSON."""
-        tally = self.tally
+        tally, weight = self.tally, self.weight
         return {
             "recording": self.name,
             "observations": tally.observations,
@@ -104,11 +104,19 @@ class TrackResult:
             "fingers_rejected": {finger: round(part, 3) for finger, part in self.rejected.items()},
             "link_margins_mm": {link: round(1e3 * margin, 1) for link, margin in self.margins.items()},
             "depth_images": self.images,
-            "diagnosis": []
-            if self.diagnosis is None
-            else [value.numbers() for value in self.diagnosis.values],
+            "diagnosis": [value.numbers() for value in self.diagnosis.values] if self.diagnosis else [],
             "vision_latency_ms": None if self.latency is None else [round(1e3 * x, 1) for x in self.latency],
-            "weight": None if self.weight is None else weight_numbers(self.weight),
+            "weight": weight
+            and {
+                "mass_kg": weight.mass,
+                "sigma_mass_kg": weight.sigma_mass,
+                "center_object_m": weight.center_object.tolist(),
+                "covariance_m2": weight.covariance.tolist(),
+                "directions": weight.directions,
+                "not_believed": weight.reason,
+                "biased": list(weight.biased),
+                "assumed": weight.assumed,
+            },
             "recording_says": self.messages,
             "friction": self.friction,
             "poses_with_skin": sum(step.skin.pressed for step in self.steps),
@@ -204,20 +212,6 @@ def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:
     return f"not believed: {weight.reason} ({text})" if weight.reason else text
 
 
-def weight_numbers(weight: "ObjectWeight") -> dict[str, object]:
-    """Returns an object's weight in numbers, ready for JSON."""
-    return {
-        "mass_kg": weight.mass,
-        "sigma_mass_kg": weight.sigma_mass,
-        "center_object_m": weight.center_object.tolist(),
-        "covariance_m2": weight.covariance.tolist(),
-        "directions": weight.directions,
-        "not_believed": weight.reason,
-        "biased": list(weight.biased),
-        "assumed": weight.assumed,
-    }
-
-
 def refusals(tally: "Tally") -> list[str]:
     """Returns a sentence for each of the five most frequent reasons for which observations were left out."""
     return [f"{count} observations left out: {message}" for message, count in tally.refused.most_common(5)]
@@ -234,10 +228,8 @@ def print_diagnosis(diagnosis: "Diagnosis") -> None:
     if rows:
         print_out("", plain_table(("value", "in", "declared", "recording", "χ²", "verdict"), rows, texts=2))
     others = [v.name for v in diagnosis.values if not v.measured]
-    joints, kinds = [name for name in others if name.startswith("joint ")], []
-    if joints:
-        kinds.append(f"{len(joints)} joints")
-    kinds += [name for name in others if name not in joints]
+    joints = [name for name in others if name.startswith("joint ")]
+    kinds = [f"{len(joints)} joints"] * bool(joints) + [name for name in others if name not in joints]
     text = f"Different grasps that were compared: {diagnosis.instants}."
     if diagnosis.message:
         text += f" They were not compared with joints, tips and size: {diagnosis.message}."
