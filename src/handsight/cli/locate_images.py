@@ -106,17 +106,8 @@ def locate_all(frames: "Frames", targets: Targets, output: Path | None) -> Locat
     if cells:
         which = ["object"] * several
         title = f"{len(targets.models)} objects" if several else next(iter(targets.models))
-        columns = [
-            "image",
-            *which,
-            "x, y, z in the camera [mm]",
-            "± [mm]",
-            "± [°]",
-            "explained",
-            "weight",
-            "others",
-            "ms",
-        ]
+        numbers = ["± [mm]", "± [°]", "explained", "weight", "others", "ms"]
+        columns = ["image", *which, "x, y, z in the camera [mm]", *numbers]
         print_out(table(columns, cells, texts=1 + several, title=f"{title} in depth images"))
         result.messages += missed[:MAX_MESSAGES]
     if isinstance(end.error, HandsightError) and not result.done:

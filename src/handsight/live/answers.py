@@ -1,7 +1,5 @@
-"""A tracker's answers as serialised messages: pose, transform and diagnostics."""
+"""A tracker's answers as serialised messages: pose and transform."""
 
-from collections.abc import Iterable, Mapping
-from enum import IntEnum
 from typing import Any, NamedTuple
 
 from handsight.checks import Array
@@ -21,23 +19,6 @@ class Answer(NamedTuple):
     type: str
     """As ROS 2 writes it: `package/msg/Name`."""
     data: bytes
-
-
-class Level(IntEnum):
-    """`Level` is the severity of a status, as diagnostic_msgs defines it."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
-
-
-class Status(NamedTuple):
-    """A `Status` is one entry of the diagnostics."""
-
-    name: str
-    level: Level
-    text: str
-    values: Mapping[str, object]
 
 
 class Writer:
@@ -62,17 +43,3 @@ class Writer:
         """Returns the transform from the palm to the object, on /tf."""
         link = transform(T_palm_object, stamp, self.palm, OBJECT_FRAME)
         return self.answer(OwnTopic.TF, RosType.TF, transforms=[link])
-
-    def diagnostics(self, stamp: float, statuses: Iterable[Status]) -> Answer:
-        """Returns a DiagnosticArray."""
-        body = [
-            Message(
-                level=int(each.level),
-                name=f"handsight: {each.name}",
-                message=each.text,
-                hardware_id="",
-                values=[Message(key=key, value=str(value)) for key, value in each.values.items()],
-            )
-            for each in statuses
-        ]
-        return self.answer(OwnTopic.DIAGNOSTICS, RosType.DIAGNOSTICS, header=header(stamp), status=body)

@@ -2,12 +2,15 @@
 
 import time
 from collections import Counter, deque
+from enum import IntEnum
 from statistics import median
 from typing import NamedTuple
 
 from handsight.errors import printable
-from handsight.live.answers import Level, Status
+from handsight.live.answers import Answer, Writer
 from handsight.messages import ObservationStream
+from handsight.messages.encode import Message, header
+from handsight.messages.topics import OwnTopic, RosType
 from handsight.tracking import Tracker
 
 
@@ -21,6 +24,14 @@ class HealthOptions(NamedTuple):
 
 
 HEALTH = HealthOptions()
+
+
+class Level(IntEnum):
+    """`Level` is the severity of a status, as diagnostic_msgs defines it."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
 
 
 class Health:
@@ -58,8 +69,8 @@ class Health:
         self._published_at, self._last_state = now, state
         return True
 
-    def statuses(self, tracker: Tracker, stream: ObservationStream) -> list[Status]:
-        """Returns two statuses, of the pose and of the input."""
+    def diagnostics(self, tracker: Tracker, stream: ObservationStream, writer: Writer) -> Answer:
+        """Returns a DiagnosticArray with two statuses, of the pose and of the input."""
         estimate = tracker.estimate
         of_pose: dict[str, object] = {
             "state": tracker.state,
@@ -71,8 +82,6 @@ class Health:
         }
         of_pose |= {f"no contact of {name}": why for name, why in tracker.fingertips.reasons.items()}
         levels = {"tracking": Level.OK, "uncertain": Level.WARN, "lost": Level.ERROR}
-        pose = Status("pose", levels[tracker.state], tracker.reason or "tracking", of_pose)
-
         notes = [note for when, note in self._notes if time.monotonic() - when < HEALTH.note_duration]
         wrong = [f"{n} messages on {topic} dropped: too many came" for topic, n in self._dropped.items()]
         wrong += [f"{count} observations left out: {why}" for why, count in self._refusals.items()]
@@ -92,4 +101,19 @@ class Health:
         sentences = [*notes, *wrong]
         of_input |= {f"said {k}": each for k, each in enumerate(sentences[: HEALTH.max_notes], start=1)}
         first = sentences[0] if sentences else "all is heard"
-        return [pose, Status("input", Level.WARN if wrong else Level.OK, first, of_input)]
+        body = [
+            Message(
+                level=int(level),
+                name=f"handsight: {name}",
+                message=text,
+                hardware_id="",
+                values=[Message(key=key, value=str(value)) for key, value in values.items()],
+            )
+            for name, level, text, values in (
+                ("pose", levels[tracker.state], tracker.reason or "tracking", of_pose),
+                ("input", Level.WARN if wrong else Level.OK, first, of_input),
+            )
+        ]
+        return writer.answer(
+            OwnTopic.DIAGNOSTICS, RosType.DIAGNOSTICS, header=header(time.time()), status=body
+        )

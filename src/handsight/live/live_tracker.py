@@ -177,8 +177,7 @@ class LiveTracker:
         if answers:
             self.health.answered(time.monotonic() - self._came)
         if self.health.due(self.tracker):
-            statuses = self.health.statuses(self.tracker, self._stream)
-            answers.append(self._writer.diagnostics(time.time(), statuses))
+            answers.append(self.health.diagnostics(self.tracker, self._stream, self._writer))
         return answers
 
     def _start(self, model: ObjectModel | None, start: PosePrior | None, message: str) -> "Future[str]":
@@ -224,13 +223,10 @@ class LiveTracker:
         if self.equal or len(observations) < 2:
             return observations
         by_depth = self.rig.topics.depth is not None
-        kept = [
-            each
-            for each in observations[:-1]
-            if each.vision is not None or (each.depth is not None and by_depth)
-        ]
-        self.health.skipped += len(observations) - 1 - len(kept)
-        return [*kept, observations[-1]]
+        *older, newest = observations
+        kept = [each for each in older if each.vision is not None or (each.depth is not None and by_depth)]
+        self.health.skipped += len(older) - len(kept)
+        return [*kept, newest]
 
     def _answers(self, observation: Observation) -> list[Answer]:
         """Returns the answers to an observation: pose, transform, and markers if somebody subscribes to them."""

@@ -26,12 +26,8 @@ class Kind(IntEnum):
     TRIANGLES = 11
 
 
-GREEN, ORANGE, BLUE, RED = (
-    (0.3, 0.8, 0.4, 0.8),
-    (1.0, 0.6, 0.1, 1.0),
-    (0.2, 0.5, 1.0, 0.3),
-    (0.9, 0.2, 0.2, 0.9),
-)
+GREEN, ORANGE = (0.3, 0.8, 0.4, 0.8), (1.0, 0.6, 0.1, 1.0)
+BLUE, RED = (0.2, 0.5, 1.0, 0.3), (0.9, 0.2, 0.2, 0.9)
 
 
 class Markers:
@@ -76,9 +72,8 @@ class Markers:
         if estimate is None:
             return
         T, covariance = estimate.T_palm_object, estimate.bounded_covariance
-        lever = (
-            T[:3, :3] @ model.center_object
-        )  # the object's origin may be anywhere, so the ellipsoid is around its centre
+        # The object's origin may be anywhere, so the ellipsoid is around its centre.
+        lever = T[:3, :3] @ model.center_object
         J = se3.point_jacobian(lever)[:3]
         values, axes = np.linalg.eigh(J @ covariance @ J.T)
         axes[:, 2] *= np.sign(np.linalg.det(axes))

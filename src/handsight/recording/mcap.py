@@ -52,10 +52,8 @@ class McapSource(ChunkedSource):
                     compression = self.data[at : min(name, at + 20)].decode("ascii", "replace")
                     yield Chunk(start, name + 8, length, compression, unpacked, crc)
             if end > size:
-                self.truncated = (
-                    f"the file ends at byte {size} in a record that begins at {begin - RECORD.size}"
-                    f" and says it goes to {end}"
-                )
+                record = f"a record that begins at {begin - RECORD.size} and says it goes to {end}"
+                self.truncated = f"the file ends at byte {size} in {record}"
                 break
             if op == Op.FOOTER:
                 break

@@ -137,14 +137,11 @@ def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera)
         T = pixels.palm(camera, depth, observation)
         if T is None:
             continue
-        T_camera_object = T @ (
-            se3.compose(np.eye(3), in_hand.middle(joints)) if T_palm_object is None else T_palm_object
-        )
-        view = View(in_hand.without_hand(camera, depth, joints, T), T_camera_object)
-        if within(camera, view, IN_HAND_BOUNDS).sum() < SEGMENTATION.min_pixels:
-            continue
-        T_palm_object = se3.inverse(T) @ T_camera_object
-        yield view
+        at_middle = se3.compose(np.eye(3), in_hand.middle(joints)) if T_palm_object is None else T_palm_object
+        view = View(in_hand.without_hand(camera, depth, joints, T), T @ at_middle)
+        if within(camera, view, IN_HAND_BOUNDS).sum() >= SEGMENTATION.min_pixels:
+            T_palm_object = at_middle
+            yield view
 
 
 def _depth(depth: Depth, camera: Camera) -> Depth:
