@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from handsight.cli.terminal import (
     INTERRUPTED,
@@ -33,28 +34,24 @@ MOST_PANELS = 6
 
 
 def correct(
-    problems: Annotated[
-        str, typer.Argument(help="A .jsonl file, a .json file of one problem, or - for stdin.")
-    ],
+    problems: Annotated[str, Argument(help="A .jsonl file, a .json file of one problem, or - for stdin.")],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="File for the answers, one per line. Default: stdout."),
+        Option("--output", "-o", help="File for the answers, one per line. Default: stdout."),
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            help=f"File for a picture of the first {MOST_PANELS} problems: PNG, PDF or SVG by its name."
-        ),
+        Option(help=f"File for a picture of the first {MOST_PANELS} problems: PNG, PDF or SVG by its name."),
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(
+        Option(
             min=0, show_default="1", help="Number of worker processes on this machine. 0: one for each core."
         ),
     ] = None,
     cluster: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="ADDRESS",
             help="Address of a Dask scheduler whose workers answer, such as tcp://127.0.0.1:8786. They read meshes at "
             "the same absolute path, so the problem file's folder must be shared, and look names up in the library "

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
+from typer import Option
 
 from handsight.cli.correct import draw as draw_corrections
 from handsight.cli.options import Run
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from handsight.batch.problems import Problem
-    from handsight.cli.track_summary import TrackResult
+    from handsight.cli.track import TrackResult
     from handsight.evaluation import CorrectionErrors
     from handsight.recording.frames import Frame
     from handsight.rig import Rig
@@ -32,7 +33,7 @@ DATA = Path(__file__).parents[1] / "data"
 def demo(
     plot: Annotated[
         Path,
-        typer.Option(
+        Option(
             help="File for the first picture: PNG, PDF or SVG by its name. The others are written beside it."
         ),
     ] = Path("handsight-demo.png"),
@@ -136,13 +137,13 @@ def find_can(plot: Path) -> str:
     Raises MissingExtra.
     """
     from handsight import se3
-    from handsight.cli.locate_images import Targets, draw, locator
+    from handsight.cli.locate import draw, locator
     from handsight.rig import Rig
     from handsight.vision.depth_noise import STRUCTURED_LIGHT
 
     rig, known = Rig.from_file(DATA / "can.rig.yaml"), json.loads((DATA / "can.picture.json").read_bytes())
     model = replace(rig.objects["can"].model(), name="can")
-    row = locator(Targets({model.name: model}, STRUCTURED_LIGHT))(picture(rig, known))
+    row = locator({model.name: model}, STRUCTURED_LIGHT)(picture(rig, known))
     if row.reason is not None:
         return f"can in an image (synthetic): not found: {row.reason}"
     T, T_true = row.found.Ts_camera_object[0], se3.from_position_quaternion(**known["truth"])

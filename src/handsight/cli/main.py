@@ -6,6 +6,7 @@ import warnings
 from typing import Annotated
 
 import typer
+from typer import Option
 
 # Help and version must appear at once, so each command imports what computes when it runs.
 from handsight.cli.contact import WithColumns, contact
@@ -83,7 +84,7 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def _handsight(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+        bool, Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
     pass

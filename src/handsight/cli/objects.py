@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from handsight.cli.options import LibraryPlace, RecordingPath, RigPath, Run, find_rig
 from handsight.cli.terminal import announce_compiling, bar, plain_table, print_out, say
@@ -22,7 +23,7 @@ objects_app = typer.Typer(
     no_args_is_help=True,
 )
 
-Name = Annotated[str, typer.Argument(help="A name, or a number as in BOP.")]
+Name = Annotated[str, Argument(help="A name, or a number as in BOP.")]
 
 
 @objects_app.command("list")
@@ -80,27 +81,27 @@ def show(name: Name, library: LibraryPlace = None) -> None:
 @objects_app.command()
 def add(
     file: Annotated[
-        Path, typer.Argument(help="A mesh (STL, OBJ, PLY, OFF) or a point cloud (PLY, OFF, PCD, XYZ).")
+        Path, Argument(help="A mesh (STL, OBJ, PLY, OFF) or a point cloud (PLY, OFF, PCD, XYZ).")
     ],
-    name: Annotated[str, typer.Option(help="Name of the object in the library.")],
-    scale: Annotated[float, typer.Option(help="Metres per unit of the file; 0.001 for millimetres.")] = 1.0,
-    mass: Annotated[float | None, typer.Option(help="Mass [kg].")] = None,
+    name: Annotated[str, Option(help="Name of the object in the library.")],
+    scale: Annotated[float, Option(help="Metres per unit of the file; 0.001 for millimetres.")] = 1.0,
+    mass: Annotated[float | None, Option(help="Mass [kg].")] = None,
     center_of_mass: Annotated[
-        tuple[float, float, float] | None, typer.Option(help="Centre of mass in the object's frame [m].")
+        tuple[float, float, float] | None, Option(help="Centre of mass in the object's frame [m].")
     ] = None,
     sigma_center_of_mass: Annotated[
-        float | None, typer.Option(help="Standard deviation of the centre of mass per axis [m].")
+        float | None, Option(help="Standard deviation of the centre of mass per axis [m].")
     ] = None,
     symmetry: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             metavar="z|z/N|find",
             help="Symmetry of shape and print: rotation by any angle about an axis (x, y, z) through the middle of the "
             "surface, or by an N-th of a turn; find: the symmetries of the shape. May be given several times.",
         ),
     ] = None,
-    licence: Annotated[str, typer.Option(help="Licence of the model.")] = "",
-    source: Annotated[str, typer.Option(help="Where the model is from.")] = "",
+    licence: Annotated[str, Option(help="Licence of the model.")] = "",
+    source: Annotated[str, Option(help="Where the model is from.")] = "",
     library: LibraryPlace = None,
 ) -> None:
     """Add an object to a library in a folder; its model is stored as PLY in millimetres.
@@ -152,7 +153,7 @@ def verify(library: LibraryPlace = None) -> None:
 
 
 @objects_app.command()
-def fetch(url: Annotated[str, typer.Argument(help="URL of a library, such as https://host/ycbv.")]) -> None:
+def fetch(url: Annotated[str, Argument(help="URL of a library, such as https://host/ycbv.")]) -> None:
     """Copy a library and all its models to this machine's cache, or update the copy.
 
     A library at a URL is read from its copy, and the network is used only for what the copy lacks. URLs may be http,
@@ -175,7 +176,7 @@ def weigh(
     recording: RecordingPath,
     name: Annotated[
         str,
-        typer.Option("--object", metavar="NAME", help="Name of the object in the library, or its number."),
+        Option("--object", metavar="NAME", help="Name of the object in the library, or its number."),
     ],
     rig: RigPath = None,
     library: LibraryPlace = None,

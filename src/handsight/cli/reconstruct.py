@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Option
 
 from handsight.cli.options import RecordingPath, RigPath, find_rig, renamed
 from handsight.cli.terminal import announce_compiling, kept_going, live_rows, say
@@ -22,13 +23,11 @@ if TYPE_CHECKING:
 
 def reconstruct(
     recording: RecordingPath,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="File for the model: a PLY of points in metres.")
-    ],
+    output: Annotated[Path, Option("--output", "-o", help="File for the model: a PLY of points in metres.")],
     rig: RigPath = None,
     robot_poses: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--robot-poses",
             help="Use the robot's poses of the camera without aligning the views. Default: align each view to the "
             "surface, starting from the robot's pose.",
@@ -36,13 +35,13 @@ def reconstruct(
     ] = False,
     in_hand: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--in-hand",
             help="The hand holds the object and turns it in front of the camera. Default: the object is on a table.",
         ),
     ] = False,
-    former_robot_poses: Annotated[bool, typer.Option("--given", hidden=True)] = False,
-    former_in_hand: Annotated[bool, typer.Option("--held", hidden=True)] = False,
+    former_robot_poses: Annotated[bool, Option("--given", hidden=True)] = False,
+    former_in_hand: Annotated[bool, Option("--held", hidden=True)] = False,
 ) -> None:
     """Reconstruct a model of an object from a recording with depth images of many of its sides.
 

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument
 
 from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run, find_rig
 from handsight.cli.terminal import kept_going, plain_table, print_out, say
-from handsight.cli.track_summary import print_diagnosis, refusals
+from handsight.cli.track import print_diagnosis, refusals
 from handsight.errors import HandsightError, InvalidInput, printable
 
 if TYPE_CHECKING:
@@ -28,8 +29,8 @@ calibrate_app = typer.Typer(help="Estimate a robot's constant errors from a reco
 
 @rig_app.command("check")
 def check(
-    rig: Annotated[Path, typer.Argument(help="A rig file, such as rig.yaml.")],
-    recording: Annotated[Path | None, typer.Argument(help="A recording to check it against.")] = None,
+    rig: Annotated[Path, Argument(help="A rig file, such as rig.yaml.")],
+    recording: Annotated[Path | None, Argument(help="A recording to check it against.")] = None,
     object: ObjectName = None,
 ) -> None:
     """Print a rig as tables, and what a recording lacks for it.

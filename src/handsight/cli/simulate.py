@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from handsight.cli.options import DEPTH_CAMERAS, rig_beside
 from handsight.cli.terminal import announce_compiling, bar, check_plots, say
@@ -26,43 +26,41 @@ BEGINS = 1000.0
 
 
 def simulate(
-    object: Annotated[str, typer.Argument(help="can, box, or a mesh file in metres.")],
+    object: Annotated[str, Argument(help="can, box, or a mesh file in metres.")],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="File for the recording: MCAP. Default: OBJECT-SEED.mcap."),
+        Option("--output", "-o", help="File for the recording: MCAP. Default: OBJECT-SEED.mcap."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
+    seed: Annotated[int, Option(min=0, help="Seed of all random numbers.")] = 0,
     motion: Annotated[
         str,
-        typer.Option(
+        Option(
             metavar="grasp|manipulate|weigh|ramp|steps|sine|creep|jerks",
             help="grasp: close the hand and hold the object; manipulate: then also move, lift and turn it; weigh: lift "
             "and tilt it; ramp, steps, sine, creep, jerks: lift it, and pull it with a force of that shape until it "
             "slips.",
         ),
     ] = "manipulate",
-    images: Annotated[
-        bool, typer.Option("--images", help="Record the depth camera's images as well.")
-    ] = False,
+    images: Annotated[bool, Option("--images", help="Record the depth camera's images as well.")] = False,
     skin: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--skin", help="Add a tactile array to the palm, and hold the can against it in a power grasp."
         ),
     ] = False,
     depth_camera: Annotated[
-        str, typer.Option(metavar=DEPTH_CAMERAS, help="How the camera measures depth.")
+        str, Option(metavar=DEPTH_CAMERAS, help="How the camera measures depth.")
     ] = "structured_light",
     world: Annotated[
         str,
-        typer.Option(
+        Option(
             metavar="usual|harsh",
             help="usual: errors as the rig states them; harsh: everything wrong at once and larger, drawn by the seed.",
         ),
     ] = "usual",
     nuisance: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             metavar="NAME=VALUE",
             help="Value of a nuisance, in SI units, in place of the world's; `none` switches all off. May be given "
             "several times.",
@@ -70,18 +68,18 @@ def simulate(
     ] = None,
     blind: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--blind",
             help="No camera: a finger searches for the object on the table, and the hand then grasps it.",
         ),
     ] = False,
     plot: Annotated[
         Path | None,
-        typer.Option(help="File for a picture of the search of --blind: the belief after each touch."),
+        Option(help="File for a picture of the search of --blind: the belief after each touch."),
     ] = None,
     grasp: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             help="File of the grasp to use, the OUTPUT.grasp.json of an earlier recording. Default: search for a grasp."
         ),
     ] = None,

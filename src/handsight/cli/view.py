@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Option
 
 from handsight.cli import options
 from handsight.cli.options import Run, tracker_settings
 from handsight.cli.terminal import FAILED, say
-from handsight.cli.track_summary import refusals
+from handsight.cli.track import refusals
 from handsight.errors import HandsightError, InvalidInput
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def view(
     outside: options.OutsidePoints = 200,
     images: options.WithImages = True,
     port: Annotated[
-        int, typer.Option(min=1, max=65535, help="Port of the page; the next free one if it is taken.")
+        int, Option(min=1, max=65535, help="Port of the page; the next free one if it is taken.")
     ] = 8080,
 ) -> None:
     """Show a recording in the browser: the object's pose at each moment, and the evidence for it.
