@@ -135,7 +135,12 @@ class Reader:
         outside: Any = None
         if fields.outside is not None and fields.outside != []:
             outside = checks.position(fields.outside, "outside", (None, 3))
-        if planes := [_plane(plane, f"planes[{i}]") for i, plane in enumerate(fields.planes)]:
+        planes = list[Plane]()
+        for i, plane in enumerate(fields.planes):
+            point = checks.in_reach(plane.point, f"planes[{i}].point", (3,))
+            normal = checks.unit(plane.normal, f"planes[{i}].normal", (3,))
+            planes.append(Plane(point, normal, checks.sigma(plane.sigma, f"planes[{i}].sigma")))
+        if planes:
             outside = Outside(() if outside is None else outside, planes)
         contacts = _contacts(fields.contacts, of_residual=fields.contacts_of_residual)
         options = {name: getattr(fields, name) for name in ("answer", "samples", "budget", "method")}
@@ -309,12 +314,6 @@ def _vision(fields: VisionFields | None) -> PosePrior | None:
     shift = checks.sigma(fields.sigma_position, "vision.sigma_position")
     turn = _radians(fields.sigma_rotation_deg, "vision.sigma_rotation_deg", checks.MAX_DISTANCE)
     return PosePrior.from_sigmas(T, shift, turn)
-
-
-def _plane(fields: PlaneFields, name: str) -> Plane:
-    point = checks.in_reach(fields.point, f"{name}.point", (3,))
-    normal = checks.unit(fields.normal, f"{name}.normal", (3,))
-    return Plane(point, normal, checks.sigma(fields.sigma, f"{name}.sigma"))
 
 
 def _weight(fields: WeightFields | None) -> WeightEvidence | None:

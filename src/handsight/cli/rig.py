@@ -14,12 +14,8 @@ from handsight.cli.track import print_diagnosis, refusals
 from handsight.errors import HandsightError, InvalidInput, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from handsight.checks import Array
-    from handsight.observation import Observation
     from handsight.rig import Rig
-    from handsight.tracking.camera_calibration import CameraCalibration, HandCalibration
 
 rig_app = typer.Typer(
     help="Check the file that describes a robot: hand, fingertips, camera.", no_args_is_help=True
@@ -55,11 +51,24 @@ def check(
         return
     from handsight.recording import open_recording
     from handsight.tracking.diagnosis import Diagnoser
+    from handsight.tracking.fingertips import FingertipSensors
     from handsight.tracking.replay import Tally, replay
 
+    tips, largest, touched = FingertipSensors(found), dict[str, float](), set[str]()
     with open_recording(recording, found) as opened:
-        untouched = _untouched(opened.observations(), found)
+        for observation in opened.observations():
+            for finger, wrench in observation.wrenches.items():
+                force = math.dist(wrench[:3], found.fingers[finger].calibration.bias_force)
+                largest[finger] = max(force, largest.get(finger, 0.0))
+            with contextlib.suppress(HandsightError):  # missing joints are reported elsewhere
+                touched |= set(tips.contacts(observation).fingers)
         lacking = [*opened.report.sentences(), *opened.lacks()]
+    untouched = [
+        f"finger {finger}: never touched; a contact takes {found.fingers[finger].tip.min_force:g} N on its tip, and "
+        f"the largest force was {force:.3g} N"
+        for finger, force in largest.items()
+        if finger not in touched
+    ]
     for sentence in (*lacking, *untouched):
         typer.echo(printable(f"- {sentence}"))
     if lacking or len(untouched) == len(found.fingers):
@@ -84,25 +93,6 @@ def check(
     print_out("", plain_table(("link", "shape too large by [mm]"), rows, texts=1))
 
 
-def _untouched(observations: "Iterable[Observation]", rig: "Rig") -> list[str]:
-    """Returns a sentence for each finger whose wrenches never showed a contact, with its largest force."""
-    from handsight.tracking.fingertips import FingertipSensors
-
-    sensors, largest, touched = FingertipSensors(rig), dict[str, float](), set[str]()
-    for observation in observations:
-        for finger, wrench in observation.wrenches.items():
-            force = math.dist(wrench[:3], rig.fingers[finger].calibration.bias_force)
-            largest[finger] = max(force, largest.get(finger, 0.0))
-        with contextlib.suppress(HandsightError):  # missing joints are reported elsewhere
-            touched |= set(sensors.contacts(observation).fingers)
-    return [
-        f"finger {finger}: never touched; a contact takes {rig.fingers[finger].tip.min_force:g} N on its tip, and the "
-        f"largest force was {force:.3g} N"
-        for finger, force in largest.items()
-        if finger not in touched
-    ]
-
-
 @calibrate_app.command("camera")
 def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = None) -> None:
     """Estimate the camera's true pose, from the hand in its images, or from an object that the hand turned.
@@ -117,8 +107,9 @@ def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = N
     ```
     """
     from handsight.recording import open_recording
+    from handsight.rig.save import pose_text
     from handsight.tracking import Tracker
-    from handsight.tracking.camera_calibration import HandViews, calibrations
+    from handsight.tracking.camera_calibration import LITTLE_TURN, HandViews, calibrations
     from handsight.tracking.replay import Tally
 
     run = Run.of(recording, rig, object)
@@ -129,7 +120,27 @@ def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = N
     by_vision = views.calibration()
     if touched is None and by_vision is None and isinstance(end.error, HandsightError):
         raise end.error
-    _print_calibrated(by_vision, touched)
+    calibrated = touched if by_vision is None else by_vision
+    if calibrated is not None:
+        correction, sigma = calibrated.correction, calibrated.covariance.diagonal() ** 0.5
+        where = "object" if by_vision is None else "hand"
+        typer.echo(f"camera:\n  pose: {pose_text(calibrated.T_mount_camera)}")
+        typer.echo(f"# shifted by {_mm(correction)} at the {where}, turned by {_degrees(correction)}")
+        typer.echo(f"# known to ± {_mm(sigma)}, {_degrees(sigma)} (one standard deviation)")
+    if by_vision is not None:
+        seen = f"{by_vision.views} of {by_vision.images} pictures"
+        seen += f", apart by {_mm(by_vision.spread)}, {_degrees(by_vision.spread)}"
+        typer.echo(f"# from the hand seen in {seen} (root mean square)")
+    elif touched is not None:
+        if touched.turned < LITTLE_TURN:
+            turned = f"the palm turned by {math.degrees(touched.turned):.0f}° only"
+            say(f"{turned}: the camera's error and the object's pose are hardly separated")
+        typer.echo("# from touch")
+    if by_vision is not None and touched is not None:
+        shift, turn = touched.away_from(by_vision.T_mount_camera)
+        difference = f"{1e3 * shift:.1f} mm, {math.degrees(turn):.2f}°"
+        known = touched.covariance.diagonal() ** 0.5
+        typer.echo(f"# by touch it differs by {difference} at the object, ± {_mm(known)}, {_degrees(known)}")
     if by_vision is None and views.images:
         counts = ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in views.refusals.items())
         say(f"too few images show the hand: {views.images} images, {counts or 'too few'}")
@@ -174,37 +185,6 @@ def sensors(recording: RecordingPath, rig: RigPath = None) -> None:
             )
 
 
-def _print_calibrated(by_vision: "HandCalibration | None", touched: "CameraCalibration | None") -> None:
-    """Prints a camera's pose in the rig file's format, with comments on its uncertainty and its source."""
-    from handsight.rig.save import pose_text
-    from handsight.tracking.camera_calibration import LITTLE_TURN
-
-    calibrated = touched if by_vision is None else by_vision
-    if calibrated is None:
-        return
-    typer.echo(f"camera:\n  pose: {pose_text(calibrated.T_mount_camera)}")
-    where = "object" if by_vision is None else "hand"
-    typer.echo(
-        f"# shifted by {_mm(calibrated.correction)} at the {where}, turned by {_degrees(calibrated.correction)}"
-    )
-    sigma = calibrated.covariance.diagonal() ** 0.5
-    typer.echo(f"# known to ± {_mm(sigma)}, {_degrees(sigma)} (one standard deviation)")
-    if by_vision is not None:
-        views = f"{by_vision.views} of {by_vision.images} pictures"
-        views += f", apart by {_mm(by_vision.spread)}, {_degrees(by_vision.spread)}"
-        typer.echo(f"# from the hand seen in {views} (root mean square)")
-    elif touched is not None:
-        if touched.turned < LITTLE_TURN:
-            turned = f"the palm turned by {math.degrees(touched.turned):.0f}° only"
-            say(f"{turned}: the camera's error and the object's pose are hardly separated")
-        typer.echo("# from touch")
-    if by_vision is not None and touched is not None:
-        shift, turn = touched.away_from(by_vision.T_mount_camera)
-        difference = f"{1e3 * shift:.1f} mm, {math.degrees(turn):.2f}°"
-        known = touched.covariance.diagonal() ** 0.5
-        typer.echo(f"# by touch it differs by {difference} at the object, ± {_mm(known)}, {_degrees(known)}")
-
-
 def _mm(values: "Array") -> str:
     return "[{:.1f}, {:.1f}, {:.1f}] mm".format(*(1e3 * values[:3]))
 
@@ -238,21 +218,16 @@ def _print_rig(rig: "Rig", name: str) -> None:
     print_out(plain_table(columns, shapes, texts=2, **bold), "")
     columns = ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")
     print_out(plain_table(columns, sensors, texts=2, **bold), "")
-    print_out(plain_table(("", ""), _other_rows(rig), texts=2, show_header=False))
-
-
-def _other_rows(rig: "Rig") -> list[tuple[str, str]]:
-    """Returns names and values of everything but the fingertips."""
-    offset, noise = math.degrees(rig.sigma_joint_offset), math.degrees(rig.sigma_joint)
+    constant, random = math.degrees(rig.sigma_joint_offset), math.degrees(rig.sigma_joint)
     places = {"tf": f"from {rig.topics.tf}", "joints": "from the joints", None: "not known"}
     rows = [
-        ("joints", f"{offset:.2g}° constant, {noise:.2g}° noise; on {rig.topics.joint_states}"),
+        ("joints", f"{constant:.2g}° constant, {random:.2g}° noise; on {rig.topics.joint_states}"),
         ("palm in the world", places[rig.world_from]),
     ]
     if (c := rig.camera) is not None:
         by_vision = f"{1e3 * c.sigma_position:g} mm, {math.degrees(c.sigma_rotation):.2g}°"
-        constant = f"{1e3 * c.sigma_position_constant:g} mm, {math.degrees(c.sigma_rotation_constant):.2g}°"
-        rows += [("camera", f"fixed to the {c.on}; noise {by_vision}"), ("", f"constant error {constant}")]
+        always = f"{1e3 * c.sigma_position_constant:g} mm, {math.degrees(c.sigma_rotation_constant):.2g}°"
+        rows += [("camera", f"fixed to the {c.on}; noise {by_vision}"), ("", f"constant error {always}")]
         if c.intrinsics is not None and c.size is not None:
             lens = f"lens of {len(c.lens)} numbers" if len(c.lens) else "no lens"
             kind = c.depth_camera.replace("_", " ")
@@ -265,4 +240,4 @@ def _other_rows(rig: "Rig") -> list[tuple[str, str]]:
     if rig.table is not None:
         rows.append(("table", f"at {rig.table.height:g} m, ± {1e3 * rig.table.sigma_height:g} mm"))
     rows.append(("objects", ", ".join(rig.objects) or "none"))
-    return rows
+    print_out(plain_table(("", ""), rows, texts=2, show_header=False))

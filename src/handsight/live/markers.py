@@ -49,12 +49,15 @@ class Markers:
         return self._writer.answer(OwnTopic.MARKERS, RosType.MARKERS, markers=[marker])
 
     def around(self, tracker: Tracker) -> Answer:
-        """Returns the current contacts and uncertainty in the palm's frame; the markers vanish after half a second."""
-        found = [*self._contacts(tracker), *self._uncertainty(tracker)]
-        return self._writer.answer(OwnTopic.MARKERS, RosType.MARKERS, markers=found)
+        """Returns contacts and uncertainty in the palm's frame; the markers vanish after half a second.
+
+        They are all contact points and their normals, the ellipsoid of two standard deviations of the object's centre,
+        and the unobservable directions.
+        """
+        markers = [*self._contacts(tracker), *self._uncertainty(tracker)]
+        return self._writer.answer(OwnTopic.MARKERS, RosType.MARKERS, markers=markers)
 
     def _contacts(self, tracker: Tracker) -> Iterator[Message]:
-        """Yields markers of all contact points and of their normals."""
         touched, stamp = tracker.fingertips.contacts, tracker.stamp
         if touched is None:
             return
@@ -67,7 +70,6 @@ class Markers:
             yield self._marker("normals", Kind.LINE_LIST, stamp, (0.0015, 0, 0), ORANGE, ends)
 
     def _uncertainty(self, tracker: Tracker) -> Iterator[Message]:
-        """Yields the ellipsoid of two standard deviations of the object's centre, and the unobservable directions."""
         estimate, model, stamp = tracker.estimate, tracker.model, tracker.stamp
         if estimate is None:
             return
@@ -81,21 +83,19 @@ class Markers:
         longest = 0.3  # no semi-axis is drawn longer [m]
         sizes = 2 * np.minimum(2 * np.sqrt(np.maximum(values, 0)), longest)
         yield self._marker("two sigma", Kind.SPHERE, stamp, np.maximum(sizes, 1e-4), BLUE, at=at)
+        # A rotation that is unobservable is an arc about its axis, a shift an arrow.
         for k, direction in enumerate(estimate.unobservable):
-            yield self._unobservable(k, direction, at[:3, 3], model.radius, stamp)
-
-    def _unobservable(self, k: int, direction: Array, center: Array, radius: float, stamp: float) -> Message:
-        """Returns the k-th unobservable direction: a rotation is an arc about its axis, a shift an arrow."""
-        shift, turn = direction[:3], direction[3:]
-        if np.linalg.norm(turn) < np.linalg.norm(shift):
-            ends = center + np.array([[-1.0], [1.0]]) * radius * shift / np.linalg.norm(shift)
-            return self._marker("open", Kind.ARROW, stamp, (0.003, 0.008, 0.01), RED, ends, number=k)
-        axis = turn / np.linalg.norm(turn)
-        side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-        side *= 1.2 * radius / np.linalg.norm(side)
-        angles = np.linspace(0, 1.5 * np.pi, 40)[:, None]
-        arc = center + np.cos(angles) * side + np.sin(angles) * np.cross(axis, side)
-        return self._marker("open", Kind.LINE_STRIP, stamp, (0.003, 0, 0), RED, arc, number=k)
+            shift, turn = direction[:3], direction[3:]
+            if np.linalg.norm(turn) < np.linalg.norm(shift):
+                ends = at[:3, 3] + np.array([[-1.0], [1.0]]) * model.radius * shift / np.linalg.norm(shift)
+                yield self._marker("open", Kind.ARROW, stamp, (0.003, 0.008, 0.01), RED, ends, number=k)
+                continue
+            axis = turn / np.linalg.norm(turn)
+            side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+            side *= 1.2 * model.radius / np.linalg.norm(side)
+            angles = np.linspace(0, 1.5 * np.pi, 40)[:, None]
+            arc = at[:3, 3] + np.cos(angles) * side + np.sin(angles) * np.cross(axis, side)
+            yield self._marker("open", Kind.LINE_STRIP, stamp, (0.003, 0, 0), RED, arc, number=k)
 
     def _marker(
         self,
