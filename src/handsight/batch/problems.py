@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from handsight import checks, se3
-from handsight.batch.lines import LONGEST
+from handsight.batch.run import LONGEST
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import (

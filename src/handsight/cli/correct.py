@@ -26,8 +26,8 @@ from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import check_not_overwritten, stream_name, write_errors
 
 if TYPE_CHECKING:
-    from handsight.batch.lines import Source
     from handsight.batch.problems import Problem
+    from handsight.batch.run import Source
 
 MOST_PANELS = 6
 """Number of problems in the picture."""

@@ -136,8 +136,7 @@ def locate(
     """
     from handsight.checks import suggestion
     from handsight.objects import Library
-    from handsight.recording.frames import Beside, Frame, within
-    from handsight.recording.open_frames import is_recording, open_frames
+    from handsight.recording.frames import Beside, Frame, is_recording, open_frames, within
     from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 
     announce_compiling()

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 from handsight.correction import PosePrior
 from handsight.errors import HandsightError, InvalidInput
-from handsight.live.answers import Answer, Writer
-from handsight.live.health import Health
+from handsight.live.answers import Answer, Health, Writer
 from handsight.live.markers import Markers
 from handsight.live.requests import REQUESTS, requested_model, requested_start, requested_text
 from handsight.messages import ObservationStream, RawMessage
@@ -72,6 +71,14 @@ class Inbox:
 class LiveTracker:
     """A `LiveTracker` tracks an object in a hand by the messages of a running robot."""
 
+    publications: Mapping[str, str] = {  # noqa: RUF012 - a Mapping, which nobody changes
+        OwnTopic.POSE: RosType.POSE_COVARIANCE,
+        OwnTopic.TF: RosType.TF,
+        OwnTopic.MARKERS: RosType.MARKERS,
+        OwnTopic.DIAGNOSTICS: RosType.DIAGNOSTICS,
+    }
+    """The types of the answers, by topic."""
+
     def __init__(
         self,
         rig: Rig,
@@ -108,16 +115,6 @@ class LiveTracker:
         """The types that messages may have, as ROS 2 writes them, by the topic to subscribe to."""
         topics = rig_topics(self.rig).values()
         return {topic.name: topic.expected for topic in topics if topic.role != "truth"} | REQUESTS
-
-    @property
-    def publications(self) -> Mapping[str, str]:
-        """The types of the answers, by topic."""
-        return {
-            OwnTopic.POSE: RosType.POSE_COVARIANCE,
-            OwnTopic.TF: RosType.TF,
-            OwnTopic.MARKERS: RosType.MARKERS,
-            OwnTopic.DIAGNOSTICS: RosType.DIAGNOSTICS,
-        }
 
     @property
     def skipped(self) -> int:

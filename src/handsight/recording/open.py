@@ -2,12 +2,11 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Self
 
 from handsight.camera import Camera
 from handsight.errors import InvalidFile, printable
@@ -57,7 +56,7 @@ class RecordingReport(Report):
         return messages + Report.sentences(self)  # super() does not work in a dataclass with slots
 
 
-class Recording:
+class Recording(AbstractContextManager["Recording"]):
     """A `Recording` is an open recording; `report`, `truth` and `intrinsics` are of the part that has been read."""
 
     def __init__(self, path: Path, rig: Rig) -> None:
@@ -127,9 +126,6 @@ class Recording:
     def close(self) -> None:
         """Closes the files."""
         self._opened.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
