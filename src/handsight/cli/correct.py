@@ -12,16 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from handsight.cli.terminal import (
-    INTERRUPTED,
-    NOBODY_READS,
-    announce_compiling,
-    bar,
-    check_plots,
-    output_stream,
-    say,
-    warn,
-)
+from handsight.cli import terminal
+from handsight.cli.terminal import announce_compiling
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import check_not_overwritten, stream_name, write_errors
 
@@ -120,7 +112,7 @@ def correct(
         list[tuple[bytes, str]](),
     )  # the first lines and their answers are for the picture
     try:
-        check_plots(plot)
+        terminal.check_plots(plot)
         if workers == 1 and cluster is None:
             announce_compiling()
         given = sys.stdin if problems == "-" else problems
@@ -136,12 +128,12 @@ def correct(
         )
         with (
             run as answered,
-            output_stream(output) as sink,
-            bar("correcting", show=output is not None) as move,
+            terminal.output_stream(output) as sink,
+            terminal.bar("correcting", show=output is not None) as move,
         ):
             for lines, answers in answered:
                 for warning in answers.warnings:
-                    warn(warning)
+                    terminal.warn(warning)
                 pairs = zip(lines, answers.texts, strict=True)
                 good = [pair for pair in pairs if not pair[1].startswith('{"error"')]
                 with write_errors(stream_name(sink)):
@@ -158,14 +150,14 @@ def correct(
 
             reader = Reader(folder)
             draw(((reader.read(line), json.loads(text)) for line, text in first), plot)
-            say(f"wrote {plot}")
+            terminal.say(f"wrote {plot}")
     except KeyboardInterrupt:
-        say(f"handsight: stopped after {done} answers; they are written")
-        raise typer.Exit(INTERRUPTED) from None
+        terminal.say(f"handsight: stopped after {done} answers; they are written")
+        raise typer.Exit(terminal.INTERRUPTED) from None
     except BrokenPipeError:
-        raise typer.Exit(NOBODY_READS) from None
+        raise typer.Exit(terminal.NOBODY_READS) from None
     if output is not None:
-        say(f"wrote {output}: {done} answers, {failed} of them errors")
+        terminal.say(f"wrote {output}: {done} answers, {failed} of them errors")
     if failed:
         raise typer.Exit(1)
 

@@ -10,19 +10,9 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 from typer import Argument, Option
 
+from handsight.cli import terminal
 from handsight.cli.options import DEPTH_CAMERAS, LibraryPlace, RigPath, find_models, find_rig
-from handsight.cli.terminal import (
-    FAILED,
-    WRONG_INPUT,
-    announce_compiling,
-    bar,
-    check_plots,
-    kept_going,
-    output_stream,
-    print_out,
-    say,
-    table,
-)
+from handsight.cli.terminal import announce_compiling
 from handsight.errors import HandsightError, InvalidInput
 from handsight.files import check_not_overwritten, stream_name, write_errors
 
@@ -144,7 +134,7 @@ def locate(
         for source in (images, camera, color, mask, rig):
             check_not_overwritten(place, what, source, "what is read")
     check_not_overwritten(plot, "the picture", output, "the answers")
-    check_plots(plot)
+    terminal.check_plots(plot)
     csv, numbers, names = output is not None and output.suffix.lower() == ".csv", None, object or []
     beside = Beside(camera=camera, color=color, mask=mask, depth_scale=depth_scale)
     if is_recording(images):
@@ -212,7 +202,11 @@ def _locate_all(
         list[list[str]](),
     )  # for the picture and for the table: images are large
     as_table = output is None and sys.stdout.isatty()
-    with output_stream(output) as sink, kept_going() as end, bar("locating") as move:
+    with (
+        terminal.output_stream(output) as sink,
+        terminal.kept_going() as end,
+        terminal.bar("locating") as move,
+    ):
 
         def write(line: str | None) -> None:
             """Writes the line of an answer at once; None: it has none."""
@@ -244,10 +238,10 @@ def _locate_all(
             move(done / frames.total if frames.total else None, f"{done} of {frames.total or '?'} images")
     if cells:
         which = ["object"] * several
-        title = f"{len(models)} objects" if several else next(iter(models))
+        title = (f"{len(models)} objects" if several else next(iter(models))) + " in depth images"
         columns = ["image", *which, "x, y, z in the camera [mm]", "± [mm]", "± [°]", "explained"]
         columns += ["weight", "others", "ms"]
-        print_out(table(columns, cells, texts=1 + several, title=f"{title} in depth images"))
+        terminal.print_out(terminal.table(columns, cells, texts=1 + several, title=title))
     if isinstance(end.error, HandsightError) and not done:
         raise end.error
     drawn = [draw(panels, plot)] if plot is not None and panels else []
@@ -257,10 +251,10 @@ def _locate_all(
     stopped = f"handsight: stopped after {done} images; what was found is kept"
     ended = [end.message or stopped] if end.exit_code else []
     for sentence in (*unread, *wrote, *missed[: MAX_MESSAGES if cells else 0], *ended, *drawn):
-        say(sentence)
+        terminal.say(sentence)
     if end.exit_code or not unread:
         return end.exit_code
-    return FAILED if panels else WRONG_INPUT
+    return terminal.FAILED if panels else terminal.WRONG_INPUT
 
 
 def locator(models: "Mapping[str, ObjectModel]", noise: "DepthNoise") -> "Callable[[Frame], Located]":

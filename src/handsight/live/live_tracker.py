@@ -71,7 +71,7 @@ class Inbox:
 class LiveTracker:
     """A `LiveTracker` tracks an object in a hand by the messages of a running robot."""
 
-    publications: Mapping[str, str] = {  # noqa: RUF012 - a Mapping, which nobody changes
+    publications: Mapping[str, str] = {
         OwnTopic.POSE: RosType.POSE_COVARIANCE,
         OwnTopic.TF: RosType.TF,
         OwnTopic.MARKERS: RosType.MARKERS,
