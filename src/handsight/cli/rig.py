@@ -128,9 +128,9 @@ def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = N
         typer.echo(f"# shifted by {_mm(correction)} at the {where}, turned by {_degrees(correction)}")
         typer.echo(f"# known to ± {_mm(sigma)}, {_degrees(sigma)} (one standard deviation)")
     if by_vision is not None:
-        seen = f"{by_vision.views} of {by_vision.images} pictures"
-        seen += f", apart by {_mm(by_vision.spread)}, {_degrees(by_vision.spread)}"
-        typer.echo(f"# from the hand seen in {seen} (root mean square)")
+        views_used = f"{by_vision.views} of {by_vision.images} pictures"
+        views_used += f", apart by {_mm(by_vision.spread)}, {_degrees(by_vision.spread)}"
+        typer.echo(f"# from the hand seen in {views_used} (root mean square)")
     elif touched is not None:
         if touched.turned < LITTLE_TURN:
             turned = f"the palm turned by {math.degrees(touched.turned):.0f}° only"
