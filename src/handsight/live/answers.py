@@ -2,7 +2,6 @@
 
 import time
 from collections import Counter, deque
-from enum import IntEnum
 from statistics import median
 from typing import Any, NamedTuple
 
@@ -62,14 +61,8 @@ class HealthOptions(NamedTuple):
 
 
 HEALTH = HealthOptions()
-
-
-class Level(IntEnum):
-    """`Level` is the severity of a status, as diagnostic_msgs defines it."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
+OK, WARN, ERROR = 0, 1, 2
+"""The severity of a status, as diagnostic_msgs defines it."""
 
 
 class Health:
@@ -119,7 +112,7 @@ class Health:
             "corrections": tracker.corrections,
         }
         of_pose |= {f"no contact of {name}": why for name, why in tracker.fingertips.reasons.items()}
-        levels = {"tracking": Level.OK, "uncertain": Level.WARN, "lost": Level.ERROR}
+        levels = {"tracking": OK, "uncertain": WARN, "lost": ERROR}
         notes = [note for when, note in self._notes if time.monotonic() - when < HEALTH.note_duration]
         wrong = [f"{n} messages on {topic} dropped: too many came" for topic, n in self._dropped.items()]
         wrong += [f"{count} observations left out: {why}" for why, count in self._refusals.items()]
@@ -141,7 +134,7 @@ class Health:
         first = sentences[0] if sentences else "all is heard"
         body = [
             Message(
-                level=int(level),
+                level=level,
                 name=f"handsight: {name}",
                 message=text,
                 hardware_id="",
@@ -149,7 +142,7 @@ class Health:
             )
             for name, level, text, values in (
                 ("pose", levels[tracker.state], tracker.reason or "tracking", of_pose),
-                ("input", Level.WARN if wrong else Level.OK, first, of_input),
+                ("input", WARN if wrong else OK, first, of_input),
             )
         ]
         return writer.answer(

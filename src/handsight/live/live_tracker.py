@@ -170,7 +170,16 @@ class LiveTracker:
         elif not self._flushed and now - self._came >= LIVE.quiet:
             observations += self._stream.flush()
             self._flushed = True
-        answers = [answer for each in self._newest(observations) for answer in self._answers(each)]
+        if (
+            not self.equal and len(observations) > 1
+        ):  # the newest, and all with a camera's pose or depth image
+            by_depth, (*older, newest) = self.rig.topics.depth is not None, observations
+            kept = [
+                each for each in older if each.vision is not None or (each.depth is not None and by_depth)
+            ]
+            self.health.skipped += len(older) - len(kept)
+            observations = [*kept, newest]
+        answers = [answer for each in observations for answer in self._answers(each)]
         if answers:
             self.health.answered(time.monotonic() - self._came)
         if self.health.due(self.tracker):
@@ -214,16 +223,6 @@ class LiveTracker:
                 self.start(message)
         except HandsightError as error:
             self.health.noted(f"{message.topic}: {error}")
-
-    def _newest(self, observations: list[Observation]) -> list[Observation]:
-        """Returns the observations to answer: the newest, and all with a camera's pose or depth image."""
-        if self.equal or len(observations) < 2:
-            return observations
-        by_depth = self.rig.topics.depth is not None
-        *older, newest = observations
-        kept = [each for each in older if each.vision is not None or (each.depth is not None and by_depth)]
-        self.health.skipped += len(older) - len(kept)
-        return [*kept, newest]
 
     def _answers(self, observation: Observation) -> list[Answer]:
         """Returns the answers to an observation: pose, transform, and markers if somebody subscribes to them."""

@@ -1,7 +1,6 @@
 """Markers for RViz: the object, contacts, the uncertainty of the position, and the unobservable directions."""
 
 from collections.abc import Iterator, Sequence
-from enum import IntEnum
 
 import numpy as np
 
@@ -14,18 +13,8 @@ from handsight.objects import ObjectModel
 from handsight.objects.surface import Triangles
 from handsight.tracking import Tracker
 
-
-class Kind(IntEnum):
-    """`Kind` is the shape of a visualization_msgs/Marker."""
-
-    ARROW = 0
-    SPHERE = 2
-    LINE_STRIP = 4
-    LINE_LIST = 5
-    SPHERE_LIST = 7
-    TRIANGLES = 11
-
-
+ARROW, SPHERE, LINE_STRIP, LINE_LIST, SPHERE_LIST, TRIANGLES = 0, 2, 4, 5, 7, 11
+"""The shape of a visualization_msgs/Marker."""
 GREEN, ORANGE = (0.3, 0.8, 0.4, 0.8), (1.0, 0.6, 0.1, 1.0)
 BLUE, RED = (0.2, 0.5, 1.0, 0.3), (0.9, 0.2, 0.2, 0.9)
 
@@ -40,9 +29,9 @@ class Markers:
         """Returns the object in its own frame, which /tf moves; the marker stays until another replaces it."""
         surface, most_triangles = model.surface, 20_000
         if isinstance(surface, Triangles) and len(surface.faces) <= most_triangles:
-            kind, size, points = Kind.TRIANGLES, 1.0, surface.corners.reshape(-1, 3)
+            kind, size, points = TRIANGLES, 1.0, surface.corners.reshape(-1, 3)
         else:
-            kind, size, points = Kind.SPHERE_LIST, model.diameter / 50, model.points_object
+            kind, size, points = SPHERE_LIST, model.diameter / 50, model.points_object
         marker = self._marker("object", kind, stamp, (size,) * 3, GREEN, points)
         always = Message(sec=0, nanosec=0)
         marker.header.frame_id, marker.lifetime, marker.frame_locked = OBJECT_FRAME, always, True
@@ -64,10 +53,10 @@ class Markers:
         if (pressed := tracker.skin.contacts()) is not None:
             touched = touched.joined(pressed)
         points, normals = touched.points_palm, touched.normals_palm
-        yield self._marker("contacts", Kind.SPHERE_LIST, stamp, (0.005,) * 3, ORANGE, points)
+        yield self._marker("contacts", SPHERE_LIST, stamp, (0.005,) * 3, ORANGE, points)
         if normals is not None:
             ends = np.stack([points, points + 0.03 * normals], axis=1).reshape(-1, 3)
-            yield self._marker("normals", Kind.LINE_LIST, stamp, (0.0015, 0, 0), ORANGE, ends)
+            yield self._marker("normals", LINE_LIST, stamp, (0.0015, 0, 0), ORANGE, ends)
 
     def _uncertainty(self, tracker: Tracker) -> Iterator[Message]:
         estimate, model, stamp = tracker.estimate, tracker.model, tracker.stamp
@@ -82,25 +71,25 @@ class Markers:
         at = se3.compose(axes, T[:3, 3] + lever)
         longest = 0.3  # no semi-axis is drawn longer [m]
         sizes = 2 * np.minimum(2 * np.sqrt(np.maximum(values, 0)), longest)
-        yield self._marker("two sigma", Kind.SPHERE, stamp, np.maximum(sizes, 1e-4), BLUE, at=at)
+        yield self._marker("two sigma", SPHERE, stamp, np.maximum(sizes, 1e-4), BLUE, at=at)
         # A rotation that is unobservable is an arc about its axis, a shift an arrow.
         for k, direction in enumerate(estimate.unobservable):
             shift, turn = direction[:3], direction[3:]
             if np.linalg.norm(turn) < np.linalg.norm(shift):
                 ends = at[:3, 3] + np.array([[-1.0], [1.0]]) * model.radius * shift / np.linalg.norm(shift)
-                yield self._marker("open", Kind.ARROW, stamp, (0.003, 0.008, 0.01), RED, ends, number=k)
+                yield self._marker("open", ARROW, stamp, (0.003, 0.008, 0.01), RED, ends, number=k)
                 continue
             axis = turn / np.linalg.norm(turn)
             side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
             side *= 1.2 * model.radius / np.linalg.norm(side)
             angles = np.linspace(0, 1.5 * np.pi, 40)[:, None]
             arc = at[:3, 3] + np.cos(angles) * side + np.sin(angles) * np.cross(axis, side)
-            yield self._marker("open", Kind.LINE_STRIP, stamp, (0.003, 0, 0), RED, arc, number=k)
+            yield self._marker("open", LINE_STRIP, stamp, (0.003, 0, 0), RED, arc, number=k)
 
     def _marker(
         self,
         name: str,
-        kind: Kind,
+        kind: int,
         stamp: float,
         size: Sequence[float] | Array,
         color: tuple[float, float, float, float],
@@ -115,7 +104,7 @@ class Markers:
             header=header(stamp, self._writer.palm),
             ns=name,
             id=number,
-            type=int(kind),
+            type=kind,
             action=0,  # add or replace
             pose=pose(np.eye(4) if at is None else at),
             scale=parts("xyz", np.array(size, dtype=np.float64)),
