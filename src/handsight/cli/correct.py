@@ -106,11 +106,8 @@ def correct(
 
     workers = 1 if workers is None else workers
     folder = Path.cwd() if problems == "-" else Path(problems).parent.absolute()
-    done, failed, first = (
-        0,
-        0,
-        list[tuple[bytes, str]](),
-    )  # the first lines and their answers are for the picture
+    done = failed = 0
+    first = list[tuple[bytes, str]]()  # lines and their answers, for the picture
     try:
         terminal.check_plots(plot)
         if workers == 1 and cluster is None:

@@ -193,14 +193,9 @@ def _locate_all(
     from handsight.recording.frames import Unread
 
     done, found, locate_in, several = 0, 0, None, len(models) > 1
-    unread, missed = (
-        list[str](),
-        list[str](),
-    )  # messages about images that cannot be read, and without the object
-    panels, cells = (
-        list["Located"](),
-        list[list[str]](),
-    )  # for the picture and for the table: images are large
+    # Messages about images that cannot be read, and about those without the object.
+    unread, missed = list[str](), list[str]()
+    panels, cells = list["Located"](), list[list[str]]()  # for the picture, and for the table
     as_table = output is None and sys.stdout.isatty()
     with (
         terminal.output_stream(output) as sink,

@@ -209,10 +209,8 @@ def record(
         search_report(Path(scenario.object).stem, advance, plot) as watch,
     ):
         write_rig(rig, rig_beside(path))
-        sampled = (
-            simulate_touch_search(scenario, grasp, watch) if blind else simulate(scenario, advance, grasp)
-        )
-        for sample in sampled:
+        searched = simulate_touch_search(scenario, grasp, watch)
+        for sample in searched if blind else simulate(scenario, advance, grasp):
             observation = dataclasses.replace(sample.observation, stamp=BEGINS + sample.observation.stamp)
             writer.write(observation)
             writer.write_truth(observation.stamp, sample.T_palm_object)

@@ -184,13 +184,11 @@ class Budget:
 
     def limited(self, records: Iterable[Each]) -> Iterator[Each]:
         """Yields records while the budget allows, and counts them."""
-        left = self.records
-        try:
-            for after, each in zip(range(self.records - 1, -1, -1), records, strict=False):
-                left = after
-                yield each
-        finally:
-            self.records = left
+        for each in records:
+            if self.records <= 0:
+                return
+            self.records -= 1
+            yield each
 
 
 def seconds(nanoseconds: int) -> float:
@@ -216,9 +214,7 @@ def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | Non
     try:
         for part in _unpack(new, pieces, size):
             out += part
-    except (
-        Exception
-    ) as error:  # each library has its own errors for broken data; the data before them are kept
+    except Exception as error:  # each library has its own for broken data; the data before them are kept
         return bytes(out), f"cannot be unpacked beyond {len(out)} of {size} bytes ({error})"
     return bytes(out), None if len(out) == size else f"expected {size} bytes, got {len(out)}"
 

@@ -253,22 +253,20 @@ def recorded_frames(path: Path, rig: Rig) -> Frames:
         pixels, camera = HandPixels(rig), None
         with open_recording(path, rig) as recording:
             for observation in recording.observations():
-                if observation.depth is None:
+                depth, color = observation.depth, observation.color
+                if depth is None:
                     continue
                 camera = camera or recording.camera()
-                if observation.depth.shape != camera.size[::-1]:
-                    (width, height), (h, w) = camera.size, observation.depth.shape
+                if depth.shape != camera.size[::-1]:
+                    (width, height), (h, w) = camera.size, depth.shape
                     message = f"expected depth of {width} x {height} pixels as its camera's, got {w} x {h}"
                     raise InvalidFile(f"{path}: {message}")
-                alike = (
-                    observation.color is not None and observation.color.shape[:2] == observation.depth.shape
-                )
                 yield Frame(
                     name=f"{observation.stamp:.3f} s",
                     camera=camera,
-                    depth=observation.depth,
-                    color=observation.color if alike else None,
-                    hand=pixels.mask(camera, np.nan_to_num(observation.depth), observation),
+                    depth=depth,
+                    color=color if color is not None and color.shape[:2] == depth.shape else None,
+                    hand=pixels.mask(camera, np.nan_to_num(depth), observation),
                 )
         if camera is None:
             raise InvalidFile(f"{path}: expected depth images on {rig.topics.depth}, got none")
