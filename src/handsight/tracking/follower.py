@@ -245,10 +245,10 @@ class Follower:
 
     def _regrasped(self, state: _Next, smoother: PoseBiasSmoother, change: GraspChange) -> PoseBiasSmoother:
         """Returns the smoother after fingers came or went, which may have pushed the object."""
-        state.offsets = self.joint_offsets(state)
-        state.learnt_from = last = state.correction
-        pose, T, table = smoother.now, state.T_world_palm, self.rig.table
+        last, pose, T, table = state.correction, smoother.now, state.T_world_palm, self.rig.table
         if change == "released":
+            # Once a grasp: where readings are missing, fingers come and go, and the same errors would count each time.
+            state.offsets, state.learnt_from = self.joint_offsets(state), last
             if last is not None:
                 # What was measured of the pose up to now stays true; the object's motion from now on is unknown.
                 pose = pose.given_pose(last.estimate.T_palm_object, last.estimate.information)
