@@ -108,7 +108,8 @@ SIZES = {
 @pytest.mark.parametrize("case", SIZES)
 def test_an_object_of_another_size_is_never_tracked_for_long_and_a_finger_is_named(recorded, case):
     name, seed, model = SIZES[case]
-    track = Track(recorded(name, seed), model=model)
+    recording = recorded(name, seed)
+    track = Track(recording, recording.observations[:600], model=model)
     assert track.trusted.mean() < 0.1
     assert track.share("contradicts the others") > 0.5
     assert track.inside.mean() > 0.9
@@ -135,19 +136,22 @@ def test_an_object_that_rests_in_its_own_way_is_not_tracked_far_off(recorded, na
     assert track.inside.mean() >= 0.75
 
 
-def test_a_start_that_contacts_contradict_by_ten_sigma_is_named(can):
-    """The can is said to be 20 mm aside, known to 2 mm and 2°."""
-    seen = can.held[-1]
-    side = can.T_palm_object[:3, 0]
-    start = hs.PosePrior.from_sigmas(
-        se3.moved(can.T_palm_object, np.r_[0.02 * side, 0, 0, 0]), 0.002, float(np.deg2rad(2))
-    )
-    settings = hs.TrackerSettings(regrasp_position=0.0, regrasp_rotation=0.0)  # nothing was pushed
+@pytest.mark.parametrize("off", [0.02, 0.05])
+def test_a_start_that_contacts_contradict_by_ten_sigma_or_more_does_not_hold_the_answer(can, off):
+    """The can is said to be aside, known to 2 mm and 2°. One that is 25 sigma off no wider prior explains: it is named."""
+    sideways = off * can.T_palm_object[:3, 0]
+    wrong = se3.moved(can.T_palm_object, np.r_[sideways, np.zeros(3)])
+    start = hs.PosePrior.from_sigmas(wrong, 0.002, float(np.deg2rad(2)))
+    settings = hs.TrackerSettings(
+        regrasp_position=0.0, regrasp_rotation=0.0
+    )  # no finger has pushed the object
     tracker = Tracker(can.rig, can.model, start=start, settings=settings)
-    estimate = tracker.update(replace(seen, vision=None))
-    print(tracker.state, tracker.reason, estimate.conflicts, tracker.sigma)
-    assert tracker.state != "tracking"
-    assert "vision" in {conflict.evidence for conflict in estimate.conflicts}
+    estimate = tracker.update(replace(can.held[-1], vision=None))
+    error = sideways @ se3.difference(estimate.T_palm_object, can.T_palm_object)[:3] / off
+    assert abs(error) < 0.003
+    assert tracker.sigma > 0.004
+    named = {conflict.evidence for conflict in estimate.conflicts}
+    assert (tracker.state == "uncertain" and named == {"vision"}) == (off > 0.02)
 
 
 def smaller_tips(rig):
@@ -273,14 +277,11 @@ def jitter(observations, rng):
         yield replace(o, stamp=o.stamp + rng.uniform(-0.03, 0.03))
 
 
-SEARCHES = [pytest.param(f, marks=pytest.mark.slow) for f in (vision_in_millimetres, palm_in_millimetres)]
-"""Nothing fits, so that the tracker searches for other poses until the end."""
-
-
 @pytest.mark.parametrize(
     "broken",
     [
-        *SEARCHES,
+        pytest.param(vision_in_millimetres, marks=pytest.mark.slow),
+        pytest.param(palm_in_millimetres, marks=pytest.mark.slow),
         torque_in_millimetres,
         wrenches_without_numbers,
         joints_without_numbers,
@@ -291,9 +292,14 @@ SEARCHES = [pytest.param(f, marks=pytest.mark.slow) for f in (vision_in_millimet
     ],
 )
 def test_no_broken_message_makes_a_pose_wrong_in_silence(recorded, broken):
-    recording = recorded("can", 1)
-    seen = list(broken(recording.observations, np.random.default_rng(0)))
-    truth = list(recording.truth.values())  # in the order of the observations, whose stamps may be wrong
+    recording = recorded("box", 1)
+    given = recording.observations
+    if broken in (vision_in_millimetres, palm_in_millimetres):
+        given = given[:400]  # nothing fits, so that the tracker searches for other poses all the time
+    seen = list(broken(given, np.random.default_rng(0)))
+    truth = list(recording.truth.values())[
+        : len(given)
+    ]  # in the order of the observations, whose stamps may be wrong
     if broken is a_gap:
         truth = [recording.truth[o.stamp] for o in seen]
     track = Track(recording, seen, truth)
