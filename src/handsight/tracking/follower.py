@@ -30,7 +30,7 @@ from handsight.tracking.hypotheses import (
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate
-from handsight.tracking.misfit import MISFIT, NO_INNOVATIONS, OTHER_OBJECT, better_object
+from handsight.tracking.misfit import MISFIT, NO_INNOVATIONS, better_object
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
@@ -245,10 +245,10 @@ class Follower:
 
     def _regrasped(self, state: _Next, smoother: PoseBiasSmoother, change: GraspChange) -> PoseBiasSmoother:
         """Returns the smoother after fingers came or went, which may have pushed the object."""
-        state.offsets = self.joint_offsets(state)
-        state.learnt_from = last = state.correction
-        pose, T, table = smoother.now, state.T_world_palm, self.rig.table
+        last, pose, T, table = state.correction, smoother.now, state.T_world_palm, self.rig.table
         if change == "released":
+            # Once a grasp: where readings are missing, fingers come and go, and the same errors would count each time.
+            state.offsets, state.learnt_from = self.joint_offsets(state), last
             if last is not None:
                 # What was measured of the pose up to now stays true; the object's motion from now on is unknown.
                 pose = pose.given_pose(last.estimate.T_palm_object, last.estimate.information)
@@ -384,7 +384,7 @@ class Follower:
             if touch.fingers != last.fingers:
                 noise = noise + self.regrasp_noise
             watched = watched.moved(age, self.model, last.estimate, estimate, noise)
-        if not watched.another_object:
+        if not watched.touch:
             state.better_object = ""
         elif self.alternatives and now - state.objects_compared_at >= MISFIT.compare_period:
             state.objects_compared_at, explained = now, (self.model, estimate, prior)
@@ -426,16 +426,15 @@ class Follower:
 
     def _trust(self, state: _Next, estimate: PoseEstimate) -> tuple[State, str]:
         """Returns how far the estimate can be trusted, and why not further."""
-        other = ""
-        if state.innovations.another_object:
-            better = state.better_object
-            other = f"another object, {better}, explains the touch better" if better else OTHER_OBJECT
+        better = state.better_object
+        other = f"another object, {better}, explains the touch better" if better else state.innovations.touch
         if state.measured_at == -math.inf:
             return "lost", "nothing was touched or seen yet"
         if (since := state.stamp - state.measured_at) > self.settings.lost_after:
             return "lost", f"nothing touched and nothing seen for {since:.1f} s"
         if (since := state.stamp - state.fits_at) > FOLLOWER.lost_without_fit:
-            return "lost", f"the contacts have fitted no pose for {since:.1f} s: {other or OTHER_OBJECT}"
+            reason = f"the contacts have fitted no pose for {since:.1f} s"
+            return "lost", f"{reason}: {other}" if other else reason
         if state.slip.now.slipping:
             return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
         if not estimate.consistent:

@@ -27,6 +27,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import fdtri
 
 from handsight import se3
 from handsight.checks import Array
@@ -52,8 +53,11 @@ class MisfitOptions(NamedTuple):
     coverage: float = 6 * 6.163 / 12.592
     """6 F(6, 4) / χ²(6), of 95 % quantiles: for six numbers of the pose and `noise_freedom`."""
     suspicious: float = 0.6
-    """The object may be another one once contacts fitted no pose, or one finger at least had to be rejected, for a
-    larger share of the window: that is for about a second, in which two searches from wider priors have failed."""
+    """The object may be another one once contacts contradicted the model for a larger share of the window: that is for
+    about a second, in which two searches from wider priors have failed."""
+    one_finger: float = 0.01
+    """Level at which one finger alone contradicts the model: so many honest ones are that far off (`contradicted`). One
+    that contradicts the others less may be calibrated badly as well."""
     decisive: float = math.log(100.0)
     """Another object explains the touch better if its log evidence is higher by so much."""
     sigma_turn: float = 1.0  # of another object's rotation about that of the model, per axis [rad]
@@ -62,8 +66,9 @@ class MisfitOptions(NamedTuple):
 
 MISFIT = MisfitOptions()
 OTHER_OBJECT = "this may be another object than the model"
-TOUCH = "touch"
-"""Name of the misfit of all contacts together."""
+FINGER_OR_OBJECT = "a finger is calibrated badly, or this is another object"
+TOUCH, OBJECT = "touch", "object"
+"""Names of the misfits of all contacts together: those that a finger may cause, and those that none can."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +87,8 @@ class Misfit:
     @property
     def contradicts(self) -> bool:
         """Whether the evidence does not fit."""
-        if self.rejected or self.name == TOUCH:
-            return self.rejected > (MISFIT.suspicious if self.name == TOUCH else MISFIT.rejected)
+        if self.rejected or self.name in (TOUCH, OBJECT):
+            return self.rejected > (MISFIT.suspicious if self.name in (TOUCH, OBJECT) else MISFIT.rejected)
         return bool(self.nis > chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm))
 
     @property
@@ -95,8 +100,8 @@ class Misfit:
 
     def __str__(self) -> str:
         """Returns a sentence such as "finger ff contradicts the others"."""
-        if self.name == TOUCH:
-            return f"contacts contradict the model: {OTHER_OBJECT}"
+        if self.name in (TOUCH, OBJECT):
+            return "contacts contradict the model"
         if self.name == "motion":
             return f"the answer has moved by {math.sqrt(self.nis):.0f} sigma at once"
         if self.name == "vision":
@@ -123,9 +128,13 @@ class Innovations:
         return max((m for m in self.misfits.values() if m.contradicts), key=lambda m: m.factor, default=None)
 
     @property
-    def another_object(self) -> bool:
-        """Whether contacts have contradicted the model for so long that the object may be another one."""
-        return self.misfits.get(TOUCH, Misfit(TOUCH)).contradicts
+    def touch(self) -> str:
+        """What contacts that have contradicted the model for a while suggest; empty where they have not."""
+        known = (self.misfits.get(name) for name in (OBJECT, TOUCH))
+        reasons = (
+            r for m, r in zip(known, (OTHER_OBJECT, FINGER_OR_OBJECT), strict=True) if m and m.contradicts
+        )
+        return next(reasons, "")
 
     @property
     def factor(self) -> float:
@@ -148,10 +157,11 @@ class Innovations:
                 nis, freedom = (0.0, 3) if conflict is None else (conflict.chi2, conflict.freedom)
                 before = before or Misfit(finger, expected=freedom)
                 new[finger] = before.after(share, nis, freedom, float(i in estimate.outliers))
-        wrong = not estimate.consistent or any(i < len(fingers) for i in estimate.outliers)
+        wrong, other = contradicted(estimate, len(fingers))
         rows = float(estimate.answer["rows"])
         touch = known.get(TOUCH, Misfit(TOUCH, expected=rows))
         new[TOUCH] = touch.after(share, float(estimate.answer["chi2"]), rows, float(wrong))
+        new[OBJECT] = known.get(OBJECT, Misfit(OBJECT)).after(share, 0.0, 0.0, float(other))
         inverse = np.linalg.inv(prior.covariance)
         off = se3.difference(estimate.T_palm_object, prior.T_palm_object)
         expected = 6.0 - float((inverse * estimate.bounded_covariance).sum())
@@ -205,6 +215,22 @@ class Innovations:
 
 
 NO_INNOVATIONS = Innovations()
+
+
+def contradicted(estimate: PoseEstimate, fingers: int) -> tuple[bool, bool]:
+    """Returns whether contacts contradict the model, and whether no calibration of one finger can explain that.
+
+    They do where they fit no pose, or one of the first `fingers` contacts had to be rejected; an answer that vision
+    alone contradicts is none of these. One finger explains it if only one had to be, and if it is not too far off: with
+    Student's t for residuals, the χ² of n numbers, divided by n, follows an F distribution (n, `MISFIT.noise_freedom`).
+    """
+    kept = [c for c in estimate.conflicts if not c.excluded]
+    touch = [c for c in estimate.conflicts if c.evidence.startswith("contact")]
+    now = [c for c in touch if c.excluded and int(c.evidence.split()[1]) < fingers]
+    fits = estimate.consistent or (bool(kept) and all(c.excluded for c in touch))
+    far, nu = 1 - MISFIT.one_finger, MISFIT.noise_freedom
+    too_far = any(c.chi2 > c.freedom * fdtri(c.freedom, nu, far) for c in now)
+    return not fits or bool(now), not fits or too_far or len(now) > 1
 
 
 def better_object(
