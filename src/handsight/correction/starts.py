@@ -49,8 +49,8 @@ def usual(problem: Problem) -> int:
     """Returns the number of starts of a problem for which one is not enough; with vision, by the prior's width."""
     if problem.vision is None:
         return STARTS.blind_kept
-    if modes.several_minima(problem.model, problem.rows):
-        return STARTS.weak_starts
+    if modes.several_minima(problem.model, problem.rows, len(problem.contacts)):
+        return STARTS.weak_starts if problem.rows <= modes.MODES.few_rows else STARTS.max_starts
     w = batch.width(problem.model.record.model, problem.vision.record)
     return int(min(max(round(80 * w), STARTS.min_starts), STARTS.max_starts))
 
