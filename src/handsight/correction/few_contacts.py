@@ -21,7 +21,7 @@ from handsight.correction.problem import Problem, Records
 class DrawOptions(NamedTuple):
     """`DrawOptions` say how a posterior by few contacts is drawn from."""
 
-    draws: int = 512  # in each round
+    draws: int = 384  # in each round
     draws_single: int = 256  # the same where there is one minimum
     least_departure: float = 3.0
     """One minimum is drawn about where the cost beside it rises by this factor more than a Gaussian's. Up to there the
