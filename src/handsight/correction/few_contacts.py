@@ -1,9 +1,8 @@
 """The modes of a posterior by few contacts on a surface with much detail: their means and covariances from draws.
 
-With three or four contacts such a posterior has dozens of minima beside each other, of which a search finds some, and
-none is a Gaussian. It is drawn from twice, by importance sampling: about the minima that were found, and then about the
-likeliest of these draws, which are in minima that were not. Each draw is weighted by its density over that of both
-mixtures together (population Monte Carlo with a deterministic mixture: Cappé et al. 2004, Owen and Zhou 2000).
+With three or four contacts such a posterior has dozens of minima beside each other, none of them a Gaussian. So it is
+drawn from by importance sampling: the draws are from a mixture of Student's t about the minima that a search has found,
+with tails that reach those beside them, and each is weighted by the ratio of its densities.
 """
 
 from functools import lru_cache
@@ -12,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.checks import Array, Mask
 from handsight.correction import modes, solve
 from handsight.correction.estimate import PoseEstimate
 from handsight.correction.problem import Problem, Records
@@ -21,18 +20,20 @@ from handsight.correction.problem import Problem, Records
 class DrawOptions(NamedTuple):
     """`DrawOptions` say how a posterior by few contacts is drawn from."""
 
-    draws: int = 384  # in each round
-    draws_single: int = 256  # the same where there is one minimum
+    draws: int = 512
+    draws_single: int = 192  # where there is one minimum
     least_departure: float = 3.0
     """One minimum is drawn about where the cost beside it rises by this factor more than a Gaussian's. Up to there the
     lattice of `_kernels/posterior/mean.py`, which is faster, leaves out as little."""
-    most_outside: int = 8  # points of the hand and planes; with more, the cost of so many draws takes too long
-    most_minima: int = 12  # minima that the first draws are about, the likeliest
-    widened: float = 1.3  # how much wider than a minimum the first draws about it are
+    most_outside: int = (
+        8  # points of the hand and planes; with more, the cost of so many draws takes too long
+    )
+    most_minima: int = 12  # minima that draws are about, the likeliest
+    widened: float = 1.3  # how much wider than a minimum the draws about it are
     tempered: float = 0.5  # power of a minimum's probability by which these are shared out
-    likeliest: int = 16  # draws of the first round that the second one is about
     own: float = 6.0
     """How many draws a mode's own covariance counts for: as many as leave none of the six directions out."""
+    negligible: float = 1e-6  # probability of a mode that is left out
     level: float = 0.99  # probability of the region that holds as many of the draws
 
 
@@ -53,12 +54,12 @@ class Mixture(NamedTuple):
     shares: Array
     """(k,) that sum to one."""
 
-    def draws(self, standard: Array) -> tuple[Array, Array]:
-        """Returns draws (n, 6), out of standard ones (n, 6), and which component each belongs to."""
+    def draws(self, standard: Array) -> Array:
+        """Returns draws (n, 6) out of those of the standard t (n, 6)."""
         counts = (self.shares * len(standard)).astype(int)
         counts[np.argmax(self.shares)] += len(standard) - counts.sum()
         of = np.repeat(np.arange(len(counts)), counts)
-        return self.centers[of] + np.einsum("nij,nj->ni", self.roots[of], standard), of
+        return np.asarray(self.centers[of] + np.einsum("nij,nj->ni", self.roots[of], standard))
 
     def density(self, x: Array) -> Array:
         """Returns the density (n,) at coordinates (n, 6), up to a constant factor."""
@@ -73,7 +74,7 @@ class Mixture(NamedTuple):
 @lru_cache(maxsize=1)
 def _standard() -> Array:
     """Returns draws of the standard t (n, 6)."""
-    rng, number = np.random.default_rng(0), 2 * DRAWS.draws
+    rng, number = np.random.default_rng(0), DRAWS.draws
     return np.asarray(
         rng.normal(size=(number, DIMENSIONS)) / np.sqrt(rng.chisquare(FREEDOM, (number, 1)) / FREEDOM)
     )
@@ -96,7 +97,7 @@ def can_draw(problem: Problem, estimate: PoseEstimate) -> bool:
     )
 
 
-def with_draws(problem: Problem, rows: Records, used: Array) -> Records:
+def with_draws(problem: Problem, rows: Records, used: Mask) -> Records:
     """Returns the distinct modes, likeliest first, out of minima (K,) ANSWER, likeliest first: each with the mean, the
     covariance and the probability of the draws that are nearest to it.
 
@@ -109,12 +110,9 @@ def with_draws(problem: Problem, rows: Records, used: Array) -> Records:
     places = se3.difference(rows["T_palm_object"], T) @ along.T
     likely = rows["log_weight"] > rows["log_weight"].max() - modes.MODES.unlikely
     near = np.linalg.norm(places[:, 3:], axis=1) < np.pi / 2 * problem.model.radius
-    chosen = np.flatnonzero(likely & near & (rows["complete"] != 0))[: DRAWS.most_minima]
-    if not len(chosen):
-        return rows
+    chosen = np.flatnonzero(likely & near)[: DRAWS.most_minima]
     covariances = along @ rows["covariance"] @ along.T
     number = DRAWS.draws if len(rows) > 1 else DRAWS.draws_single
-    standard = _standard()[: 2 * number]
 
     def log_density(x: Array) -> Array:
         half = np.linalg.norm(x[:, 3:], axis=1) / (2 * problem.model.radius)
@@ -125,43 +123,31 @@ def with_draws(problem: Problem, rows: Records, used: Array) -> Records:
 
     shares = np.exp(DRAWS.tempered * (rows["log_weight"][chosen] - rows["log_weight"][chosen[0]]))
     ridge = 1e-12 * np.eye(DIMENSIONS)
-    roots = np.linalg.cholesky(covariances[chosen] + ridge)
-    first = Mixture(places[chosen], DRAWS.widened * roots, shares / shares.sum())
-    x, of = first.draws(standard[:number])
-    log_x = log_density(x)
-    weights = _weights(log_x - np.log(first.density(x)))[0]
-    even = (np.arange(DRAWS.likeliest) + 0.5) / DRAWS.likeliest
-    picked = np.minimum(np.searchsorted(np.cumsum(weights), even), number - 1)
-    second = Mixture(x[picked], roots[of[picked]], np.full(len(picked), 1 / len(picked)))
-    more = second.draws(standard[number:])[0]
-    x, log_x = np.concatenate([x, more]), np.concatenate([log_x, log_density(more)])
-    weights, log_mean = _weights(log_x - np.log((first.density(x) + second.density(x)) / 2))
+    roots = DRAWS.widened * np.linalg.cholesky(covariances[chosen] + ridge)
+    mixture = Mixture(places[chosen], roots, shares / shares.sum())
+    x = mixture.draws(_standard()[:number])
+    logs = log_density(x) - np.log(mixture.density(x))
+    weights = np.exp(logs - logs.max())
+    log_mean, weights = logs.max() + np.log(weights.mean()), weights / weights.sum()
     # Draws belong to the nearest mode, in units of the distance at which two are distinct.
-    order = chosen[np.argsort(-rows["log_weight"][chosen], kind="stable")]
-    centers = modes.distinct(problem.model, rows["T_palm_object"], order, modes.MODES.max_modes)
+    model = problem.model
+    distinct = modes.distinct(model, rows["T_palm_object"], np.arange(len(rows)), modes.MODES.max_modes)
+    centers = [j for j in distinct if j in chosen]
     gaps = [(x - places[j]).reshape(-1, 2, 3) for j in centers]
-    limits = np.array(modes.SAME_MODE) * [1.0, problem.model.radius]
+    limits = np.array(modes.SAME_MODE) * [1.0, model.radius]
     nearest = np.argmin([(np.linalg.norm(gap, axis=2) / limits).max(axis=1) for gap in gaps], axis=0)
-    modes_ = []
+    merged = [rows[j] for j in distinct if j not in chosen]
     for k, j in enumerate(centers):
         own = weights * (nearest == k)
-        if own.sum() > 1e-6:
-            row = rows[j].copy()
+        if own.sum() > DRAWS.negligible:
             mean, covariance = _moments(x, own / own.sum(), places[j], covariances[j])
+            row = rows[j].copy()
             row["T_palm_object"] = se3.moved(T, across @ mean)
             row["covariance"] = across @ covariance @ across.T
             row["information"] = along.T @ np.linalg.inv(covariance) @ along
             row["log_weight"] = log_mean - LOG_T + np.log(own.sum())
-            modes_.append(row)
-    modes_ += list(rows[~near])
-    return np.array(sorted(modes_, key=lambda row: -row["log_weight"]))
-
-
-def _weights(logs: Array) -> tuple[Array, float]:
-    """Returns weights that sum to one, and the logarithm of their mean before, from their logarithms."""
-    most = logs.max()
-    weights = np.exp(logs - most)
-    return weights / weights.sum(), float(most + np.log(weights.mean()))
+            merged.append(row)
+    return np.array(sorted(merged, key=lambda row: -row["log_weight"]))
 
 
 def _moments(x: Array, weights: Array, place: Array, covariance: Array) -> tuple[Array, Array]:

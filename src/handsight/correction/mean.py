@@ -45,9 +45,7 @@ def checked_answer(answer: object, name: str = "answer") -> str:
     return answer
 
 
-def with_means(
-    problem: Problem, estimate: PoseEstimate, answer: str, *, drawn: bool = False
-) -> PoseEstimate:
+def with_means(problem: Problem, estimate: PoseEstimate, answer: str, *, drawn: bool = False) -> PoseEstimate:
     """Returns the estimate with each mode that is not Gaussian replaced by its mean: with `answer` "mean" the first
     mode in any case, with "maximum" no mode. `drawn`: few contacts may take the time of `few_contacts.with_draws`.
 
