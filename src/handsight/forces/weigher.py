@@ -92,6 +92,8 @@ class Weigher:
         """The last weighing; None before the first one since the object was grasped."""
         self.reason = "nothing is lifted"
         """Why there is no weighing, or why it is not trusted; empty where it is trusted."""
+        self.instants: tuple[Carried, ...] = ()
+        """The instants that it used, the last one at its end."""
         self.assumed = ""
         """What the rig does not have, and a trusted weighing still has to assume."""
         sensors = [[finger.sigma_force] * 3 + [finger.sigma_torque] * 3 for finger in rig.fingers.values()]
@@ -196,7 +198,7 @@ class Weigher:
         others = [
             k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > WEIGHER.new_direction
         ]
-        instants = [*others, Carried(load)]
+        self.instants = instants = (*others, Carried(load))
         exactly = Unknowns(root, self._biases, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity)
         before = self.weighing
         found = weigh(instants, replace(exactly, gains=self._gains), before)
@@ -378,24 +380,18 @@ class WeightSensor:
             center_palm=found.center_palm,
             covariance_palm=found.covariance_center,
             directions=found.directions,
-            reason=self.weigher.reason or self._elsewhere(estimate),
+            reason=self.weigher.reason or self.elsewhere(estimate),
             biased=self.weigher.biased,
             assumed=self.weigher.assumed,
         )
 
-    def doubt(self, estimate: PoseEstimate) -> str:
-        """Returns why the loads make an estimated pose doubtful; empty where they do not.
+    @property
+    def doubt(self) -> str:
+        """Why the loads make any pose doubtful: gravity of the wrong sign makes the tips' own weight wrong too, and with
+        it every contact; empty where they do not."""
+        return PULLED_UP if self.weigher.reason == PULLED_UP else ""
 
-        Gravity of the wrong sign makes the tips' own weight wrong too, and with it every contact. Loads that fit one
-        weight in several directions are strong evidence: what contradicts them may be wrong itself.
-        """
-        if self.weigher.reason == PULLED_UP:
-            return PULLED_UP
-        found = self.weigher.believed
-        strong = found is not None and found.directions >= WEIGHER.trusted_directions
-        return self._elsewhere(estimate) if strong else ""
-
-    def _elsewhere(self, estimate: PoseEstimate) -> str:
+    def elsewhere(self, estimate: PoseEstimate) -> str:
         """Returns how far the weight's centre is from where the rest has it; empty where they do not differ."""
         found, declared = self.weigher.weighing, self.model.center_of_mass
         if estimate.weight_fits is not False or found is None or declared is None:

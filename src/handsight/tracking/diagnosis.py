@@ -2,9 +2,11 @@
 
 While a hand grasps an object in different ways, contacts measure more than its pose: what remains tells of the errors
 that all grasps have in common. Contact i of an instant is off the surface by r_i + A_i (M_i x + C_i θ), with x the
-instant's own error of the pose and θ the declared values' errors: of each joint, of each fingertip's radius (a tip that
-is mounted farther out looks nearly the same), and of the object's size. The instants' x are eliminated (Schur
-complement), and θ, with the declared sigmas as its prior, is the solution of one least-squares problem.
+instant's own error of the pose and θ the declared values' errors: of each joint, of each fingertip's place and radius, of
+the gain of each axis of its sensor (the arm torque / force is where it is touched), and of the object's size. The loads
+of a grasp in the air are those of a weight, whatever the squeeze: they depend on joints, places, gains and the mass.
+What is a grasp's or an instant's own is eliminated (Schur complement), and θ, with the declared sigmas as its prior, is
+the solution of one least-squares problem.
 
 Declared is θ = 0 with prior covariance P; estimated is θ̂ with covariance S. If what is declared is right, θ̂ is a
 Gaussian with covariance P - S, so θ̂ᵀ (P - S)⁻¹ θ̂ is a χ². The estimate that is shown is that of the recording
@@ -24,7 +26,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts, Ellipsoid
 from handsight.errors import InvalidInput
-from handsight.forces import Weighing
+from handsight.forces import WEIGHER, Carried, Unknowns, Weighing, common_equations, weigh
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Finger, Rig
@@ -46,10 +48,17 @@ class DiagnosisOptions(NamedTuple):
     min_force: float = 0.3  # each presses by so much [N]: fingers that close are not at rest yet
     max_instants: int = 200  # most instants that are kept
     enlarged: float = 1e-4  # by so much a radius is changed for a difference quotient [m]
+    louder: float = 1e-3  # by such a share a reading is
+    wide_gain: float = 0.15  # sigma of gains with which loads must be those of a weight
     passes: int = 3  # of Gauss and Newton's method
     max_errors: float = 10.0
     """Errors of more of their declared sigmas are no small errors of this hand and this object."""
+    noticeable: float = 0.1
+    """A value is tested where the recording lowers its variance by such a share or more: with less, an error of even
+    `max_errors` sigmas has a χ² of ten only, and what looks like one is an error of the model."""
     sigma_size: float = 0.03  # of an object's size, as a share, which models do not declare
+    sigma_compliance: float = 2e-4  # of the tips, how far each is pressed in [m/N]; it is no row of the table
+    unknown_mass: float = 10.0  # sigma of a mass that is not declared [kg]
     sigma_pose: float = 0.02  # sigma of an instant's pose about the tracked one [m]; see `sigma_turn`
     sigma_turn: float = float(np.deg2rad(20.0))  # [rad]
     measured: float = 1.0
@@ -180,19 +189,40 @@ class Diagnoser:
     def __init__(self, tracker: Tracker) -> None:
         """The tracker's rig and model declare the values."""
         self.tracker = tracker
-        self._offsets, self._sensors = JointOffsets.of(tracker.rig), FingertipSensors(tracker.rig)
-        larger = {name: _enlarged(finger) for name, finger in tracker.rig.fingers.items()}
-        self._larger = FingertipSensors(replace(tracker.rig, fingers=larger))
+        rig = tracker.rig
+        exact = {name: replace(finger, sigma_gain=0.0) for name, finger in rig.fingers.items()}
+        self._offsets, self._sensors = JointOffsets.of(rig), FingertipSensors(replace(rig, fingers=exact))
+        """The fingertips' sensors, without the errors of gains, which are values of their own."""
+        larger = {name: _enlarged(finger) for name, finger in exact.items()}
+        self._larger = FingertipSensors(replace(rig, fingers=larger))
         """The same fingertips, larger by `DIAGNOSIS.enlarged`."""
-        points = [max(finger.sigma_point, 1e-6) for finger in tracker.rig.fingers.values()]
-        joints = [max(self._offsets.sigma, 1e-6)] * len(self._offsets.joints)
-        self._sigmas = np.array([*joints, *points, DIAGNOSIS.sigma_size])
-        """(j + f + 1,) declared sigmas of the joints, of the fingertips' radii, and of the object's size."""
+        fingers, mass = rig.fingers.values(), tracker.track_state.weight.weigher.sigma_mass
+        sigmas = {
+            "joint": [self._offsets.sigma] * len(self._offsets.joints),
+            "place": [f.sigma_point for f in fingers for _ in range(3)],
+            "gain": [f.sigma_gain for f in fingers for _ in range(6)],
+            "radius": [f.sigma_point for f in fingers],
+            "size": [DIAGNOSIS.sigma_size],
+            "compliance": [DIAGNOSIS.sigma_compliance],
+            "mass": [mass or DIAGNOSIS.unknown_mass],
+        }
+        self._sigmas = np.maximum(np.concatenate(list(sigmas.values())), 1e-6)
+        """(k,) declared sigmas of the values that all grasps have in common."""
+        ends = np.cumsum([len(part) for part in sigmas.values()]).tolist()
+        self._at = {kind: slice(e - len(part), e) for e, (kind, part) in zip(ends, sigmas.items(), strict=True)}
+        """Where the values of each kind are among them."""
+        self._unknowns = Unknowns(
+            np.diag(self._sigmas[: self._at["place"].stop]),
+            np.concatenate([[f.sigma_force] * 3 + [f.sigma_torque] * 3 for f in fingers]),
+            WEIGHER.creep, rig.gravity, WEIGHER.sigma_gravity, self._sigmas[self._at["gain"]],
+        )  # fmt: skip
+        self._grasps = list[tuple[tuple[Carried, ...], Weighing]]()
+        """The loads of each grasp in the air, by joints and places as declared, where gravity had most directions."""
+        self._in_hand, self._weighing = False, None
+        """Whether the last of these is of the current grasp; the last weighing."""
         self._instants = list[Instant]()
         self._bias: tuple[Array, Array] | None = None
         """Vision's constant error (6,) and its covariance (6, 6), when they were known best."""
-        self._weighing: tuple[Weighing, bool] | None = None
-        """The last weighing in most directions of gravity, and whether it includes the declared mass."""
         self._table: TableEstimate | None = None
         """Where the table must be, when its height was known best."""
 
@@ -202,10 +232,7 @@ class Diagnoser:
         corrected = self.tracker.track_state.correction
         if observation is None or estimate is None or not estimate.consistent:
             return
-        weigher = self.tracker.track_state.weight.weigher
-        found, best = weigher.weighing, self._weighing
-        if found is not None and (best is None or found.directions >= best[0].directions):
-            self._weighing = found, weigher.mass is not None and not weigher.reason
+        self._add_loads()
         if corrected is None or corrected.stamp != observation.stamp:
             return
         table = self.tracker.table
@@ -215,6 +242,30 @@ class Diagnoser:
         if bias is not None and (self._bias is None or np.trace(bias[1]) < np.trace(self._bias[1])):
             self._bias = bias
         self._add_contacts(observation, estimate.T_palm_object)
+
+    def _add_loads(self) -> None:
+        """Keeps the loads of the last weighing, one of each grasp."""
+        state = self.tracker.track_state
+        found, instants = state.weight.weigher.weighing, state.weight.weigher.instants
+        if found is None or found is self._weighing:
+            self._in_hand = self._in_hand and found is not None
+            return
+        self._weighing = found
+        if self._in_hand and found.directions < self._grasps[-1][1].directions:
+            return
+        if self._in_hand:
+            self._grasps.pop()
+        self._in_hand = True
+        self._grasps.append((tuple(self._as_declared(each, state.offsets.mean) for each in instants), found))
+
+    def _as_declared(self, instant: Carried, offsets: Array) -> Carried:
+        """Returns a load without the joints' estimated offsets (j,), by joints and by the tips' places."""
+        load, places = instant.load, []
+        for finger, T, force in zip(self.tracker.rig.fingers.values(), load.Ts_palm_tip, load.forces, strict=True):
+            places.append(se3.skew(force) @ T[:3, :3] @ finger.T_frame_surface[:3, :3])
+        by_place = np.vstack([np.zeros((3, 3 * len(places))), np.hstack(places)])
+        wrench = load.wrench + load.by_joint @ offsets
+        return replace(instant, load=replace(load, wrench=wrench, by_joint=np.hstack([load.by_joint, by_place])))
 
     def _add_contacts(self, observation: Observation, T: Array) -> None:
         """Adds the contacts of an instant with the object at T (4, 4), if they are a new grasp."""
@@ -232,34 +283,105 @@ class Diagnoser:
         if larger.contacts is None or larger.fingers != touch.fingers:
             return
         K, alone = self._offsets.separated(contacts, touch.by_error)
-        names, j = list(self.tracker.rig.fingers), K.shape[2]
         J = np.zeros((len(contacts), 6, len(self._sigmas)))
-        J[:, :, :j] = -K  # a joint that reads too much is at a smaller angle
-        tips = np.arange(len(contacts)), slice(None), [j + names.index(finger) for finger in touch.fingers]
-        J[tips] = (
-            np.hstack(
-                [
-                    larger.contacts.points_palm - contacts.points_palm,
-                    larger.contacts.normals_palm - contacts.normals_palm,
-                ]
-            )
-            / DIAGNOSIS.enlarged
-        )
+        J[:, :, self._at["joint"]] = -K  # a joint that reads too much is at a smaller angle
+        at = {kind: J[:, :, self._at[kind]] for kind in ("place", "gain", "radius")}
+        rig = self.tracker.rig
+        names, Ts = list(rig.fingers), rig.hand.kinematics(dict(observation.joint_positions or {})).Ts_palm_tip
+        Rs_palm_surface = [
+            Ts[list(rig.hand.tips).index(name), :3, :3] @ finger.T_frame_surface[:3, :3]
+            for name, finger in rig.fingers.items()
+        ]
+        louder = [self._sensors.contacts(self._with_gain(observation, axis)) for axis in range(6)]
+        if any(each.fingers != touch.fingers for each in louder):
+            return
+        for i, finger in enumerate(touch.fingers):
+            n = names.index(finger)
+            at["place"][i, :3, 3 * n : 3 * n + 3] = Rs_palm_surface[n]
+            at["radius"][i, :, n] = _change(contacts, larger.contacts, i) / DIAGNOSIS.enlarged
+            for axis, each in enumerate(louder):
+                # A sensor that reads too much measures less.
+                at["gain"][i, :, 6 * n + axis] = -_change(contacts, each.contacts, i) / DIAGNOSIS.louder
         # A contact with a larger object is nearer to its middle, relative to its surface.
         middle = se3.apply(T, self.tracker.model.center_object[None])[0]
-        J[:, :3, -1] = middle - contacts.points_palm
+        J[:, :3, self._at["size"]] = (middle - contacts.points_palm)[:, :, None]
+        J[:, :3, self._at["compliance"]] = (loads[:, 3:4] * contacts.normals_palm)[:, :, None]
         self._instants.append(Instant(touch.fingers, contacts, alone, J, T))
+
+    def _with_gain(self, observation: Observation, axis: int) -> Observation:
+        """Returns an observation whose sensors read too much along one of their six axes, by `DIAGNOSIS.louder`."""
+        wrenches = {}
+        for name, wrench in observation.wrenches.items():
+            wrenches[name] = louder = np.array(wrench, dtype=float)
+            if (finger := self.tracker.rig.fingers.get(name)) is not None:
+                known = finger.calibration
+                bias = np.concatenate([known.bias_force, known.bias_torque])
+                louder[axis] += DIAGNOSIS.louder * (louder - bias)[axis]
+        return replace(observation, wrenches=wrenches)
 
     def diagnosis(self) -> Diagnosis:
         """Returns the diagnosis of all that was watched."""
-        errors, covariance = self._solve()
-        far = bool(np.abs(errors / self._sigmas).max() > DIAGNOSIS.max_errors)
-        by_touch = () if far else self._contact_values(errors, covariance)
-        values = [*by_touch, *self._vision_values(), *self._other_values()]
+        errors, H = self._solve()
+        small = np.abs(errors / self._sigmas)[: self._at["size"].stop]
+        small[self._at["gain"]] = 0.0
+        far = bool(small.max() > DIAGNOSIS.max_errors)
+        rows = [] if far else self._rows()
+        others = [*self._vision_values(), *self._other_values()]
         # Bonferroni: that any of n right values is called wrong has at most the stated probability.
-        level = DIAGNOSIS.level / max(len(values), 1)
-        judged = (replace(value, wrong=float(chdtrc(value.freedom, value.chi2)) < level) for value in values)
-        return Diagnosis(tuple(judged), len(self._instants), UNLIKE if far else "")
+        level = DIAGNOSIS.level / max(len(rows) + len(others), 1)
+        judged = [replace(v, wrong=float(chdtrc(v.freedom, v.chi2)) < level) for v in others]
+        values = [*self._judged(rows, errors, H, level), *judged]
+        return Diagnosis(tuple(values), len(self._instants), UNLIKE if far else "")
+
+    def _rows(self) -> list[tuple[str, str, float, Array]]:
+        """Returns name, unit, declared value [SI] and indices among the common values of each row of the table."""
+        fingers, model, at = self.tracker.rig.fingers, self.tracker.model, self._at
+        k = {kind: iter(np.arange(part.start, part.stop)) for kind, part in at.items()}
+        rows = [(f"joint {joint}", "°", 0.0, [next(k["joint"])]) for joint in self._offsets.joints]
+        for name, finger in fingers.items():
+            rows += [(f"tip {name} shift {axis}", "mm", 0.0, [next(k["place"])]) for axis in "xyz"]
+            rows.append((f"tip {name} radius", "mm", float(np.mean(finger.tip.semi_axes)), [next(k["radius"])]))
+            rows += [
+                (f"sensor {name} {what} gain", "%", 1.0, [next(k["gain"]) for _ in range(3)])
+                for what in ("force", "torque")
+            ]
+        rows.append(("object size", "%", 1.0, [next(k["size"])]))
+        if model.mass is not None:
+            rows.append(("object mass", "g", model.mass, [next(k["mass"])]))
+        return [(name, unit, declared, np.array(at)) for name, unit, declared, at in rows]
+
+    def _judged(
+        self, rows: list[tuple[str, str, float, Array]], errors: Array, H: Array, level: float
+    ) -> Iterator[Diagnosed]:
+        """Yields the rows' values, of which those are wrong that are so for a test of this level.
+
+        What is wrong makes everything that depends on it look wrong, too. So what is most unlikely is called wrong
+        alone, and the rest is tested again without its declared value (Baarda's data snooping, 1968).
+        """
+        wrong: dict[str, tuple[float, int]] = {}
+        for _ in range(len(rows) + 1):
+            S, tests = np.linalg.inv(H), {}
+            for name, _, _, at in rows:
+                if name not in wrong:
+                    tests[name] = _chi2(errors[at], self._sigmas[at] ** 2, S[np.ix_(at, at)])
+            worst = min(rows, key=lambda row: chdtrc(*tests[row[0]][::-1]) if row[0] in tests else 1.0)
+            if worst[0] not in tests or chdtrc(*tests[worst[0]][::-1]) >= level:
+                break
+            wrong[worst[0]] = tests[worst[0]]
+            freed = H.copy()
+            freed[worst[3], worst[3]] -= 0.99 * self._sigmas[worst[3]] ** -2  # ten declared sigmas
+            errors, H = np.linalg.solve(freed, H @ errors), freed
+        for name, unit, declared, at in rows:
+            mean, prior = errors[at].mean(), math.sqrt((self._sigmas[at] ** 2).sum()) / len(at)
+            sigma = math.sqrt(S[np.ix_(at, at)].sum()) / len(at)
+            if name in wrong:
+                value = Diagnosed(
+                    name, unit, *(UNITS[unit] * x for x in (declared, prior, declared + mean, sigma)), 0.0
+                )
+            else:
+                value = diagnosed(name, unit, declared, prior, float(mean), sigma)
+            chi2, freedom = wrong.get(name) or tests[name]
+            yield replace(value, chi2=chi2, freedom=freedom, wrong=name in wrong)
 
     def _is_new(self, fingers: tuple[str, ...], contacts: Contacts) -> bool:
         """Returns whether a finger touches elsewhere than in all kept instants with the same fingers."""
@@ -272,12 +394,14 @@ class Diagnoser:
         return True
 
     def _solve(self) -> tuple[Array, Array]:
-        """Returns the errors (j + f + 1,) that the kept instants have in common, and their covariance."""
-        errors, H = np.zeros(len(self._sigmas)), np.diag(self._sigmas**-2)
+        """Returns the errors (k,) that all grasps have in common, and the information (k, k) of them and their priors."""
+        errors, (by_loads, pulled) = np.zeros(len(self._sigmas)), self._load_equations()
+        H = by_loads + np.diag(self._sigmas**-2)
         by_pose = np.diag(np.repeat([DIAGNOSIS.sigma_pose, DIAGNOSIS.sigma_turn], 3) ** -2.0)
         Ts, moved = [instant.T_palm_object for instant in self._instants], np.zeros((len(self._instants), 6))
         for _ in range(DIAGNOSIS.passes):
-            H, slope, parts = np.diag(self._sigmas**-2), errors / self._sigmas**2, []
+            H, parts = by_loads + np.diag(self._sigmas**-2), list[Array]()
+            slope = H @ errors + pulled
             for instant, T, motion in zip(self._instants, Ts, moved, strict=True):
                 A, b = contact_equations(
                     self.tracker.model, instant.with_errors(errors), instant.covariance, instant.by_value, T
@@ -294,21 +418,23 @@ class Diagnoser:
                 turned = -(eliminated[:, :-1] @ step + eliminated[:, -1])
                 moved[k] += turned
                 Ts[k] = se3.moved(Ts[k], turned)
-        return errors, np.linalg.inv(H)
+        return errors, H
 
-    def _contact_values(self, errors: Array, covariance: Array) -> Iterator[Diagnosed]:
-        """Yields what contacts tell of joints, tips and the object's size; the arguments are those of `_solve`."""
-        sigmas = np.sqrt(covariance.diagonal())
-        fingers = self.tracker.rig.fingers
-        named = [(f"joint {joint}", "°", 0.0) for joint in self._offsets.joints]
-        named += [
-            (f"tip {name} radius", "mm", float(np.mean(f.tip.semi_axes))) for name, f in fingers.items()
-        ]
-        named.append(("object size", "%", 1.0))
-        for value, prior, error, sigma in zip(
-            named, self._sigmas.tolist(), errors.tolist(), sigmas.tolist(), strict=True
-        ):
-            yield diagnosed(*value, prior, error, sigma)
+    def _load_equations(self) -> tuple[Array, Array]:
+        """Returns what the loads of all grasps add to H (k, k) and to the slope (k,) where nothing is wrong."""
+        H, slope = np.zeros((len(self._sigmas), len(self._sigmas))), np.zeros(len(self._sigmas))
+        wide = replace(self._unknowns, gains=np.full_like(self._unknowns.gains, DIAGNOSIS.wide_gain))
+        at = np.array([len(H) - 1, *range(self._at["gain"].stop)])
+        scale = np.append(1.0, self._sigmas[at[1:]])
+        mass = self.tracker.model.mass
+        for instants, start in self._grasps:
+            found = weigh(instants, wide, start)
+            if found.consistent:
+                mass = found.mass if mass is None else mass
+                own, pull = common_equations(instants, self._unknowns, found)
+                H[np.ix_(at, at)] += own / np.outer(scale, scale)
+                slope[at] += (pull + own[0] * (mass - found.mass)) / scale
+        return H, slope
 
     def _vision_values(self) -> Iterator[Diagnosed]:
         """Yields what the palm's motion tells of the camera's constant error, at the object, along its mount's axes."""
@@ -326,7 +452,7 @@ class Diagnoser:
             yield diagnosed("camera latency", "ms", camera.latency, camera.sigma_latency, off, latency[1])
 
     def _other_values(self) -> Iterator[Diagnosed]:
-        """Yields what the table, the object's weight, slips, and sensors in the air tell."""
+        """Yields what the table, slips, and sensors in the air tell."""
         rig, model, table = self.tracker.rig, self.tracker.model, self._table
         if rig.table is not None and table is not None:
             off = table.height - rig.table.height
@@ -335,13 +461,6 @@ class Diagnoser:
             value = diagnosed("table tilt", "°", 0.0, tilt, table.tilt, table.sigma_tilt)
             yield replace(value, freedom=2)
         weigher, slip = self.tracker.track_state.weight.weigher, self.tracker.slip
-        if self._weighing is not None and model.mass is not None:
-            found, includes = self._weighing
-            numbers = "object mass", "g", model.mass, weigher.sigma_mass
-            if includes:
-                yield diagnosed(*numbers, found.mass - model.mass, found.sigma_mass)
-            else:
-                yield measured(*numbers, found.mass, found.sigma_mass)
         if model.friction is not None and slip.friction is not None:
             off = slip.friction - model.friction
             yield diagnosed(
@@ -371,7 +490,7 @@ def diagnosed(name: str, unit: str, declared: float, prior: float, error: float,
     """
     factor = UNITS[unit]
     own = 1 / sigma**2 - 1 / prior**2 if prior > 0 else 0.0  # what is declared exact stays as it is
-    if own * prior**2 < 1e-6:  # the recording tells nothing
+    if own * sigma**2 < DIAGNOSIS.noticeable:  # the recording tells next to nothing
         return Diagnosed(name, unit, factor * declared, factor * prior, math.nan, math.inf, 0.0)
     estimated, sigma_estimated = declared + error / sigma**2 / own, own**-0.5
     chi2 = error**2 / (prior**2 - sigma**2)
@@ -384,6 +503,23 @@ def diagnosed(name: str, unit: str, declared: float, prior: float, error: float,
         factor * sigma_estimated,
         chi2,
     )
+
+
+def _chi2(errors: Array, variances: Array, covariance: Array) -> tuple[float, int]:
+    """Returns χ² of errors (n,) with declared `variances` (n,), and its degrees of freedom.
+
+    `covariance` (n, n): that of the estimate. Directions of which the recording tells too little do not count.
+    """
+    values, vectors = np.linalg.eigh(np.eye(len(errors)) - covariance / np.sqrt(np.outer(variances, variances)))
+    told = values > DIAGNOSIS.noticeable
+    return float(((vectors.T @ (errors / np.sqrt(variances)))[told] ** 2 / values[told]).sum()), max(int(told.sum()), 1)
+
+
+def _change(contacts: Contacts, other: Contacts, row: int) -> Array:
+    """Returns the change (6,) of the point and the normal of one contact."""
+    return np.concatenate([
+        other.points_palm[row] - contacts.points_palm[row], other.normals_palm[row] - contacts.normals_palm[row]
+    ])  # fmt: skip
 
 
 def _enlarged(finger: Finger) -> Finger:
