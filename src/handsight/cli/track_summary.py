@@ -225,7 +225,7 @@ def refusals(tally: "Tally") -> list[str]:
 
 def print_diagnosis(diagnosis: "Diagnosis") -> None:
     """Prints a line for each value that a recording measures, the most doubtful first, and names the others."""
-    measured = sorted((v for v in diagnosis.values if v.measured), key=lambda v: (not v.wrong, -v.chi2))
+    measured = sorted((v for v in diagnosis.values if v.measured or v.wrong), key=lambda v: (not v.wrong, -v.chi2))
     rows = [
         (v.name, v.unit, f"{v.declared:.4g} ± {v.sigma:.3g}", f"{v.estimated:.4g} ± {v.sigma_estimated:.3g}",
          f"{v.chi2:.1f}", v.verdict)
@@ -233,7 +233,7 @@ def print_diagnosis(diagnosis: "Diagnosis") -> None:
     ]  # fmt: skip
     if rows:
         print_out("", plain_table(("value", "in", "declared", "recording", "χ²", "verdict"), rows, texts=2))
-    others = [v.name for v in diagnosis.values if not v.measured]
+    others = [v.name for v in diagnosis.values if not (v.measured or v.wrong)]
     joints, kinds = [name for name in others if name.startswith("joint ")], []
     if joints:
         kinds.append(f"{len(joints)} joints")

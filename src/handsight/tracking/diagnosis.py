@@ -52,10 +52,8 @@ class DiagnosisOptions(NamedTuple):
     wide_gain: float = 0.15  # sigma of gains with which loads must be those of a weight
     passes: int = 3  # of Gauss and Newton's method
     max_errors: float = 10.0
-    """Errors of more of their declared sigmas are no small errors of this hand and this object."""
-    noticeable: float = 0.1
-    """A value is tested where the recording lowers its variance by such a share or more: with less, an error of even
-    `max_errors` sigmas has a χ² of ten only, and what looks like one is an error of the model."""
+    """Errors of more of their declared sigmas are no small errors of this hand and this object: a recording tells
+    nothing of what it knows to more sigmas only."""
     sigma_size: float = 0.03  # of an object's size, as a share, which models do not declare
     sigma_compliance: float = 2e-4  # of the tips, how far each is pressed in [m/N]; it is no row of the table
     unknown_mass: float = 10.0  # sigma of a mass that is not declared [kg]
@@ -260,12 +258,16 @@ class Diagnoser:
 
     def _as_declared(self, instant: Carried, offsets: Array) -> Carried:
         """Returns a load without the joints' estimated offsets (j,), by joints and by the tips' places."""
-        load, places = instant.load, []
-        for finger, T, force in zip(self.tracker.rig.fingers.values(), load.Ts_palm_tip, load.forces, strict=True):
-            places.append(se3.skew(force) @ T[:3, :3] @ finger.T_frame_surface[:3, :3])
+        load, places, readings = instant.load, [], instant.load.readings.copy()
+        for i, (finger, T) in enumerate(zip(self.tracker.rig.fingers.values(), load.Ts_palm_tip, strict=True)):
+            places.append(se3.skew(load.forces[i]) @ T[:3, :3] @ finger.T_frame_surface[:3, :3])
+            # The tip's own weight was measured by the same sensor.
+            own, known = load.by_bias[:3, 6 * i : 6 * i + 3].T @ load.gravity, finger.calibration
+            readings[6 * i : 6 * i + 6] -= known.mass * np.concatenate([own, np.cross(known.center_of_mass, own)])
         by_place = np.vstack([np.zeros((3, 3 * len(places))), np.hstack(places)])
         wrench = load.wrench + load.by_joint @ offsets
-        return replace(instant, load=replace(load, wrench=wrench, by_joint=np.hstack([load.by_joint, by_place])))
+        by_joint = np.hstack([load.by_joint, by_place])
+        return replace(instant, load=replace(load, wrench=wrench, by_joint=by_joint, readings=readings))
 
     def _add_contacts(self, observation: Observation, T: Array) -> None:
         """Adds the contacts of an instant with the object at T (4, 4), if they are a new grasp."""
@@ -330,21 +332,18 @@ class Diagnoser:
         # Bonferroni: that any of n right values is called wrong has at most the stated probability.
         level = DIAGNOSIS.level / max(len(rows) + len(others), 1)
         judged = [replace(v, wrong=float(chdtrc(v.freedom, v.chi2)) < level) for v in others]
-        values = [*self._judged(rows, errors, H, level), *judged]
-        return Diagnosis(tuple(values), len(self._instants), UNLIKE if far else "")
+        values = *self._judged(rows, errors, H, level), *judged
+        return Diagnosis(values, len(self._instants), UNLIKE if far else "")
 
     def _rows(self) -> list[tuple[str, str, float, Array]]:
-        """Returns name, unit, declared value [SI] and indices among the common values of each row of the table."""
+        """Returns the table's rows: name, unit, declared value [SI], and of which common values each is the mean."""
         fingers, model, at = self.tracker.rig.fingers, self.tracker.model, self._at
         k = {kind: iter(np.arange(part.start, part.stop)) for kind, part in at.items()}
         rows = [(f"joint {joint}", "°", 0.0, [next(k["joint"])]) for joint in self._offsets.joints]
         for name, finger in fingers.items():
             rows += [(f"tip {name} shift {axis}", "mm", 0.0, [next(k["place"])]) for axis in "xyz"]
             rows.append((f"tip {name} radius", "mm", float(np.mean(finger.tip.semi_axes)), [next(k["radius"])]))
-            rows += [
-                (f"sensor {name} {what} gain", "%", 1.0, [next(k["gain"]) for _ in range(3)])
-                for what in ("force", "torque")
-            ]
+            rows.append((f"sensor {name} gain", "%", 1.0, [next(k["gain"]) for _ in range(6)]))
         rows.append(("object size", "%", 1.0, [next(k["size"])]))
         if model.mass is not None:
             rows.append(("object mass", "g", model.mass, [next(k["mass"])]))
@@ -352,36 +351,32 @@ class Diagnoser:
 
     def _judged(
         self, rows: list[tuple[str, str, float, Array]], errors: Array, H: Array, level: float
-    ) -> Iterator[Diagnosed]:
-        """Yields the rows' values, of which those are wrong that are so for a test of this level.
+    ) -> list[Diagnosed]:
+        """Returns the rows' values, of which those are wrong that are so for a test of this level.
 
         What is wrong makes everything that depends on it look wrong, too. So what is most unlikely is called wrong
-        alone, and the rest is tested again without its declared value (Baarda's data snooping, 1968).
+        alone, and the rest is tested again with ten times its declared sigma (Baarda's data snooping, 1968).
         """
-        wrong: dict[str, tuple[float, int]] = {}
-        for _ in range(len(rows) + 1):
-            S, tests = np.linalg.inv(H), {}
-            for name, _, _, at in rows:
-                if name not in wrong:
-                    tests[name] = _chi2(errors[at], self._sigmas[at] ** 2, S[np.ix_(at, at)])
-            worst = min(rows, key=lambda row: chdtrc(*tests[row[0]][::-1]) if row[0] in tests else 1.0)
-            if worst[0] not in tests or chdtrc(*tests[worst[0]][::-1]) >= level:
-                break
-            wrong[worst[0]] = tests[worst[0]]
-            freed = H.copy()
-            freed[worst[3], worst[3]] -= 0.99 * self._sigmas[worst[3]] ** -2  # ten declared sigmas
+        wrong: dict[str, float] = {}
+        while True:
+            S, values = np.linalg.inv(H), list[Diagnosed]()
+            for name, unit, declared, at in rows:
+                n, prior = len(at), float(self._sigmas[at[0]]) / math.sqrt(len(at))
+                mean, sigma = float(errors[at].mean()), math.sqrt(S[np.ix_(at, at)].sum()) / n
+                if name in wrong:
+                    prior *= DIAGNOSIS.max_errors
+                value = diagnosed(name, unit, declared, prior, mean, sigma)
+                if name in wrong:
+                    sigma = value.sigma / DIAGNOSIS.max_errors
+                    value = replace(value, sigma=sigma, chi2=wrong[name], wrong=True)
+                values.append(value)
+            worst = max(range(len(rows)), key=lambda k: -1.0 if values[k].wrong else values[k].chi2)
+            if values[worst].wrong or chdtrc(1, values[worst].chi2) >= level:
+                return values
+            at = rows[worst][3]
+            wrong[rows[worst][0]], freed = values[worst].chi2, H.copy()
+            freed[np.ix_(at, at)] -= (1 - DIAGNOSIS.max_errors**-2) / len(at) / self._sigmas[at[0]] ** 2
             errors, H = np.linalg.solve(freed, H @ errors), freed
-        for name, unit, declared, at in rows:
-            mean, prior = errors[at].mean(), math.sqrt((self._sigmas[at] ** 2).sum()) / len(at)
-            sigma = math.sqrt(S[np.ix_(at, at)].sum()) / len(at)
-            if name in wrong:
-                value = Diagnosed(
-                    name, unit, *(UNITS[unit] * x for x in (declared, prior, declared + mean, sigma)), 0.0
-                )
-            else:
-                value = diagnosed(name, unit, declared, prior, float(mean), sigma)
-            chi2, freedom = wrong.get(name) or tests[name]
-            yield replace(value, chi2=chi2, freedom=freedom, wrong=name in wrong)
 
     def _is_new(self, fingers: tuple[str, ...], contacts: Contacts) -> bool:
         """Returns whether a finger touches elsewhere than in all kept instants with the same fingers."""
@@ -424,16 +419,22 @@ class Diagnoser:
         """Returns what the loads of all grasps add to H (k, k) and to the slope (k,) where nothing is wrong."""
         H, slope = np.zeros((len(self._sigmas), len(self._sigmas))), np.zeros(len(self._sigmas))
         wide = replace(self._unknowns, gains=np.full_like(self._unknowns.gains, DIAGNOSIS.wide_gain))
-        at = np.array([len(H) - 1, *range(self._at["gain"].stop)])
-        scale = np.append(1.0, self._sigmas[at[1:]])
-        mass = self.tracker.model.mass
+        place = self._at["place"]
+        of = np.array([len(H) - 1, *range(place.start), *range(place.stop, self._at["gain"].stop)])
+        scale, mass = np.append(1.0, self._sigmas[of[1:]]), self.tracker.model.mass
         for instants, start in self._grasps:
             found = weigh(instants, wide, start)
-            if found.consistent:
-                mass = found.mass if mass is None else mass
-                own, pull = common_equations(instants, self._unknowns, found)
-                H[np.ix_(at, at)] += own / np.outer(scale, scale)
-                slope[at] += (pull + own[0] * (mass - found.mass)) / scale
+            if not found.consistent:
+                continue
+            mass = found.mass if mass is None else mass
+            own, pull = common_equations(instants, self._unknowns, found)
+            # Arms are off by more than the tips' places, as objects move in the grip: loads tell nothing of places.
+            rest = np.delete(np.arange(len(own)), p := slice(1 + place.start, 1 + place.stop))
+            by_place = np.linalg.solve(own[p, p] + np.eye(place.stop - place.start), np.column_stack([own[p], pull[p]]))
+            pull = (pull - own[:, p] @ by_place[:, -1])[rest]
+            own = (own - own[:, p] @ by_place[:, :-1])[np.ix_(rest, rest)]
+            H[np.ix_(of, of)] += own / np.outer(scale, scale)
+            slope[of] += (pull + own[0] * (mass - found.mass)) / scale
         return H, slope
 
     def _vision_values(self) -> Iterator[Diagnosed]:
@@ -490,7 +491,7 @@ def diagnosed(name: str, unit: str, declared: float, prior: float, error: float,
     """
     factor = UNITS[unit]
     own = 1 / sigma**2 - 1 / prior**2 if prior > 0 else 0.0  # what is declared exact stays as it is
-    if own * sigma**2 < DIAGNOSIS.noticeable:  # the recording tells next to nothing
+    if own * (DIAGNOSIS.max_errors * prior) ** 2 < 1:  # the recording tells next to nothing
         return Diagnosed(name, unit, factor * declared, factor * prior, math.nan, math.inf, 0.0)
     estimated, sigma_estimated = declared + error / sigma**2 / own, own**-0.5
     chi2 = error**2 / (prior**2 - sigma**2)
@@ -503,16 +504,6 @@ def diagnosed(name: str, unit: str, declared: float, prior: float, error: float,
         factor * sigma_estimated,
         chi2,
     )
-
-
-def _chi2(errors: Array, variances: Array, covariance: Array) -> tuple[float, int]:
-    """Returns χ² of errors (n,) with declared `variances` (n,), and its degrees of freedom.
-
-    `covariance` (n, n): that of the estimate. Directions of which the recording tells too little do not count.
-    """
-    values, vectors = np.linalg.eigh(np.eye(len(errors)) - covariance / np.sqrt(np.outer(variances, variances)))
-    told = values > DIAGNOSIS.noticeable
-    return float(((vectors.T @ (errors / np.sqrt(variances)))[told] ** 2 / values[told]).sum()), max(int(told.sum()), 1)
 
 
 def _change(contacts: Contacts, other: Contacts, row: int) -> Array:
