@@ -9,7 +9,7 @@ import typer
 
 from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run, find_rig
 from handsight.cli.terminal import kept_going, plain_table, print_out, say
-from handsight.cli.track_summary import print_diagnosis, refusals
+from handsight.cli.track_summary import latency_text, print_diagnosis, refusals
 from handsight.errors import HandsightError, InvalidInput, printable
 
 if TYPE_CHECKING:
@@ -80,6 +80,9 @@ def _print_tracked(run: Run) -> None:
         for _ in replay(recording.observations(), tracker, Tally()):
             diagnoser.watch()
     print_diagnosis(diagnoser.diagnosis())
+    if (latency := tracker.vision_latency()) is not None:
+        for sentence in latency_text(latency, tracker.vision.camera.latency):
+            typer.echo(printable(sentence))
     if not tracker.links:
         lacks = "the hand's file has no shapes" if run.model.closed else "the object has no inside"
         typer.echo(printable(f"No link keeps the object out: {lacks}."))

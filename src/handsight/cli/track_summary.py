@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -142,13 +143,7 @@ class TrackResult:
             hand = f"the hand in {hands} of {searched_hand} searched for it"
             lines.append(f"{searched} depth images: the object was found in {detected}, {hand}")
         if self.latency is not None:
-            latency, sigma = self.latency
-            # Beyond 20 ms, and by more than the estimate's own error, with a level of one in twenty.
-            if abs(latency - self.latency_declared) > 0.02 + 2 * sigma:
-                lines.append(
-                    f"vision's poses are {1e3 * latency:.0f} ± {1e3 * sigma:.0f} ms older than their stamps (the rig "
-                    f"says {1e3 * self.latency_declared:.0f}), which is taken into account; see camera.latency"
-                )
+            lines += latency_text(self.latency, self.latency_declared)
         if self.margins:
             by = ", ".join(f"{link} by {1e3 * margin:.1f} mm" for link, margin in self.margins.items())
             lines.append(
@@ -188,6 +183,18 @@ class TrackResult:
                 f"the object slipped {times}, {sum(seconds for _, seconds in slips):.2f} s in all, first at "
                 f"{first:.2f} s; friction {self.friction:.2f}"
             )
+
+
+def latency_text(known: tuple[float, float], declared: float) -> list[str]:
+    """Returns a sentence where vision's poses are older than `declared` [s] by more than 20 ms and by more than the
+    error of what is `known` (latency and its sigma [s]), with a level of one in twenty; else none."""
+    latency, sigma = known
+    if abs(latency - declared) <= 0.02 + 2 * sigma:
+        return []
+    return [
+        f"vision's poses are {1e3 * latency:.0f} ± {1e3 * sigma:.0f} ms older than their stamps (the rig "
+        f"says {1e3 * declared:.0f}), which is taken into account; see camera.latency"
+    ]
 
 
 def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:
@@ -234,10 +241,10 @@ def print_diagnosis(diagnosis: "Diagnosis") -> None:
     if rows:
         print_out("", plain_table(("value", "in", "declared", "recording", "χ²", "verdict"), rows, texts=2))
     others = [v.name for v in diagnosis.values if not (v.measured or v.wrong)]
-    joints, kinds = [name for name in others if name.startswith("joint ")], []
-    if joints:
-        kinds.append(f"{len(joints)} joints")
-    kinds += [name for name in others if name not in joints]
+    many = {"joints": "joint ", "shifts of tips": "tip .* shift"}
+    groups = {kind: [name for name in others if re.match(start, name)] for kind, start in many.items()}
+    kinds = [f"{len(names)} {kind}" for kind, names in groups.items() if names]
+    kinds += [name for name in others if not any(name in names for names in groups.values())]
     text = f"Different grasps that were compared: {diagnosis.instants}."
     if diagnosis.message:
         text += f" They were not compared with joints, tips and size: {diagnosis.message}."

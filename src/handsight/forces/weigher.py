@@ -57,6 +57,7 @@ class WeigherOptions(NamedTuple):
     """A mass that is farther off than so many sigmas contradicts the declared one: by chance in 2 %, whose share of the
     sigmas is mostly that of the declared mass, so that more directions are not more chances.
     """
+    right_mass: float = 1.64  # a declared mass stays contradicted until it is nearer than so many (a level of 10 %)
     biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
     restart_after: float = 3.0
     """How long loads may contradict the kept instants before these are dropped [s]."""
@@ -67,6 +68,7 @@ class WeigherOptions(NamedTuple):
 WEIGHER = WeigherOptions()
 
 PULLED_UP = "the object seems to be pulled up: does gravity point the other way?"
+WEIGHS = "it weighs"
 ASSUMED = "the loads fit a weight only if sensors have wrong gains, or a small force is not measured"
 
 
@@ -205,16 +207,17 @@ class Weigher:
         if before is None or before.directions != found.directions:
             exact = weigh(instants, exactly, before)
             self.assumed = "" if exact.consistent else ASSUMED
+        limit = WEIGHER.right_mass if self.reason.startswith(WEIGHS) else WEIGHER.wrong_mass
         self.reason = ""
         if found.mass < -WEIGHER.wrong_mass * found.sigma_mass:
             self.reason = PULLED_UP
         elif self.mass is not None:
             known = found.given_mass(self.mass, self.sigma_mass)
             off = abs(found.mass - self.mass) / np.hypot(found.sigma_mass, self.sigma_mass)
-            if off <= WEIGHER.wrong_mass or len(instants) == 1:
+            if off <= limit or len(instants) == 1:
                 found = known
             else:
-                self.reason = f"it weighs {found.mass:.3g} kg, not {self.mass:.3g}"
+                self.reason = f"{WEIGHS} {found.mass:.3g} kg, not {self.mass:.3g}"
         away = float(np.abs(found.center_palm - load.middle_palm).max())
         if not self.reason and not away < WEIGHER.max_reach:
             self.reason = f"the loads would be those of a weight {away:.1f} m away from the hand"
