@@ -232,7 +232,9 @@ def refusals(tally: "Tally") -> list[str]:
 
 def print_diagnosis(diagnosis: "Diagnosis") -> None:
     """Prints a line for each value that a recording measures, the most doubtful first, and names the others."""
-    measured = sorted((v for v in diagnosis.values if v.measured or v.wrong), key=lambda v: (not v.wrong, -v.chi2))
+    measured = sorted(
+        (v for v in diagnosis.values if v.measured or v.wrong), key=lambda v: (not v.wrong, -v.chi2)
+    )
     rows = [
         (v.name, v.unit, f"{v.declared:.4g} ± {v.sigma:.3g}", f"{v.estimated:.4g} ± {v.sigma_estimated:.3g}",
          f"{v.chi2:.1f}", v.verdict)

@@ -57,7 +57,9 @@ class WeigherOptions(NamedTuple):
     """A mass that is farther off than so many sigmas contradicts the declared one: by chance in 2 %, whose share of the
     sigmas is mostly that of the declared mass, so that more directions are not more chances.
     """
-    right_mass: float = 1.64  # a declared mass stays contradicted until it is nearer than so many (a level of 10 %)
+    right_mass: float = (
+        1.64  # a declared mass stays contradicted until it is nearer than so many (a level of 10 %)
+    )
     biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
     restart_after: float = 3.0
     """How long loads may contradict the kept instants before these are dropped [s]."""
@@ -390,8 +392,10 @@ class WeightSensor:
 
     @property
     def doubt(self) -> str:
-        """Why the loads make any pose doubtful: gravity of the wrong sign makes the tips' own weight wrong too, and with
-        it every contact; empty where they do not."""
+        """Why the loads make any pose doubtful; empty where they do not.
+
+        Gravity of the wrong sign makes the tips' own weight wrong too, and with it every contact.
+        """
         return PULLED_UP if self.weigher.reason == PULLED_UP else ""
 
     def elsewhere(self, estimate: PoseEstimate) -> str:

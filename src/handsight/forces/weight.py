@@ -193,9 +193,7 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     return Weighing(mean, joint, chi2, len(rows) - 1, p_fixed, len(instants))
 
 
-def common_equations(
-    instants: Sequence[Carried], unknowns: Unknowns, found: Weighing
-) -> tuple[Array, Array]:
+def common_equations(instants: Sequence[Carried], unknowns: Unknowns, found: Weighing) -> tuple[Array, Array]:
     """Returns H (k, k) and the slope (k,) of half the cost of one grasp's loads, by what all grasps have in common.
 
     These k = 1 + j + 6 t are the mass less that of `found` [kg], and the errors of joints and gains, in units of their
@@ -208,7 +206,9 @@ def common_equations(
     own[:, :3] *= WEIGHT_FIT.sigma_reach * mass
     L = np.linalg.cholesky(np.eye(len(rows)) + own @ own.T)
     left = rows[:, -7] - start - mass * rows[:, 0]
-    common = np.column_stack([rows[:, 0], rows[:, 8 : 8 + j], rows[:, 8 + j + len(unknowns.biases) : -7], left])
+    common = np.column_stack(
+        [rows[:, 0], rows[:, 8 : 8 + j], rows[:, 8 + j + len(unknowns.biases) : -7], left]
+    )
     common = np.asarray(np.linalg.solve(L, common))
     return common[:, :-1].T @ common[:, :-1], -common[:, :-1].T @ common[:, -1]
 

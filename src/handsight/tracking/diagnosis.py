@@ -2,10 +2,10 @@
 
 While a hand grasps an object in different ways, contacts measure more than its pose: what remains tells of the errors
 that all grasps have in common. Contact i of an instant is off the surface by r_i + A_i (M_i x + C_i θ), with x the
-instant's own error of the pose and θ the declared values' errors: of each joint, of each fingertip's place and radius, of
-the gain of each axis of its sensor (the arm torque / force is where it is touched), and of the object's size. The loads
-of a grasp in the air are those of a weight, whatever the squeeze: they depend on joints, places, gains and the mass.
-What is a grasp's or an instant's own is eliminated (Schur complement), and θ, with the declared sigmas as its prior, is
+instant's own error of the pose and θ the declared values' errors: of each joint, of each fingertip's place and radius,
+of the gain of each axis of its sensor (torque and force tell where it is touched), and of the object's size. The loads
+of a grasp in the air are those of a weight, whatever the squeeze: they depend on joints, gains and the mass. What is a
+grasp's or an instant's own is eliminated (Schur complement), and θ, with the declared sigmas as its prior, is
 the solution of one least-squares problem.
 
 Declared is θ = 0 with prior covariance P; estimated is θ̂ with covariance S. If what is declared is right, θ̂ is a
@@ -197,8 +197,8 @@ class Diagnoser:
         fingers, mass = rig.fingers.values(), tracker.track_state.weight.weigher.sigma_mass
         sigmas = {
             "joint": [self._offsets.sigma] * len(self._offsets.joints),
-            "place": [f.sigma_point for f in fingers for _ in range(3)],
             "gain": [f.sigma_gain for f in fingers for _ in range(6)],
+            "place": [f.sigma_point for f in fingers for _ in range(3)],
             "radius": [f.sigma_point for f in fingers],
             "size": [DIAGNOSIS.sigma_size],
             "compliance": [DIAGNOSIS.sigma_compliance],
@@ -207,17 +207,16 @@ class Diagnoser:
         self._sigmas = np.maximum(np.concatenate(list(sigmas.values())), 1e-6)
         """(k,) declared sigmas of the values that all grasps have in common."""
         ends = np.cumsum([len(part) for part in sigmas.values()]).tolist()
-        self._at = {kind: slice(e - len(part), e) for e, (kind, part) in zip(ends, sigmas.items(), strict=True)}
+        self._at = {
+            kind: slice(e - len(part), e) for e, (kind, part) in zip(ends, sigmas.items(), strict=True)
+        }
         """Where the values of each kind are among them."""
-        self._unknowns = Unknowns(
-            np.diag(self._sigmas[: self._at["place"].stop]),
-            np.concatenate([[f.sigma_force] * 3 + [f.sigma_torque] * 3 for f in fingers]),
-            WEIGHER.creep, rig.gravity, WEIGHER.sigma_gravity, self._sigmas[self._at["gain"]],
-        )  # fmt: skip
         self._grasps = list[tuple[tuple[Carried, ...], Weighing]]()
-        """The loads of each grasp in the air, by joints and places as declared, where gravity had most directions."""
-        self._in_hand, self._weighing = False, None
-        """Whether the last of these is of the current grasp; the last weighing."""
+        """The loads of each grasp in the air, by joints as declared, where gravity had most directions."""
+        self._in_hand = False
+        """Whether the last of these is of the current grasp."""
+        self._weighing: Weighing | None = None
+        """The last weighing."""
         self._instants = list[Instant]()
         self._bias: tuple[Array, Array] | None = None
         """Vision's constant error (6,) and its covariance (6, 6), when they were known best."""
@@ -257,17 +256,15 @@ class Diagnoser:
         self._grasps.append((tuple(self._as_declared(each, state.offsets.mean) for each in instants), found))
 
     def _as_declared(self, instant: Carried, offsets: Array) -> Carried:
-        """Returns a load without the joints' estimated offsets (j,), by joints and by the tips' places."""
-        load, places, readings = instant.load, [], instant.load.readings.copy()
-        for i, (finger, T) in enumerate(zip(self.tracker.rig.fingers.values(), load.Ts_palm_tip, strict=True)):
-            places.append(se3.skew(load.forces[i]) @ T[:3, :3] @ finger.T_frame_surface[:3, :3])
-            # The tip's own weight was measured by the same sensor.
+        """Returns a load without the joints' estimated offsets (j,), whose readings are without the tips' weights."""
+        load, readings = instant.load, instant.load.readings.copy()
+        for i, finger in enumerate(self.tracker.rig.fingers.values()):
             own, known = load.by_bias[:3, 6 * i : 6 * i + 3].T @ load.gravity, finger.calibration
-            readings[6 * i : 6 * i + 6] -= known.mass * np.concatenate([own, np.cross(known.center_of_mass, own)])
-        by_place = np.vstack([np.zeros((3, 3 * len(places))), np.hstack(places)])
+            readings[6 * i : 6 * i + 6] -= known.mass * np.concatenate(
+                [own, np.cross(known.center_of_mass, own)]
+            )
         wrench = load.wrench + load.by_joint @ offsets
-        by_joint = np.hstack([load.by_joint, by_place])
-        return replace(instant, load=replace(load, wrench=wrench, by_joint=by_joint, readings=readings))
+        return replace(instant, load=replace(load, wrench=wrench, readings=readings))
 
     def _add_contacts(self, observation: Observation, T: Array) -> None:
         """Adds the contacts of an instant with the object at T (4, 4), if they are a new grasp."""
@@ -281,29 +278,31 @@ class Diagnoser:
             return
         if not self._is_new(touch.fingers, contacts):
             return
-        larger = self._larger.contacts(observation)
-        if larger.contacts is None or larger.fingers != touch.fingers:
+        others = [self._larger.contacts(observation)]
+        others += [self._sensors.contacts(self._with_gain(observation, axis)) for axis in range(6)]
+        found = [
+            each.contacts for each in others if each.contacts is not None and each.fingers == touch.fingers
+        ]
+        if len(found) < len(others):
             return
+        # (7, n, 6) by how much each change moves the point and the normal of each contact.
+        changed = np.array([np.hstack([each.points_palm, each.normals_palm]) for each in found])
+        changed -= np.hstack([contacts.points_palm, contacts.normals_palm])
         K, alone = self._offsets.separated(contacts, touch.by_error)
         J = np.zeros((len(contacts), 6, len(self._sigmas)))
         J[:, :, self._at["joint"]] = -K  # a joint that reads too much is at a smaller angle
-        at = {kind: J[:, :, self._at[kind]] for kind in ("place", "gain", "radius")}
-        rig = self.tracker.rig
-        names, Ts = list(rig.fingers), rig.hand.kinematics(dict(observation.joint_positions or {})).Ts_palm_tip
-        Rs_palm_surface = [
-            Ts[list(rig.hand.tips).index(name), :3, :3] @ finger.T_frame_surface[:3, :3]
-            for name, finger in rig.fingers.items()
-        ]
-        louder = [self._sensors.contacts(self._with_gain(observation, axis)) for axis in range(6)]
-        if any(each.fingers != touch.fingers for each in louder):
-            return
-        for i, finger in enumerate(touch.fingers):
-            n = names.index(finger)
-            at["place"][i, :3, 3 * n : 3 * n + 3] = Rs_palm_surface[n]
-            at["radius"][i, :, n] = _change(contacts, larger.contacts, i) / DIAGNOSIS.enlarged
-            for axis, each in enumerate(louder):
-                # A sensor that reads too much measures less.
-                at["gain"][i, :, 6 * n + axis] = -_change(contacts, each.contacts, i) / DIAGNOSIS.louder
+        rig, (place, gain, radius) = (
+            self.tracker.rig,
+            (self._at[k].start for k in ("place", "gain", "radius")),
+        )
+        Ts = rig.hand.kinematics(dict(observation.joint_positions or {})).Ts_palm_tip
+        for i, name in enumerate(touch.fingers):
+            n, tip = list(rig.fingers).index(name), list(rig.hand.tips).index(name)
+            R = Ts[tip, :3, :3] @ rig.fingers[name].T_frame_surface[:3, :3]
+            J[i, :3, place + 3 * n : place + 3 * n + 3] = R
+            J[i, :, radius + n] = changed[0, i] / DIAGNOSIS.enlarged
+            # A sensor that reads too much measures less.
+            J[i, :, gain + 6 * n : gain + 6 * n + 6] = -changed[1:, i].T / DIAGNOSIS.louder
         # A contact with a larger object is nearer to its middle, relative to its surface.
         middle = se3.apply(T, self.tracker.model.center_object[None])[0]
         J[:, :3, self._at["size"]] = (middle - contacts.points_palm)[:, :, None]
@@ -324,9 +323,11 @@ class Diagnoser:
     def diagnosis(self) -> Diagnosis:
         """Returns the diagnosis of all that was watched."""
         errors, H = self._solve()
-        small = np.abs(errors / self._sigmas)[: self._at["size"].stop]
-        small[self._at["gain"]] = 0.0
-        far = bool(small.max() > DIAGNOSIS.max_errors)
+        hand = (
+            np.abs(errors / self._sigmas)[self._at[kind]].max()
+            for kind in ("joint", "place", "radius", "size")
+        )
+        far = max(hand) > DIAGNOSIS.max_errors
         rows = [] if far else self._rows()
         others = [*self._vision_values(), *self._other_values()]
         # Bonferroni: that any of n right values is called wrong has at most the stated probability.
@@ -335,22 +336,24 @@ class Diagnoser:
         values = *self._judged(rows, errors, H, level), *judged
         return Diagnosis(values, len(self._instants), UNLIKE if far else "")
 
-    def _rows(self) -> list[tuple[str, str, float, Array]]:
+    def _rows(self) -> list[tuple[str, str, float, list[int]]]:
         """Returns the table's rows: name, unit, declared value [SI], and of which common values each is the mean."""
         fingers, model, at = self.tracker.rig.fingers, self.tracker.model, self._at
-        k = {kind: iter(np.arange(part.start, part.stop)) for kind, part in at.items()}
+        k = {kind: iter(range(part.start, part.stop)) for kind, part in at.items()}
         rows = [(f"joint {joint}", "°", 0.0, [next(k["joint"])]) for joint in self._offsets.joints]
         for name, finger in fingers.items():
             rows += [(f"tip {name} shift {axis}", "mm", 0.0, [next(k["place"])]) for axis in "xyz"]
-            rows.append((f"tip {name} radius", "mm", float(np.mean(finger.tip.semi_axes)), [next(k["radius"])]))
+            rows.append(
+                (f"tip {name} radius", "mm", float(np.mean(finger.tip.semi_axes)), [next(k["radius"])])
+            )
             rows.append((f"sensor {name} gain", "%", 1.0, [next(k["gain"]) for _ in range(6)]))
         rows.append(("object size", "%", 1.0, [next(k["size"])]))
         if model.mass is not None:
             rows.append(("object mass", "g", model.mass, [next(k["mass"])]))
-        return [(name, unit, declared, np.array(at)) for name, unit, declared, at in rows]
+        return rows
 
     def _judged(
-        self, rows: list[tuple[str, str, float, Array]], errors: Array, H: Array, level: float
+        self, rows: list[tuple[str, str, float, list[int]]], errors: Array, H: Array, level: float
     ) -> list[Diagnosed]:
         """Returns the rows' values, of which those are wrong that are so for a test of this level.
 
@@ -376,7 +379,7 @@ class Diagnoser:
             at = rows[worst][3]
             wrong[rows[worst][0]], freed = values[worst].chi2, H.copy()
             freed[np.ix_(at, at)] -= (1 - DIAGNOSIS.max_errors**-2) / len(at) / self._sigmas[at[0]] ** 2
-            errors, H = np.linalg.solve(freed, H @ errors), freed
+            errors, H = np.asarray(np.linalg.solve(freed, H @ errors)), freed
 
     def _is_new(self, fingers: tuple[str, ...], contacts: Contacts) -> bool:
         """Returns whether a finger touches elsewhere than in all kept instants with the same fingers."""
@@ -389,13 +392,13 @@ class Diagnoser:
         return True
 
     def _solve(self) -> tuple[Array, Array]:
-        """Returns the errors (k,) that all grasps have in common, and the information (k, k) of them and their priors."""
+        """Returns the errors (k,) that all grasps have in common, and their information (k, k), with the priors."""
         errors, (by_loads, pulled) = np.zeros(len(self._sigmas)), self._load_equations()
         H = by_loads + np.diag(self._sigmas**-2)
         by_pose = np.diag(np.repeat([DIAGNOSIS.sigma_pose, DIAGNOSIS.sigma_turn], 3) ** -2.0)
         Ts, moved = [instant.T_palm_object for instant in self._instants], np.zeros((len(self._instants), 6))
         for _ in range(DIAGNOSIS.passes):
-            H, parts = by_loads + np.diag(self._sigmas**-2), list[Array]()
+            H, parts = by_loads + np.diag(self._sigmas**-2), []
             slope = H @ errors + pulled
             for instant, T, motion in zip(self._instants, Ts, moved, strict=True):
                 A, b = contact_equations(
@@ -418,23 +421,29 @@ class Diagnoser:
     def _load_equations(self) -> tuple[Array, Array]:
         """Returns what the loads of all grasps add to H (k, k) and to the slope (k,) where nothing is wrong."""
         H, slope = np.zeros((len(self._sigmas), len(self._sigmas))), np.zeros(len(self._sigmas))
-        wide = replace(self._unknowns, gains=np.full_like(self._unknowns.gains, DIAGNOSIS.wide_gain))
-        place = self._at["place"]
-        of = np.array([len(H) - 1, *range(place.start), *range(place.stop, self._at["gain"].stop)])
-        scale, mass = np.append(1.0, self._sigmas[of[1:]]), self.tracker.model.mass
+        of = np.array([len(H) - 1, *range(self._at["gain"].stop)])
+        scale, gains = np.append(1.0, self._sigmas[of[1:]]).astype(float), self._sigmas[self._at["gain"]]
+        rig, mass, joints = (
+            self.tracker.rig,
+            self.tracker.model.mass,
+            np.diag(self._sigmas[self._at["joint"]]),
+        )
         for instants, start in self._grasps:
-            found = weigh(instants, wide, start)
-            if not found.consistent:
-                continue
-            mass = found.mass if mass is None else mass
-            own, pull = common_equations(instants, self._unknowns, found)
-            # Arms are off by more than the tips' places, as objects move in the grip: loads tell nothing of places.
-            rest = np.delete(np.arange(len(own)), p := slice(1 + place.start, 1 + place.stop))
-            by_place = np.linalg.solve(own[p, p] + np.eye(place.stop - place.start), np.column_stack([own[p], pull[p]]))
-            pull = (pull - own[:, p] @ by_place[:, -1])[rest]
-            own = (own - own[:, p] @ by_place[:, :-1])[np.ix_(rest, rest)]
-            H[np.ix_(of, of)] += own / np.outer(scale, scale)
-            slope[of] += (pull + own[0] * (mass - found.mass)) / scale
+            # A tip that is elsewhere has another arm: its torque is off by about as much in all directions of gravity.
+            forces = np.linalg.norm(instants[-1].load.forces, axis=1).tolist()
+            biases = [
+                [f.sigma_force] * 3 + [math.hypot(f.sigma_torque, f.sigma_point * force)] * 3
+                for f, force in zip(rig.fingers.values(), forces, strict=True)
+            ]
+            unknowns = Unknowns(
+                joints, np.concatenate(biases), WEIGHER.creep, rig.gravity, WEIGHER.sigma_gravity, gains
+            )
+            wide = replace(unknowns, gains=np.full_like(gains, DIAGNOSIS.wide_gain))
+            if (found := weigh(instants, wide, start)).consistent:
+                mass = found.mass if mass is None else mass
+                own, pull = common_equations(instants, unknowns, found)
+                H[np.ix_(of, of)] += own / np.outer(scale, scale)
+                slope[of] += (pull + own[0] * (mass - found.mass)) / scale
         return H, slope
 
     def _vision_values(self) -> Iterator[Diagnosed]:
@@ -460,7 +469,8 @@ class Diagnoser:
             height, tilt = rig.table.sigma_height, rig.table.sigma_tilt
             yield diagnosed("table height", "mm", rig.table.height, height, off, table.sigma_height)
             value = diagnosed("table tilt", "°", 0.0, tilt, table.tilt, table.sigma_tilt)
-            yield replace(value, freedom=2)
+            # The sigma is the larger one of two axes: where it is no smaller than declared, χ² of both is not known.
+            yield replace(value, chi2=value.chi2 if value.measured else 0.0, freedom=2)
         weigher, slip = self.tracker.track_state.weight.weigher, self.tracker.slip
         if model.friction is not None and slip.friction is not None:
             off = slip.friction - model.friction
@@ -504,13 +514,6 @@ def diagnosed(name: str, unit: str, declared: float, prior: float, error: float,
         factor * sigma_estimated,
         chi2,
     )
-
-
-def _change(contacts: Contacts, other: Contacts, row: int) -> Array:
-    """Returns the change (6,) of the point and the normal of one contact."""
-    return np.concatenate([
-        other.points_palm[row] - contacts.points_palm[row], other.normals_palm[row] - contacts.normals_palm[row]
-    ])  # fmt: skip
 
 
 def _enlarged(finger: Finger) -> Finger:
