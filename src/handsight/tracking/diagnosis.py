@@ -15,6 +15,7 @@ alone, without the value's own prior: information S⁻¹ - P⁻¹.
 
 import contextlib
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -25,6 +26,7 @@ from scipy.special import chdtrc
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts, Ellipsoid
+from handsight.correction import PoseEstimate
 from handsight.errors import InvalidInput
 from handsight.forces import WEIGHER, Carried, Unknowns, Weighing, common_equations, weigh
 from handsight.objects import ObjectModel
@@ -172,6 +174,8 @@ class Instant:
     """(n, 6, k) by how much the contacts change with the error of each of k values."""
     T_palm_object: Array
     """(4, 4) the tracked pose."""
+    rejected: tuple[str, ...]
+    """Fingers whose contacts the tracker rejected."""
 
     def with_errors(self, errors: Array) -> Contacts:
         """Returns the contacts where the values have errors (k,)."""
@@ -215,8 +219,6 @@ class Diagnoser:
         """The loads of each grasp in the air, by joints as declared, where gravity had most directions."""
         self._in_hand = False
         """Whether the last of these is of the current grasp."""
-        self._weighing: Weighing | None = None
-        """The last weighing."""
         self._instants = list[Instant]()
         self._bias: tuple[Array, Array] | None = None
         """Vision's constant error (6,) and its covariance (6, 6), when they were known best."""
@@ -238,21 +240,17 @@ class Diagnoser:
         bias = self.tracker.vision_bias()
         if bias is not None and (self._bias is None or np.trace(bias[1]) < np.trace(self._bias[1])):
             self._bias = bias
-        self._add_contacts(observation, estimate.T_palm_object)
+        self._add_contacts(observation, estimate)
 
     def _add_loads(self) -> None:
-        """Keeps the loads of the last weighing, one of each grasp."""
-        state = self.tracker.track_state
+        """Keeps the loads of the last weighing, if gravity has had no more directions before in this grasp."""
+        state, last = self.tracker.track_state, self._grasps[-1][1] if self._in_hand else None
         found, instants = state.weight.weigher.weighing, state.weight.weigher.instants
-        if found is None or found is self._weighing:
-            self._in_hand = self._in_hand and found is not None
+        self._in_hand = found is not None
+        if found is None or found is last or (last is not None and found.directions < last.directions):
             return
-        self._weighing = found
-        if self._in_hand and found.directions < self._grasps[-1][1].directions:
-            return
-        if self._in_hand:
+        if last is not None:
             self._grasps.pop()
-        self._in_hand = True
         self._grasps.append((tuple(self._as_declared(each, state.offsets.mean) for each in instants), found))
 
     def _as_declared(self, instant: Carried, offsets: Array) -> Carried:
@@ -266,8 +264,8 @@ class Diagnoser:
         wrench = load.wrench + load.by_joint @ offsets
         return replace(instant, load=replace(load, wrench=wrench, readings=readings))
 
-    def _add_contacts(self, observation: Observation, T: Array) -> None:
-        """Adds the contacts of an instant with the object at T (4, 4), if they are a new grasp."""
+    def _add_contacts(self, observation: Observation, estimate: PoseEstimate) -> None:
+        """Adds the contacts of an instant with the object at its estimated pose, if they are a new grasp."""
         if len(self._instants) >= DIAGNOSIS.max_instants or observation.contacts:
             return
         touch = self._sensors.contacts(observation)
@@ -304,10 +302,11 @@ class Diagnoser:
             # A sensor that reads too much measures less.
             J[i, :, gain + 6 * n : gain + 6 * n + 6] = -changed[1:, i].T / DIAGNOSIS.louder
         # A contact with a larger object is nearer to its middle, relative to its surface.
+        T, rejected = estimate.T_palm_object, self.tracker.fingertips.rejected_by(estimate)
         middle = se3.apply(T, self.tracker.model.center_object[None])[0]
         J[:, :3, self._at["size"]] = (middle - contacts.points_palm)[:, :, None]
         J[:, :3, self._at["compliance"]] = (loads[:, 3:4] * contacts.normals_palm)[:, :, None]
-        self._instants.append(Instant(touch.fingers, contacts, alone, J, T))
+        self._instants.append(Instant(touch.fingers, contacts, alone, J, T, rejected))
 
     def _with_gain(self, observation: Observation, axis: int) -> Observation:
         """Returns an observation whose sensors read too much along one of their six axes, by `DIAGNOSIS.louder`."""
@@ -360,25 +359,26 @@ class Diagnoser:
         What is wrong makes everything that depends on it look wrong, too. So what is most unlikely is called wrong
         alone, and the rest is tested again with ten times its declared sigma (Baarda's data snooping, 1968).
         """
-        wrong: dict[str, float] = {}
+        wrong, sigmas = dict[int, float](), self._sigmas.copy()
         while True:
             S, values = np.linalg.inv(H), list[Diagnosed]()
-            for name, unit, declared, at in rows:
-                n, prior = len(at), float(self._sigmas[at[0]]) / math.sqrt(len(at))
-                mean, sigma = float(errors[at].mean()), math.sqrt(S[np.ix_(at, at)].sum()) / n
-                if name in wrong:
-                    prior *= DIAGNOSIS.max_errors
-                value = diagnosed(name, unit, declared, prior, mean, sigma)
-                if name in wrong:
-                    sigma = value.sigma / DIAGNOSIS.max_errors
-                    value = replace(value, sigma=sigma, chi2=wrong[name], wrong=True)
+            for k, (name, unit, declared, at) in enumerate(rows):
+                prior, sigma = (
+                    sigmas[at[0]] / math.sqrt(len(at)),
+                    math.sqrt(S[np.ix_(at, at)].sum()) / len(at),
+                )
+                value = diagnosed(name, unit, declared, float(prior), float(errors[at].mean()), sigma)
+                if k in wrong:
+                    value = replace(
+                        value, sigma=value.sigma / DIAGNOSIS.max_errors, chi2=wrong[k], wrong=True
+                    )
                 values.append(value)
-            worst = max(range(len(rows)), key=lambda k: -1.0 if values[k].wrong else values[k].chi2)
-            if values[worst].wrong or chdtrc(1, values[worst].chi2) >= level:
+            k = max(range(len(rows)), key=lambda k: 0.0 if k in wrong else values[k].chi2, default=-1)
+            if k < 0 or k in wrong or chdtrc(1, values[k].chi2) >= level:
                 return values
-            at = rows[worst][3]
-            wrong[rows[worst][0]], freed = values[worst].chi2, H.copy()
-            freed[np.ix_(at, at)] -= (1 - DIAGNOSIS.max_errors**-2) / len(at) / self._sigmas[at[0]] ** 2
+            wrong[k], at, freed = values[k].chi2, rows[k][3], H.copy()
+            freed[at, at] -= (1 - DIAGNOSIS.max_errors**-2) / sigmas[at] ** 2
+            sigmas[at] *= DIAGNOSIS.max_errors
             errors, H = np.asarray(np.linalg.solve(freed, H @ errors)), freed
 
     def _is_new(self, fingers: tuple[str, ...], contacts: Contacts) -> bool:
@@ -396,11 +396,15 @@ class Diagnoser:
         errors, (by_loads, pulled) = np.zeros(len(self._sigmas)), self._load_equations()
         H = by_loads + np.diag(self._sigmas**-2)
         by_pose = np.diag(np.repeat([DIAGNOSIS.sigma_pose, DIAGNOSIS.sigma_turn], 3) ** -2.0)
-        Ts, moved = [instant.T_palm_object for instant in self._instants], np.zeros((len(self._instants), 6))
+        # A finger that is rejected now and then did not touch as modelled; one that mostly is may be declared wrongly.
+        times = Counter(f for i in self._instants for f in i.fingers)
+        times.subtract(2 * [f for i in self._instants for f in i.rejected])
+        kept = [i for i in self._instants if all(times[f] < 0 for f in i.rejected)]
+        Ts, moved = [instant.T_palm_object for instant in kept], np.zeros((len(kept), 6))
         for _ in range(DIAGNOSIS.passes):
             H, parts = by_loads + np.diag(self._sigmas**-2), []
             slope = H @ errors + pulled
-            for instant, T, motion in zip(self._instants, Ts, moved, strict=True):
+            for instant, T, motion in zip(kept, Ts, moved, strict=True):
                 A, b = contact_equations(
                     self.tracker.model, instant.with_errors(errors), instant.covariance, instant.by_value, T
                 )
