@@ -202,7 +202,7 @@ class Diagnoser:
         sigmas = {
             "joint": [self._offsets.sigma] * len(self._offsets.joints),
             "gain": [f.sigma_gain for f in fingers for _ in range(6)],
-            "place": [f.sigma_point for f in fingers for _ in range(3)],
+            "place": [f.sigma_point for f in fingers for _ in range(2)],
             "radius": [f.sigma_point for f in fingers],
             "size": [DIAGNOSIS.sigma_size],
             "compliance": [DIAGNOSIS.sigma_compliance],
@@ -297,7 +297,9 @@ class Diagnoser:
         for i, name in enumerate(touch.fingers):
             n, tip = list(rig.fingers).index(name), list(rig.hand.tips).index(name)
             R = Ts[tip, :3, :3] @ rig.fingers[name].T_frame_surface[:3, :3]
-            J[i, :3, place + 3 * n : place + 3 * n + 3] = R
+            J[i, :3, place + 2 * n : place + 2 * n + 2] = R[
+                :, :2
+            ]  # along its axis it looks like another radius
             J[i, :, radius + n] = changed[0, i] / DIAGNOSIS.enlarged
             # A sensor that reads too much measures less.
             J[i, :, gain + 6 * n : gain + 6 * n + 6] = -changed[1:, i].T / DIAGNOSIS.louder
@@ -341,7 +343,7 @@ class Diagnoser:
         k = {kind: iter(range(part.start, part.stop)) for kind, part in at.items()}
         rows = [(f"joint {joint}", "°", 0.0, [next(k["joint"])]) for joint in self._offsets.joints]
         for name, finger in fingers.items():
-            rows += [(f"tip {name} shift {axis}", "mm", 0.0, [next(k["place"])]) for axis in "xyz"]
+            rows += [(f"tip {name} shift {axis}", "mm", 0.0, [next(k["place"])]) for axis in "xy"]
             rows.append(
                 (f"tip {name} radius", "mm", float(np.mean(finger.tip.semi_axes)), [next(k["radius"])])
             )
