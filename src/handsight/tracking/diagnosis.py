@@ -15,8 +15,7 @@ alone, without the value's own prior: information S⁻¹ - P⁻¹.
 
 import contextlib
 import math
-from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -27,6 +26,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts, Ellipsoid
 from handsight.correction import PoseEstimate
+from handsight.correction.modes import chi2_limit
 from handsight.errors import InvalidInput
 from handsight.forces import WEIGHER, Carried, Unknowns, Weighing, common_equations, weigh
 from handsight.objects import ObjectModel
@@ -49,6 +49,7 @@ class DiagnosisOptions(NamedTuple):
     min_fingers: int = 3  # an instant has so many fingers or more: fewer determine the pose alone
     min_force: float = 0.3  # each presses by so much [N]: fingers that close are not at rest yet
     max_instants: int = 200  # most instants that are kept
+    unfit: float = 0.34  # at most such a share of them is left out where they do not fit the others
     enlarged: float = 1e-4  # by so much a radius is changed for a difference quotient [m]
     louder: float = 1e-3  # by such a share a reading is
     wide_gain: float = 0.15  # sigma of gains with which loads must be those of a weight
@@ -174,8 +175,6 @@ class Instant:
     """(n, 6, k) by how much the contacts change with the error of each of k values."""
     T_palm_object: Array
     """(4, 4) the tracked pose."""
-    rejected: tuple[str, ...]
-    """Fingers whose contacts the tracker rejected."""
 
     def with_errors(self, errors: Array) -> Contacts:
         """Returns the contacts where the values have errors (k,)."""
@@ -304,11 +303,11 @@ class Diagnoser:
             # A sensor that reads too much measures less.
             J[i, :, gain + 6 * n : gain + 6 * n + 6] = -changed[1:, i].T / DIAGNOSIS.louder
         # A contact with a larger object is nearer to its middle, relative to its surface.
-        T, rejected = estimate.T_palm_object, self.tracker.fingertips.rejected_by(estimate)
+        T = estimate.T_palm_object
         middle = se3.apply(T, self.tracker.model.center_object[None])[0]
         J[:, :3, self._at["size"]] = (middle - contacts.points_palm)[:, :, None]
         J[:, :3, self._at["compliance"]] = (loads[:, 3:4] * contacts.normals_palm)[:, :, None]
-        self._instants.append(Instant(touch.fingers, contacts, alone, J, T, rejected))
+        self._instants.append(Instant(touch.fingers, contacts, alone, J, T))
 
     def _with_gain(self, observation: Observation, axis: int) -> Observation:
         """Returns an observation whose sensors read too much along one of their six axes, by `DIAGNOSIS.louder`."""
@@ -393,18 +392,19 @@ class Diagnoser:
                 return False
         return True
 
-    def _solve(self) -> tuple[Array, Array]:
-        """Returns the errors (k,) that all grasps have in common, and their information (k, k), with the priors."""
+    def _solve(self, kept: Sequence[Instant] | None = None) -> tuple[Array, Array]:
+        """Returns the errors (k,) that all grasps have in common, and their information (k, k), with the priors.
+
+        A few instants that do not fit the others are left out: a tip may have touched something else, or at two places.
+        """
+        kept = self._instants if kept is None else kept
         errors, (by_loads, pulled) = np.zeros(len(self._sigmas)), self._load_equations()
         H = by_loads + np.diag(self._sigmas**-2)
+        worst = 1.0, -1
         by_pose = np.diag(np.repeat([DIAGNOSIS.sigma_pose, DIAGNOSIS.sigma_turn], 3) ** -2.0)
-        # A finger that is rejected now and then did not touch as modelled; one that mostly is may be declared wrongly.
-        times = Counter(f for i in self._instants for f in i.fingers)
-        times.subtract(2 * [f for i in self._instants for f in i.rejected])
-        kept = [i for i in self._instants if all(times[f] < 0 for f in i.rejected)]
         Ts, moved = [instant.T_palm_object for instant in kept], np.zeros((len(kept), 6))
         for _ in range(DIAGNOSIS.passes):
-            H, parts = by_loads + np.diag(self._sigmas**-2), []
+            H, parts, worst = by_loads + np.diag(self._sigmas**-2), list[Array](), (1.0, -1)
             slope = H @ errors + pulled
             for instant, T, motion in zip(kept, Ts, moved, strict=True):
                 A, b = contact_equations(
@@ -413,8 +413,18 @@ class Diagnoser:
                 A[:6, :6] += by_pose
                 b[:6] += by_pose @ motion
                 eliminated = np.linalg.solve(A[:6, :6], np.column_stack([A[:6, 6:], b[:6]]))
-                H += A[6:, 6:] - A[6:, :6] @ eliminated[:, :-1]
-                slope += b[6:] - A[6:, :6] @ eliminated[:, -1]
+                own, pull = A[6:, 6:] - A[6:, :6] @ eliminated[:, :-1], b[6:] - A[6:, :6] @ eliminated[:, -1]
+                # The values explain any error of a contact, so this is all that is left: 3 numbers each, less a pose.
+                root = self._sigmas
+                left = (
+                    root
+                    * pull
+                    @ np.linalg.pinv(own * np.outer(root, root), 1e-9, hermitian=True)
+                    @ (root * pull)
+                )
+                limit = chi2_limit(max(3 * len(instant.fingers) - 6, 1), DIAGNOSIS.level / len(kept))
+                worst = max(worst, (float(left) / limit, len(parts)))
+                H, slope = H + own, slope + pull
                 parts.append(eliminated)
             step = -np.linalg.solve(H, slope)
             errors = errors + step
@@ -422,7 +432,9 @@ class Diagnoser:
                 turned = -(eliminated[:, :-1] @ step + eliminated[:, -1])
                 moved[k] += turned
                 Ts[k] = se3.moved(Ts[k], turned)
-        return errors, H
+        if worst[1] < 0 or len(kept) - 1 < (1 - DIAGNOSIS.unfit) * len(self._instants):
+            return errors, H
+        return self._solve([*kept[: worst[1]], *kept[worst[1] + 1 :]])
 
     def _load_equations(self) -> tuple[Array, Array]:
         """Returns what the loads of all grasps add to H (k, k) and to the slope (k,) where nothing is wrong."""
