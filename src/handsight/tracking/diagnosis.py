@@ -425,7 +425,7 @@ class Diagnoser:
                 limit = chi2_limit(max(3 * len(instant.fingers) - 6, 1), DIAGNOSIS.level / len(kept))
                 worst = max(worst, (float(left) / limit, len(parts)))
                 H, slope = H + own, slope + pull
-                parts.append(eliminated)
+                parts.append(np.asarray(eliminated))
             step = -np.linalg.solve(H, slope)
             errors = errors + step
             for k, eliminated in enumerate(parts):
