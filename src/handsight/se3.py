@@ -209,6 +209,12 @@ def from_position_quaternion(position: ArrayLike, quaternion_xyzw: ArrayLike) ->
     )
 
 
+def perpendicular(vectors: Array) -> Array:
+    """Returns unit vectors (..., 3) at right angles to vectors (..., 3), none of which is zero."""
+    side = np.cross(vectors, np.eye(3)[np.abs(vectors).argmin(axis=-1)])
+    return np.asarray(side / np.linalg.norm(side, axis=-1, keepdims=True))
+
+
 def directions(n: int) -> Array:
     """Returns n unit vectors (n, 3), evenly distributed over the sphere (a Fibonacci lattice)."""
     k = np.arange(n) + 0.5

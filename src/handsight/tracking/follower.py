@@ -369,14 +369,15 @@ class Follower:
             state.memory = state.memory.only(state.memory.last.keys() - wrong)
         if others:  # those that were found by the last search
             estimate = with_others(self.model, estimate, others)
-        modes = estimate.modes
-        if state.table is not None and state.table.alternatives is not None:
-            estimate = state.table.alternatives.added(self.model, estimate)
         # What has not fitted the model lately inflates the answer.
         age = 0.0 if last is None else now - last.stamp
         afresh = estimate.consistent and now - state.fits_at > FOLLOWER.lost_without_fit  # found again
         watched = NO_INNOVATIONS if last is None or afresh else state.innovations
         watched = watched.after(age, touch.fingers, estimate, prior)
+        estimate = watched.covered(self.model, estimate, prior)
+        modes = estimate.modes
+        if state.table is not None and state.table.alternatives is not None:
+            estimate = state.table.alternatives.added(self.model, estimate)
         # An answer that contacts did not fit was called wrong before it moved.
         if last is not None and last.estimate.consistent and not state.slip.now.slipping:
             noise = process_variance(self.process_noise, age)

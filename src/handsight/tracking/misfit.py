@@ -14,6 +14,12 @@ Successive observations of one grasp have the same errors of calibration, so a w
 With an unknown factor s² on all noise, whose prior is scaled inverse χ² with ν degrees of freedom and scale 1, a NIS of
 n degrees of freedom gives E[1/s²] = (ν + n) / (ν + NIS) (the weight of Student's t): the covariance is multiplied by
 (ν + NIS) / (ν + n) where that is above 1 and the NIS is beyond the quantile of a χ² test.
+
+Offsets of the joints may not show in residuals at all: the object then fits elsewhere. Their declared sigmas are
+estimates, too: with ν degrees of freedom, the pose follows Student's t, whose 95 % region is that of a Gaussian with a
+covariance larger by k F(k, ν) / χ²(k), by the 95 % quantiles (a coverage factor: Guide to the Expression of Uncertainty
+in Measurement, annex G). The information of touch is divided by that, and by the factor s² of all touch above 1; that
+of vision, whose errors are states, is not.
 """
 
 import math
@@ -27,7 +33,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import Outside, PoseEstimate, PosePrior, correct_pose
-from handsight.correction.modes import chi2_limit
+from handsight.correction.modes import chi2_limit, in_metres
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.tracking.hypotheses import log_evidence
@@ -44,6 +50,8 @@ class MisfitOptions(NamedTuple):
     usual choice for measurements with outliers (Lange, Little and Taylor 1989)."""
     rejected: float = 0.5
     """A finger whose contact is rejected for a larger share of the window contradicts the others."""
+    coverage: float = 6 * 6.163 / 12.592
+    """6 F(6, 4) / χ²(6), of 95 % quantiles: for six numbers of the pose and `noise_freedom`."""
     suspicious: float = 0.6
     """The object may be another one once contacts fitted no pose, or one finger at least had to be rejected, for a
     larger share of the window: that is for about a second, in which two searches from wider priors have failed."""
@@ -75,14 +83,14 @@ class Misfit:
     @property
     def contradicts(self) -> bool:
         """Whether the evidence does not fit."""
-        if self.rejected:
+        if self.rejected or self.name == TOUCH:
             return self.rejected > (MISFIT.suspicious if self.name == TOUCH else MISFIT.rejected)
         return bool(self.nis > chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm))
 
     @property
     def factor(self) -> float:
         """By how much the answer's covariance is multiplied; 1 where the evidence fits."""
-        if self.nis <= chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm):
+        if self.name == TOUCH or self.nis <= chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm):
             return 1.0
         return (MISFIT.noise_freedom + self.nis) / (MISFIT.noise_freedom + self.expected)
 
@@ -147,7 +155,9 @@ class Innovations:
                 before = before or Misfit(finger, expected=freedom)
                 new[finger] = before.after(share, nis, freedom, float(i in estimate.outliers))
         wrong = not estimate.consistent or any(i < len(fingers) for i in estimate.outliers)
-        new[TOUCH] = known.get(TOUCH, Misfit(TOUCH)).after(share, 0.0, 0.0, float(wrong))
+        rows = float(estimate.answer["rows"])
+        touch = known.get(TOUCH, Misfit(TOUCH, expected=rows))
+        new[TOUCH] = touch.after(share, float(estimate.answer["chi2"]), rows, float(wrong))
         inverse = np.linalg.inv(prior.covariance)
         off = se3.difference(estimate.T_palm_object, prior.T_palm_object)
         expected = 6.0 - float((inverse * estimate.bounded_covariance).sum())
@@ -170,6 +180,25 @@ class Innovations:
         nis = float(step @ np.linalg.solve(covariance + np.diag(noise), step))
         before = self.misfits.get("motion", Misfit("motion")).nis * math.exp(-age / MISFIT.window)
         return replace(self, misfits={**self.misfits, "motion": Misfit("motion", max(nis, before), 6.0)})
+
+    def covered(self, model: ObjectModel, estimate: PoseEstimate, prior: PosePrior) -> PoseEstimate:
+        """Returns a correction's estimate with the information of touch divided by its coverage factor; `prior` is
+        that of the correction."""
+        touch, unit = self.misfits[TOUCH], np.repeat([1.0, model.radius], 3)
+        scale = (MISFIT.noise_freedom + touch.nis) / (MISFIT.noise_freedom + touch.expected)
+        lost = 1 - 1 / (MISFIT.coverage * max(scale, 1.0))
+        # In coordinates y = U' x, the information U U' is the identity, and that of the prior is at most that.
+        values, vectors = np.linalg.eigh(in_metres(estimate.information, model.radius))
+        values = np.maximum(values, 1e-12 * values[-1])  # rounding
+        known = values > (1e-9 * values[-1] if estimate.covariance is None else 0.0)
+        U = vectors[:, known] * np.sqrt(values[known]) * unit[:, None]
+        prior_variances, axes = np.linalg.eigh(U.T @ prior.covariance @ U)
+        left = 1 - lost * (1 - 1 / np.maximum(prior_variances, 1.0))
+        information, covariance = (U @ axes * left) @ (U @ axes).T, None
+        if estimate.covariance is not None:
+            W = vectors / np.sqrt(values) / unit[:, None] @ axes
+            covariance = (W / left) @ W.T
+        return estimate.with_gaussian(estimate.T_palm_object, covariance, information)
 
     def inflated(self, estimate: PoseEstimate) -> PoseEstimate:
         """Returns the estimate with its covariance inflated until the evidence fits."""
