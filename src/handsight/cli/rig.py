@@ -10,7 +10,7 @@ from typer import Argument
 
 from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run, find_rig
 from handsight.cli.terminal import kept_going, plain_table, print_out, say
-from handsight.cli.track import print_diagnosis, refusals
+from handsight.cli.track import latency_text, print_diagnosis, refusals
 from handsight.errors import HandsightError, InvalidInput, printable
 
 if TYPE_CHECKING:
@@ -84,6 +84,9 @@ def check(
         for _ in replay(opened.observations(), tracker, Tally()):
             diagnoser.watch()
     print_diagnosis(diagnoser.diagnosis())
+    if (latency := tracker.vision_latency()) is not None:
+        for sentence in latency_text(latency, tracker.vision.camera.latency):
+            typer.echo(printable(sentence))
     if not tracker.links:
         lacks = "the hand's file has no shapes" if run.model.closed else "the object has no inside"
         typer.echo(printable(f"No link keeps the object out: {lacks}."))

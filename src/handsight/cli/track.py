@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -336,13 +337,7 @@ class TrackResult:
             hand = f"the hand in {hands} of {searched_hand} searched for it"
             lines.append(f"{searched} depth images: the object was found in {detected}, {hand}")
         if self.latency is not None:
-            latency, sigma = self.latency
-            # Beyond 20 ms, and by more than the estimate's own error, with a level of one in twenty.
-            if abs(latency - self.latency_declared) > 0.02 + 2 * sigma:
-                lines.append(
-                    f"vision's poses are {1e3 * latency:.0f} ± {1e3 * sigma:.0f} ms older than their stamps (the rig "
-                    f"says {1e3 * self.latency_declared:.0f}), which is taken into account; see camera.latency"
-                )
+            lines += latency_text(self.latency, self.latency_declared)
         if self.margins:
             by = ", ".join(f"{link} by {1e3 * margin:.1f} mm" for link, margin in self.margins.items())
             lines.append(
@@ -384,6 +379,18 @@ class TrackResult:
             )
 
 
+def latency_text(known: tuple[float, float], declared: float) -> list[str]:
+    """Returns a sentence where vision's poses are older than `declared` [s] by more than 20 ms and by more than the
+    error of what is `known` (latency and its sigma [s]), with a level of one in twenty; else none."""
+    latency, sigma = known
+    if abs(latency - declared) <= 0.02 + 2 * sigma:
+        return []
+    return [
+        f"vision's poses are {1e3 * latency:.0f} ± {1e3 * sigma:.0f} ms older than their stamps (the rig "
+        f"says {1e3 * declared:.0f}), which is taken into account; see camera.latency"
+    ]
+
+
 def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:
     """Returns a line about an object's mass and centre of mass, or `why` it was not weighed."""
     if weight is None:
@@ -405,7 +412,9 @@ def refusals(tally: "Tally") -> list[str]:
 
 def print_diagnosis(diagnosis: "Diagnosis") -> None:
     """Prints a line for each value that a recording measures, the most doubtful first, and names the others."""
-    measured = sorted((v for v in diagnosis.values if v.measured), key=lambda v: (not v.wrong, -v.chi2))
+    measured = sorted(
+        (v for v in diagnosis.values if v.measured or v.wrong), key=lambda v: (not v.wrong, -v.chi2)
+    )
     rows = [
         (v.name, v.unit, f"{v.declared:.4g} ± {v.sigma:.3g}", f"{v.estimated:.4g} ± {v.sigma_estimated:.3g}",
          f"{v.chi2:.1f}", v.verdict)
@@ -413,9 +422,12 @@ def print_diagnosis(diagnosis: "Diagnosis") -> None:
     ]  # fmt: skip
     if rows:
         print_out("", plain_table(("value", "in", "declared", "recording", "χ²", "verdict"), rows, texts=2))
-    others = [v.name for v in diagnosis.values if not v.measured]
-    joints = [name for name in others if name.startswith("joint ")]
-    kinds = [f"{len(joints)} joints"] * bool(joints) + [name for name in others if name not in joints]
+    others = [v.name for v in diagnosis.values if not (v.measured or v.wrong)]
+    joints, shifts = (
+        [name for name in others if re.match(kind, name)] for kind in ("joint ", "tip .* shift")
+    )
+    kinds = [f"{len(joints)} joints"] * bool(joints) + [f"{len(shifts)} shifts of tips"] * bool(shifts)
+    kinds += [name for name in others if name not in joints and name not in shifts]
     text = f"Different grasps that were compared: {diagnosis.instants}."
     if diagnosis.message:
         text += f" They were not compared with joints, tips and size: {diagnosis.message}."

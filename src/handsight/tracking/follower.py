@@ -440,12 +440,13 @@ class Follower:
         if not estimate.consistent:
             reason = "the contacts do not fit the object at its estimated pose"
             return "uncertain", f"{reason}: {other}" if other else reason
-        if doubt := state.weight.doubt(estimate):
+        if doubt := state.weight.doubt:
             return "uncertain", doubt
         if ambiguous := ambiguity(self.model, estimate):
             return "uncertain", ambiguous
         if state.correction is not None and (misfit := state.innovations.worst):
-            return "uncertain", f"{misfit}: {other}" if other else str(misfit)
+            why = state.weight.elsewhere(estimate) if misfit.name == "weight" else other
+            return "uncertain", f"{misfit}: {why}" if why else str(misfit)
         if state.correction is None and not state.vision.camera_from_palm.confirmed:
             return "uncertain", "nothing is touched: the pose is vision's"
         if (sigma := self.sigma(state)) > self.settings.uncertain_position:

@@ -7,6 +7,7 @@ squared (NIS) of each kind of evidence is averaged over a window, in time, as co
 * of a finger: by how much χ² rises with its contact where that contradicts the rest (`estimate.conflicts`), else zero;
 * of vision, the prior with all but contacts: d' P₀⁻¹ d, with d from the prior to the answer; if both are right, it is
   6 - tr(P₀⁻¹ P₁) on average, with P₁ the answer's covariance;
+* of the weight: by how much χ² rises with the centre of mass in the palm where that contradicts the rest, else zero;
 * of the answer's motion since the last correction: d' (P₀ + P₁)⁻¹ d, with P₀ that of the last answer propagated to now.
 
 Successive observations of one grasp have the same errors of calibration, so a window is worth one independent sample.
@@ -76,7 +77,7 @@ class Misfit:
     """A `Misfit` says how well one kind of evidence fits the model; `str` of it is a sentence."""
 
     name: str
-    """What is compared: the name of a finger, "vision" or "motion"."""
+    """What is compared: the name of a finger, "vision", "weight" or "motion"."""
     nis: float = 0.0
     """Normalised innovation squared, averaged over the window."""
     expected: float = 0.0
@@ -106,6 +107,8 @@ class Misfit:
             return f"the answer has moved by {math.sqrt(self.nis):.0f} sigma at once"
         if self.name == "vision":
             return f"contacts and vision have differed by {math.sqrt(self.nis):.0f} sigma"
+        if self.name == "weight":
+            return f"the weight has contradicted the rest by {math.sqrt(self.nis):.0f} sigma"
         return f"finger {self.name} contradicts the others"
 
     def after(self, share: float, nis: float, expected: float, rejected: float = 0.0) -> "Misfit":
@@ -120,7 +123,7 @@ class Innovations:
     """`Innovations` are how well all evidence has fitted the model, over a window."""
 
     misfits: dict[str, Misfit] = field(default_factory=dict)
-    """By what is compared: fingers, "vision", "motion"."""
+    """By what is compared: fingers, "vision", "weight", "motion"."""
 
     @property
     def worst(self) -> Misfit | None:
@@ -150,7 +153,10 @@ class Innovations:
         """
         share, known = 1 - math.exp(-age / MISFIT.window), self.misfits
         new = {name: misfit for name, misfit in known.items() if name in ("vision", "motion")}
-        against = {c.evidence: c for c in estimate.conflicts if c.evidence.startswith("contact")}
+        against = {c.evidence: c for c in estimate.conflicts}
+        if estimate.weight_fits is not None or "weight" in known:
+            chi2 = against["weight"].chi2 if "weight" in against else 0.0
+            new["weight"] = known.get("weight", Misfit("weight", 0.0, 3.0)).after(share, chi2, 3.0)
         for i, finger in enumerate(fingers):
             before, conflict = known.get(finger), against.get(f"contact {i}")
             if conflict is not None or before is not None:
