@@ -369,11 +369,29 @@ class Follower:
             state.memory = state.memory.only(state.memory.last.keys() - wrong)
         if others:  # those that were found by the last search
             estimate = with_others(self.model, estimate, others)
-        # What has not fitted the model lately inflates the answer.
+        estimate, modes = self._judged(state, estimate, prior, (contacts, links))
+        _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
+        state.correction = Correction(
+            estimate, touched, touch.by_error, prior, touch.fingers, now, variance, skin, modes, searched_at
+        )
+        state.estimate, state.propagated_to = estimate, now
+        state.corrections += 1
+
+    def _judged(
+        self, state: _Next, estimate: PoseEstimate, prior: PosePrior, touch: tuple[Contacts, Outside | None]
+    ) -> tuple[PoseEstimate, Sequence[np.void]]:
+        """Returns a correction's estimate with the other explanations of the table, and with a covariance inflated by
+        what has not fitted the model lately; and its modes under its `prior` alone."""
+        last, now = state.correction, state.stamp
         age = 0.0 if last is None else now - last.stamp
         afresh = estimate.consistent and now - state.fits_at > FOLLOWER.lost_without_fit  # found again
         watched = NO_INNOVATIONS if last is None or afresh else state.innovations
-        watched = watched.after(age, touch.fingers, estimate, prior)
+        watched = watched.after(age, state.fingertips.fingers, estimate, prior)
+        if not watched.touch:
+            state.better_object = ""
+        elif self.alternatives and now - state.objects_compared_at >= MISFIT.compare_period:
+            state.objects_compared_at, explained = now, (self.model, estimate, prior)
+            state.better_object = better_object(self.alternatives, *touch, explained)
         estimate = watched.covered(self.model, estimate, prior)
         modes = estimate.modes
         if state.table is not None and state.table.alternatives is not None:
@@ -381,21 +399,11 @@ class Follower:
         # An answer that contacts did not fit was called wrong before it moved.
         if last is not None and last.estimate.consistent and not state.slip.now.slipping:
             noise = process_variance(self.process_noise, age)
-            if touch.fingers != last.fingers:
+            if state.fingertips.fingers != last.fingers:
                 noise = noise + self.regrasp_noise
             watched = watched.moved(age, self.model, last.estimate, estimate, noise)
-        if not watched.touch:
-            state.better_object = ""
-        elif self.alternatives and now - state.objects_compared_at >= MISFIT.compare_period:
-            state.objects_compared_at, explained = now, (self.model, estimate, prior)
-            state.better_object = better_object(self.alternatives, contacts, links, explained)
-        state.innovations, estimate = watched, watched.inflated(estimate)
-        _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
-        state.correction = Correction(
-            estimate, touched, touch.by_error, prior, touch.fingers, now, variance, skin, modes, searched_at
-        )
-        state.estimate, state.propagated_to = estimate, now
-        state.corrections += 1
+        state.innovations = watched
+        return watched.inflated(estimate), modes
 
     def _recovered(
         self,

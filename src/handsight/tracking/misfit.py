@@ -133,11 +133,10 @@ class Innovations:
     @property
     def touch(self) -> str:
         """What contacts that have contradicted the model for a while suggest; empty where they have not."""
-        known = (self.misfits.get(name) for name in (OBJECT, TOUCH))
-        reasons = (
-            r for m, r in zip(known, (OTHER_OBJECT, FINGER_OR_OBJECT), strict=True) if m and m.contradicts
-        )
-        return next(reasons, "")
+        for name, reason in ((OBJECT, OTHER_OBJECT), (TOUCH, FINGER_OR_OBJECT)):
+            if name in self.misfits and self.misfits[name].contradicts:
+                return reason
+        return ""
 
     @property
     def factor(self) -> float:
