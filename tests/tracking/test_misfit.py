@@ -1,11 +1,14 @@
 """What contradicts the model for a while is named, and inflates the answer."""
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight.correction import PoseEstimate, PosePrior
+from handsight.correction import Conflict, PoseEstimate, PosePrior
 from handsight.simulation import Scenario, rig_of
 from handsight.tracking import Tracker
 from handsight.tracking.misfit import MISFIT, TOUCH, Innovations, Misfit
@@ -38,6 +41,27 @@ def test_a_finger_is_named_once_it_was_rejected_for_most_of_a_second():
     assert states[-1] is True
     assert 25 < states.index(True) < 40
     assert str(finger) == "finger ff contradicts the others"
+
+
+def test_a_weight_that_contradicts_for_long_is_named_inflates_does_not_flicker_and_fades():
+    fits = PoseEstimate.from_gaussian(np.eye(4), 1e-6 * np.eye(6), 1e6 * np.eye(6))
+    prior = PosePrior(np.eye(4), 1e-2 * np.eye(6))
+    conflict = Conflict("weight", "contacts", 60.0, 3, 1e-9, np.zeros(6), excluded=True)
+    wrong = replace(fits, weight_fits=False, conflicts=(conflict,))
+    watched, named = Innovations(), []
+    # It contradicts for two seconds, but for one correction of ten; then it fits.
+    for k in range(200):
+        now = wrong if k < 100 and k % 10 else replace(fits, weight_fits=True)
+        watched = watched.after(0.02, (), now, prior)
+        named.append(watched.worst is not None)
+        if k == 99:
+            assert str(watched.worst) == "the weight has contradicted the rest by 7 sigma"
+            inflated = watched.inflated(fits).covariance
+    assert not named[0]
+    assert named[99]
+    assert not named[-1]
+    assert sum(a != b for a, b in itertools.pairwise(named)) == 2
+    assert 5e-6 < inflated[0, 0] < 1e-5
 
 
 def test_evidence_that_fits_is_not_named_and_leaves_the_answer_as_it_is():

@@ -193,14 +193,14 @@ def _searched(problem: Problem, options: TwoPhase, limit: Budget, answer: str, s
     if options is USUAL and not samples and problem.starts is None:
         estimate = solve_single_start(problem)
         if estimate is not None:
-            return with_means(problem, estimate, answer)
+            return with_means(problem, estimate, answer, drawn=True)
     found = outliers.solve_robustly(problem, options, limit)
     estimate = summarize(problem, found)
     if limit.cut_short:
         estimate.answer["converged"] = False
     if samples:
         return mean_by_sampling(problem, estimate, found.used, samples)
-    return with_means(problem, estimate, answer)
+    return with_means(problem, estimate, answer, drawn=True)
 
 
 def refine_pose(
@@ -315,7 +315,7 @@ def correct_poses(model: ObjectModel, problems: Iterable[object]) -> list[PoseEs
         pairs = [(each[i]["contacts"], each[i]["vision"]) for i in rows]
         for i, pair, estimate in zip(rows, pairs, solve_batch(model, pairs), strict=True):
             if estimate is not None:
-                found[i] = with_means(Problem(model, *pair, NO_OUTSIDE), estimate, "best")
+                found[i] = with_means(Problem(model, *pair, NO_OUTSIDE), estimate, "best", drawn=True)
     answers = []
     for i, (problem, estimate) in enumerate(zip(each, found, strict=True)):
         try:

@@ -14,7 +14,7 @@ from handsight import checks, se3
 from handsight._kernels.posterior import mean
 from handsight._kernels.posterior.options import INTEGRATION
 from handsight.checks import Array, Mask
-from handsight.correction import conflicts, modes, solve
+from handsight.correction import conflicts, few_contacts, modes, solve
 from handsight.correction.estimate import PoseEstimate, bounded_covariance
 from handsight.correction.problem import Problem, Records, descents_at
 from handsight.errors import InvalidInput
@@ -45,9 +45,9 @@ def checked_answer(answer: object, name: str = "answer") -> str:
     return answer
 
 
-def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstimate:
+def with_means(problem: Problem, estimate: PoseEstimate, answer: str, *, drawn: bool = False) -> PoseEstimate:
     """Returns the estimate with each mode that is not Gaussian replaced by its mean: with `answer` "mean" the first
-    mode in any case, with "maximum" no mode.
+    mode in any case, with "maximum" no mode. `drawn`: few contacts may take the time of `few_contacts.with_draws`.
 
     Only the likeliest modes are tested. A mode along the same flat direction as another is part of that one's mean, and
     is no hypothesis any more; of means that are not distinct, one remains, the mean of all. Without vision, a mode with
@@ -68,12 +68,15 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEst
     rows = np.array(estimate.modes)
     used = np.ones((1, len(problem.contacts)), dtype=bool)
     used[0, list(estimate.outliers)] = False
-    if integrate:
+    draw = drawn and answer == "best" and few_contacts.can_draw(problem, estimate)
+    if draw:
+        rows = few_contacts.with_draws(problem, rows, used)
+    elif integrate:
         rows["departure"][: len(integrated)][~np.array(integrated, dtype=bool)] = 0.0
         if answer == "mean":
             rows["departure"][0] = np.inf
         mean.integrate(*problem.arguments(used), rows)
-    if len(rows) > 1:
+    if len(rows) > 1 and not draw:
         rows = rows[rows["weight"] >= 0]
         rows = _merged(problem, rows[np.argsort(-rows["log_weight"], kind="stable")], answer)
     share = np.exp(rows["log_weight"] - rows["log_weight"][0])

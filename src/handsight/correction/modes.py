@@ -39,10 +39,10 @@ class ModeOptions(NamedTuple):
     few_rows: int = (
         9  # rows of evidence that leave so much open that there may be several minima: three contacts
     )
-    weak_width: float = 0.07
-    """Width of the prior [diameters] above which the one minimum that a start led to is then not enough. On a scanned
-    bottle 7.5 % of the answers from one start with a prior of 10 mm and 8° were beyond their 99.9 % region, 3.5 % with
-    5 mm and 5°, where more starts found nothing better."""
+    few_contacts: int = 4  # contacts that may, with 12 rows or fewer
+    weak_width: float = 0.04
+    """Width of the prior [diameters] above which the one minimum that a start led to is then not enough. With 5 mm and
+    4° 10 % of the answers from one start on a tuna can were beyond their 99.9 % region, and 1 % from many."""
     decisive: float = 16.27
     """A contact is wrong when the cost falls by more than this without it: for a right one once in 1000 times."""
 
@@ -97,10 +97,11 @@ def beyond_doubt(cost: float, coarse_cost: float, freedom: int, wide: float) -> 
     return fits(cost, freedom, max(MODES.doubt_p * doubt, MODES.recheck_p))
 
 
-def several_minima(model: ObjectModel, rows: int) -> bool:
-    """Returns whether so few rows of evidence may have several minima: on a surface that is bent in more than one way,
-    unlike that of a box, a cylinder or a sphere."""
-    return rows <= MODES.few_rows and model.record.model[0]["fine"]["kind"] in (GRID, SHEET)
+def several_minima(model: ObjectModel, rows: int, contacts: int) -> bool:
+    """Returns whether so few rows of evidence, from so many contacts, may have several minima: on a surface that is
+    bent in more than one way, unlike that of a box, a cylinder or a sphere."""
+    few = rows <= MODES.few_rows or (contacts <= MODES.few_contacts and rows <= 3 * MODES.few_contacts)
+    return few and model.record.model[0]["fine"]["kind"] in (GRID, SHEET)
 
 
 def unsuspicious(cost: float, freedom: int, gain: float) -> bool:

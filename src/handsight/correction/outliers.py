@@ -86,7 +86,10 @@ def _starts(problem: Problem, number: int) -> Records:
         near["iterations"] = 1  # a descent with steps behind it skips phase 1
         return near
     if problem.vision is not None:
-        return starts.from_prior(problem.vision, number)
+        drawn = starts.from_prior(problem.vision, number)
+        if modes.several_minima(problem.model, problem.rows, len(problem.contacts)):
+            drawn["iterations"][1 :: starts.STARTS.fine_step] = 1  # as above
+        return drawn
     everyone = np.ones(len(problem.contacts), dtype=bool)
     return starts.blind(problem, everyone, prune=True).best(everyone, number)
 

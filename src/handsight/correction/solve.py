@@ -111,7 +111,7 @@ def _accepted(
         accepted = modes.beyond_doubt(cost, coarse_cost, freedom, width / SEARCH.single_start_width)
         accepted = accepted and modes.unsuspicious(cost, freedom, gain)
         if width > modes.MODES.weak_width:
-            accepted = accepted and not modes.several_minima(problem().model, freedom)
+            accepted = accepted and not modes.several_minima(problem().model, freedom, len(residuals))
     if not accepted:
         return None
     if chi2 > conflicts.LEAST and max(gain, prior, outside) > conflicts.LEAST:

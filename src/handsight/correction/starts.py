@@ -27,7 +27,9 @@ class StartOptions(NamedTuple):
 
     min_starts: int = 16  # with vision: starts from the narrowest prior
     max_starts: int = 32  # with vision: starts from the widest prior
-    weak_starts: int = 64  # with vision: where three contacts may have several minima
+    fine_step: int = 2
+    """With vision, where few contacts may have several minima: one start in so many skips phase 1 and the coarse field,
+    which lead to none of the minima that only the fine field has."""
     blind_spins: int = 18  # without vision: turns about a contact's normal that are tried
     max_anchors: int = 3  # without vision: contacts on which the surface is laid
     blind_kept: int = 384  # without vision: starts that are descended from
@@ -49,8 +51,8 @@ def usual(problem: Problem) -> int:
     """Returns the number of starts of a problem for which one is not enough; with vision, by the prior's width."""
     if problem.vision is None:
         return STARTS.blind_kept
-    if modes.several_minima(problem.model, problem.rows):
-        return STARTS.weak_starts
+    if modes.several_minima(problem.model, problem.rows, len(problem.contacts)):
+        return STARTS.max_starts
     w = batch.width(problem.model.record.model, problem.vision.record)
     return int(min(max(round(80 * w), STARTS.min_starts), STARTS.max_starts))
 

@@ -55,9 +55,8 @@ class Area:
             raise InvalidInput("area.Rs_world_object: expected at least one way to stand, got none")
         R_table = checks.finite(self.R_world_table, "area.R_world_table", (3, 3))
         se3.check(se3.compose(R_table, np.zeros(3)), "area.R_world_table")
-        for name, value in zip(
-            ("low", "high", "Rs_world_object", "R_world_table"), (low, high, Rs, R_table), strict=True
-        ):
+        values = {"low": low, "high": high, "Rs_world_object": Rs, "R_world_table": R_table}
+        for name, value in values.items():
             object.__setattr__(self, name, value)
 
     def draw(self, n: int, rng: np.random.Generator) -> Array:
@@ -108,9 +107,8 @@ def resting(model: ObjectModel) -> Array:
     for a cloud or an open surface.
     """
     if not (model.closed and len(model.faces)):
-        raise InvalidInput(
-            "model: expected a closed mesh to rest on its faces, got a cloud or an open surface"
-        )
+        expected = "expected a closed mesh to rest on its faces"
+        raise InvalidInput(f"model: {expected}, got a cloud or an open surface")
     turns = se3.rotation_exp(np.linspace(0, 2 * np.pi, 24, endpoint=False)[:, None] * [0.0, 0, 1])
     distinct: list[Array] = []
     for pose in resting_poses(model, model.center_of_mass):

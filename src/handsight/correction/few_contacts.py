@@ -1,0 +1,169 @@
+"""The modes of a posterior by few contacts on a surface with much detail: their means and covariances from draws.
+
+With three or four contacts such a posterior has dozens of minima beside each other, none of them a Gaussian. So it is
+drawn from by importance sampling: the draws are from a mixture of Student's t about the minima that a search has found,
+with tails that reach those beside them, and each is weighted by the ratio of its densities.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array, Mask
+from handsight.correction import modes, solve
+from handsight.correction.estimate import PoseEstimate
+from handsight.correction.problem import Problem, Records
+
+
+class DrawOptions(NamedTuple):
+    """`DrawOptions` say how a posterior by few contacts is drawn from."""
+
+    draws: int = 512
+    draws_single: int = 192  # where there is one minimum
+    least_departure: float = 3.0
+    """One minimum is drawn about where the cost beside it rises by this factor more than a Gaussian's. Up to there the
+    lattice of `_kernels/posterior/mean.py`, which is faster, leaves out as little."""
+    most_outside: int = (
+        8  # points of the hand and planes; with more, the cost of so many draws takes too long
+    )
+    most_minima: int = 12  # minima that draws are about, the likeliest
+    widened: float = 1.3  # how much wider than a minimum the draws about it are
+    tempered: float = 0.5  # power of a minimum's probability by which these are shared out
+    own: float = 6.0
+    """How many draws a mode's own covariance counts for: as many as leave none of the six directions out."""
+    negligible: float = 1e-6  # probability of a mode that is left out
+    level: float = 0.99  # probability of the region that holds as many of the draws
+
+
+DRAWS = DrawOptions()
+FREEDOM, DIMENSIONS = 4, 6
+"""Of Student's t: tails that are heavier than the posterior's keep the weights of draws bounded."""
+LOG_T = float(np.log(24.0) - 3 * np.log(4 * np.pi)) + 3 * float(np.log(2 * np.pi))
+"""Log of what normalises that t, Γ(5) / (Γ(2) (4π)³), over what normalises a Gaussian."""
+
+
+class Mixture(NamedTuple):
+    """A `Mixture` of Student's t distributions of a pose's coordinates."""
+
+    centers: Array
+    """(k, 6) [m]."""
+    roots: Array
+    """(k, 6, 6) Cholesky factors of their scales."""
+    shares: Array
+    """(k,) that sum to one."""
+
+    def draws(self, standard: Array) -> Array:
+        """Returns draws (n, 6) out of those of the standard t (n, 6)."""
+        counts = (self.shares * len(standard)).astype(int)
+        counts[np.argmax(self.shares)] += len(standard) - counts.sum()
+        of = np.repeat(np.arange(len(counts)), counts)
+        return np.asarray(self.centers[of] + np.einsum("nij,nj->ni", self.roots[of], standard))
+
+    def density(self, x: Array) -> Array:
+        """Returns the density (n,) at coordinates (n, 6), up to a constant factor."""
+        inverse = np.linalg.inv(self.roots)
+        shifts = np.einsum("kij,kj->ki", inverse, self.centers).ravel()
+        y = (x @ inverse.reshape(-1, DIMENSIONS).T - shifts).reshape(len(x), -1, DIMENSIONS)
+        square = 1 + np.einsum("nki,nki->nk", y, y) / FREEDOM
+        heights = self.shares / np.prod(np.einsum("kii->ki", self.roots), axis=1)
+        return np.asarray((square**-5) @ heights)  # the power is half of freedom and dimensions
+
+
+@lru_cache(maxsize=1)
+def _standard() -> Array:
+    """Returns draws of the standard t (n, 6)."""
+    rng, number = np.random.default_rng(0), DRAWS.draws
+    return np.asarray(
+        rng.normal(size=(number, DIMENSIONS)) / np.sqrt(rng.chisquare(FREEDOM, (number, 1)) / FREEDOM)
+    )
+
+
+def can_draw(problem: Problem, estimate: PoseEstimate) -> bool:
+    """Returns whether the modes of an estimate are to be drawn from, rather than integrated on a lattice.
+
+    On a scan, whose bumps are not the object's, the lattice knows which part of the cost to leave out; about a declared
+    axis nothing is drawn.
+    """
+    model, error = problem.model, problem.model.field_error
+    return (
+        not problem.blind
+        and modes.several_minima(model, problem.rows, len(problem.contacts))
+        and (len(estimate.modes) > 1 or estimate.answer["departure"] > DRAWS.least_departure)
+        and len(problem.outside) <= DRAWS.most_outside
+        and not len(model.symmetries.axes)
+        and (error is None or not error.values[..., 2].any())
+    )
+
+
+def with_draws(problem: Problem, rows: Records, used: Mask) -> Records:
+    """Returns the distinct modes, likeliest first, out of minima (K,) ANSWER, likeliest first: each with the mean, the
+    covariance and the probability of the draws that are nearest to it.
+
+    `used` (1, n): the contacts in use. Coordinates are (δp, radius δθ) [m] from the first minimum, along the object's
+    own axes. A minimum that is turned by more than a right angle from it remains as it is.
+    """
+    T, scale = rows[0]["T_palm_object"].copy(), np.repeat([1.0, problem.model.radius], 3)
+    along = np.kron(np.eye(2), T[:3, :3].T) * scale[:, None]
+    across = np.linalg.inv(along)
+    places = se3.difference(rows["T_palm_object"], T) @ along.T
+    likely = rows["log_weight"] > rows["log_weight"].max() - modes.MODES.unlikely
+    near = np.linalg.norm(places[:, 3:], axis=1) < np.pi / 2 * problem.model.radius
+    chosen = np.flatnonzero(likely & near)[: DRAWS.most_minima]
+    covariances = along @ rows["covariance"] @ along.T
+    number = DRAWS.draws if len(rows) > 1 else DRAWS.draws_single
+
+    def log_density(x: Array) -> Array:
+        half = np.linalg.norm(x[:, 3:], axis=1) / (2 * problem.model.radius)
+        cost = solve.cost(problem, se3.moved(T, x @ across.T), used)
+        # The volume of rotations shrinks with the turn; beyond half a turn they are reached the other way round.
+        log_volume = 2 * np.log(np.sinc(np.minimum(half / np.pi, 0.5)))
+        return np.where(half < np.pi / 2, log_volume - cost / 2, -np.inf)
+
+    shares = np.exp(DRAWS.tempered * (rows["log_weight"][chosen] - rows["log_weight"][chosen[0]]))
+    ridge = 1e-12 * np.eye(DIMENSIONS)
+    roots = DRAWS.widened * np.linalg.cholesky(covariances[chosen] + ridge)
+    mixture = Mixture(places[chosen], roots, shares / shares.sum())
+    x = mixture.draws(_standard()[:number])
+    logs = log_density(x) - np.log(mixture.density(x))
+    weights = np.exp(logs - logs.max())
+    log_mean, weights = logs.max() + np.log(weights.mean()), weights / weights.sum()
+    # Draws belong to the nearest mode, in units of the distance at which two are distinct.
+    model = problem.model
+    distinct = modes.distinct(model, rows["T_palm_object"], np.arange(len(rows)), modes.MODES.max_modes)
+    centers = [j for j in distinct if j in chosen]
+    gaps = [(x - places[j]).reshape(-1, 2, 3) for j in centers]
+    limits = np.array(modes.SAME_MODE) * [1.0, model.radius]
+    nearest = np.argmin([(np.linalg.norm(gap, axis=2) / limits).max(axis=1) for gap in gaps], axis=0)
+    merged = [rows[j] for j in distinct if j not in chosen]
+    for k, j in enumerate(centers):
+        own = weights * (nearest == k)
+        if own.sum() > DRAWS.negligible:
+            mean, covariance = _moments(x, own / own.sum(), places[j], covariances[j])
+            row = rows[j].copy()
+            row["T_palm_object"] = se3.moved(T, across @ mean)
+            row["covariance"] = across @ covariance @ across.T
+            row["information"] = along.T @ np.linalg.inv(covariance) @ along
+            row["log_weight"] = log_mean - LOG_T + np.log(own.sum())
+            merged.append(row)
+    return np.array(sorted(merged, key=lambda row: -row["log_weight"]))
+
+
+def _moments(x: Array, weights: Array, place: Array, covariance: Array) -> tuple[Array, Array]:
+    """Returns the mean (6,) and the covariance (6, 6) of weighted draws (n, 6) of a mode at `place` (6,).
+
+    The mode with its own covariance counts as some more draws: a conjugate prior. What is returned is the covariance of
+    the next draw, which is wider the fewer there are, and as wide as it takes for its region to hold as many of the
+    draws as a Gaussian's: tails are heavier.
+    """
+    mean = weights @ x
+    effective, prior = 1 / (weights @ weights), DRAWS.own
+    number, off = effective + prior, place - mean
+    spread = (x - mean).T @ ((x - mean) * weights[:, None])
+    C = effective * spread + prior * covariance + effective * prior / number * np.outer(off, off)
+    mean, C = mean + prior / number * off, C * (1 + 1 / number) / number
+    square = np.einsum("ni,ni->n", x - mean, (x - mean) @ np.linalg.inv(C))
+    order = np.argsort(square)
+    within = min(int(np.searchsorted(np.cumsum(weights[order]), DRAWS.level)), len(x) - 1)
+    return mean, C * max(1.0, square[order[within]] / modes.chi2_limit(DIMENSIONS, 1 - DRAWS.level))
