@@ -32,7 +32,7 @@ from handsight.objects import Symmetries
 from handsight.recording import open_recording
 from handsight.rig import Rig
 from handsight.simulation import MOTION, Nuisances, Scenario, simulate
-from handsight.simulation.loads import Payload, center_of_mass
+from handsight.simulation.loads import Payload
 from handsight.simulation.motion import WEIGH_LEGS
 from handsight.tracking import JointOffsets
 from shared import report, wrong_weights, ycb
@@ -83,7 +83,7 @@ def recorded(scenario: Scenario) -> Run | None:
         return None
     samples = [sample for sample in samples if sample.observation.stamp >= LIFTED]
     touched = [fingertips().contacts(sample.observation) for sample in samples]
-    model, center = exact_model(scenario.object), center_of_mass(Payload.of(scenario).scene)
+    model, center = exact_model(scenario.object), Payload.of(scenario).scene.model.body("object").ipos.copy()
     if np.linalg.norm(center) > 1e-6:
         model = model.with_symmetries(Symmetries())  # what is heavier on one side is not symmetric
     return Run(scenario, samples, touched, model, center)

@@ -48,6 +48,11 @@ def palm_array(pitch: float = 0.004) -> TaxelArray:
     )  # fmt: skip
 
 
+def box_solid(size: np.ndarray) -> Solid:
+    """A box about the origin."""
+    return Solid(np.vstack([np.eye(3), -np.eye(3)]), np.tile(np.asarray(size) / 2, 2))
+
+
 def box_on_skin(rng: np.random.Generator, array: TaxelArray, *, springs: float = SKIN.foam) -> SkinScene:
     """The box lies flat, one of its long edges on the array, the ends of which may be beyond it."""
     size = np.array(scenes.BOX)
@@ -63,7 +68,7 @@ def box_on_skin(rng: np.random.Generator, array: TaxelArray, *, springs: float =
         [np.full(3, half[0]), rng.uniform(0.3, 0.9, 3) * half[1], rng.uniform(-0.02, 0.02, 3)]
     )
     tips = places, np.tile([1.0, 0, 0], (3, 1))
-    return _measured(scenes.box(), Solid.box(size), T, tips, array, across, rng, springs)
+    return _measured(scenes.box(), box_solid(size), T, tips, array, across, rng, springs)
 
 
 def can_on_skin(rng: np.random.Generator, array: TaxelArray, *, end: bool = True) -> SkinScene:

@@ -43,10 +43,8 @@ class GaussianPose:
     def at_point(self, point_b: Array) -> "GaussianPose":
         """Returns the pose of a frame with b's axes whose origin is a point (3,) of b [m]."""
         arm = self.T_a_b[:3, :3] @ point_b
-        J = se3.point_jacobian(arm)
-        return GaussianPose(
-            se3.compose(self.T_a_b[:3, :3], self.T_a_b[:3, 3] + arm), J @ self.covariance @ J.T
-        )
+        J, T = se3.point_jacobian(arm), se3.compose(self.T_a_b[:3, :3], self.T_a_b[:3, 3] + arm)
+        return GaussianPose(T, J @ self.covariance @ J.T)
 
     def inflated(self, variance: Array) -> "GaussianPose":
         """Returns the pose with process noise of `variance` (6,) added to its covariance [m², rad²]."""

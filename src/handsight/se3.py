@@ -176,9 +176,8 @@ def rotation_from_quaternion(quaternion_xyzw: Array) -> Array:
 
 def moved(T: Array, perturbation: Array) -> Array:
     """Returns `T` (..., 4, 4) after the perturbation (δp, δθ): `p + δp`, `exp(δθ) @ R`."""
-    return compose(
-        rotation_exp(perturbation[..., 3:]) @ T[..., :3, :3], T[..., :3, 3] + perturbation[..., :3]
-    )
+    shift, turn = perturbation[..., :3], perturbation[..., 3:]
+    return compose(rotation_exp(turn) @ T[..., :3, :3], T[..., :3, 3] + shift)
 
 
 def difference(T: Array, T_reference: Array) -> Array:
@@ -203,10 +202,14 @@ def random(rng: np.random.Generator, size: int | None = None, *, spread: float =
 
 def from_position_quaternion(position: ArrayLike, quaternion_xyzw: ArrayLike) -> Array:
     """Returns the transform (4, 4) of a ROS pose; raises InvalidInput where the quaternion is zero or not finite."""
-    return compose(
-        rotation_from_quaternion(unit(quaternion_xyzw, "quaternion_xyzw", (4,))),
-        finite(position, "position", (3,)),
-    )
+    R = rotation_from_quaternion(unit(quaternion_xyzw, "quaternion_xyzw", (4,)))
+    return compose(R, finite(position, "position", (3,)))
+
+
+def perpendicular(vectors: Array) -> Array:
+    """Returns unit vectors (..., 3) at right angles to vectors (..., 3), none of which is zero."""
+    side = np.cross(vectors, np.eye(3)[np.abs(vectors).argmin(axis=-1)])
+    return np.asarray(side / np.linalg.norm(side, axis=-1, keepdims=True))
 
 
 def directions(n: int) -> Array:

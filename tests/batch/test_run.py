@@ -16,8 +16,7 @@ import pytest
 
 from batch.fragile_worker import ends_at_once, obeyed
 from handsight.batch import run as batch
-from handsight.batch.lines import LONGEST, blocks
-from handsight.batch.run import Batch
+from handsight.batch.run import LONGEST, Batch, blocks
 from handsight.batch.workers import Answers, Processes, WorkerDied, WorkerFailure
 from handsight.errors import InvalidFile
 

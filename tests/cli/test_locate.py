@@ -411,8 +411,7 @@ def test_an_object_in_the_hand_is_found_in_a_recording(held, asked, tmp_path):
 @pytest.mark.slow
 def test_the_hand_is_masked_where_it_is_though_the_camera_is_elsewhere(held, tmp_path):
     from handsight.recording import RecordingWriter
-    from handsight.recording.frames import Frame
-    from handsight.recording.robot_images import recorded_frames
+    from handsight.recording.frames import Frame, recorded_frames
 
     rig, samples, T_camera_world = held
     with RecordingWriter(tmp_path / "box.mcap", rig) as writer:

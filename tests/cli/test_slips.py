@@ -4,8 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from handsight.cli.track import grip
-from handsight.cli.track_summary import TrackResult
+from handsight.cli.track import TrackResult, grip
 from handsight.forces import Slip
 from handsight.tracking import Tally
 from handsight.tracking.skin import NOTHING

@@ -6,8 +6,8 @@ import math
 import random
 from pathlib import Path
 
-from handsight.batch.lines import blocks
 from handsight.batch.problems import Reader, answer_text
+from handsight.batch.run import blocks
 from handsight.contact import Sphere, convert
 from handsight.errors import HandsightError
 from tests.corpus.door import Case, Door, spoilt_bytes, spoilt_text, spoilt_value

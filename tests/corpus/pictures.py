@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from handsight.recording.frames import Beside, Unread
-from handsight.recording.open_frames import open_frames
+from handsight.recording.frames import Beside, Unread, open_frames
 from handsight.vision import read_camera, read_color, read_depth
 from tests.corpus.door import Case, Door, check_sentence, spoilt_bytes, spoilt_value
 

@@ -8,9 +8,9 @@ import pytest
 import trimesh
 
 from handsight._kernels.math.spreading import snapped, spread_out
-from handsight._kernels.mesh.connected_nodes import linked
 from handsight.objects import ObjectModel
 from handsight.objects.meshes.box_tree import ClosestPointSearch, Winding, box_tree
+from handsight.objects.meshes.mesh_geometry import linked
 from objects.object_shapes import box_mesh, divided, prism, triangles
 from oracles import fields as field_oracle
 from oracles import meshes as oracle

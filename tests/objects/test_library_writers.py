@@ -70,12 +70,12 @@ def test_threads_at_the_same_time_lose_nothing(tmp_path):
 
 def test_a_reader_finds_each_object_with_all_its_facts_while_another_adds(tmp_path):
     folder, library = Folder(tmp_path / "library"), Library(tmp_path / "library")
-    new = new_object(block(tmp_path), Facts(name="block", mass=0.5), 1.0, None)
-    folder.add(new)
+    facts, info, ply = new_object(block(tmp_path), Facts(name="block", mass=0.5), 1.0, None)
+    folder.add(facts, info, ply)
 
     def write():
         for k in range(60):
-            folder.add(new._replace(facts=new.facts | {"name": f"block {k}"}))
+            folder.add(facts | {"name": f"block {k}"}, info, ply)
 
     writer = threading.Thread(target=write)
     writer.start()

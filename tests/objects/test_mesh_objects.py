@@ -57,15 +57,15 @@ def test_signs_are_right_around_a_sharp_wedge(rng):
 
 def test_a_box_with_a_small_hole_is_closed_and_has_the_right_signs(rng):
     vertices, faces = holed_box(SIZE)
-    holes = holes_of(triangles(vertices, faces))
-    assert len(holes.extents) == 1
+    mesh = triangles(vertices, faces)
+    (middle,), (extent,) = holes_of(mesh, mesh.edges.counts == 1)
     model = ObjectModel.from_mesh(vertices, faces)
     assert model.closed
     points = rng.uniform(-0.6, 0.6, (20_000, 3)) * SIZE
     outward = (np.abs(points) - SIZE / 2).max(axis=1)
     clear = np.abs(outward) > 1.2 * model.fine.cell
     # In the hole itself the sign is a guess to about half its width.
-    clear &= np.linalg.norm(points - holes.middles[0], axis=1) > 0.7 * holes.extents[0]
+    clear &= np.linalg.norm(points - middle, axis=1) > 0.7 * extent
     np.testing.assert_array_equal(model.evaluate(points).distance[clear] < 0, outward[clear] < 0)
 
 

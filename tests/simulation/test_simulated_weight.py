@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 
 from handsight.simulation import Nuisances, Scenario
-from handsight.simulation.loads import Payload, center_of_mass
+from handsight.simulation.loads import Payload
 from handsight.simulation.motion import WEIGH_LEGS, palm_poses
 from handsight.simulation.scene import FINGERS
 from handsight.simulation.simulate import tip_biases
 from simulation.simulated import only
+
+
+def center_of_mass(scene):
+    return scene.model.body("object").ipos
 
 
 @pytest.mark.parametrize("name", ["can", "box"])

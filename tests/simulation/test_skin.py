@@ -10,6 +10,7 @@ from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.simulation import Scenario
 from handsight.simulation.skin import PALM_SKIN, Solid, spring_forces, taxel_forces
+from skin_scenes import box_solid
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -38,8 +39,8 @@ def test_a_solid_begins_where_a_ray_meets_it(kind):
         "hull": trimesh.convex.convex_hull(rng.normal(size=(40, 3))),
     }
     mesh = meshes[kind]
-    solids = {"box": Solid.box(np.array([0.06, 0.09, 0.14])), "cylinder": Solid.cylinder(0.033, 0.12)}
-    solid = solids.get(kind) or Solid.hull(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    solids = {"box": box_solid([0.06, 0.09, 0.14]), "cylinder": Solid.cylinder(0.033, 0.12)}
+    solid = solids.get(kind) or Solid.hull(np.asarray(mesh.vertices))
     size = float(mesh.extents.max())
     direction = rng.normal(size=3)
     direction /= np.linalg.norm(direction)
@@ -57,7 +58,7 @@ def test_a_solid_begins_where_a_ray_meets_it(kind):
 
 def test_taxels_under_a_face_measure_its_force():
     T = se3.compose(np.eye(3), np.array([0.018, 0.0, 0.01]))
-    readings = taxel_forces(PALM_SKIN, Solid.box(np.array([0.04, 0.03, 0.02])), T, 2.0)
+    readings = taxel_forces(PALM_SKIN, box_solid([0.04, 0.03, 0.02]), T, 2.0)
     assert readings.sum() == pytest.approx(2.0)
     places = PALM_SKIN.places_grid[readings > 0]
     np.testing.assert_allclose(places.min(axis=0)[:2], [0.0, -0.014], atol=1e-9)

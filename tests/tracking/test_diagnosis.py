@@ -65,12 +65,49 @@ def test_what_is_declared_rightly_is_not_called_wrong() -> None:
     assert all(abs(value.estimated - value.declared) < 0.5 for value in measured)
 
 
-@pytest.mark.parametrize("radius", [0.0015, -0.0015])
+@pytest.mark.parametrize("radius", [0.002, -0.002])
 def test_a_tip_of_another_radius_is_named_with_its_error(radius: float) -> None:
     tip = found(radius)["tip mf radius"]
     assert tip.wrong
     assert abs(tip.estimated - tip.declared - 1e3 * radius) < 0.4
     assert ("larger" if radius > 0 else "smaller") in tip.verdict
+
+
+@cache
+def weighed(gain: float, shown: float = 0.02) -> dict[str, Diagnosed]:
+    """Returns the diagnosis of a box in two grasps in the air, by name, where the thumb's sensor reads a share too
+    much; each axis' gain is declared with the sigma `shown`."""
+    rig = rig_of(Scenario(object="box"))
+    fingers = {name: replace(finger, sigma_gain=shown) for name, finger in rig.fingers.items()}
+    known = fingers["th"].calibration
+    bias = np.concatenate([known.bias_force, known.bias_torque])
+    observations: list[Observation] = []
+    for seed in range(2):
+        begin = observations[-1].stamp + 0.5 if observations else 0.0
+        scenario = Scenario(object="box", seed=seed, motion="weigh", rate=50.0, nuisances=Nuisances.none())
+        for seen in (sample.observation for sample in simulate(scenario)):
+            louder = bias + (1 + gain) * (seen.wrenches["th"] - bias)
+            observations.append(
+                replace(seen, stamp=seen.stamp + begin, wrenches={**seen.wrenches, "th": louder})
+            )
+    diagnosis = diagnose(observations, replace(rig, fingers=fingers), model_of(Scenario(object="box")))
+    return {value.name: value for value in diagnosis.values}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gain", [0.1, -0.1])
+def test_a_sensor_with_a_wrong_gain_is_named_alone_and_right_ones_are_not(gain: float) -> None:
+    right, values = weighed(0.0), weighed(gain)
+    assert not any(value.wrong for value in right.values())
+    assert {name for name, value in values.items() if value.wrong} == {"sensor th gain"}
+    found = values["sensor th gain"]
+    assert abs(found.estimated - 100 * (1 + gain / (1 + gain))) < 4 * found.sigma_estimated
+    assert ("larger" if gain > 0 else "smaller") in found.verdict
+
+
+@pytest.mark.slow
+def test_a_gain_that_is_declared_exact_is_not_measured() -> None:
+    assert not weighed(0.1, 0.0)["sensor th gain"].measured
 
 
 def test_a_finger_that_never_touches_tells_nothing() -> None:

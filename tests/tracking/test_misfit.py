@@ -1,14 +1,17 @@
 """What contradicts the model for a while is named, and inflates the answer."""
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import handsight as hs
 from handsight import se3
-from handsight.correction import PoseEstimate
+from handsight.correction import Conflict, PoseEstimate, PosePrior
 from handsight.simulation import Scenario, rig_of
 from handsight.tracking import Tracker
-from handsight.tracking.misfit import MISFIT, Innovations, Misfit
+from handsight.tracking.misfit import MISFIT, TOUCH, Innovations, Misfit
 
 
 def test_a_step_of_many_sigma_is_named_inflates_and_fades():
@@ -40,10 +43,56 @@ def test_a_finger_is_named_once_it_was_rejected_for_most_of_a_second():
     assert str(finger) == "finger ff contradicts the others"
 
 
+def test_a_weight_that_contradicts_for_long_is_named_inflates_does_not_flicker_and_fades():
+    fits = PoseEstimate.from_gaussian(np.eye(4), 1e-6 * np.eye(6), 1e6 * np.eye(6))
+    prior = PosePrior(np.eye(4), 1e-2 * np.eye(6))
+    conflict = Conflict("weight", "contacts", 60.0, 3, 1e-9, np.zeros(6), excluded=True)
+    wrong = replace(fits, weight_fits=False, conflicts=(conflict,))
+    watched, named = Innovations(), []
+    # It contradicts for two seconds, but for one correction of ten; then it fits.
+    for k in range(200):
+        now = wrong if k < 100 and k % 10 else replace(fits, weight_fits=True)
+        watched = watched.after(0.02, (), now, prior)
+        named.append(watched.worst is not None)
+        if k == 99:
+            assert str(watched.worst) == "the weight has contradicted the rest by 7 sigma"
+            inflated = watched.inflated(fits).covariance
+    assert not named[0]
+    assert named[99]
+    assert not named[-1]
+    assert sum(a != b for a, b in itertools.pairwise(named)) == 2
+    assert 5e-6 < inflated[0, 0] < 1e-5
+
+
 def test_evidence_that_fits_is_not_named_and_leaves_the_answer_as_it_is():
     fits = Misfit("vision", nis=6.0, expected=6.0)
     assert not fits.contradicts
     assert fits.factor == 1
+
+
+def test_the_region_holds_where_the_declared_sigma_of_touch_is_an_estimate_of_four_degrees_of_freedom():
+    """And it changes nothing of what the prior alone tells, nor a direction of symmetry."""
+    model, rng = hs.ObjectModel.box([0.1, 0.06, 0.04]), np.random.default_rng(0)
+    prior = PosePrior(np.eye(4), np.diag([1e-4, 1e-6, 1e-4, 1e-2, 1e-2, 1e-4]))
+    by_touch = np.diag([1e6, 1e2, 1e6, 1e6 * model.radius**2, 1e6 * model.radius**2, 0.0])
+    information = np.linalg.inv(prior.covariance) + by_touch
+    estimate = PoseEstimate.from_gaussian(np.eye(4), np.linalg.inv(information), np.empty((0, 6)))
+    watched = Innovations({TOUCH: Misfit(TOUCH, nis=9.0, expected=15.0)})
+    covered = watched.covered(model, estimate, prior)
+    np.testing.assert_allclose(covered.covariance @ covered.information, np.eye(6), atol=1e-6)
+    assert covered.covariance[5, 5] == pytest.approx(1e-4)
+    assert 1e-6 * 0.98 < covered.covariance[1, 1] < 1e-6
+    true_sigma = np.sqrt(MISFIT.noise_freedom / rng.chisquare(MISFIT.noise_freedom, 4000))
+    noise = rng.normal(size=(4000, 6)) * np.sqrt(np.diag(estimate.covariance))
+    noise[:, [0, 2, 3, 4]] *= true_sigma[:, None]
+    squares = np.einsum("ni,ij,nj->n", noise, covered.information, noise)
+    assert 0.94 < (squares < 12.592).mean() < 0.98
+    misfits = Innovations({TOUCH: Misfit(TOUCH, nis=72.0, expected=15.0)})
+    ratio = misfits.covered(model, estimate, prior).covariance[0, 0] / covered.covariance[0, 0]
+    assert ratio == pytest.approx(4.0, rel=0.1)  # (4 + 72) / (4 + 15)
+    spin = np.diag([1.0, 1, 1, 1, 1, 0]) @ information
+    free = estimate.with_gaussian(np.eye(4), None, spin)
+    assert not watched.covered(model, free, prior).information[5].any()
 
 
 @pytest.mark.parametrize("radius", [0.026, 0.040])

@@ -13,7 +13,7 @@ from handsight.contact import Contacts
 from handsight.errors import InvalidInput
 from handsight.forces.friction import Friction
 from handsight.gaussian_pose import GaussianPose
-from handsight.tracking import FingertipContacts, PoseBiasSmoother, Tracker
+from handsight.tracking import FingertipContacts, PoseBiasSmoother, Tracker, TrackerSettings
 from handsight.tracking.slip_update import SLIP_UPDATE, SlipUpdate
 from handsight.tracking.smoother import STILL
 
@@ -170,7 +170,7 @@ def slippery(tracker, seen, count, friction):
 
 @pytest.fixture
 def held(box):
-    tracker = Tracker(box.rig, box.model)
+    tracker = Tracker(box.rig, box.model, settings=TrackerSettings(uncertain_position=0.03))
     for seen in box.observations:
         tracker.update(seen)
     return tracker

@@ -214,7 +214,7 @@ def test_a_wrong_object_is_uncertain_and_then_lost(can):
 
 def test_a_pose_that_touch_got_wrong_is_dropped_when_contacts_fit_none_for_long(can):
     """Such as by a finger that met the table's edge: vision has not changed, and is enough for a new start."""
-    tracker, last = tracked(can), can.observations[-1]
+    tracker, last = tracked(can, uncertain_position=0.03), can.observations[-1]
     right = tracker.estimate.T_palm_object
     elsewhere = se3.moved(right, np.array([0.06, 0.05, -0.05, 0.2, 0.3, 0.1]))
     known = tracker.smoother.now.given_pose(elsewhere, np.diag([1e6] * 3 + [1e4] * 3))

@@ -96,7 +96,8 @@ def test_a_weight_that_fits_in_three_directions_makes_what_contradicts_it_uncert
     tracker = follow(hs.Tracker(rig_of(SCENARIO), wrong), seen)
     assert tracker.estimate.weight_fits is False
     assert re.match(
-        r"contacts, vision and the table have the centre of mass \d+ mm from where", tracker.reason
+        r"the weight has contradicted the rest by \d+ sigma: contacts, vision and the table have the centre of mass \d+ mm from where",
+        tracker.reason,
     )
     assert tracker.state == "uncertain"
 

@@ -164,12 +164,12 @@ def test_the_ellipsoid_contains_95_of_100_draws_of_the_middle():
     root = rng.normal(size=(6, 6)) * np.repeat([1e-3, 1e-2], 3)[:, None]
     T = se3.random(rng, spread=0.1)
     estimate = PoseEstimate.from_gaussian(T, root @ root.T, np.zeros((0, 6)))
-    found = ellipsoid(estimate, model)
-    np.testing.assert_allclose(found.T_palm_axes[:3, 3], middle(model, T))
-    assert np.linalg.det(found.T_palm_axes[:3, :3]) == pytest.approx(1)
+    T_palm_axes, semi_axes = ellipsoid(estimate, model)
+    np.testing.assert_allclose(T_palm_axes[:3, 3], middle(model, T))
+    assert np.linalg.det(T_palm_axes[:3, :3]) == pytest.approx(1)
     draws = (root @ rng.normal(size=(6, 4000))).T
     places = np.array([middle(model, se3.moved(T, draw)) for draw in draws])
-    inside = se3.apply(se3.inverse(found.T_palm_axes), places) / found.semi_axes
+    inside = se3.apply(se3.inverse(T_palm_axes), places) / semi_axes
     assert (np.linalg.norm(inside, axis=1) < 1).mean() == pytest.approx(0.95, abs=0.012)
     assert pytest.approx(math.sqrt(7.8147), abs=1e-3) == SHAPES.sigmas_95
 
@@ -179,17 +179,17 @@ def test_a_slide_is_drawn_along_and_a_turn_about_its_direction(seed):
     model, rng = ObjectModel.cylinder(0.03, 0.1), np.random.default_rng(seed)
     axis, center = rng.normal(size=3), rng.normal(size=3)
     axis /= np.linalg.norm(axis)
-    slide = direction_line(np.r_[axis, 0, 0, 0], center, model)
-    assert not slide.turn
-    np.testing.assert_allclose(np.cross(slide.line[1] - slide.line[0], axis), 0, atol=1e-12)
-    np.testing.assert_allclose(slide.line.mean(axis=0), center)
-    turn = direction_line(np.r_[0, 0, 0, axis], center, model)
-    assert turn.turn
-    np.testing.assert_allclose((turn.line - center) @ axis, 0, atol=1e-12)
-    radii = np.linalg.norm(turn.line - center, axis=1)
+    slide, turned = direction_line(np.r_[axis, 0, 0, 0], center, model)
+    assert not turned
+    np.testing.assert_allclose(np.cross(slide[1] - slide[0], axis), 0, atol=1e-12)
+    np.testing.assert_allclose(slide.mean(axis=0), center)
+    turn, turned = direction_line(np.r_[0, 0, 0, axis], center, model)
+    assert turned
+    np.testing.assert_allclose((turn - center) @ axis, 0, atol=1e-12)
+    radii = np.linalg.norm(turn - center, axis=1)
     np.testing.assert_allclose(radii, radii[0])
     # The arrow's head is at the end that a positive turn goes to.
-    assert np.cross(turn.line[0] - center, turn.line[1] - center) @ axis > 0
+    assert np.cross(turn[0] - center, turn[1] - center) @ axis > 0
 
 
 def seen(tracked):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import handsight as hs
-from handsight import cache_folder
 from handsight._kernels.image import pose_score, votes
 from handsight.objects import ObjectWarning, cache
 from handsight.vision.object import appearance
@@ -55,30 +54,6 @@ def test_a_spoilt_file_is_made_anew(folder, monkeypatch, spoil, kind, made):
     assert calls == made
     same(first, again)
     assert looked_at(monkeypatch)[1] == [0, 0]
-
-
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda numbers: numbers[:-1],
-        lambda numbers: numbers[:100],
-        lambda numbers: numbers[:0],
-        lambda numbers: np.where(np.arange(len(numbers)) == 0, 1, numbers),
-        lambda numbers: np.where(np.arange(len(numbers)) == 9, -7, numbers),
-        lambda numbers: np.where(np.arange(len(numbers)) == votes.CELLS + 5, 1 << 30, numbers),
-        lambda numbers: np.where(np.arange(len(numbers)) == votes.CELLS + 5, -1, numbers),
-    ],
-)
-def test_pairs_that_would_be_read_past_their_end_are_made_anew(folder, monkeypatch, spoil):
-    """Whole by its checksum, and not a table of such pairs."""
-    first, _ = looked_at(monkeypatch)
-    (kept,) = folder.glob("numbers-*")
-    name = kept.name.removeprefix("numbers-")
-    numbers = np.frombuffer(cache_folder.read_entry(kept, name), dtype=np.int32)
-    cache_folder.write_entry(kept, name, spoil(numbers).astype(np.int32).tobytes())
-    again, calls = looked_at(monkeypatch)
-    assert calls == [0, 1]
-    same(first, again)
 
 
 def test_where_nothing_can_be_kept_it_is_said_once(folder, monkeypatch):

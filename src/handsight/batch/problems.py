@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from handsight import checks, se3
-from handsight.batch.lines import LONGEST
+from handsight.batch.run import LONGEST
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import (
@@ -107,6 +107,9 @@ class ProblemFields(_Strict):
     method: str = "handsight"
 
 
+CONFLICT_KEYS = ("evidence", "against", "chi2", "freedom", "p_value", "excluded")
+
+
 class Problem(NamedTuple):
     """A `Problem` holds the arguments of `correct_pose`."""
 
@@ -132,7 +135,12 @@ class Reader:
         outside: Any = None
         if fields.outside is not None and fields.outside != []:
             outside = checks.position(fields.outside, "outside", (None, 3))
-        if planes := [_plane(plane, f"planes[{i}]") for i, plane in enumerate(fields.planes)]:
+        planes = list[Plane]()
+        for i, plane in enumerate(fields.planes):
+            point = checks.in_reach(plane.point, f"planes[{i}].point", (3,))
+            normal = checks.unit(plane.normal, f"planes[{i}].normal", (3,))
+            planes.append(Plane(point, normal, checks.sigma(plane.sigma, f"planes[{i}].sigma")))
+        if planes:
             outside = Outside(() if outside is None else outside, planes)
         contacts = _contacts(fields.contacts, of_residual=fields.contacts_of_residual)
         options = {name: getattr(fields, name) for name in ("answer", "samples", "budget", "method")}
@@ -165,9 +173,8 @@ class Reader:
             spec = ObjectSpec(mesh=self.folder / fields.mesh, scale=scale)
         elif fields.cylinder is not None:
             radius = checks.positive(fields.cylinder.radius, "object.cylinder.radius")
-            spec = ObjectSpec(
-                cylinder=(radius, checks.positive(fields.cylinder.height, "object.cylinder.height"))
-            )
+            height = checks.positive(fields.cylinder.height, "object.cylinder.height")
+            spec = ObjectSpec(cylinder=(radius, height))
         elif fields.box is not None:
             x, y, z = checks.finite(fields.box, "object.box", (3,))
             if not min(x, y, z) > 0:
@@ -200,15 +207,7 @@ def answer(problem: Problem) -> dict[str, Any]:
         "consistent": estimate.consistent,
         "outliers": list(estimate.outliers),
         "conflicts": [
-            {
-                "evidence": conflict.evidence,
-                "against": conflict.against,
-                "chi2": conflict.chi2,
-                "freedom": conflict.freedom,
-                "p_value": conflict.p_value,
-                "excluded": conflict.excluded,
-                "message": str(conflict),
-            }
+            {key: getattr(conflict, key) for key in CONFLICT_KEYS} | {"message": str(conflict)}
             for conflict in estimate.conflicts
         ],
         "hypotheses": [
@@ -302,25 +301,19 @@ def _vision(fields: VisionFields | None) -> PosePrior | None:
     T = se3.compose(se3.rotation_from_quaternion(quaternion), position)
     given = [value is not None for value in (fields.sigma_position, fields.sigma_rotation_deg)]
     if (fields.covariance is not None) == any(given):
-        came = "both" if any(given) else "neither"
-        raise InvalidInput(
-            f"vision: expected sigma_position and sigma_rotation_deg or a covariance, got {came}"
+        expected, came = (
+            "sigma_position and sigma_rotation_deg or a covariance",
+            "both" if any(given) else "neither",
         )
+        raise InvalidInput(f"vision: expected {expected}, got {came}")
     if fields.covariance is not None:
         return PosePrior(T, checks.covariance(fields.covariance, "vision.covariance", (6, 6)))
     for field in ("sigma_position", "sigma_rotation_deg"):
         if getattr(fields, field) is None:
             raise InvalidInput(f"vision.{field}: expected a number above 0, got nothing")
     shift = checks.sigma(fields.sigma_position, "vision.sigma_position")
-    return PosePrior.from_sigmas(
-        T, shift, _radians(fields.sigma_rotation_deg, "vision.sigma_rotation_deg", checks.MAX_DISTANCE)
-    )
-
-
-def _plane(fields: PlaneFields, name: str) -> Plane:
-    point = checks.in_reach(fields.point, f"{name}.point", (3,))
-    normal = checks.unit(fields.normal, f"{name}.normal", (3,))
-    return Plane(point, normal, checks.sigma(fields.sigma, f"{name}.sigma"))
+    turn = _radians(fields.sigma_rotation_deg, "vision.sigma_rotation_deg", checks.MAX_DISTANCE)
+    return PosePrior.from_sigmas(T, shift, turn)
 
 
 def _weight(fields: WeightFields | None) -> WeightEvidence | None:

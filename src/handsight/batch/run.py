@@ -1,7 +1,9 @@
 """Lines answered by many workers: read as they come, answered in order, never all in memory."""
 
+import codecs
 import contextlib
 import functools
+import io
 import json
 import os
 import threading
@@ -12,19 +14,24 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import NamedTuple
 
-from handsight.batch.lines import Source, blocks
 from handsight.batch.workers import DEATHS, Answers, Cluster, Processes, WorkerDied, answer_lines
+from handsight.errors import InvalidFile
+from handsight.files import stream_name
+
+LONGEST = 32_000_000
+"""Largest size of a line [bytes]; decoded, it takes up to thirty times as much memory."""
+BLOCK_BYTES = 256_000
+Source = io.BufferedIOBase
 
 
 class BatchLimits(NamedTuple):
     """`BatchLimits` bound how much of a batch is in memory at the same time."""
 
-    chunk_lines: int = 256
-    """Largest number of lines in a worker's chunk."""
-    max_pending_bytes: int = 64_000_000
-    """No line is submitted while the lines without a returned answer take more than this."""
-    line_overhead: int = 3000
-    """Memory of a line besides its characters: its answer, and Python's objects [bytes]."""
+    chunk_lines: int = 256  # largest number of lines in a worker's chunk
+    max_pending_bytes: int = (
+        64_000_000  # no line is submitted while lines without a returned answer take more
+    )
+    line_overhead: int = 3000  # memory of a line besides its characters: its answer, Python's objects [bytes]
 
 
 BATCH = BatchLimits()
@@ -168,3 +175,36 @@ class Batch:
 
 def _bytes(lines: list[bytes]) -> int:
     return sum(len(line) + BATCH.line_overhead for line in lines)
+
+
+def blocks(source: Source, *, single: bool = False) -> Iterator[list[bytes]]:
+    """Yields lists of the lines that are available, without blank ones and line ends; closes the source.
+
+    A byte order mark at the beginning is dropped. A line longer than `LONGEST` is cut to `LONGEST` + 1 bytes, so that
+    a reader can refuse it. `single`: the entire source is one line. Raises InvalidFile.
+    """
+    marks = codecs.BOM_UTF8
+    with source:
+        try:
+            if single:
+                yield [source.read(LONGEST + 1 + len(marks)).removeprefix(marks)]
+                return
+            for lines in _split(source):
+                lines[0], marks = lines[0].removeprefix(marks), b""
+                if come := [line for line in lines if line.strip() or len(line) > LONGEST]:
+                    yield come
+        except OSError as error:
+            raise InvalidFile(f"{stream_name(source)}: {error.strerror or error}") from None
+
+
+def _split(source: Source) -> Iterator[list[bytes]]:
+    """Yields lists of the complete lines that are available, at least one in each; lines too long are cut."""
+    partial = bytearray()
+    while block := source.read1(BLOCK_BYTES):
+        *lines, rest = block.split(b"\n")
+        if lines:
+            lines[0] = bytes(partial + lines[0])[: LONGEST + 1]
+            partial.clear()
+            yield lines
+        partial += rest[: LONGEST + 1 - len(partial)]
+    yield [bytes(partial)]

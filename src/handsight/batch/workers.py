@@ -221,8 +221,24 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
 
     def __init__(self, address: str, work: Work) -> None:
         """Raises WorkerFailure where no scheduler answers, MissingExtra without Dask."""
+        try:
+            from distributed import Client
+            from distributed.comm.addressing import resolve_address
+        except ImportError:
+            raise MissingExtra("--cluster needs Dask: pip install 'handsight[cluster]'") from None
+        # Dask logs a traceback for each lost connection, from loggers with their own levels; what matters is raised.
+        for name in ["distributed", *logging.root.manager.loggerDict]:
+            if name.partition(".")[0] == "distributed":
+                logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         self._address, self._work = address, work
-        self._client = _connected(address)
+        try:
+            # Checked first, as a client with a malformed address hangs on closing.
+            resolve_address(address)
+            connect: Any = Client
+            self._client = connect(address, timeout=CONNECT_SECONDS, set_as_default=False)
+        except (OSError, ValueError, TypeError, RuntimeError) as error:
+            message = str(error).partition("\n")[0] or type(error).__name__
+            raise WorkerFailure(f"{address}: expected a Dask scheduler there, got none ({message})") from None
         self._ended: SimpleQueue[tuple[Any, Future[Answers]]] = SimpleQueue()
         # In a daemon thread, as fetching results from a lost cluster may never end.
         threading.Thread(target=self._fetch, name="handsight-fetcher", daemon=True).start()
@@ -264,24 +280,3 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
         if isinstance(error, ModuleNotFoundError):
             message = f"the workers have no module {error.name!r}; install handsight there"
         return WorkerFailure(f"{self._address}: {message}")
-
-
-def _connected(address: str) -> Any:
-    """Returns a Dask client; raises WorkerFailure, MissingExtra."""
-    try:
-        from distributed import Client
-        from distributed.comm.addressing import resolve_address
-    except ImportError:
-        raise MissingExtra("--cluster needs Dask: pip install 'handsight[cluster]'") from None
-    # Dask logs a traceback for each lost connection, from loggers with their own levels; what matters is raised.
-    for name in ["distributed", *logging.root.manager.loggerDict]:
-        if name.partition(".")[0] == "distributed":
-            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-    try:
-        # Checked first, as a client with a malformed address hangs on closing.
-        resolve_address(address)
-        connect: Any = Client
-        return connect(address, timeout=CONNECT_SECONDS, set_as_default=False)
-    except (OSError, ValueError, TypeError, RuntimeError) as error:
-        message = str(error).partition("\n")[0] or type(error).__name__
-        raise WorkerFailure(f"{address}: expected a Dask scheduler there, got none ({message})") from None

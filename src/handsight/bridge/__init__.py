@@ -11,7 +11,6 @@ try:
 except ImportError:
     raise MissingExtra("the bridge to ROS 2 needs cyclonedds: pip install 'handsight[ros2]'") from None
 
-from handsight.bridge.bridge import Bridge
-from handsight.bridge.network import Network
+from handsight.bridge.bridge import Bridge, Network
 
 __all__ = ["Bridge", "Network"]

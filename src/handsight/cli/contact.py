@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 from typer.core import TyperCommand
 
 from handsight.cli.terminal import announce_compiling, say
@@ -22,22 +22,18 @@ class WithColumns(TyperCommand):
 
 
 def contact(
-    wrenches: Annotated[str, typer.Argument(help="A .csv or .jsonl file of wrenches, or - for stdin.")],
-    fingertip: Annotated[
-        str, typer.Option(metavar="SHAPE", help="Shape of the fingertip, as described below.")
-    ],
+    wrenches: Annotated[str, Argument(help="A .csv or .jsonl file of wrenches, or - for stdin.")],
+    fingertip: Annotated[str, Option(metavar="SHAPE", help="Shape of the fingertip, as described below.")],
     output: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--output",
             "-o",
             help="File for the contacts: CSV, or JSON lines for a name in .jsonl. Default: stdout, as CSV.",
         ),
     ] = None,
-    sigma_force: Annotated[float, typer.Option(help="Standard deviation of the force, per axis [N].")] = 0.01,
-    sigma_torque: Annotated[
-        float, typer.Option(help="Standard deviation of the torque, per axis [N m].")
-    ] = 5e-5,
+    sigma_force: Annotated[float, Option(help="Standard deviation of the force, per axis [N].")] = 0.01,
+    sigma_torque: Annotated[float, Option(help="Standard deviation of the torque, per axis [N m].")] = 5e-5,
 ) -> None:
     """Compute where an object touches a fingertip, from what its force/torque sensor reads (eq. 7 of the paper).
 

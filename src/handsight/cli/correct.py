@@ -6,56 +6,44 @@ import stat
 import sys
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
-from handsight.cli.terminal import (
-    INTERRUPTED,
-    NOBODY_READS,
-    announce_compiling,
-    bar,
-    output_stream,
-    say,
-    warn,
-)
+from handsight.cli import terminal
+from handsight.cli.terminal import announce_compiling
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import check_not_overwritten, stream_name, write_errors
 
 if TYPE_CHECKING:
-    from handsight.batch.lines import Source
     from handsight.batch.problems import Problem
-    from handsight.batch.workers import Answers
+    from handsight.batch.run import Source
 
 MOST_PANELS = 6
 """Number of problems in the picture."""
 
 
 def correct(
-    problems: Annotated[
-        str, typer.Argument(help="A .jsonl file, a .json file of one problem, or - for stdin.")
-    ],
+    problems: Annotated[str, Argument(help="A .jsonl file, a .json file of one problem, or - for stdin.")],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="File for the answers, one per line. Default: stdout."),
+        Option("--output", "-o", help="File for the answers, one per line. Default: stdout."),
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            help=f"File for a picture of the first {MOST_PANELS} problems: PNG, PDF or SVG by its name."
-        ),
+        Option(help=f"File for a picture of the first {MOST_PANELS} problems: PNG, PDF or SVG by its name."),
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(
+        Option(
             min=0, show_default="1", help="Number of worker processes on this machine. 0: one for each core."
         ),
     ] = None,
     cluster: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="ADDRESS",
             help="Address of a Dask scheduler whose workers answer, such as tcp://127.0.0.1:8786. They read meshes at "
             "the same absolute path, so the problem file's folder must be shared, and look names up in the library "
@@ -114,86 +102,61 @@ def correct(
     """
     if workers is not None and cluster is not None:
         raise InvalidInput("--workers: expected without --cluster, which has its own workers, got both")
+    from handsight.batch.run import answering
+
     workers = 1 if workers is None else workers
     folder = Path.cwd() if problems == "-" else Path(problems).parent.absolute()
-    written = Written()
+    done = failed = 0
+    first = list[tuple[bytes, str]]()  # lines and their answers, for the picture
     try:
-        if plot is not None:
-            from handsight.viewer.correction_figures import require_matplotlib
-
-            require_matplotlib()
+        terminal.check_plots(plot)
         if workers == 1 and cluster is None:
             announce_compiling()
-        _answer(problems, output, plot, written, folder=folder, workers=workers, cluster=cluster)
-        if plot is not None and written.first:
+        given = sys.stdin if problems == "-" else problems
+        place = sys.stdout if output is None or str(output) == "-" else output
+        check_not_overwritten(place, "the answers", given, "the problems")
+        check_not_overwritten(plot, "the picture", given, "the problems")
+        check_not_overwritten(plot, "the picture", place, "the answers")
+        source = _open(problems)
+        size = os.fstat(source.fileno()).st_size  # 0 for a pipe
+        single, started, read = problems.endswith(".json"), time.monotonic(), 0
+        run = answering(
+            source, folder, single=single, workers=workers, cluster=cluster, first=announce_compiling
+        )
+        with (
+            run as answered,
+            terminal.output_stream(output) as sink,
+            terminal.bar("correcting", show=output is not None) as move,
+        ):
+            for lines, answers in answered:
+                for warning in answers.warnings:
+                    terminal.warn(warning)
+                pairs = zip(lines, answers.texts, strict=True)
+                good = [pair for pair in pairs if not pair[1].startswith('{"error"')]
+                with write_errors(stream_name(sink)):
+                    sink.write("".join(f"{text}\n" for text in answers.texts))
+                    # Counted before the flush: answers in the buffer are written even if Ctrl-C comes now.
+                    done, failed = done + len(lines), failed + len(lines) - len(good)
+                    sink.flush()
+                first += good[: MOST_PANELS - len(first)]
+                read += sum(len(line) + 1 for line in lines)
+                rate = done / (time.monotonic() - started)
+                move(read / size if size else None, f"{done} answers, {rate:.0f}/s")
+        if plot is not None and first:
             from handsight.batch.problems import Reader
 
             reader = Reader(folder)
-            draw(((reader.read(line), json.loads(text)) for line, text in written.first), plot)
-            say(f"wrote {plot}")
+            draw(((reader.read(line), json.loads(text)) for line, text in first), plot)
+            terminal.say(f"wrote {plot}")
     except KeyboardInterrupt:
-        say(f"handsight: stopped after {written.done} answers; they are written")
-        raise typer.Exit(INTERRUPTED) from None
+        terminal.say(f"handsight: stopped after {done} answers; they are written")
+        raise typer.Exit(terminal.INTERRUPTED) from None
     except BrokenPipeError:
-        raise typer.Exit(NOBODY_READS) from None
+        raise typer.Exit(terminal.NOBODY_READS) from None
     if output is not None:
-        say(f"wrote {output}: {written.done} answers, {written.failed} of them errors")
-    if written.failed:
+        terminal.say(f"wrote {output}: {done} answers, {failed} of them errors")
+    if failed:
         raise typer.Exit(1)
-
-
-@dataclass(slots=True)
-class Written:
-    """A `Written` counts the answers that were written, even if the command ends early."""
-
-    done: int = 0
-    failed: int = 0
-    first: list[tuple[bytes, str]] = field(default_factory=list)
-    """The first lines and their answers, for the picture."""
-
-    def write(self, lines: list[bytes], answers: "Answers", sink: IO[str]) -> None:
-        """Writes answers to a stream, and prints the workers' warnings."""
-        for warning in answers.warnings:
-            warn(warning)
-        good = [pair for pair in zip(lines, answers.texts, strict=True) if not pair[1].startswith('{"error"')]
-        with write_errors(stream_name(sink)):
-            sink.write("".join(f"{text}\n" for text in answers.texts))
-            # Counted before the flush: answers in the buffer are written even if Ctrl-C comes now.
-            self.done += len(lines)
-            self.failed += len(lines) - len(good)
-            sink.flush()
-        self.first += good[: MOST_PANELS - len(self.first)]
-
-
-def _answer(
-    problems: str,
-    output: Path | None,
-    plot: Path | None,
-    written: Written,
-    *,
-    folder: Path,
-    workers: int,
-    cluster: str | None,
-) -> None:
-    """Answers problems and writes the answers line by line, counted in `written`; raises InvalidFile, NotWritten."""
-    from handsight.batch.run import answering
-
-    given = sys.stdin if problems == "-" else problems
-    place = sys.stdout if output is None or str(output) == "-" else output
-    check_not_overwritten(place, "the answers", given, "the problems")
-    check_not_overwritten(plot, "the picture", given, "the problems")
-    check_not_overwritten(plot, "the picture", place, "the answers")
-    source = _open(problems)
-    size = os.fstat(source.fileno()).st_size  # 0 for a pipe
-    single = problems.endswith(".json")
-    run = answering(source, folder, single=single, workers=workers, cluster=cluster, first=announce_compiling)
-    started, read = time.monotonic(), 0
-    with run as answered, output_stream(output) as sink, bar("correcting", show=output is not None) as move:
-        for lines, answers in answered:
-            written.write(lines, answers, sink)
-            read += sum(len(line) + 1 for line in lines)
-            rate = written.done / (time.monotonic() - started)
-            move(read / size if size else None, f"{written.done} answers, {rate:.0f}/s")
 
 
 def _open(problems: str) -> "Source":

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
+from typer import Option
 
 from handsight.cli.correct import draw as draw_corrections
 from handsight.cli.options import Run
@@ -16,10 +17,8 @@ from handsight.cli.terminal import announce_compiling, live_rows, say, table
 from handsight.errors import MissingExtra
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from handsight.batch.problems import Problem
-    from handsight.cli.track_summary import TrackResult
+    from handsight.cli.track import TrackResult
     from handsight.evaluation import CorrectionErrors
     from handsight.recording.frames import Frame
     from handsight.rig import Rig
@@ -32,7 +31,7 @@ DATA = Path(__file__).parents[1] / "data"
 def demo(
     plot: Annotated[
         Path,
-        typer.Option(
+        Option(
             help="File for the first picture: PNG, PDF or SVG by its name. The others are written beside it."
         ),
     ] = Path("handsight-demo.png"),
@@ -52,7 +51,20 @@ def demo(
     announce_compiling()
     out = Console(width=None if sys.stdout.isatty() else 110, markup=False, highlight=False)
     found = list(examples())
-    out.print(_corrections(found))
+    rows = [
+        (
+            row.name,
+            f"{1e3 * row.vision.shift:.1f} → {1e3 * row.corrected.shift:.1f} mm",
+            f"{1e3 * row.vision.shift_observable:.1f} → {1e3 * row.corrected.shift_observable:.1f} mm",
+            f"{math.degrees(row.vision.turn):.1f} → {math.degrees(row.corrected.turn):.1f}°",
+            f"{1e3 * row.vision.gap:.1f} → {1e3 * row.corrected.gap:.2f} mm",
+            f"{len(row.answer['unobservable'])} of 6",
+        )
+        for row in found
+    ]
+    columns = ("object", "position", "of it, by touch", "rotation", "contacts off the surface", "open")
+    title = "Error against the truth, vision → corrected (synthetic example)"
+    out.print(table(columns, rows, title=title))
     out.print(
         "open: directions that these contacts do not determine (a can slides along its axis and turns about it);\n"
         "there the answer is vision's, and the estimate says so."
@@ -75,7 +87,15 @@ def demo(
     except MissingExtra as error:
         out.print(f"no recordings replayed: {error}")
         return
-    out.print(_tracks(results))
+    tracks = []
+    for result in results:
+        vision, tracked = (result.errors[name].summary() for name in ("vision", "tracked"))
+        errors = [f"{mm:.1f} mm" for mm in (vision["base_mean"], tracked["base_mean"], tracked["base_last"])]
+        faster = result.tally.recorded / result.tally.wall
+        tracks.append((result.name, *errors, str(result.corrections), f"{faster:.0f}x"))
+    columns = ("recording", "vision", "tracked", "at the end", "corrections", "real time")
+    title = "Recordings replayed: error of the base's centre on the table, as the paper measures it"
+    out.print(table(columns, tracks, title=title))
 
 
 class Comparison(NamedTuple):
@@ -114,35 +134,19 @@ def examples() -> Iterator[Comparison]:
         yield Comparison(name, problem, answered, vision, corrected)
 
 
-def _corrections(found: list[Comparison]) -> "Table":
-    rows = [
-        (
-            row.name,
-            f"{1e3 * row.vision.shift:.1f} → {1e3 * row.corrected.shift:.1f} mm",
-            f"{1e3 * row.vision.shift_observable:.1f} → {1e3 * row.corrected.shift_observable:.1f} mm",
-            f"{math.degrees(row.vision.turn):.1f} → {math.degrees(row.corrected.turn):.1f}°",
-            f"{1e3 * row.vision.gap:.1f} → {1e3 * row.corrected.gap:.2f} mm",
-            f"{len(row.answer['unobservable'])} of 6",
-        )
-        for row in found
-    ]
-    columns = ("object", "position", "of it, by touch", "rotation", "contacts off the surface", "open")
-    return table(columns, rows, title="Error against the truth, vision → corrected (synthetic example)")
-
-
 def find_can(plot: Path) -> str:
     """Returns sentences about how well the can is located in the built-in image; draws it if matplotlib is installed.
 
     Raises MissingExtra.
     """
     from handsight import se3
-    from handsight.cli.locate_images import Targets, draw, locator
+    from handsight.cli.locate import draw, locator
     from handsight.rig import Rig
     from handsight.vision.depth_noise import STRUCTURED_LIGHT
 
     rig, known = Rig.from_file(DATA / "can.rig.yaml"), json.loads((DATA / "can.picture.json").read_bytes())
     model = replace(rig.objects["can"].model(), name="can")
-    row = locator(Targets({model.name: model}, STRUCTURED_LIGHT))(picture(rig, known))
+    row = locator({model.name: model}, STRUCTURED_LIGHT)(picture(rig, known))
     if row.reason is not None:
         return f"can in an image (synthetic): not found: {row.reason}"
     T, T_true = row.found.Ts_camera_object[0], se3.from_position_quaternion(**known["truth"])
@@ -194,17 +198,3 @@ def replayed(name: str, plot: Path) -> "tuple[TrackResult, str]":
             say(end.message)
         raise typer.Exit(end.exit_code)
     return result, draw(result, run.model, plot)
-
-
-def _tracks(results: "list[TrackResult]") -> "Table":
-    rows = []
-    for result in results:
-        vision, tracked = (result.errors[name].summary() for name in ("vision", "tracked"))
-        errors = (vision["base_mean"], tracked["base_mean"], tracked["base_last"])
-        faster = result.tally.recorded / result.tally.wall
-        rows.append(
-            [result.name, *(f"{mm:.1f} mm" for mm in errors), str(result.corrections), f"{faster:.0f}x"]
-        )
-    title = "Recordings replayed: error of the base's centre on the table, as the paper measures it"
-    columns = ("recording", "vision", "tracked", "at the end", "corrections", "real time")
-    return table(columns, rows, title=title)

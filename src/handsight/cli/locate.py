@@ -1,68 +1,45 @@
 """`handsight locate`: where an object is in depth images, without a guess."""
 
+import math
+import sys
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
+from typer import Argument, Option
 
-from handsight.cli.locate_images import MOST_PANELS, Targets, draw, locate_all
-from handsight.cli.options import (
-    DEPTH_CAMERAS,
-    LibraryPlace,
-    RigPath,
-    find_models,
-    find_rig,
-)
-from handsight.cli.terminal import announce_compiling, say
-from handsight.errors import InvalidInput
-from handsight.files import check_not_overwritten
+from handsight.cli import terminal
+from handsight.cli.options import DEPTH_CAMERAS, LibraryPlace, RigPath, find_models, find_rig
+from handsight.cli.terminal import announce_compiling
+from handsight.errors import HandsightError, InvalidInput
+from handsight.files import check_not_overwritten, stream_name, write_errors
 
 if TYPE_CHECKING:
-    from handsight.recording.frames import Frames
+    from handsight.objects import ObjectModel
+    from handsight.recording.detections import Located
+    from handsight.recording.frames import Frame, Frames, Unread
+    from handsight.rig import DepthCamera
     from handsight.vision import DepthNoise
 
-
-class Images(NamedTuple):
-    """`Images` are the depth images that a user names, with their camera, colour and unit."""
-
-    path: Path
-    rig: Path | None
-    """Rig file of a recording; None: the one beside it."""
-    camera: Path | None
-    color: Path | None
-    depth_scale: float
-    """Metres per step of depth."""
-    depth_camera: str | None
-
-
-class Objects(NamedTuple):
-    """`Objects` are the objects that may be in the images."""
-
-    names: list[str]
-    """Empty: all of the rig, else of the library."""
-    library: str | None
-    scale: float
-    """Metres per unit of a mesh file."""
-
-
-class Region(NamedTuple):
-    """A `Region` is the part of each image in which an object is searched for."""
-
-    box: str | None
-    mask: Path | None
+MOST_PANELS = 6
+"""Number of images in the picture."""
+MAX_MESSAGES = 5
+"""Number of messages about unreadable images, and about images without the object."""
 
 
 def locate(
     images: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             help="A depth image (PNG of 16 bits), a folder of them, a BOP scene or split, or a recording.",
             show_default=False,
         ),
     ],
     object: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--object",
             metavar="NAME|FILE",
             help="Name of an object of the library or, for a recording, of its rig; or a mesh file. Given several "
@@ -71,7 +48,7 @@ def locate(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--output",
             "-o",
             help="File for the answers: a line of JSON for each image, or BOP results if its name ends in .csv. "
@@ -80,42 +57,36 @@ def locate(
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             help=f"File for a picture of the poses in the first {MOST_PANELS} images: PNG, PDF or SVG by its name."
         ),
     ] = None,
     camera: Annotated[
         Path | None,
-        typer.Option(
-            help="File of the camera's intrinsics, as above. Default: camera.json beside the images."
-        ),
+        Option(help="File of the camera's intrinsics, as above. Default: camera.json beside the images."),
     ] = None,
     color: Annotated[
-        Path | None, typer.Option(help="Colour image with the pixels of the depth image, for the picture.")
+        Path | None, Option(help="Colour image with the pixels of the depth image, for the picture.")
     ] = None,
-    depth_scale: Annotated[
-        float, typer.Option(help="Metres per step of depth; 0.001 for millimetres.")
-    ] = 0.001,
+    depth_scale: Annotated[float, Option(help="Metres per step of depth; 0.001 for millimetres.")] = 0.001,
     box: Annotated[
         str | None,
-        typer.Option(metavar="U0,V0,U1,V1", help="Search between these columns and rows only [pixels]."),
+        Option(metavar="U0,V0,U1,V1", help="Search between these columns and rows only [pixels]."),
     ] = None,
     mask: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             help="Search only where this image is not 0; or a folder of such images with the names of the depth images."
         ),
     ] = None,
     depth_camera: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar=DEPTH_CAMERAS,
             help="How the camera measures depth. Default: structured_light; for a recording, as in the rig.",
         ),
     ] = None,
-    scale: Annotated[
-        float, typer.Option(help="Metres per unit of a mesh file; 0.001 for millimetres.")
-    ] = 1.0,
+    scale: Annotated[float, Option(help="Metres per unit of a mesh file; 0.001 for millimetres.")] = 1.0,
     library: LibraryPlace = None,
     rig: RigPath = None,
 ) -> None:
@@ -153,82 +124,189 @@ def locate(
     is then 1; it is 2 if no image can be read, and 74 if answers cannot be written. After Ctrl-C, the answers until
     then are kept.
     """
+    from handsight.checks import suggestion
+    from handsight.objects import Library
+    from handsight.recording.frames import Beside, Frame, is_recording, open_frames, within
+    from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
+
     announce_compiling()
     for place, what in ((output, "the answers"), (plot, "the picture")):
         for source in (images, camera, color, mask, rig):
             check_not_overwritten(place, what, source, "what is read")
     check_not_overwritten(plot, "the picture", output, "the answers")
-    if plot is not None:
-        from handsight.viewer.correction_figures import require_matplotlib
-
-        require_matplotlib()
-    frames, targets = _opened(
-        Images(images, rig, camera, color, depth_scale, depth_camera),
-        Objects(object or [], library, scale),
-        Region(box, mask),
-        csv=output is not None and output.suffix.lower() == ".csv",
-    )
-    result = locate_all(frames, targets, output)
-    if plot is not None and result.panels:
-        result.messages.append(draw(result.panels, plot))
-    for sentence in result.sentences(output):
-        say(sentence)
-    if result.exit_code:
-        raise typer.Exit(result.exit_code)
-
-
-def _opened(images: Images, objects: Objects, region: Region, *, csv: bool) -> "tuple[Frames, Targets]":
-    """Returns the images one by one, and the objects to locate; raises InvalidInput, InvalidFile."""
-    from handsight.objects import Library
-    from handsight.recording.frames import Beside, Frame, within
-    from handsight.recording.open_frames import is_recording, open_frames
-
-    path = images.path
-    beside = Beside(
-        camera=images.camera, color=images.color, mask=region.mask, depth_scale=images.depth_scale
-    )
-    numbers = None
-    if is_recording(path):
+    terminal.check_plots(plot)
+    csv, numbers, names = output is not None and output.suffix.lower() == ".csv", None, object or []
+    beside = Beside(camera=camera, color=color, mask=mask, depth_scale=depth_scale)
+    if is_recording(images):
         if csv:
             raise InvalidInput("--output: expected JSON lines of a recording, got BOP's .csv")
-        if images.depth_camera is not None:
-            raise InvalidInput(f"--depth-camera: expected beside depth images, got it beside {path}")
-        rig, rig_path = find_rig(path, images.rig)
-        models = find_models(objects.names, rig, rig_path)
-        noise = _noise(None if rig.camera is None else rig.camera.depth_camera)
-        frames = open_frames(path, beside, rig)
+        if depth_camera is not None:
+            raise InvalidInput(f"--depth-camera: expected beside depth images, got it beside {images}")
+        robot, rig_path = find_rig(images, rig)
+        models = find_models(names, robot, rig_path)
+        noise = STRUCTURED_LIGHT if robot.camera is None else PRESETS[robot.camera.depth_camera]
+        frames = open_frames(images, beside, robot)
     else:
-        if images.rig is not None:
-            raise InvalidInput(f"--rig: expected beside a recording, got it beside {path}")
-        noise = _noise(images.depth_camera)
-        frames = open_frames(path, beside)
-        library = objects.library or (str(frames.library) if frames.library else None)
-        models = find_models(objects.names, library=library, scale=objects.scale)
+        if rig is not None:
+            raise InvalidInput(f"--rig: expected beside a recording, got it beside {images}")
+        noise = STRUCTURED_LIGHT
+        if depth_camera is not None:
+            if depth_camera not in PRESETS:
+                expected = f"expected one of {', '.join(PRESETS)}"
+                hint = suggestion(depth_camera, PRESETS)
+                raise InvalidInput(f"--depth-camera: {expected}, got {depth_camera!r:.80}{hint}")
+            noise = PRESETS[cast("DepthCamera", depth_camera)]
+        frames = open_frames(images, beside)
+        library = library or (str(frames.library) if frames.library else None)
+        models = find_models(names, library=library, scale=scale)
         if csv:  # BOP's results name objects by the library's numbers
-            entries = zip(models, objects.names or models, strict=True)
-            opened = Library(library)
+            entries, opened = zip(models, names or models, strict=True), Library(library)
             numbers = {name: opened.entry(entry).number for name, entry in entries}
-    if region.box is not None:
+    if box is not None:
         try:
-            left, top, right, bottom = (int(part) for part in region.box.split(","))
+            left, top, right, bottom = (int(part) for part in box.split(","))
         except ValueError:
             expected = "expected 4 whole numbers u0,v0,u1,v1"
-            raise InvalidInput(f"--box: {expected}, got {region.box!r:.60}") from None
-        box = (left, top, right, bottom)
-        each = (within(frame, box) if isinstance(frame, Frame) else frame for frame in frames.each)
+            raise InvalidInput(f"--box: {expected}, got {box!r:.60}") from None
+        area = (left, top, right, bottom)
+        each = (within(frame, area) if isinstance(frame, Frame) else frame for frame in frames.each)
         frames = frames._replace(each=each)
-    return frames, Targets(models, noise, numbers)
+    if code := _locate_all(frames, models, noise, output, plot, numbers):
+        raise typer.Exit(code)
 
 
-def _noise(kind: str | None) -> "DepthNoise":
-    """Returns the depth noise of a kind of camera (None: structured light); raises InvalidInput for an unknown kind."""
-    from handsight.checks import suggestion
-    from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
+def _locate_all(
+    frames: "Frames",
+    models: "Mapping[str, ObjectModel]",
+    noise: "DepthNoise",
+    output: Path | None,
+    plot: Path | None,
+    numbers: Mapping[str, int] | None,
+) -> int:
+    """Locates one of the objects in each image, and returns the command's exit code.
 
-    for known, noise in PRESETS.items():
-        if kind == known:
-            return noise
-    if kind is None:
-        return STRUCTURED_LIGHT
-    expected = f"expected one of {', '.join(PRESETS)}"
-    raise InvalidInput(f"--depth-camera: {expected}, got {kind!r:.80}{suggestion(kind, PRESETS)}")
+    The answers are written to a file or stdout, or shown as a table on a terminal; after Ctrl-C or an error, those
+    until then. An error before the first answer is raised. `numbers`: BOP's numbers of the objects, by name, for BOP's
+    results; None: the answers are lines of JSON.
+    """
+    from handsight.recording.detections import BOP_COLUMNS, bop_line, json_line
+    from handsight.recording.frames import Unread
+
+    done, found, locate_in, several = 0, 0, None, len(models) > 1
+    # Messages about images that cannot be read, and about those without the object.
+    unread, missed = list[str](), list[str]()
+    panels, cells = list["Located"](), list[list[str]]()  # for the picture, and for the table
+    as_table = output is None and sys.stdout.isatty()
+    with (
+        terminal.output_stream(output) as sink,
+        terminal.kept_going() as end,
+        terminal.bar("locating") as move,
+    ):
+
+        def write(line: str | None) -> None:
+            """Writes the line of an answer at once; None: it has none."""
+            if line is not None:
+                with write_errors(stream_name(sink)):
+                    sink.write(f"{line}\n")
+                    sink.flush()
+
+        if numbers is not None:
+            write(BOP_COLUMNS)
+        for frame in frames.each:
+            row: Located | Unread
+            if isinstance(frame, Unread):
+                row = frame
+                unread.append(f"handsight: {frame.reason}")
+            else:
+                locate_in = locate_in or locator(models, noise)
+                row = locate_in(frame)
+                found += row.reason is None
+                if row.reason is not None:
+                    missed.append(f"{frame.name}: not here: {row.reason}")
+                if len(panels) < MOST_PANELS:
+                    panels.append(row)
+            done += 1  # after the search, which Ctrl-C may end
+            if as_table:
+                cells.append(_cells(row, several=several))
+            else:
+                write(json_line(row) if numbers is None else bop_line(row, numbers))
+            move(done / frames.total if frames.total else None, f"{done} of {frames.total or '?'} images")
+    if cells:
+        which = ["object"] * several
+        title = (f"{len(models)} objects" if several else next(iter(models))) + " in depth images"
+        columns = ["image", *which, "x, y, z in the camera [mm]", "± [mm]", "± [°]", "explained"]
+        columns += ["weight", "others", "ms"]
+        terminal.print_out(terminal.table(columns, cells, texts=1 + several, title=title))
+    if isinstance(end.error, HandsightError) and not done:
+        raise end.error
+    drawn = [draw(panels, plot)] if plot is not None and panels else []
+    if more := unread[MAX_MESSAGES:]:
+        unread[MAX_MESSAGES:] = [f"handsight: {len(more)} more images cannot be read"]
+    wrote = [] if output is None else [f"wrote {output}: found in {found} of {done} images"]
+    stopped = f"handsight: stopped after {done} images; what was found is kept"
+    ended = [end.message or stopped] if end.exit_code else []
+    for sentence in (*unread, *wrote, *missed[: MAX_MESSAGES if cells else 0], *ended, *drawn):
+        terminal.say(sentence)
+    if end.exit_code or not unread:
+        return end.exit_code
+    return terminal.FAILED if panels else terminal.WRONG_INPUT
+
+
+def locator(models: "Mapping[str, ObjectModel]", noise: "DepthNoise") -> "Callable[[Frame], Located]":
+    """Returns a function that locates the object in an image; if there are several, the most probable one.
+
+    Everything that is compiled or computed once is done here, so that the seconds of an image do not contain it.
+    """
+    from handsight.recording.detections import Located
+    from handsight.tracking.warm import find_object
+    from handsight.vision import locate, recognise
+    from handsight.vision.object.appearance import appearance_of
+
+    first = next(iter(models.values()))
+    find_object()
+    for model in models.values():
+        appearance_of(model)
+
+    def locate_in(frame: "Frame") -> "Located":
+        """Returns the object's pose in an image, and how long the search took."""
+        model, recognition, started = first, None, time.perf_counter()
+        camera, depth, wanted, hand = frame.camera, frame.depth, frame.wanted, frame.hand
+        if len(models) == 1:
+            found = locate(first, camera, depth, wanted=wanted, hand=hand, noise=noise)
+        else:
+            recognition = recognise(models, camera, depth, wanted=wanted, hand=hand, noise=noise)
+            name = next(iter(recognition.scores))
+            model, found = models[name], recognition.found[name]
+        seconds = time.perf_counter() - started
+        return Located(frame=frame, model=model, found=found, seconds=seconds, recognition=recognition)
+
+    return locate_in
+
+
+def draw(panels: "list[Located]", path: Path) -> str:
+    """Draws images with the poses found in them to a file, and returns a sentence that names it."""
+    from handsight.viewer.detection_figures import draw_located
+
+    draw_located(panels, path)
+    return f"wrote {path}"
+
+
+def _cells(row: "Located | Unread", *, several: bool) -> list[str]:
+    """Returns an answer as a row of the table; `several`: whether it has a column of the object."""
+    from handsight.recording.frames import Unread
+
+    if isinstance(row, Unread):
+        return [row.name, *[""] * several, "cannot be read"]
+    which = []
+    if (answer := row.recognition) is not None:
+        probability = answer.none if answer.name is None else answer.scores[answer.name]
+        which = [f"{answer.name or 'none'}: {probability:.2f}"]
+    milliseconds = f"{1e3 * row.seconds:.0f}"
+    if row.reason is not None:
+        return [row.frame.name, *which, "not here", *[""] * 5, milliseconds]
+    T, covariance = row.found.Ts_camera_object[0], row.found.covariances[0]
+    shift, turn = (math.sqrt(covariance.diagonal()[part].max()) for part in (slice(3), slice(3, 6)))
+    place = ", ".join(f"{1e3 * x:.1f}" for x in T[:3, 3])
+    sigmas = (f"{1e3 * shift:.1f}", f"{math.degrees(turn):.1f}")
+    weights = (f"{row.found.weights[0]:.2f}", str(len(row.found.weights) - 1))
+    return [row.frame.name, *which, place, *sigmas, f"{row.explained:.0%}", *weights, milliseconds]

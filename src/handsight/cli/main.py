@@ -6,8 +6,10 @@ import warnings
 from typing import Annotated
 
 import typer
+from typer import Option
 
 # Help and version must appear at once, so each command imports what computes when it runs.
+from handsight.cli import terminal
 from handsight.cli.contact import WithColumns, contact
 from handsight.cli.correct import correct
 from handsight.cli.demo import demo
@@ -17,16 +19,6 @@ from handsight.cli.reconstruct import reconstruct
 from handsight.cli.rig import calibrate_app, rig_app
 from handsight.cli.ros2_bridge import ros2_bridge
 from handsight.cli.simulate import simulate
-from handsight.cli.terminal import (
-    CANNOT_WRITE,
-    NOBODY_READS,
-    WRONG_INPUT,
-    discard,
-    exit_code,
-    reopen_closed_streams,
-    say,
-    warn,
-)
 from handsight.cli.track import track
 from handsight.cli.view import view
 from handsight.errors import HandsightError, NotWritten
@@ -47,8 +39,8 @@ def main() -> None:
     Exit codes: 2 for wrong input, or for more input than fits into memory; 74 if something cannot be written, as on a
     full disk; 141 if the reader of stdout has closed it.
     """
-    reopen_closed_streams()
-    warnings.showwarning = lambda message, *_: warn(str(message))
+    terminal.reopen_closed_streams()
+    warnings.showwarning = lambda message, *_: terminal.warn(str(message))
     try:
         try:
             app()
@@ -58,17 +50,17 @@ def main() -> None:
                 with write_errors("stdout"):
                     sys.stdout.flush()
             except (BrokenPipeError, NotWritten):
-                discard(sys.stdout)
+                terminal.discard(sys.stdout)
                 raise
     except BrokenPipeError:
-        sys.exit(NOBODY_READS)
+        sys.exit(terminal.NOBODY_READS)
     except HandsightError as error:
-        message, code = str(error), exit_code(error)
+        message, code = str(error), terminal.exit_code(error)
     except OSError as error:
-        message, code = f"{error.filename or 'output'}: {error.strerror or error}", CANNOT_WRITE
+        message, code = f"{error.filename or 'output'}: {error.strerror or error}", terminal.CANNOT_WRITE
     except MemoryError:
-        message, code = "expected input that fits into memory, got more", WRONG_INPUT
-    say(f"handsight: {message}")
+        message, code = "expected input that fits into memory, got more", terminal.WRONG_INPUT
+    terminal.say(f"handsight: {message}")
     sys.exit(code)
 
 
@@ -83,7 +75,7 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def _handsight(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+        bool, Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
     pass
@@ -103,7 +95,7 @@ def warmup() -> None:
     from handsight.tracking.warm import warm
 
     started = time.monotonic()
-    warm(lambda name, seconds: say(f"{seconds:6.1f} s  {name}"))
+    warm(lambda name, seconds: terminal.say(f"{seconds:6.1f} s  {name}"))
     print(f"compiled in {time.monotonic() - started:.1f} s; kept in {folder()}")
 
 

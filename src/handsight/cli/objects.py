@@ -1,11 +1,11 @@
 """`handsight objects`: a library of objects: list, show, add, weigh, verify and fetch."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from handsight.cli.options import LibraryPlace, RecordingPath, RigPath, Run, find_rig
 from handsight.cli.terminal import announce_compiling, bar, plain_table, print_out, say
@@ -14,7 +14,7 @@ from handsight.errors import InvalidInput, printable
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from handsight.objects.library import Entry, Library
+    from handsight.objects.library import Library
     from handsight.objects.symmetry import Symmetries
 
 objects_app = typer.Typer(
@@ -23,7 +23,7 @@ objects_app = typer.Typer(
     no_args_is_help=True,
 )
 
-Name = Annotated[str, typer.Argument(help="A name, or a number as in BOP.")]
+Name = Annotated[str, Argument(help="A name, or a number as in BOP.")]
 
 
 @objects_app.command("list")
@@ -54,7 +54,26 @@ def show(name: Name, library: LibraryPlace = None) -> None:
     """
     opened = _opened(library)
     entry = opened.entry(name)
-    for key, value in _known(entry):
+    known = {
+        "name": entry.name,
+        "file": f"{entry.file} of {entry.place}",
+        "diameter": f"{1e3 * entry.diameter:.1f} mm",
+    }
+    if entry.size is not None:
+        known["size"] = " x ".join(f"{1e3 * side:.1f}" for side in entry.size) + " mm"
+    known["symmetries"] = _symmetries(entry.symmetries)
+    if (facts := entry.facts) is not None:
+        if facts.mass is not None:
+            known["mass"] = f"{1e3 * facts.mass:.4g} g"
+        if facts.center_of_mass is not None:
+            place, sigma = (
+                ", ".join(f"{1e3 * x:.1f}" for x in facts.center_of_mass),
+                facts.sigma_center_of_mass,
+            )
+            known["centre of mass"] = f"[{place}] mm" + (f" ± {1e3 * sigma:.1f} mm per axis" if sigma else "")
+        known |= {key: text for key in ("licence", "source") if (text := getattr(facts, key))}
+        known["SHA-256"] = facts.sha256
+    for key, value in known.items():
         typer.echo(printable(f"{key:16}{value}"))
     _print_wrong(opened.wrong([entry]))
 
@@ -62,27 +81,27 @@ def show(name: Name, library: LibraryPlace = None) -> None:
 @objects_app.command()
 def add(
     file: Annotated[
-        Path, typer.Argument(help="A mesh (STL, OBJ, PLY, OFF) or a point cloud (PLY, OFF, PCD, XYZ).")
+        Path, Argument(help="A mesh (STL, OBJ, PLY, OFF) or a point cloud (PLY, OFF, PCD, XYZ).")
     ],
-    name: Annotated[str, typer.Option(help="Name of the object in the library.")],
-    scale: Annotated[float, typer.Option(help="Metres per unit of the file; 0.001 for millimetres.")] = 1.0,
-    mass: Annotated[float | None, typer.Option(help="Mass [kg].")] = None,
+    name: Annotated[str, Option(help="Name of the object in the library.")],
+    scale: Annotated[float, Option(help="Metres per unit of the file; 0.001 for millimetres.")] = 1.0,
+    mass: Annotated[float | None, Option(help="Mass [kg].")] = None,
     center_of_mass: Annotated[
-        tuple[float, float, float] | None, typer.Option(help="Centre of mass in the object's frame [m].")
+        tuple[float, float, float] | None, Option(help="Centre of mass in the object's frame [m].")
     ] = None,
     sigma_center_of_mass: Annotated[
-        float | None, typer.Option(help="Standard deviation of the centre of mass per axis [m].")
+        float | None, Option(help="Standard deviation of the centre of mass per axis [m].")
     ] = None,
     symmetry: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             metavar="z|z/N|find",
             help="Symmetry of shape and print: rotation by any angle about an axis (x, y, z) through the middle of the "
             "surface, or by an N-th of a turn; find: the symmetries of the shape. May be given several times.",
         ),
     ] = None,
-    licence: Annotated[str, typer.Option(help="Licence of the model.")] = "",
-    source: Annotated[str, typer.Option(help="Where the model is from.")] = "",
+    licence: Annotated[str, Option(help="Licence of the model.")] = "",
+    source: Annotated[str, Option(help="Where the model is from.")] = "",
     library: LibraryPlace = None,
 ) -> None:
     """Add an object to a library in a folder; its model is stored as PLY in millimetres.
@@ -134,7 +153,7 @@ def verify(library: LibraryPlace = None) -> None:
 
 
 @objects_app.command()
-def fetch(url: Annotated[str, typer.Argument(help="URL of a library, such as https://host/ycbv.")]) -> None:
+def fetch(url: Annotated[str, Argument(help="URL of a library, such as https://host/ycbv.")]) -> None:
     """Copy a library and all its models to this machine's cache, or update the copy.
 
     A library at a URL is read from its copy, and the network is used only for what the copy lacks. URLs may be http,
@@ -157,7 +176,7 @@ def weigh(
     recording: RecordingPath,
     name: Annotated[
         str,
-        typer.Option("--object", metavar="NAME", help="Name of the object in the library, or its number."),
+        Option("--object", metavar="NAME", help="Name of the object in the library, or its number."),
     ],
     rig: RigPath = None,
     library: LibraryPlace = None,
@@ -183,9 +202,8 @@ def weigh(
     with run.opened() as (recorded, tracker):
         found, reason = best_weight(recorded.observations(), tracker)
     if found is None:
-        raise InvalidInput(
-            f"{recording.name}: expected an object that is weighed in the air, got none: {reason}"
-        )
+        expected = "expected an object that is weighed in the air"
+        raise InvalidInput(f"{recording.name}: {expected}, got none: {reason}")
     center, sigma = found.kept_by_symmetries(model)
     place = ", ".join(f"{1e3 * x:.1f}" for x in center)
     text = f"{1e3 * found.mass:.4g} ± {1e3 * found.sigma_mass:.2g} g, centre [{place}] ± {1e3 * sigma:.1f} mm per axis"
@@ -214,29 +232,6 @@ def _print_wrong(sentences: "Iterable[str]") -> None:
         wrong = True
     if wrong:
         raise typer.Exit(1)
-
-
-def _known(entry: "Entry") -> Iterator[tuple[str, str]]:
-    """Yields names and values of the facts about an object, in units for a person."""
-    yield "name", entry.name
-    yield "file", f"{entry.file} of {entry.place}"
-    yield "diameter", f"{1e3 * entry.diameter:.1f} mm"
-    if entry.size is not None:
-        yield "size", " x ".join(f"{1e3 * side:.1f}" for side in entry.size) + " mm"
-    yield "symmetries", _symmetries(entry.symmetries)
-    facts = entry.facts
-    if facts is None:
-        return
-    if facts.mass is not None:
-        yield "mass", f"{1e3 * facts.mass:.4g} g"
-    if facts.center_of_mass is not None:
-        place = ", ".join(f"{1e3 * x:.1f}" for x in facts.center_of_mass)
-        sigma = facts.sigma_center_of_mass
-        yield "centre of mass", f"[{place}] mm" + (f" ± {1e3 * sigma:.1f} mm per axis" if sigma else "")
-    for key in ("licence", "source"):
-        if text := getattr(facts, key):
-            yield key, text
-    yield "SHA-256", facts.sha256
 
 
 def _symmetries(of: "Symmetries") -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-import typer
+from typer import Argument, Option
 
 from handsight.cli.terminal import announce_compiling, say
 from handsight.errors import InvalidInput
@@ -18,18 +18,14 @@ if TYPE_CHECKING:
     from handsight.rig import Rig
     from handsight.tracking import Tracker, TrackerSettings
 
-RecordingPath = Annotated[
-    Path, typer.Argument(help="A recording: MCAP, rosbag 1 (.bag), or a rosbag 2 folder.")
-]
+RecordingPath = Annotated[Path, Argument(help="A recording: MCAP, rosbag 1 (.bag), or a rosbag 2 folder.")]
 RigPath = Annotated[
     Path | None,
-    typer.Option(
-        "--rig", help="Rig file of the robot. Default: RECORDING.rig.yaml, else rig.yaml, beside it."
-    ),
+    Option("--rig", help="Rig file of the robot. Default: RECORDING.rig.yaml, else rig.yaml, beside it."),
 ]
 ObjectName = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--object",
         metavar="NAME|FILE",
         help="Name of an object of the rig or of the library, or a mesh file in metres. Default: the rig's object, "
@@ -38,7 +34,7 @@ ObjectName = Annotated[
 ]
 LibraryPlace = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--library",
         metavar="FOLDER|URL",
         help="Library of objects. Default: $HANDSIGHT_LIBRARY, else ~/.local/share/handsight/library.",
@@ -46,11 +42,11 @@ LibraryPlace = Annotated[
 ]
 Rate = Annotated[
     float | None,
-    typer.Option(min=0.1, help="Corrections per second. Default: whenever a contact has changed."),
+    Option(min=0.1, help="Corrections per second. Default: whenever a contact has changed."),
 ]
 Answer = Annotated[
     str,
-    typer.Option(
+    Option(
         metavar="best|maximum|mean",
         help="Which pose is reported: the maximum of the posterior, its mean, or best: the mean where the posterior is "
         "not Gaussian, else the maximum.",
@@ -58,22 +54,18 @@ Answer = Annotated[
 ]
 Samples = Annotated[
     int,
-    typer.Option(
+    Option(
         min=0,
         help="Report the mean of this many samples of the posterior instead, as a slow check. 0: do not sample.",
     ),
 ]
 OutsidePoints = Annotated[
     int,
-    typer.Option(
-        min=0, help="Number of points on the hand's links, which cannot be inside the object. 0: none."
-    ),
+    Option(min=0, help="Number of points on the hand's links, which cannot be inside the object. 0: none."),
 ]
 WithImages = Annotated[
     bool,
-    typer.Option(
-        help="Find the object in the recorded depth images; without images, use recorded poses of it."
-    ),
+    Option(help="Find the object in the recorded depth images; without images, use recorded poses of it."),
 ]
 DEPTH_CAMERAS = "structured_light|time_of_flight|stereo"
 """Kinds of depth cameras, each with its own errors: the names in `handsight.vision.depth_noise`."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Option
 
 from handsight.cli.options import RecordingPath, RigPath, find_rig, renamed
 from handsight.cli.terminal import announce_compiling, kept_going, live_rows, say
@@ -22,13 +23,11 @@ if TYPE_CHECKING:
 
 def reconstruct(
     recording: RecordingPath,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="File for the model: a PLY of points in metres.")
-    ],
+    output: Annotated[Path, Option("--output", "-o", help="File for the model: a PLY of points in metres.")],
     rig: RigPath = None,
     robot_poses: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--robot-poses",
             help="Use the robot's poses of the camera without aligning the views. Default: align each view to the "
             "surface, starting from the robot's pose.",
@@ -36,13 +35,13 @@ def reconstruct(
     ] = False,
     in_hand: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--in-hand",
             help="The hand holds the object and turns it in front of the camera. Default: the object is on a table.",
         ),
     ] = False,
-    former_robot_poses: Annotated[bool, typer.Option("--given", hidden=True)] = False,
-    former_in_hand: Annotated[bool, typer.Option("--held", hidden=True)] = False,
+    former_robot_poses: Annotated[bool, Option("--given", hidden=True)] = False,
+    former_in_hand: Annotated[bool, Option("--held", hidden=True)] = False,
 ) -> None:
     """Reconstruct a model of an object from a recording with depth images of many of its sides.
 
@@ -64,6 +63,9 @@ def reconstruct(
 
     After an error or Ctrl-C, the model from the views until then is written.
     """
+    import numpy as np
+
+    from handsight.objects.files import Shape, ply_bytes
     from handsight.recording import open_recording
 
     announce_compiling()
@@ -84,7 +86,18 @@ def reconstruct(
         messages = [f"{recording}: cut: {cut}; what lies before was read"] if cut else []
         messages += [end.message] if end.message else []
     try:
-        messages += write(fusion, output)
+        model = fusion.model()
+        content = ply_bytes(Shape(model.points, sigmas=model.sigmas), 1.0, model.measured)
+        with write_errors(output):
+            output.write_bytes(content)
+        misfits = fusion.images - fusion.skipped - fusion.fitted
+        size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(model.points, axis=0))
+        guessed = "; ".join(model.guesses) or "nothing"
+        messages += [
+            f"{fusion.views} views fused of {fusion.images} depth images, {misfits} did not fit",
+            f"{size} mm, {100 * model.share_measured:.0f} % of the surface measured; guessed: {guessed}",
+            f"wrote {output}: {len(model.points)} points",
+        ]
     finally:
         for sentence in messages:
             say(sentence)
@@ -126,9 +139,8 @@ class Fusion:
         T_reference_object = np.eye(4)
         for view in (in_hand_views if self.in_hand else views_of)(chain([first], with_depth), rig, camera):
             if self.reconstruction is None:
-                found = (
-                    (view.T_camera_object, IN_HAND_BOUNDS) if self.in_hand else on_table(camera, view.depth)
-                )
+                in_hand = (view.T_camera_object, IN_HAND_BOUNDS)
+                found = in_hand if self.in_hand else on_table(camera, view.depth)
                 if found is None:
                     self.skipped = self.images = self.images + 1
                     continue
@@ -151,9 +163,9 @@ class Fusion:
                 f"recording: expected an object {where}, got none in {self.images} depth images"
             )
         volume = self.reconstruction.volume
-        if volume.views < min_views:
+        if self.views < min_views:
             raise InvalidInput(
-                f"recording: expected at least {min_views} views of different sides, got {volume.views} "
+                f"recording: expected at least {min_views} views of different sides, got {self.views} "
                 f"in {self.images} depth images, of which {self.fitted} fitted"
             )
         surface = one_object(volume.surface(), volume, table=not self.in_hand)
@@ -164,28 +176,11 @@ class Fusion:
             )
         return closed(surface, volume, table=not self.in_hand)
 
+    @property
+    def views(self) -> int:
+        """Number of views in the surface."""
+        return self.reconstruction.volume.views if self.reconstruction else 0
+
     def progress(self) -> list[tuple[str, str]]:
         """Returns names and values that show the progress."""
-        views = self.reconstruction.volume.views if self.reconstruction else 0
-        return [("images", str(self.images)), ("fitted", str(self.fitted)), ("fused", str(views))]
-
-
-def write(fusion: Fusion, output: Path) -> list[str]:
-    """Writes the model, and returns sentences about it."""
-    import numpy as np
-
-    from handsight.objects.files import Shape, ply_bytes
-
-    model = fusion.model()
-    content = ply_bytes(Shape(model.points, sigmas=model.sigmas), 1.0, model.measured)
-    with write_errors(output):
-        output.write_bytes(content)
-    size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(model.points, axis=0))
-    views = fusion.reconstruction.volume.views if fusion.reconstruction else 0
-    misfits = fusion.images - fusion.skipped - fusion.fitted
-    return [
-        f"{views} views fused of {fusion.images} depth images, {misfits} did not fit",
-        f"{size} mm, {100 * model.share_measured:.0f} % of the surface measured; guessed: "
-        + ("; ".join(model.guesses) or "nothing"),
-        f"wrote {output}: {len(model.points)} points",
-    ]
+        return [("images", str(self.images)), ("fitted", str(self.fitted)), ("fused", str(self.views))]

@@ -6,19 +6,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument
 
 from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run, find_rig
 from handsight.cli.terminal import kept_going, plain_table, print_out, say
-from handsight.cli.track_summary import print_diagnosis, refusals
+from handsight.cli.track import latency_text, print_diagnosis, refusals
 from handsight.errors import HandsightError, InvalidInput, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from handsight.checks import Array
-    from handsight.observation import Observation
     from handsight.rig import Rig
-    from handsight.tracking.camera_calibration import CameraCalibration, HandCalibration
 
 rig_app = typer.Typer(
     help="Check the file that describes a robot: hand, fingertips, camera.", no_args_is_help=True
@@ -28,8 +25,8 @@ calibrate_app = typer.Typer(help="Estimate a robot's constant errors from a reco
 
 @rig_app.command("check")
 def check(
-    rig: Annotated[Path, typer.Argument(help="A rig file, such as rig.yaml.")],
-    recording: Annotated[Path | None, typer.Argument(help="A recording to check it against.")] = None,
+    rig: Annotated[Path, Argument(help="A rig file, such as rig.yaml.")],
+    recording: Annotated[Path | None, Argument(help="A recording to check it against.")] = None,
     object: ObjectName = None,
 ) -> None:
     """Print a rig as tables, and what a recording lacks for it.
@@ -53,10 +50,25 @@ def check(
     if recording is None:
         return
     from handsight.recording import open_recording
+    from handsight.tracking.diagnosis import Diagnoser
+    from handsight.tracking.fingertips import FingertipSensors
+    from handsight.tracking.replay import Tally, replay
 
+    tips, largest, touched = FingertipSensors(found), dict[str, float](), set[str]()
     with open_recording(recording, found) as opened:
-        untouched = _untouched(opened.observations(), found)
+        for observation in opened.observations():
+            for finger, wrench in observation.wrenches.items():
+                force = math.dist(wrench[:3], found.fingers[finger].calibration.bias_force)
+                largest[finger] = max(force, largest.get(finger, 0.0))
+            with contextlib.suppress(HandsightError):  # missing joints are reported elsewhere
+                touched |= set(tips.contacts(observation).fingers)
         lacking = [*opened.report.sentences(), *opened.lacks()]
+    untouched = [
+        f"finger {finger}: never touched; a contact takes {found.fingers[finger].tip.min_force:g} N on its tip, and "
+        f"the largest force was {force:.3g} N"
+        for finger, force in largest.items()
+        if finger not in touched
+    ]
     for sentence in (*lacking, *untouched):
         typer.echo(printable(f"- {sentence}"))
     if lacking or len(untouched) == len(found.fingers):
@@ -67,19 +79,14 @@ def check(
     except InvalidInput as error:
         typer.echo(printable(f"The links' shapes and the declared values were not checked: {error}"))
         return
-    _print_tracked(run)
-
-
-def _print_tracked(run: Run) -> None:
-    """Tracks a recording, and prints by how much the shape of each link is too large [mm], and the diagnosis."""
-    from handsight.tracking.diagnosis import Diagnoser
-    from handsight.tracking.replay import Tally, replay
-
-    with run.opened() as (recording, tracker):
+    with run.opened() as (opened, tracker):
         diagnoser = Diagnoser(tracker)
-        for _ in replay(recording.observations(), tracker, Tally()):
+        for _ in replay(opened.observations(), tracker, Tally()):
             diagnoser.watch()
     print_diagnosis(diagnoser.diagnosis())
+    if (latency := tracker.vision_latency()) is not None:
+        for sentence in latency_text(latency, tracker.vision.camera.latency):
+            typer.echo(printable(sentence))
     if not tracker.links:
         lacks = "the hand's file has no shapes" if run.model.closed else "the object has no inside"
         typer.echo(printable(f"No link keeps the object out: {lacks}."))
@@ -87,25 +94,6 @@ def _print_tracked(run: Run) -> None:
     margins = tracker.link_margins
     rows = [(link, f"{1e3 * margins[link]:.1f}" if link in margins else "-") for link in tracker.links]
     print_out("", plain_table(("link", "shape too large by [mm]"), rows, texts=1))
-
-
-def _untouched(observations: "Iterable[Observation]", rig: "Rig") -> list[str]:
-    """Returns a sentence for each finger whose wrenches never showed a contact, with its largest force."""
-    from handsight.tracking.fingertips import FingertipSensors
-
-    sensors, largest, touched = FingertipSensors(rig), dict[str, float](), set[str]()
-    for observation in observations:
-        for finger, wrench in observation.wrenches.items():
-            force = math.dist(wrench[:3], rig.fingers[finger].calibration.bias_force)
-            largest[finger] = max(force, largest.get(finger, 0.0))
-        with contextlib.suppress(HandsightError):  # missing joints are reported elsewhere
-            touched |= set(sensors.contacts(observation).fingers)
-    return [
-        f"finger {finger}: never touched; a contact takes {rig.fingers[finger].tip.min_force:g} N on its tip, and the "
-        f"largest force was {force:.3g} N"
-        for finger, force in largest.items()
-        if finger not in touched
-    ]
 
 
 @calibrate_app.command("camera")
@@ -122,8 +110,9 @@ def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = N
     ```
     """
     from handsight.recording import open_recording
+    from handsight.rig.save import pose_text
     from handsight.tracking import Tracker
-    from handsight.tracking.camera_calibration import HandViews, calibrations
+    from handsight.tracking.camera_calibration import LITTLE_TURN, HandViews, calibrations
     from handsight.tracking.replay import Tally
 
     run = Run.of(recording, rig, object)
@@ -134,7 +123,27 @@ def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = N
     by_vision = views.calibration()
     if touched is None and by_vision is None and isinstance(end.error, HandsightError):
         raise end.error
-    _print_calibrated(by_vision, touched)
+    calibrated = touched if by_vision is None else by_vision
+    if calibrated is not None:
+        correction, sigma = calibrated.correction, calibrated.covariance.diagonal() ** 0.5
+        where = "object" if by_vision is None else "hand"
+        typer.echo(f"camera:\n  pose: {pose_text(calibrated.T_mount_camera)}")
+        typer.echo(f"# shifted by {_mm(correction)} at the {where}, turned by {_degrees(correction)}")
+        typer.echo(f"# known to ± {_mm(sigma)}, {_degrees(sigma)} (one standard deviation)")
+    if by_vision is not None:
+        views_used = f"{by_vision.views} of {by_vision.images} pictures"
+        views_used += f", apart by {_mm(by_vision.spread)}, {_degrees(by_vision.spread)}"
+        typer.echo(f"# from the hand seen in {views_used} (root mean square)")
+    elif touched is not None:
+        if touched.turned < LITTLE_TURN:
+            turned = f"the palm turned by {math.degrees(touched.turned):.0f}° only"
+            say(f"{turned}: the camera's error and the object's pose are hardly separated")
+        typer.echo("# from touch")
+    if by_vision is not None and touched is not None:
+        shift, turn = touched.away_from(by_vision.T_mount_camera)
+        difference = f"{1e3 * shift:.1f} mm, {math.degrees(turn):.2f}°"
+        known = touched.covariance.diagonal() ** 0.5
+        typer.echo(f"# by touch it differs by {difference} at the object, ± {_mm(known)}, {_degrees(known)}")
     if by_vision is None and views.images:
         counts = ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in views.refusals.items())
         say(f"too few images show the hand: {views.images} images, {counts or 'too few'}")
@@ -179,37 +188,6 @@ def sensors(recording: RecordingPath, rig: RigPath = None) -> None:
             )
 
 
-def _print_calibrated(by_vision: "HandCalibration | None", touched: "CameraCalibration | None") -> None:
-    """Prints a camera's pose in the rig file's format, with comments on its uncertainty and its source."""
-    from handsight.rig.save import pose_text
-    from handsight.tracking.camera_calibration import LITTLE_TURN
-
-    calibrated = touched if by_vision is None else by_vision
-    if calibrated is None:
-        return
-    typer.echo(f"camera:\n  pose: {pose_text(calibrated.T_mount_camera)}")
-    where = "object" if by_vision is None else "hand"
-    typer.echo(
-        f"# shifted by {_mm(calibrated.correction)} at the {where}, turned by {_degrees(calibrated.correction)}"
-    )
-    sigma = calibrated.covariance.diagonal() ** 0.5
-    typer.echo(f"# known to ± {_mm(sigma)}, {_degrees(sigma)} (one standard deviation)")
-    if by_vision is not None:
-        views = f"{by_vision.views} of {by_vision.images} pictures"
-        views += f", apart by {_mm(by_vision.spread)}, {_degrees(by_vision.spread)}"
-        typer.echo(f"# from the hand seen in {views} (root mean square)")
-    elif touched is not None:
-        if touched.turned < LITTLE_TURN:
-            turned = f"the palm turned by {math.degrees(touched.turned):.0f}° only"
-            say(f"{turned}: the camera's error and the object's pose are hardly separated")
-        typer.echo("# from touch")
-    if by_vision is not None and touched is not None:
-        shift, turn = touched.away_from(by_vision.T_mount_camera)
-        difference = f"{1e3 * shift:.1f} mm, {math.degrees(turn):.2f}°"
-        known = touched.covariance.diagonal() ** 0.5
-        typer.echo(f"# by touch it differs by {difference} at the object, ± {_mm(known)}, {_degrees(known)}")
-
-
 def _mm(values: "Array") -> str:
     return "[{:.1f}, {:.1f}, {:.1f}] mm".format(*(1e3 * values[:3]))
 
@@ -227,45 +205,32 @@ def _print_rig(rig: "Rig", name: str) -> None:
     print_out(printable(title) + "\n", soft_wrap=True)
     shapes, sensors = [], []
     for finger, of in rig.fingers.items():
-        tip = of.tip
+        tip, topics = of.tip, rig.topics
         sizes = " x ".join(f"{1e3 * a:g}" for a in tip.semi_axes)
-        shapes.append((
-            finger,
-            of.frame,
-            f"sphere {1e3 * tip.radius:g}" if isinstance(tip, Sphere) else sizes,
-            "whole" if tip.cap is None else f"{1e3 * tip.cap:g}",
-            "any" if tip.max_friction is None else f"{tip.max_friction:g}",
-            f"{1e3 * of.sigma_point:g}",
-            f"{math.degrees(of.sigma_normal):.2g}",
-        ))  # fmt: skip
-        sensors.append((
-            finger,
-            rig.topics.wrenches.get(finger, rig.topics.contacts.get(finger, "none")),
-            f"{1e3 * of.sigma_force:g}",
-            f"{1e3 * of.sigma_torque:g}",
-            *(("?", "?") if of.full_scale is None else (f"{value:g}" for value in of.full_scale)),
-            f"{1e3 * of.calibration.mass:g}",
-        ))  # fmt: skip
+        shape = f"sphere {1e3 * tip.radius:g}" if isinstance(tip, Sphere) else sizes
+        cap = "whole" if tip.cap is None else f"{1e3 * tip.cap:g}"
+        friction = "any" if tip.max_friction is None else f"{tip.max_friction:g}"
+        sigmas = f"{1e3 * of.sigma_point:g}", f"{math.degrees(of.sigma_normal):.2g}"
+        shapes.append((finger, of.frame, shape, cap, friction, *sigmas))
+        topic = topics.wrenches.get(finger, topics.contacts.get(finger, "none"))
+        noise = f"{1e3 * of.sigma_force:g}", f"{1e3 * of.sigma_torque:g}"
+        ranges = ("?", "?") if of.full_scale is None else (f"{value:g}" for value in of.full_scale)
+        sensors.append((finger, topic, *noise, *ranges, f"{1e3 * of.calibration.mass:g}"))
     bold = {"header_style": "bold underline"}
     columns = ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")
     print_out(plain_table(columns, shapes, texts=2, **bold), "")
     columns = ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")
     print_out(plain_table(columns, sensors, texts=2, **bold), "")
-    print_out(plain_table(("", ""), _other_rows(rig), texts=2, show_header=False))
-
-
-def _other_rows(rig: "Rig") -> list[tuple[str, str]]:
-    """Returns names and values of everything but the fingertips."""
-    offset, noise = math.degrees(rig.sigma_joint_offset), math.degrees(rig.sigma_joint)
+    constant, random = math.degrees(rig.sigma_joint_offset), math.degrees(rig.sigma_joint)
     places = {"tf": f"from {rig.topics.tf}", "joints": "from the joints", None: "not known"}
     rows = [
-        ("joints", f"{offset:.2g}° constant, {noise:.2g}° noise; on {rig.topics.joint_states}"),
+        ("joints", f"{constant:.2g}° constant, {random:.2g}° noise; on {rig.topics.joint_states}"),
         ("palm in the world", places[rig.world_from]),
     ]
     if (c := rig.camera) is not None:
         by_vision = f"{1e3 * c.sigma_position:g} mm, {math.degrees(c.sigma_rotation):.2g}°"
-        constant = f"{1e3 * c.sigma_position_constant:g} mm, {math.degrees(c.sigma_rotation_constant):.2g}°"
-        rows += [("camera", f"fixed to the {c.on}; noise {by_vision}"), ("", f"constant error {constant}")]
+        always = f"{1e3 * c.sigma_position_constant:g} mm, {math.degrees(c.sigma_rotation_constant):.2g}°"
+        rows += [("camera", f"fixed to the {c.on}; noise {by_vision}"), ("", f"constant error {always}")]
         if c.intrinsics is not None and c.size is not None:
             lens = f"lens of {len(c.lens)} numbers" if len(c.lens) else "no lens"
             kind = c.depth_camera.replace("_", " ")
@@ -278,4 +243,4 @@ def _other_rows(rig: "Rig") -> list[tuple[str, str]]:
     if rig.table is not None:
         rows.append(("table", f"at {rig.table.height:g} m, ± {1e3 * rig.table.sigma_height:g} mm"))
     rows.append(("objects", ", ".join(rig.objects) or "none"))
-    return rows
+    print_out(plain_table(("", ""), rows, texts=2, show_header=False))

@@ -5,34 +5,32 @@ import threading
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from handsight.cli.options import ObjectName, Rate, renamed
 from handsight.cli.terminal import announce_compiling, say
 
 
 def ros2_bridge(
-    rig: Annotated[Path, typer.Argument(help="Rig file of the robot.")],
+    rig: Annotated[Path, Argument(help="Rig file of the robot.")],
     object: ObjectName = None,
     rate: Rate = None,
     images: Annotated[
-        bool, typer.Option(help="Find the object in the depth images, if the rig names their topic.")
+        bool, Option(help="Find the object in the depth images, if the rig names their topic.")
     ] = True,
     as_recorded: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--as-recorded",
             help="Wait 0.2 s for late messages, so that the poses equal those of `handsight track` for a recording.",
         ),
     ] = False,
-    former_as_recorded: Annotated[bool, typer.Option("--equal/--no-equal", hidden=True)] = False,
+    former_as_recorded: Annotated[bool, Option("--equal/--no-equal", hidden=True)] = False,
     port: Annotated[
         int,
-        typer.Option(
-            min=0, max=65535, help="Port of a page that shows the tracker in the browser. 0: no page."
-        ),
+        Option(min=0, max=65535, help="Port of a page that shows the tracker in the browser. 0: no page."),
     ] = 0,
-    former_port: Annotated[int, typer.Option("--view", min=0, max=65535, hidden=True)] = 0,
+    former_port: Annotated[int, Option("--view", min=0, max=65535, hidden=True)] = 0,
 ) -> None:
     """Track an object in a robot's hand over ROS 2; ROS need not be installed on this machine.
 

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from handsight.cli.options import DEPTH_CAMERAS, rig_beside
-from handsight.cli.terminal import announce_compiling, bar, say
+from handsight.cli.terminal import announce_compiling, bar, check_plots, say
 from handsight.errors import InvalidFile, InvalidInput
 
 if TYPE_CHECKING:
@@ -26,43 +26,41 @@ BEGINS = 1000.0
 
 
 def simulate(
-    object: Annotated[str, typer.Argument(help="can, box, or a mesh file in metres.")],
+    object: Annotated[str, Argument(help="can, box, or a mesh file in metres.")],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="File for the recording: MCAP. Default: OBJECT-SEED.mcap."),
+        Option("--output", "-o", help="File for the recording: MCAP. Default: OBJECT-SEED.mcap."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
+    seed: Annotated[int, Option(min=0, help="Seed of all random numbers.")] = 0,
     motion: Annotated[
         str,
-        typer.Option(
+        Option(
             metavar="grasp|manipulate|weigh|ramp|steps|sine|creep|jerks",
             help="grasp: close the hand and hold the object; manipulate: then also move, lift and turn it; weigh: lift "
             "and tilt it; ramp, steps, sine, creep, jerks: lift it, and pull it with a force of that shape until it "
             "slips.",
         ),
     ] = "manipulate",
-    images: Annotated[
-        bool, typer.Option("--images", help="Record the depth camera's images as well.")
-    ] = False,
+    images: Annotated[bool, Option("--images", help="Record the depth camera's images as well.")] = False,
     skin: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--skin", help="Add a tactile array to the palm, and hold the can against it in a power grasp."
         ),
     ] = False,
     depth_camera: Annotated[
-        str, typer.Option(metavar=DEPTH_CAMERAS, help="How the camera measures depth.")
+        str, Option(metavar=DEPTH_CAMERAS, help="How the camera measures depth.")
     ] = "structured_light",
     world: Annotated[
         str,
-        typer.Option(
+        Option(
             metavar="usual|harsh",
             help="usual: errors as the rig states them; harsh: everything wrong at once and larger, drawn by the seed.",
         ),
     ] = "usual",
     nuisance: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             metavar="NAME=VALUE",
             help="Value of a nuisance, in SI units, in place of the world's; `none` switches all off. May be given "
             "several times.",
@@ -70,18 +68,18 @@ def simulate(
     ] = None,
     blind: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--blind",
             help="No camera: a finger searches for the object on the table, and the hand then grasps it.",
         ),
     ] = False,
     plot: Annotated[
         Path | None,
-        typer.Option(help="File for a picture of the search of --blind: the belief after each touch."),
+        Option(help="File for a picture of the search of --blind: the belief after each touch."),
     ] = None,
     grasp: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             help="File of the grasp to use, the OUTPUT.grasp.json of an earlier recording. Default: search for a grasp."
         ),
     ] = None,
@@ -108,7 +106,8 @@ def simulate(
     handsight simulate box --nuisance message_loss=0.05 --nuisance vision_delay=0.2
     ```
     """
-    from handsight.simulation import Nuisances, Scenario, read_grasp
+    from handsight.files import write_errors
+    from handsight.simulation import Nuisances, Scenario, constant_errors, find_grasp, read_grasp, write_grasp
 
     announce_compiling()
     if world not in ("usual", "harsh"):
@@ -120,20 +119,34 @@ def simulate(
     if blind and images:
         raise InvalidInput("--images: expected none with --blind, which has no camera, got some")
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
-    _check_suffix(path)
-    if plot is not None:
-        if not blind:
-            raise InvalidInput("--plot: expected --blind, whose search it shows")
-        from handsight.viewer.correction_figures import require_matplotlib
-
-        require_matplotlib()
-    found = read_grasp(grasp) if grasp else _search_grasp(scenario, path)
-    samples, dropped = record(scenario, path, found, blind=blind, plot=plot)
+    if path.suffix.lower() != ".mcap":
+        raise InvalidFile(f"{path}: expected a name that ends in .mcap")
+    if plot is not None and not blind:
+        raise InvalidInput("--plot: expected --blind, whose search it shows")
+    check_plots(plot)
+    if grasp is None:
+        with bar("searching a grasp") as advance:
+            found = find_grasp(scenario, advance)
+        if found.trials:  # the grasp is not built in, but had to be searched for
+            beside = path.with_suffix(".grasp.json")
+            write_grasp(found, scenario.object, beside)
+            before = f" ({found.failures})" if found.failures else ""
+            end = "the last one holds" if found.succeeded else "none holds, this one did longest"
+            say(f"wrote {beside}: {found.hold}; of {found.trials} grasps tried {end}{before}")
+    used = found.grasp if grasp is None else read_grasp(grasp)
+    samples, dropped = record(scenario, path, used, blind=blind, plot=plot)
     size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
     say(f"wrote {path}: {samples} observations, {size}, and {rig_beside(path).name}")
     if world == "harsh":
         beside = path.with_suffix(".world.json")
-        write_world(scenario, beside)
+        drawn = dataclasses.asdict(constant_errors(scenario.nuisances, seed))
+        content = {
+            "seed": seed,
+            "nuisances": dataclasses.asdict(scenario.nuisances),
+            "drawn": {name: value.tolist() for name, value in drawn.items()},
+        }
+        with write_errors(beside):
+            beside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         say(f"wrote {beside}: what is wrong in this world, which the rig does not know")
     if dropped:
         say("the object has slipped out of the grasp; another --seed may hold it")
@@ -158,13 +171,10 @@ def nuisances(settings: Iterable[str], start: "Nuisances | None" = None) -> "Nui
             raise InvalidInput(
                 f"--nuisance: expected none or NAME=VALUE, got {setting!r}{checks.suggestion(name, names)}"
             )
-        if name in (
-            "object_dent",
-            "object_scan",
-        ):  # a rig file cannot say these: see `handsight.simulation.model_of`
-            raise InvalidInput(
-                f"--nuisance {name}: expected one of the recording, got one of the object's model"
-            )
+        # A rig file cannot say these: see `handsight.simulation.model_of`.
+        if name in ("object_dent", "object_scan"):
+            expected = "expected one of the recording, got one of the object's model"
+            raise InvalidInput(f"--nuisance {name}: {expected}")
         try:
             chosen = dataclasses.replace(chosen, **{name: float(value)})
         except ValueError as error:
@@ -174,25 +184,18 @@ def nuisances(settings: Iterable[str], start: "Nuisances | None" = None) -> "Nui
 
 
 def record(
-    scenario: "Scenario",
-    path: Path,
-    grasp: "Grasp | None" = None,
-    *,
-    blind: bool = False,
-    plot: Path | None = None,
+    scenario: "Scenario", path: Path, grasp: "Grasp", *, blind: bool, plot: Path | None
 ) -> tuple[int, bool]:
     """Simulates a recording; returns its number of observations, and whether the object was dropped at the end.
 
-    `grasp`: None for the built-in one of the object, or one that is searched for. `blind`: a finger searches for the
-    object first, and each touch is reported; `plot`: file for a picture of them. The rig is written beside the
-    recording. After Ctrl-C or an error, the part until then is kept.
+    `blind`: a finger searches for the object first, and each touch is reported; `plot`: file for a picture of them.
+    The rig is written beside the recording. After Ctrl-C or an error, the part until then is kept.
     """
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
     from handsight.simulation import rig_of, simulate, simulate_touch_search, touch_search_rig
     from handsight.simulation.loads import pulls
 
-    _check_suffix(path)
     rig = touch_search_rig(scenario) if blind else rig_of(scenario)
     # With one object only, `track` needs no name.
     spec = believed_object(scenario, rig)
@@ -206,10 +209,8 @@ def record(
         search_report(Path(scenario.object).stem, advance, plot) as watch,
     ):
         write_rig(rig, rig_beside(path))
-        sampled = (
-            simulate_touch_search(scenario, grasp, watch) if blind else simulate(scenario, advance, grasp)
-        )
-        for sample in sampled:
+        searched = simulate_touch_search(scenario, grasp, watch)
+        for sample in searched if blind else simulate(scenario, advance, grasp):
             observation = dataclasses.replace(sample.observation, stamp=BEGINS + sample.observation.stamp)
             writer.write(observation)
             writer.write_truth(observation.stamp, sample.T_palm_object)
@@ -254,32 +255,12 @@ def search_report(
             say(f"wrote {plot}")
 
 
-def write_world(scenario: "Scenario", path: Path) -> None:
-    """Writes the sizes of the scenario's nuisances, and the constant errors that its seed has drawn, in SI units.
-
-    Raises NotWritten.
-    """
-    from handsight.files import write_errors
-    from handsight.simulation import constant_errors
-
-    drawn = dataclasses.asdict(constant_errors(scenario.nuisances, int(scenario.seed)))
-    content = {
-        "seed": int(scenario.seed),
-        "nuisances": dataclasses.asdict(scenario.nuisances),
-        "drawn": {name: value.tolist() for name, value in drawn.items()},
-    }
-    with write_errors(path):
-        path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-
-
 def write_slips(writer: "McapFile", stamp: float, sample: "Sample", rig: "Rig") -> None:
     """Writes the object's true velocity along each fingertip that touches it, in the palm's frame [m/s, rad/s].
 
     Each is a TwistStamped on the truth's topic with `/slip/FINGER` behind it.
     """
-    from types import SimpleNamespace as Message
-
-    from handsight.messages.encode import header, parts
+    from handsight.messages.encode import Message, header, parts
 
     top = header(stamp, rig.frames["palm"])
     for finger, touch in sample.touches.items():
@@ -287,26 +268,6 @@ def write_slips(writer: "McapFile", stamp: float, sample: "Sample", rig: "Rig") 
         twist = Message(linear=velocity, angular=turn)
         topic = f"{rig.topics.truth}/slip/{finger}"
         writer.append(topic, "geometry_msgs/msg/TwistStamped", stamp, header=top, twist=twist)
-
-
-def _check_suffix(path: Path) -> None:
-    if path.suffix.lower() != ".mcap":
-        raise InvalidFile(f"{path}: expected a name that ends in .mcap")
-
-
-def _search_grasp(scenario: "Scenario", path: Path) -> "Grasp":
-    """Returns the scenario's grasp; if it had to be searched for, it is also written beside the recording."""
-    from handsight.simulation import find_grasp, write_grasp
-
-    with bar("searching a grasp") as advance:
-        found = find_grasp(scenario, advance)
-    if found.trials:
-        beside = path.with_suffix(".grasp.json")
-        write_grasp(found, scenario.object, beside)
-        before = f" ({found.failures})" if found.failures else ""
-        end = "the last one holds" if found.succeeded else "none holds, this one did longest"
-        say(f"wrote {beside}: {found.hold}; of {found.trials} grasps tried {end}{before}")
-    return found.grasp
 
 
 def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
@@ -320,9 +281,8 @@ def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
         mass, sigma = declared_weight(n)
         spec = dataclasses.replace(spec, mass=mass, center_of_mass="homogeneous", sigma_center_of_mass=sigma)
     elif n.object_off_center:
-        spec = dataclasses.replace(
-            spec, center_of_mass=None, sigma_center_of_mass=None
-        )  # the robot does not know it
+        # The robot does not know it.
+        spec = dataclasses.replace(spec, center_of_mass=None, sigma_center_of_mass=None)
     if spec.box is not None:
         x, y, z = spec.box
         return dataclasses.replace(spec, box=(k * x, k * y, k * z))

@@ -70,6 +70,14 @@ def announce_compiling() -> None:
         on_compile.append(lambda: say("compiling handsight's kernels, once on this machine ..."))
 
 
+def check_plots(plot: Path | None) -> None:
+    """Raises MissingExtra where a picture is wanted, but matplotlib is not installed."""
+    if plot is not None:
+        from handsight.viewer.correction_figures import require_matplotlib
+
+        require_matplotlib()
+
+
 @contextlib.contextmanager
 def bar(what: str, *, show: bool = True) -> Iterator[Callable[..., None]]:
     """Yields a function `(share, message="")` that moves a progress bar; without a terminal it does nothing.

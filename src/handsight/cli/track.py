@@ -1,23 +1,31 @@
 """`handsight track`: an object tracked through a recording, with results in files and a report on stderr."""
 
+import contextlib
+import json
+import math
+import re
+from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Option
 
 from handsight.cli import options
 from handsight.cli.options import Run, renamed, tracker_settings
-from handsight.cli.terminal import live_rows, say
-from handsight.cli.track_summary import TrackResult, print_diagnosis, weight_text
+from handsight.cli.terminal import FAILED, End, kept_going, live_rows, plain_table, print_out, say
 from handsight.errors import HandsightError, MissingExtra, printable
 from handsight.files import write_errors
 
 if TYPE_CHECKING:
-    from handsight.forces import Slip
+    from handsight.evaluation import TrackErrors, Truths
+    from handsight.forces import ObjectWeight, Slip
     from handsight.objects import ObjectModel
     from handsight.tracking import Tracker
+    from handsight.tracking.diagnosis import Diagnosis
     from handsight.tracking.replay import Step, Tally
 
 
@@ -27,9 +35,9 @@ def track(
     object: options.ObjectName = None,
     output_folder: Annotated[
         Path | None,
-        typer.Option(help="Folder for the results. Default: RECORDING-track in the current folder."),
+        Option(help="Folder for the results. Default: RECORDING-track in the current folder."),
     ] = None,
-    former_output: Annotated[Path | None, typer.Option("--output", "-o", hidden=True)] = None,
+    former_output: Annotated[Path | None, Option("--output", "-o", hidden=True)] = None,
     rate: options.Rate = None,
     answer: options.Answer = "best",
     samples: options.Samples = 0,
@@ -37,7 +45,7 @@ def track(
     images: options.WithImages = True,
     alternative: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             metavar="NAME|FILE",
             help="Another object that may be in the hand; repeatable. If contacts contradict the object for a second, "
             "the reason names the alternative that explains them better.",
@@ -45,7 +53,7 @@ def track(
     ] = None,
     diagnose: Annotated[
         bool,
-        typer.Option(
+        Option(
             help="Print a table: what the recording tells of each value that the rig and the model declare."
         ),
     ] = False,
@@ -113,7 +121,7 @@ def grip(slip: "Slip") -> str:
     return f"slips: {used}" if slip.slipping else used
 
 
-def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> TrackResult:
+def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> "TrackResult":
     """Returns the result of tracking a recording; `watch` is called with every step.
 
     After an error or Ctrl-C, the result has the steps until then. A HandsightError before the first step is raised.
@@ -138,21 +146,17 @@ def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> TrackR
             raise end.error
         result.messages = [*recording.report.sentences(), *recording.lacks()]
         result.truths = Truths(recording.truth)
-    result.images, result.corrections, result.margins = (
-        tracker.images,
-        tracker.corrections,
-        tracker.link_margins,
-    )
-    result.reason, result.diagnosis = tracker.reason, diagnoser.diagnosis()
+    result.images, result.corrections = tracker.images, tracker.corrections
+    result.margins, result.reason = tracker.link_margins, tracker.reason
+    result.diagnosis = diagnoser.diagnosis()
     result.latency, result.latency_declared = tracker.vision_latency(), tracker.vision.camera.latency
     if not result.steps and not tally.observations:
         result.reason = "the recording has no observation"
     elif not result.steps and tally.refused.total() == tally.observations:
         result.reason = "all observations were left out"
     elif not result.steps and (unplaced := tracker.vision.unplaced):
-        result.reason = (
-            f"{unplaced} poses of vision could not be placed, as the palm's pose in the world was not known"
-        )
+        why = "as the palm's pose in the world was not known"
+        result.reason = f"{unplaced} poses of vision could not be placed, {why}"
     result.untouched = {
         name: dict(tally.without.get(name, {})) for name in run.rig.fingers if name not in tally.touched
     }
@@ -164,34 +168,31 @@ def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> TrackR
     return result
 
 
-def write(result: TrackResult, run: Run, folder: Path) -> Iterator[str]:
+def write(result: "TrackResult", run: Run, folder: Path) -> Iterator[str]:
     """Writes the results to a folder and yields sentences about it; failures are added to `result.ends`."""
     from handsight.recording import TrackRow, write_track_csv, write_track_mcap, write_track_tum
 
     with write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     rows = [
-        TrackRow(
-            s.stamp,
-            s.estimate.T_palm_object,
-            s.estimate.covariance,
-            s.state,
-            s.reason,
-            s.estimate.information,
-        )
+        TrackRow(s.stamp, e.T_palm_object, e.covariance, s.state, s.reason, e.information)
         for s in result.steps
+        for e in [s.estimate]
     ]
     files: dict[str, Callable[..., None]] = {
         "track.mcap": partial(write_track_mcap, frame=run.rig.frames["palm"]),
         "track.tum": write_track_tum,
         "track.csv": write_track_csv,
-        "summary.json": lambda path, _: result.write_summary(path),
     }
     done = []
     for name, write_file in files.items():
         with result.part():
             write_file(folder / name, rows)
             done.append(name)
+    with result.part(), write_errors(folder / "summary.json"):
+        text = json.dumps(result.summary(), indent=1, ensure_ascii=False, allow_nan=False)
+        (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+        done.append("summary.json")
     yield f"wrote {folder}: {', '.join(done)}"
     if not rows:
         yield "no picture: there is no pose"
@@ -200,7 +201,7 @@ def write(result: TrackResult, run: Run, folder: Path) -> Iterator[str]:
         yield draw(result, run.model, folder / "track.png")
 
 
-def draw(result: TrackResult, model: "ObjectModel", path: Path) -> str:
+def draw(result: "TrackResult", model: "ObjectModel", path: Path) -> str:
     """Draws a result to a file, and returns a sentence that names it, or says why there is none."""
     try:
         from handsight.viewer.track_figure import draw_track
@@ -209,3 +210,227 @@ def draw(result: TrackResult, model: "ObjectModel", path: Path) -> str:
     except MissingExtra as error:
         return f"no picture: {error}"
     return f"wrote {path}"
+
+
+@dataclass(slots=True)
+class TrackResult:
+    """A `TrackResult` is the result of tracking a recording."""
+
+    name: str
+    """Name of the recording."""
+    tally: "Tally"
+    truths: "Truths"
+    steps: "list[Step]" = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
+    """Sentences about what is wrong with the recording."""
+    corrections: int = 0
+    reason: str = ""
+    """The reason for the tracker's last state, or why there is no pose."""
+    errors: "dict[str, TrackErrors]" = field(default_factory=dict)
+    """Errors of "vision" and "tracked" against the truth, if the recording has it."""
+    untouched: dict[str, dict[str, int]] = field(default_factory=dict)
+    """For each finger that never touched anything: the number of observations without a contact, by reason."""
+    margins: dict[str, float] = field(default_factory=dict)
+    """For each link of the hand whose shape in the hand's file is too large: by how much [m]."""
+    images: dict[str, int] = field(default_factory=dict)
+    """Counts of depth images, if any were used: searched, object found, searched for the hand, hand found."""
+    latency: tuple[float, float] | None = None
+    """How much older vision's poses are than their stamps, and its standard deviation [s]; None without vision."""
+    latency_declared: float = 0.0
+    """What the rig says of it [s]."""
+    weight: "ObjectWeight | None" = None
+    """The object's weight, as measured last in the air."""
+    diagnosis: "Diagnosis | None" = None
+    """What the recording tells of the values that the rig and the model declare."""
+    ends: list[End] = field(default_factory=list)
+    """The ends of the parts of the command that ended early."""
+
+    @property
+    def exit_code(self) -> int:
+        """Returns the command's exit code: that of the first part that ended early, or of a result without a pose."""
+        return next((end.exit_code for end in self.ends), 0 if self.steps else FAILED)
+
+    @contextlib.contextmanager
+    def part(self) -> Iterator[End]:
+        """Runs a part of the command that may end early, without ending the others."""
+        with kept_going() as end:
+            yield end
+        if end.exit_code:
+            self.ends.append(end)
+
+    @property
+    def friction(self) -> float | None:
+        """Returns the coefficient of friction between object and fingertips as estimated at the end."""
+        return self.steps[-1].slip.friction if self.steps else None
+
+    @property
+    def slips(self) -> list[tuple[float, float]]:
+        """Returns the stamp and the duration of each slip [s]."""
+        found: dict[float, float] = {}
+        for step in self.steps:
+            if step.slip.slipping:
+                found[step.slip.began] = step.stamp - step.slip.began
+        return list(found.items())
+
+    @property
+    def rejected(self) -> dict[str, float]:
+        """Returns, by finger, the share of the poses with its contact in which the contact was an outlier."""
+        touching = Counter(finger for step in self.steps for finger in step.fingers)
+        wrong = Counter(finger for step in self.steps for finger in step.rejected)
+        return {finger: wrong[finger] / count for finger, count in touching.items()}
+
+    def summary(self) -> dict[str, object]:
+        """Returns the result in numbers, ready for JSON."""
+        tally, weight = self.tally, self.weight
+        return {
+            "recording": self.name,
+            "observations": tally.observations,
+            "poses": tally.answered,
+            "corrections": self.corrections,
+            "seconds_recorded": tally.recorded,
+            "seconds_taken": tally.wall,
+            "real_time_factor": tally.recorded / tally.wall if tally.wall else None,
+            "seconds_in_state": {state: round(seconds, 3) for state, seconds in tally.states.items()},
+            "last_reason": self.reason,
+            "refused": dict(tally.refused),
+            "fingers_without_contact": self.untouched,
+            "fingers_rejected": {finger: round(part, 3) for finger, part in self.rejected.items()},
+            "link_margins_mm": {link: round(1e3 * margin, 1) for link, margin in self.margins.items()},
+            "depth_images": self.images,
+            "diagnosis": [value.numbers() for value in self.diagnosis.values] if self.diagnosis else [],
+            "vision_latency_ms": None if self.latency is None else [round(1e3 * x, 1) for x in self.latency],
+            "weight": weight
+            and {
+                "mass_kg": weight.mass,
+                "sigma_mass_kg": weight.sigma_mass,
+                "center_object_m": weight.center_object.tolist(),
+                "covariance_m2": weight.covariance.tolist(),
+                "directions": weight.directions,
+                "not_believed": weight.reason,
+                "biased": list(weight.biased),
+                "assumed": weight.assumed,
+            },
+            "recording_says": self.messages,
+            "friction": self.friction,
+            "poses_with_skin": sum(step.skin.pressed for step in self.steps),
+            "slips": [{"began": began, "seconds": round(seconds, 3)} for began, seconds in self.slips],
+            "errors_mm_deg": {name: errors.summary() for name, errors in self.errors.items()},
+        }
+
+    def sentences(self) -> list[str]:
+        """Returns the result as sentences for a person."""
+        tally = self.tally
+        factor = f"{tally.recorded / tally.wall:.0f}x real time" if tally.wall else "nothing to time"
+        lines = [
+            f"{tally.answered} poses of {tally.observations} observations, {self.corrections} corrections; "
+            f"{tally.recorded:.1f} s in {tally.wall:.1f} s ({factor})"
+        ]
+        if not tally.answered:
+            lines.append(f"no pose: {self.reason}")
+        longest_first = sorted(tally.states.items(), key=lambda state: -state[1])
+        if spent := ", ".join(f"{state} {seconds:.1f} s" for state, seconds in longest_first):
+            lines.append(spent + (f"; at the end: {self.reason}" if self.reason else ""))
+        lines += refusals(tally)
+        lines += self._touch_sentences()
+        if self.images:
+            searched, detected, searched_hand, hands = self.images.values()
+            hand = f"the hand in {hands} of {searched_hand} searched for it"
+            lines.append(f"{searched} depth images: the object was found in {detected}, {hand}")
+        if self.latency is not None:
+            lines += latency_text(self.latency, self.latency_declared)
+        if self.margins:
+            by = ", ".join(f"{link} by {1e3 * margin:.1f} mm" for link, margin in self.margins.items())
+            lines.append(
+                "these shapes in the hand's file are too large, as they would be inside the object although the "
+                f"contacts fit, and were shrunk: {by}"
+            )
+        if self.weight is not None:
+            lines.append(f"weight: {weight_text(self.weight)}")
+        for value in () if self.diagnosis is None else self.diagnosis.wrong:
+            lines.append(f"{value.name}: {value.verdict}")
+        lines += [end.message for end in self.ends if end.message]
+        for name, errors in self.errors.items():
+            n = errors.summary()
+            lines.append(
+                f"{name}: base centre off by {n['base_mean']:.1f} mm on average ({n['base_last']:.1f} at the end), "
+                f"middle {n['middle_mean']:.1f} mm, rotation {n['rotation_mean']:.1f}°"
+            )
+        return lines
+
+    def _touch_sentences(self) -> Iterator[str]:
+        """Yields sentences about fingers, tactile arrays and slips."""
+        for finger, why in self.untouched.items():
+            reasons = ", ".join(f"{reason} in {count}" for reason, count in why.items())
+            yield f"finger {finger}: no contact in any observation ({reasons or 'none was taken'})"
+        for finger, part in self.rejected.items():
+            if part >= 0.5:
+                yield (
+                    f"finger {finger}: contradicts the others in {100 * part:.0f} % of the poses while it touched; "
+                    "check its reading, bias, sensor.pose and surface"
+                )
+        if pressed := sum(step.skin.pressed for step in self.steps):
+            yield f"tactile arrays: pressed in {pressed} of {len(self.steps)} poses"
+        if slips := self.slips:
+            first = slips[0][0] - self.steps[0].stamp
+            times = "once" if len(slips) == 1 else f"{len(slips)} times"
+            yield (
+                f"the object slipped {times}, {sum(seconds for _, seconds in slips):.2f} s in all, first at "
+                f"{first:.2f} s; friction {self.friction:.2f}"
+            )
+
+
+def latency_text(known: tuple[float, float], declared: float) -> list[str]:
+    """Returns a sentence where vision's poses are older than `declared` [s] by more than 20 ms and by more than the
+    error of what is `known` (latency and its sigma [s]), with a level of one in twenty; else none."""
+    latency, sigma = known
+    if abs(latency - declared) <= 0.02 + 2 * sigma:
+        return []
+    return [
+        f"vision's poses are {1e3 * latency:.0f} ± {1e3 * sigma:.0f} ms older than their stamps (the rig "
+        f"says {1e3 * declared:.0f}), which is taken into account; see camera.latency"
+    ]
+
+
+def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:
+    """Returns a line about an object's mass and centre of mass, or `why` it was not weighed."""
+    if weight is None:
+        return f"not weighed: {why or 'not in the air'}"
+    place = ", ".join(str(round(1e3 * x)) for x in weight.center_object)  # round: no -0
+    sigma = 1e3 * math.sqrt(weight.covariance.trace() / 3)
+    text = f"{1e3 * weight.mass:.0f} ± {1e3 * weight.sigma_mass:.0f} g, centre [{place}] ± {sigma:.0f} mm in the object"
+    if weight.biased:
+        text += f"; the excess force of {', '.join(weight.biased)} in the air is subtracted"
+    if weight.assumed:
+        text += f"; {weight.assumed}"
+    return f"not believed: {weight.reason} ({text})" if weight.reason else text
+
+
+def refusals(tally: "Tally") -> list[str]:
+    """Returns a sentence for each of the five most frequent reasons for which observations were left out."""
+    return [f"{count} observations left out: {message}" for message, count in tally.refused.most_common(5)]
+
+
+def print_diagnosis(diagnosis: "Diagnosis") -> None:
+    """Prints a line for each value that a recording measures, the most doubtful first, and names the others."""
+    measured = sorted(
+        (v for v in diagnosis.values if v.measured or v.wrong), key=lambda v: (not v.wrong, -v.chi2)
+    )
+    rows = [
+        (v.name, v.unit, f"{v.declared:.4g} ± {v.sigma:.3g}", f"{v.estimated:.4g} ± {v.sigma_estimated:.3g}",
+         f"{v.chi2:.1f}", v.verdict)
+        for v in measured
+    ]  # fmt: skip
+    if rows:
+        print_out("", plain_table(("value", "in", "declared", "recording", "χ²", "verdict"), rows, texts=2))
+    others = [v.name for v in diagnosis.values if not (v.measured or v.wrong)]
+    joints, shifts = (
+        [name for name in others if re.match(kind, name)] for kind in ("joint ", "tip .* shift")
+    )
+    kinds = [f"{len(joints)} joints"] * bool(joints) + [f"{len(shifts)} shifts of tips"] * bool(shifts)
+    kinds += [name for name in others if name not in joints and name not in shifts]
+    text = f"Different grasps that were compared: {diagnosis.instants}."
+    if diagnosis.message:
+        text += f" They were not compared with joints, tips and size: {diagnosis.message}."
+    elif kinds:
+        text += f" The recording does not measure {', '.join(kinds)}."
+    print_out(text)

@@ -2,15 +2,15 @@
 
 import contextlib
 import threading
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Option
 
 from handsight.cli import options
 from handsight.cli.options import Run, tracker_settings
 from handsight.cli.terminal import FAILED, say
-from handsight.cli.track_summary import refusals
+from handsight.cli.track import refusals
 from handsight.errors import HandsightError, InvalidInput
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def view(
     outside: options.OutsidePoints = 200,
     images: options.WithImages = True,
     port: Annotated[
-        int, typer.Option(min=1, max=65535, help="Port of the page; the next free one if it is taken.")
+        int, Option(min=1, max=65535, help="Port of the page; the next free one if it is taken.")
     ] = 8080,
 ) -> None:
     """Show a recording in the browser: the object's pose at each moment, and the evidence for it.
@@ -41,34 +41,27 @@ def view(
     handsight view can.mcap
     ```
     """
+    from handsight.messages import OwnTopic
+    from handsight.recording.open import open_files
     from handsight.viewer.page import Page, require_viser
 
     require_viser()
     settings = tracker_settings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
     with contextlib.suppress(KeyboardInterrupt):
-        _refuse_track(recording)
+        # A `track.mcap`, which has only poses, is a result and not a recording.
+        is_mcap = recording.suffix == ".mcap" and recording.is_file()
+        for file in open_files(recording) if is_mcap else ():
+            with contextlib.closing(file):
+                if set(file.topics) == {OwnTopic.POSE}:
+                    expected = "expected the recording that was tracked"
+                    came = "got what `handsight track` made of it: poses alone"
+                    raise InvalidInput(f"{recording}: {expected}, {came}")
         run = Run.of(recording, rig, object, settings)
         page = Page(run.rig, run.model, port=port, title=f"{run.model.name or 'object'} in {recording.name}")
         with contextlib.closing(page):
             taken = "" if page.port == port else f" ({port} is taken)"
             say(f"look at {page.address}{taken}; Ctrl-C ends")
             _show(run, page)
-
-
-def _refuse_track(path: Path) -> None:
-    """Raises InvalidInput for a `track.mcap`, which has only poses: it is a result, not a recording."""
-    from handsight.messages import OwnTopic
-    from handsight.recording.open import open_files
-
-    if path.suffix != ".mcap" or not path.is_file():
-        return
-    for file in open_files(path):
-        with contextlib.closing(file):
-            if set(file.topics) == {OwnTopic.POSE}:
-                raise InvalidInput(
-                    f"{path}: expected the recording that was tracked, "
-                    "got what `handsight track` made of it: poses alone"
-                )
 
 
 def _show(run: Run, page: "Page") -> None:

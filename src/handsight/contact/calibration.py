@@ -12,7 +12,7 @@ on the tip (`reading="on_tip"`): then both weight terms change sign.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
@@ -41,11 +41,11 @@ class WrenchCalibration:
     """Mass of all that hangs on the sensor [kg], above zero."""
     center_of_mass: Array
     """(3,) centre of that mass from the sensor's origin [m]."""
-    residual_force: Array
+    residual_force: Array = field(default_factory=lambda: np.zeros(3))
     """(3,) standard deviation of the force readings about the fit, per axis [N]; `Finger.calibrated` takes it."""
-    residual_torque: Array
+    residual_torque: Array = field(default_factory=lambda: np.zeros(3))
     """(3,) standard deviation of the torque readings about the fit, per axis [N m]."""
-    condition: float
+    condition: float = 1.0
     """Condition number of the worse of the two fits, by which noise is amplified; 1.4 at best."""
     reading: Reading = "on_sensor"
     """Whether readings are of the tip on the sensor, or of the sensor on the tip."""

@@ -120,9 +120,8 @@ class Contacts:
 
     def joined(self, other: Contacts) -> Contacts:
         """Returns these contacts followed by the other ones."""
-        return _unchecked(
-            *(np.concatenate([getattr(self, name), getattr(other, name)]) for name in _FIELDS.values())
-        )
+        pairs = ((getattr(self, name), getattr(other, name)) for name in _FIELDS.values())
+        return _unchecked(*map(np.concatenate, pairs))
 
     def select(self, mask_or_indices: ArrayLike) -> Contacts:
         """Returns the contacts of a mask (n,) bool, or of indices, which may reorder and repeat; at least one."""

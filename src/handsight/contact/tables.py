@@ -121,7 +121,15 @@ def _csv_rows(lines: Iterator[str], name: str) -> Iterator[tuple[Labels, list[fl
                 continue
             if not header:
                 header = [cell.strip().lower() for cell in cells]
-                _check_header(header, where)
+                known = (*LABELS, *NUMBERS)
+                for column in header:
+                    if column not in known:
+                        expected, came = f"a header of {', '.join(known)}", f"column {column[:40]!r}"
+                        raise InvalidFile(f"{where}: expected {expected}, got {came}")
+                    if (times := header.count(column)) > 1:
+                        raise InvalidFile(f"{where}: expected column {column} once, got it {times} times")
+                if missing := ", ".join(column for column in NUMBERS if column not in header):
+                    raise InvalidFile(f"{where}: expected columns {', '.join(NUMBERS)}, missing {missing}")
                 continue
             if len(cells) != len(header):
                 raise InvalidFile(f"{where}: expected {len(header)} columns as the header, got {len(cells)}")
@@ -130,18 +138,6 @@ def _csv_rows(lines: Iterator[str], name: str) -> Iterator[tuple[Labels, list[fl
             yield labels, [_number(row[column], f"{where}, column {column}") for column in NUMBERS]
     except csv.Error as error:
         raise InvalidFile(f"{name}: line {reader.line_num}: expected CSV, got {error}") from None
-
-
-def _check_header(header: list[str], where: str) -> None:
-    """Raises InvalidFile unless each column is known, none occurs twice, and none of the numbers is missing."""
-    known = (*LABELS, *NUMBERS)
-    for column in header:
-        if column not in known:
-            raise InvalidFile(f"{where}: expected a header of {', '.join(known)}, got column {column[:40]!r}")
-        if header.count(column) > 1:
-            raise InvalidFile(f"{where}: expected column {column} once, got it {header.count(column)} times")
-    if missing := [column for column in NUMBERS if column not in header]:
-        raise InvalidFile(f"{where}: expected columns {', '.join(NUMBERS)}, missing {', '.join(missing)}")
 
 
 def _number(cell: str, where: str) -> float:
@@ -254,15 +250,9 @@ def _write_csv(file: TextIO, labels: list[Labels], batch: ContactBatch) -> None:
 
 
 def _write_json(file: TextIO, labels: list[Labels], batch: ContactBatch) -> None:
-    columns = {
-        "point": batch.points,
-        "normal": batch.normals,
-        "force_normal": batch.forces_normal,
-        "force_tangential": batch.forces_tangential,
-        "torque": batch.torques,
-        "covariance": batch.covariances,
-    }
-    contacts = zip(*(column.tolist() for column in columns.values()), strict=True)
+    columns = ("point", "normal", "force_normal", "force_tangential", "torque", "covariance")
+    values = (batch.points, batch.normals, batch.forces_normal, batch.forces_tangential, batch.torques)
+    contacts = zip(*(column.tolist() for column in (*values, batch.covariances)), strict=True)
     encode = msgspec.json.Encoder().encode
     for label, reason in zip(labels, batch.reasons.tolist(), strict=True):
         row = {**label, "reason": REASON_NAMES[reason]}

@@ -62,11 +62,9 @@ class TaxelArray:
         if not 2e-4 <= float(checks.finite(self.pitch, "pitch", ())) <= 0.05:
             raise InvalidInput(f"pitch: expected metres from 0.0002 to 0.05, got {self.pitch:g}")
         checks.positive(self.threshold, "threshold")
-        if (
-            self.full_scale is not None
-            and not checks.positive(self.full_scale, "full_scale") > self.threshold
-        ):
-            raise InvalidInput(f"full_scale: expected more than the threshold, got {self.full_scale:g}")
+        most_read = self.full_scale
+        if most_read is not None and not checks.positive(most_read, "full_scale") > self.threshold:
+            raise InvalidInput(f"full_scale: expected more than the threshold, got {most_read:g}")
         checks.sigma_point(self.sigma_point, "sigma_point")
         checks.sigma_normal(self.sigma_normal, "sigma_normal")
         checks.sigma_point(self.sigma_mount, "sigma_mount")
@@ -152,10 +150,8 @@ class SkinTouch:
         places = array.places_grid[self.pressed]
         if not len(places):
             return None
-        points, R = (
-            se3.apply(T_palm_grid, places[_farthest_points(places, MAX_CONTACTS)]),
-            T_palm_grid[:3, :3],
-        )
+        points = se3.apply(T_palm_grid, places[_farthest_points(places, MAX_CONTACTS)])
+        R = T_palm_grid[:3, :3]
         sideways = array.pitch**2 / 12
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = R @ np.diag([sideways, sideways, array.sigma_point**2]) @ R.T

@@ -5,7 +5,7 @@ from handsight.forces.loads import LOADS, LoadSum, calibrate_sensors, load_sum, 
 from handsight.forces.object_motion import moved_with_tips, slip_twist
 from handsight.forces.slip import SLIP, Slip, SlipDetector
 from handsight.forces.weigher import WEIGHER, ObjectWeight, Weigher, WeightSensor
-from handsight.forces.weight import Carried, Unknowns, Weighing, weigh
+from handsight.forces.weight import Carried, Unknowns, Weighing, common_equations, weigh
 
 __all__ = [
     "FRICTION",
@@ -22,6 +22,7 @@ __all__ = [
     "Weighing",
     "WeightSensor",
     "calibrate_sensors",
+    "common_equations",
     "load_sum",
     "moved_with_tips",
     "read_in_air",

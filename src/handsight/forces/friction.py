@@ -10,7 +10,7 @@ Fingers may have different coefficients: then their declared ratio to each other
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -48,9 +48,8 @@ class FrictionOptions(NamedTuple):
     """As many turns as this count for a contact of which other evidence tells that it slides."""
     least_sigma: float = 0.02  # of the logarithm of μ: the limit surface is not quite an ellipsoid
     turn_sigma: float = 0.2  # the same of one turn; it falls with the root of their number
-    doubtful_sigma: float = (
-        0.3  # the same while turns are fewer than `certain_turns`, or kept-up ratios are above them
-    )
+    doubtful_sigma: float = 0.3
+    """The same while turns are fewer than `certain_turns`, or kept-up ratios are above them."""
 
 
 FRICTION = FrictionOptions()
@@ -107,9 +106,13 @@ class Friction:
         }
         if moved or len(before) > len(vectors):
             self._anchors = {name: moved.get(name) or before[name] for name in vectors}
-        for name, vector in moved.items():
-            if name in before:
-                self._turned(before[name], vector)
+        for name, now in moved.items():
+            anchor = before.get(name, now)
+            least, most = sorted([math.hypot(*anchor), load[name]])
+            inside = least >= FRICTION.min_ratio and most <= FRICTION.max_ratio
+            # A motion that hardly changed the length was a turn.
+            if name in before and inside and most - least <= FRICTION.max_radial * math.dist(now, anchor):
+                self._count(math.sqrt(least * most), 1)
         for name in sliding:
             if FRICTION.min_ratio < load.get(name, 0.0) < FRICTION.max_ratio:
                 self._count(load[name], FRICTION.sliding_turns)
@@ -124,56 +127,46 @@ class Friction:
     def _estimate(self) -> None:
         """Joins what was declared, the heap, and the ratios that were kept up, which bound μ from below."""
         kept = FRICTION.noise_margin * self._kept_by_two
-        means, weights = list[float](), list[float]()
-        if self._declared is not None:
-            mu, sigma = self._declared
-            means, weights = [math.log(mu)], [(mu / sigma) ** 2]
+        estimates = [] if self._declared is None else [self._declared]
         if self._heap is not None:
             heap, turns = self._heap
             sigma = math.hypot(FRICTION.least_sigma, FRICTION.turn_sigma / math.sqrt(turns))
             if turns < FRICTION.certain_turns or kept > FRICTION.near_heap * heap:
                 sigma = FRICTION.doubtful_sigma
                 heap = min(max(heap, kept), FRICTION.max_above * heap)
-            means.append(math.log(heap))
-            weights.append(sigma**-2)
-        if weights:
-            mean = sum(m * w for m, w in zip(means, weights, strict=True)) / sum(weights)
-            mu = math.exp(mean)
-            if self._declared is not None:
-                mu = max(mu, kept)
-            self.coefficient, self.sigma = mu, mu / math.sqrt(sum(weights))
-
-    def _turned(self, before: Vector, now: Vector) -> None:
-        """Counts a motion of a ratio vector if it was a turn."""
-        length, was = math.hypot(*now), math.hypot(*before)
-        if min(length, was) < FRICTION.min_ratio or max(length, was) > FRICTION.max_ratio:
-            return
-        if abs(length - was) > FRICTION.max_radial * math.dist(now, before):
-            return
-        self._count(math.sqrt(length * was), 1)
+            estimates.append((heap, sigma * heap))
+        if estimates:
+            mu, sigma = joined(estimates)
+            self.coefficient = mu if self._declared is None else max(mu, kept)
+            self.sigma = sigma * self.coefficient / mu
 
     def _count(self, ratio: float, turns: int) -> None:
         """Counts turns at a ratio."""
         self._turns = self._turns.copy()
         self._turns[round(math.log(ratio) / FRICTION.bin_width) - FIRST] += turns
-        shared = FRICTION.near_heap * self._kept_by_two
-        self._heap = _highest_heap(
-            self._turns, math.log(shared) / FRICTION.bin_width - FIRST if shared > 0 else -math.inf
-        )
+        self._heap = _highest_heap(self._turns, FRICTION.near_heap * self._kept_by_two)
+
+
+def joined(estimates: Iterable[tuple[float, float]]) -> tuple[float, float]:
+    """Returns μ and its sigma from independent estimates with theirs, each a Gaussian of the logarithm of μ."""
+    logs, weights = zip(*((math.log(mu), (mu / sigma) ** 2) for mu, sigma in estimates), strict=True)
+    mu = math.exp(sum(m * w for m, w in zip(logs, weights, strict=True)) / sum(weights))
+    return mu, mu / math.sqrt(sum(weights))
 
 
 def _highest_heap(turns: NDArray[np.int64], shared: float) -> tuple[float, int] | None:
     """Returns the mean ratio of the highest heap, with the bins just below it, and its turns; None without a heap.
 
-    `turns` (BINS,); `shared` is the bin up to which two fingers have kept up a ratio. A few turns that are spread over
+    `turns` (BINS,); `shared` is the ratio up to which two fingers have kept one up. A few turns that are spread over
     higher ratios, as by a tip that touches at two places, are not the limit.
     """
+    shared_bin = math.log(shared) / FRICTION.bin_width - FIRST if shared > 0 else -math.inf
     through = np.concatenate([[0], np.cumsum(turns)])
     occupied = np.flatnonzero(turns)
     heaps = np.zeros(BINS, dtype=np.int64)
     heaps[occupied] = through[np.minimum(occupied + FRICTION.band, BINS)] - through[occupied]
     for at in occupied[::-1].tolist():
-        below = FRICTION.max_below if at <= shared else FRICTION.max_below_alone
+        below = FRICTION.max_below if at <= shared_bin else FRICTION.max_below_alone
         near = heaps[max(at - below, 0) : at + 1].max()
         if heaps[at] >= max(FRICTION.min_turns, FRICTION.min_share * near):
             first = max(at - FRICTION.spread, 0)

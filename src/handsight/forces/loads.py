@@ -21,6 +21,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import calibrate_wrench, compensate
 from handsight.errors import InvalidInput
+from handsight.hand import HandPose
 from handsight.observation import Observation
 from handsight.rig import Rig
 
@@ -35,9 +36,7 @@ class LoadOptions(NamedTuple):
     min_travel: float = 0.005
     """A tip that moves this far in the palm during a window is in the air, not pressed against something [m]."""
     still: float = 0.3  # length of the means by which a sensor is calibrated [s]
-    still_turn: float = float(
-        np.deg2rad(0.5)
-    )  # a hand whose sensors turn less than this meanwhile is still [rad]
+    still_turn: float = np.deg2rad(0.5)  # a hand whose sensors turn less than this meanwhile is still [rad]
     max_bias: float = 0.5  # a larger reading in the air is a load, or a broken sensor [N]
     unsteady_p: float = 0.001
     """Readings vary by more than noise where noise would exceed their spread with less than this probability."""
@@ -119,19 +118,16 @@ def load_sum(
     n, names = len(observations), tuple(rig.fingers)
     rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]
     offsets = zip(rig.hand.moving, joints.tolist(), strict=True)
-    hand = rig.hand.kinematics({name: sum(row[name] for row in rows) / n - off for name, off in offsets})
-    tips = _tips(rig)
-    Ts_palm_tip = hand.Ts_palm_tip[tips]
-    sensors = Ts_palm_tip @ _Ts_tip_sensor(rig)
+    mean = {name: sum(row[name] for row in rows) / n - off for name, off in offsets}
+    hand, tips, sensors = _sensors(rig, mean)
     places = sensors[:, :3, 3]
     middle = np.mean([point for point, _ in touched.values()] or places, axis=0)
     Ts_world_palm = np.array([o.T_world_palm for o in observations])
     step = (observations[-1].stamp - observations[0].stamp) / max(n - 1, 1)
     acceleration, turning = accelerations(Ts_world_palm, middle, step)
     gravity = np.einsum("nji,nj->i", Ts_world_palm[:, :3, :3], rig.gravity - acceleration) / n
-    wrench, by_joint, by_bias, readings, forces = _summed(
-        rig, observations, gravity, sensors, hand.jacobians(places, tips)
-    )
+    J = hand.jacobians(places, tips)
+    wrench, by_joint, by_bias, readings, forces = _summed(rig, observations, gravity, sensors, J)
     B = by_bias * np.concatenate([[f.sigma_force] * 3 + [f.sigma_torque] * 3 for f in rig.fingers.values()])
     return LoadSum(
         stamp=(observations[0].stamp + observations[-1].stamp) / 2,
@@ -144,7 +140,7 @@ def load_sum(
         noise=(B @ B.T + rig.sigma_joint**2 * by_joint @ by_joint.T) / n,
         acceleration=float(np.sqrt((acceleration**2).mean())),
         turning=float(np.sqrt((turning**2).mean())),
-        Ts_palm_tip=Ts_palm_tip,
+        Ts_palm_tip=hand.Ts_palm_tip[tips],
         forces=forces,
         touched={i: touched[name] for i, name in enumerate(names) if name in touched},
     )
@@ -208,11 +204,7 @@ def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
     It is NaN for a tip that may touch something: one that has hardly moved, or whose load has changed or is too large.
     `observations` are those of a short time, with joints and T_world_palm; nothing may be `lacking` in them.
     """
-    tips, Ts_tip_sensor = _tips(rig), _Ts_tip_sensor(rig)
-    first, last = (
-        rig.hand.kinematics(dict(o.joint_positions or {})).Ts_palm_tip[tips] @ Ts_tip_sensor
-        for o in (observations[0], observations[-1])
-    )
+    first, last = (_sensors(rig, o.joint_positions)[2] for o in (observations[0], observations[-1]))
     far = np.linalg.norm(last[:, :3, 3] - first[:, :3, 3], axis=1) > LOADS.min_travel
     found = np.full((len(rig.fingers), 6), np.nan)
     R_palm_world = np.asarray(observations[-1].T_world_palm)[:3, :3].T
@@ -237,8 +229,7 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
     sigmas become what it leaves, with the noise of single readings (`Finger.calibrated`). Raises InvalidInput, which
     names the finger, where there are too few orientations.
     """
-    tips, Ts_tip_sensor, window = _tips(rig), _Ts_tip_sensor(rig), list[Observation]()
-    rows: dict[str, list[Array]] = {name: [] for name in rig.fingers}
+    window, rows = list[Observation](), {name: list[Array]() for name in rig.fingers}
     for observation in observations:
         if observation.joint_positions is None or observation.T_world_palm is None:
             continue
@@ -246,10 +237,7 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
         if observation.stamp - window[0].stamp < LOADS.still:
             continue
         first, last = (
-            np.array(o.T_world_palm)
-            @ rig.hand.kinematics(dict(o.joint_positions or {})).Ts_palm_tip[tips]
-            @ Ts_tip_sensor
-            for o in (window[0], window[-1])
+            np.array(o.T_world_palm) @ _sensors(rig, o.joint_positions)[2] for o in (window[0], window[-1])
         )
         readings, window = window, []
         turned = np.linalg.norm(se3.rotation_log(first[:, :3, :3].swapaxes(1, 2) @ last[:, :3, :3]), axis=1)
@@ -257,9 +245,7 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
             continue
         for R, (name, means) in zip(last[:, :3, :3], rows.items(), strict=True):
             wrenches = np.array([o.wrenches[name] for o in readings])
-            means.append(
-                np.concatenate([wrenches.mean(axis=0), R.T @ rig.gravity, wrenches.var(axis=0, ddof=1)])
-            )
+            means.append(np.hstack([wrenches.mean(axis=0), R.T @ rig.gravity, wrenches.var(axis=0, ddof=1)]))
     fingers = {}
     for name, finger in rig.fingers.items():
         F, M, G, v = np.split(np.array(rows[name]).reshape(-1, 15), [3, 6, 9], axis=1)
@@ -272,13 +258,11 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
     return replace(rig, fingers=fingers)
 
 
-def _tips(rig: Rig) -> list[int]:
-    """Returns the index of each finger's tip among the hand's tips."""
-    return [tuple(rig.hand.tips).index(name) for name in rig.fingers]
-
-
-def _Ts_tip_sensor(rig: Rig) -> Array:
-    """Returns (t, 4, 4) the pose of each sensor in the body to which its tip is fixed."""
-    fingers = rig.fingers.values()
-    at = ((f.T_frame_surface, f.tip.T_surface_sensor) for f in fingers)
-    return np.stack([T if T_sensor is None else T @ T_sensor for T, T_sensor in at])
+def _sensors(rig: Rig, joint_positions: Mapping[str, float] | None) -> tuple[HandPose, list[int], Array]:
+    """Returns the hand, the index of each finger's tip among its tips, and the pose of each sensor in the palm (t, 4,
+    4)."""
+    hand = rig.hand.kinematics(joint_positions or {})
+    tips = [tuple(rig.hand.tips).index(name) for name in rig.fingers]
+    at = ((f.T_frame_surface, f.tip.T_surface_sensor) for f in rig.fingers.values())
+    Ts_tip_sensor = np.stack([T if T_sensor is None else T @ T_sensor for T, T_sensor in at])
+    return hand, tips, hand.Ts_palm_tip[tips] @ Ts_tip_sensor

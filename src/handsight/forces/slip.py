@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from handsight.checks import Array
-from handsight.forces.friction import FRICTION, Friction, Vector
+from handsight.forces.friction import FRICTION, Friction, Vector, joined
 from handsight.rig import Rig
 
 
@@ -242,9 +242,7 @@ def declared_friction(
         mu = math.exp(sum(math.log(value) for value, _ in known) / len(known))
         prior = mu, mu * math.sqrt(sum((sigma / value) ** 2 for value, sigma in known) / len(known))
         if friction is not None:
-            (a, b), weights = (mu, friction[0]), [(value / sigma) ** 2 for value, sigma in (prior, friction)]
-            mean = (math.log(a) * weights[0] + math.log(b) * weights[1]) / sum(weights)
-            prior = math.exp(mean), math.exp(mean) / math.sqrt(sum(weights))
+            prior = joined([prior, friction])
         relative = {name: fingers[name][0] / mu if name in fingers else 1.0 for name in rig.fingers}
         return relative, prior
     return dict.fromkeys(rig.fingers, 1.0), prior or ()

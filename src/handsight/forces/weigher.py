@@ -57,6 +57,9 @@ class WeigherOptions(NamedTuple):
     """A mass that is farther off than so many sigmas contradicts the declared one: by chance in 2 %, whose share of the
     sigmas is mostly that of the declared mass, so that more directions are not more chances.
     """
+    right_mass: float = (
+        1.64  # a declared mass stays contradicted until it is nearer than so many (a level of 10 %)
+    )
     biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
     restart_after: float = 3.0
     """How long loads may contradict the kept instants before these are dropped [s]."""
@@ -67,6 +70,7 @@ class WeigherOptions(NamedTuple):
 WEIGHER = WeigherOptions()
 
 PULLED_UP = "the object seems to be pulled up: does gravity point the other way?"
+WEIGHS = "it weighs"
 ASSUMED = "the loads fit a weight only if sensors have wrong gains, or a small force is not measured"
 
 
@@ -92,6 +96,8 @@ class Weigher:
         """The last weighing; None before the first one since the object was grasped."""
         self.reason = "nothing is lifted"
         """Why there is no weighing, or why it is not trusted; empty where it is trusted."""
+        self.instants: tuple[Carried, ...] = ()
+        """The instants that it used, the last one at its end."""
         self.assumed = ""
         """What the rig does not have, and a trusted weighing still has to assume."""
         sensors = [[finger.sigma_force] * 3 + [finger.sigma_torque] * 3 for finger in rig.fingers.values()]
@@ -196,23 +202,24 @@ class Weigher:
         others = [
             k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > WEIGHER.new_direction
         ]
-        instants = [*others, Carried(load)]
+        self.instants = instants = (*others, Carried(load))
         exactly = Unknowns(root, self._biases, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity)
         before = self.weighing
         found = weigh(instants, replace(exactly, gains=self._gains), before)
         if before is None or before.directions != found.directions:
             exact = weigh(instants, exactly, before)
             self.assumed = "" if exact.consistent else ASSUMED
+        limit = WEIGHER.right_mass if self.reason.startswith(WEIGHS) else WEIGHER.wrong_mass
         self.reason = ""
         if found.mass < -WEIGHER.wrong_mass * found.sigma_mass:
             self.reason = PULLED_UP
         elif self.mass is not None:
             known = found.given_mass(self.mass, self.sigma_mass)
             off = abs(found.mass - self.mass) / np.hypot(found.sigma_mass, self.sigma_mass)
-            if off <= WEIGHER.wrong_mass or len(instants) == 1:
+            if off <= limit or len(instants) == 1:
                 found = known
             else:
-                self.reason = f"it weighs {found.mass:.3g} kg, not {self.mass:.3g}"
+                self.reason = f"{WEIGHS} {found.mass:.3g} kg, not {self.mass:.3g}"
         away = float(np.abs(found.center_palm - load.middle_palm).max())
         if not self.reason and not away < WEIGHER.max_reach:
             self.reason = f"the loads would be those of a weight {away:.1f} m away from the hand"
@@ -378,24 +385,20 @@ class WeightSensor:
             center_palm=found.center_palm,
             covariance_palm=found.covariance_center,
             directions=found.directions,
-            reason=self.weigher.reason or self._elsewhere(estimate),
+            reason=self.weigher.reason or self.elsewhere(estimate),
             biased=self.weigher.biased,
             assumed=self.weigher.assumed,
         )
 
-    def doubt(self, estimate: PoseEstimate) -> str:
-        """Returns why the loads make an estimated pose doubtful; empty where they do not.
+    @property
+    def doubt(self) -> str:
+        """Why the loads make any pose doubtful; empty where they do not.
 
-        Gravity of the wrong sign makes the tips' own weight wrong too, and with it every contact. Loads that fit one
-        weight in several directions are strong evidence: what contradicts them may be wrong itself.
+        Gravity of the wrong sign makes the tips' own weight wrong too, and with it every contact.
         """
-        if self.weigher.reason == PULLED_UP:
-            return PULLED_UP
-        found = self.weigher.believed
-        strong = found is not None and found.directions >= WEIGHER.trusted_directions
-        return self._elsewhere(estimate) if strong else ""
+        return PULLED_UP if self.weigher.reason == PULLED_UP else ""
 
-    def _elsewhere(self, estimate: PoseEstimate) -> str:
+    def elsewhere(self, estimate: PoseEstimate) -> str:
         """Returns how far the weight's centre is from where the rest has it; empty where they do not differ."""
         found, declared = self.weigher.weighing, self.model.center_of_mass
         if estimate.weight_fits is not False or found is None or declared is None:

@@ -193,6 +193,26 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     return Weighing(mean, joint, chi2, len(rows) - 1, p_fixed, len(instants))
 
 
+def common_equations(instants: Sequence[Carried], unknowns: Unknowns, found: Weighing) -> tuple[Array, Array]:
+    """Returns H (k, k) and the slope (k,) of half the cost of one grasp's loads, by what all grasps have in common.
+
+    These k = 1 + j + 6 t are the mass less that of `found` [kg], and the errors of joints and gains, in units of their
+    sigmas and without their priors. What is the grasp's own is eliminated: the centre of mass, gravity's direction,
+    creep and biases.
+    """
+    mass, moment, j = found.mass, found.mass * found.center_palm, unknowns.joints.shape[1]
+    rows = np.concatenate([_whitened(instant, unknowns, mass, moment) for instant in instants])
+    start, own = rows[:, 1:4] @ moment, rows[:, [*range(1, 8), *range(8 + j, 8 + j + len(unknowns.biases))]]
+    own[:, :3] *= WEIGHT_FIT.sigma_reach * mass
+    L = np.linalg.cholesky(np.eye(len(rows)) + own @ own.T)
+    left = rows[:, -7] - start - mass * rows[:, 0]
+    common = np.column_stack(
+        [rows[:, 0], rows[:, 8 : 8 + j], rows[:, 8 + j + len(unknowns.biases) : -7], left]
+    )
+    common = np.asarray(np.linalg.solve(L, common))
+    return common[:, :-1].T @ common[:, :-1], -common[:, :-1].T @ common[:, -1]
+
+
 def score_test(columns: Array, residuals: Array, H: Array, covariance: Array) -> float:
     """Returns the probability that columns (n, k), added to a linear problem, explain so much by chance (Rao 1948).
 

@@ -142,8 +142,7 @@ class Hand:
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 0:
             raise InvalidInput(f"count: expected a whole number from 0 on, got {count!r:.40}")
         inward = float(checks.finite(shrink, "shrink", ()))
-        left_out = {self._body(name, "without") for name in without}
-        bodies = [body for body in self._links() if body not in left_out]
+        bodies = self._links(without)
         triangles = [body_triangles(self._model, body) for body in bodies]
         link, points, normals = sample_evenly(triangles, int(count), seed)
         used, body_of = np.unique(link, return_inverse=True)
@@ -162,8 +161,7 @@ class Hand:
 
         `without`: bodies left out. A file without shapes gives no triangles. Raises InvalidInput.
         """
-        left_out = {self._body(name, "without") for name in without}
-        return self._shape_of(self._model, [body for body in self._links() if body not in left_out])
+        return self._shape_of(self._model, self._links(without))
 
     def link_meshes(self) -> dict[str, LinkMesh]:
         """Returns by name the visual shapes, else the collision shapes, of each link in its own frame.
@@ -218,14 +216,13 @@ class Hand:
     def _names(self, bodies: Iterable[int]) -> tuple[str, ...]:
         return tuple(str(self._model.body(i).name) for i in bodies)
 
-    def _links(self) -> list[int]:
-        """Returns the palm, the bodies that are fixed to it, and all that hang on these."""
-        root = self._palm
-        for body in ancestors(self._model, self._palm):
-            root = body
-            if body_joints(self._model, body):
-                break
-        return [b for b in range(1, self._model.nbody) if b == root or root in ancestors(self._model, b)]
+    def _links(self, without: Collection[str] = ()) -> list[int]:
+        """Returns the palm, the bodies that are fixed to it, and all that hang on these, but for some bodies."""
+        left_out = {self._body(name, "without") for name in without}
+        upward = ancestors(self._model, self._palm) or [self._palm]
+        root = next((body for body in upward if body_joints(self._model, body)), upward[-1])
+        below = (b for b in range(1, self._model.nbody) if root in ancestors(self._model, b))
+        return [body for body in below if body not in left_out]
 
     def _body(self, name: str, argument: str) -> int:
         if name not in self._bodies:

@@ -1,5 +1,6 @@
 """Search for the files that a robot's description names."""
 
+import contextlib
 import os
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,7 +24,17 @@ def find_file(name: str | Path, beside: str | Path = ".") -> Path:
         came = "a folder" if os.path.isdir(path) else "none of that name"
         raise InvalidFile(f"{text}: expected a file, got {came}")
     package, _, rest = text.removeprefix(PACKAGE).partition("/")
-    folders = _ros_folders(package, Path(beside).absolute()) + _python_folders(package)
+    folders, above = list[Path](), Path(beside).absolute()
+    if package not in ("", ".", ".."):
+        parents = [above, *above.parents]
+        roots = [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
+        shares = [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+        folders = [folder for folder in [*parents, *roots] if folder.name == package]
+        folders += [folder / package for folder in [*parents, *roots, *shares]]
+    if package.isidentifier():  # a dotted name would import its parents
+        with contextlib.suppress(ValueError):  # a module that runs as a script has no spec
+            spec = find_spec(package)
+            folders += [Path(p) for p in (spec and spec.submodule_search_locations) or ()]
     for folder in folders:
         if os.path.isfile(folder / rest):
             return folder / rest
@@ -33,23 +44,3 @@ def find_file(name: str | Path, beside: str | Path = ".") -> Path:
         f"{text}: expected a package in a folder above the file that names it, in $ROS_PACKAGE_PATH or "
         f"$AMENT_PREFIX_PATH, or installed in Python, got none called {package!r}"
     )
-
-
-def _ros_folders(package: str, beside: Path) -> list[Path]:
-    if not package or package in (".", ".."):
-        return []
-    parents = [beside, *beside.parents]
-    roots = [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
-    shares = [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    found = [folder for folder in [*parents, *roots] if folder.name == package]
-    return found + [folder / package for folder in [*parents, *roots, *shares]]
-
-
-def _python_folders(package: str) -> list[Path]:
-    if not package.isidentifier():  # a dotted name would import its parents
-        return []
-    try:
-        spec = find_spec(package)
-    except ValueError:  # a module that runs as a script has no spec
-        return []
-    return [Path(p) for p in (spec.submodule_search_locations or [])] if spec else []

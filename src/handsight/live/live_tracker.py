@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 from handsight.correction import PosePrior
 from handsight.errors import HandsightError, InvalidInput
-from handsight.live.answers import Answer, Writer
-from handsight.live.health import Health
+from handsight.live.answers import Answer, Health, Writer
 from handsight.live.markers import Markers
 from handsight.live.requests import REQUESTS, requested_model, requested_start, requested_text
 from handsight.messages import ObservationStream, RawMessage
@@ -72,6 +71,14 @@ class Inbox:
 class LiveTracker:
     """A `LiveTracker` tracks an object in a hand by the messages of a running robot."""
 
+    publications: Mapping[str, str] = {
+        OwnTopic.POSE: RosType.POSE_COVARIANCE,
+        OwnTopic.TF: RosType.TF,
+        OwnTopic.MARKERS: RosType.MARKERS,
+        OwnTopic.DIAGNOSTICS: RosType.DIAGNOSTICS,
+    }
+    """The types of the answers, by topic."""
+
     def __init__(
         self,
         rig: Rig,
@@ -108,16 +115,6 @@ class LiveTracker:
         """The types that messages may have, as ROS 2 writes them, by the topic to subscribe to."""
         topics = rig_topics(self.rig).values()
         return {topic.name: topic.expected for topic in topics if topic.role != "truth"} | REQUESTS
-
-    @property
-    def publications(self) -> Mapping[str, str]:
-        """The types of the answers, by topic."""
-        return {
-            OwnTopic.POSE: RosType.POSE_COVARIANCE,
-            OwnTopic.TF: RosType.TF,
-            OwnTopic.MARKERS: RosType.MARKERS,
-            OwnTopic.DIAGNOSTICS: RosType.DIAGNOSTICS,
-        }
 
     @property
     def skipped(self) -> int:
@@ -173,12 +170,20 @@ class LiveTracker:
         elif not self._flushed and now - self._came >= LIVE.quiet:
             observations += self._stream.flush()
             self._flushed = True
-        answers = [answer for each in self._newest(observations) for answer in self._answers(each)]
+        if (
+            not self.equal and len(observations) > 1
+        ):  # the newest, and all with a camera's pose or depth image
+            by_depth, (*older, newest) = self.rig.topics.depth is not None, observations
+            kept = [
+                each for each in older if each.vision is not None or (each.depth is not None and by_depth)
+            ]
+            self.health.skipped += len(older) - len(kept)
+            observations = [*kept, newest]
+        answers = [answer for each in observations for answer in self._answers(each)]
         if answers:
             self.health.answered(time.monotonic() - self._came)
         if self.health.due(self.tracker):
-            statuses = self.health.statuses(self.tracker, self._stream)
-            answers.append(self._writer.diagnostics(time.time(), statuses))
+            answers.append(self.health.diagnostics(self.tracker, self._stream, self._writer))
         return answers
 
     def _start(self, model: ObjectModel | None, start: PosePrior | None, message: str) -> "Future[str]":
@@ -218,19 +223,6 @@ class LiveTracker:
                 self.start(message)
         except HandsightError as error:
             self.health.noted(f"{message.topic}: {error}")
-
-    def _newest(self, observations: list[Observation]) -> list[Observation]:
-        """Returns the observations to answer: the newest, and all with a camera's pose or depth image."""
-        if self.equal or len(observations) < 2:
-            return observations
-        by_depth = self.rig.topics.depth is not None
-        kept = [
-            each
-            for each in observations[:-1]
-            if each.vision is not None or (each.depth is not None and by_depth)
-        ]
-        self.health.skipped += len(observations) - 1 - len(kept)
-        return [*kept, observations[-1]]
 
     def _answers(self, observation: Observation) -> list[Answer]:
         """Returns the answers to an observation: pose, transform, and markers if somebody subscribes to them."""

@@ -1,7 +1,6 @@
 """Markers for RViz: the object, contacts, the uncertainty of the position, and the unobservable directions."""
 
 from collections.abc import Iterator, Sequence
-from enum import IntEnum
 
 import numpy as np
 
@@ -14,24 +13,10 @@ from handsight.objects import ObjectModel
 from handsight.objects.surface import Triangles
 from handsight.tracking import Tracker
 
-
-class Kind(IntEnum):
-    """`Kind` is the shape of a visualization_msgs/Marker."""
-
-    ARROW = 0
-    SPHERE = 2
-    LINE_STRIP = 4
-    LINE_LIST = 5
-    SPHERE_LIST = 7
-    TRIANGLES = 11
-
-
-GREEN, ORANGE, BLUE, RED = (
-    (0.3, 0.8, 0.4, 0.8),
-    (1.0, 0.6, 0.1, 1.0),
-    (0.2, 0.5, 1.0, 0.3),
-    (0.9, 0.2, 0.2, 0.9),
-)
+ARROW, SPHERE, LINE_STRIP, LINE_LIST, SPHERE_LIST, TRIANGLES = 0, 2, 4, 5, 7, 11
+"""The shape of a visualization_msgs/Marker."""
+GREEN, ORANGE = (0.3, 0.8, 0.4, 0.8), (1.0, 0.6, 0.1, 1.0)
+BLUE, RED = (0.2, 0.5, 1.0, 0.3), (0.9, 0.2, 0.2, 0.9)
 
 
 class Markers:
@@ -44,68 +29,67 @@ class Markers:
         """Returns the object in its own frame, which /tf moves; the marker stays until another replaces it."""
         surface, most_triangles = model.surface, 20_000
         if isinstance(surface, Triangles) and len(surface.faces) <= most_triangles:
-            kind, size, points = Kind.TRIANGLES, 1.0, surface.corners.reshape(-1, 3)
+            kind, size, points = TRIANGLES, 1.0, surface.corners.reshape(-1, 3)
         else:
-            kind, size, points = Kind.SPHERE_LIST, model.diameter / 50, model.points_object
+            kind, size, points = SPHERE_LIST, model.diameter / 50, model.points_object
         marker = self._marker("object", kind, stamp, (size,) * 3, GREEN, points)
         always = Message(sec=0, nanosec=0)
         marker.header.frame_id, marker.lifetime, marker.frame_locked = OBJECT_FRAME, always, True
         return self._writer.answer(OwnTopic.MARKERS, RosType.MARKERS, markers=[marker])
 
     def around(self, tracker: Tracker) -> Answer:
-        """Returns the current contacts and uncertainty in the palm's frame; the markers vanish after half a second."""
-        found = [*self._contacts(tracker), *self._uncertainty(tracker)]
-        return self._writer.answer(OwnTopic.MARKERS, RosType.MARKERS, markers=found)
+        """Returns contacts and uncertainty in the palm's frame; the markers vanish after half a second.
+
+        They are all contact points and their normals, the ellipsoid of two standard deviations of the object's centre,
+        and the unobservable directions.
+        """
+        markers = [*self._contacts(tracker), *self._uncertainty(tracker)]
+        return self._writer.answer(OwnTopic.MARKERS, RosType.MARKERS, markers=markers)
 
     def _contacts(self, tracker: Tracker) -> Iterator[Message]:
-        """Yields markers of all contact points and of their normals."""
         touched, stamp = tracker.fingertips.contacts, tracker.stamp
         if touched is None:
             return
         if (pressed := tracker.skin.contacts()) is not None:
             touched = touched.joined(pressed)
         points, normals = touched.points_palm, touched.normals_palm
-        yield self._marker("contacts", Kind.SPHERE_LIST, stamp, (0.005,) * 3, ORANGE, points)
+        yield self._marker("contacts", SPHERE_LIST, stamp, (0.005,) * 3, ORANGE, points)
         if normals is not None:
             ends = np.stack([points, points + 0.03 * normals], axis=1).reshape(-1, 3)
-            yield self._marker("normals", Kind.LINE_LIST, stamp, (0.0015, 0, 0), ORANGE, ends)
+            yield self._marker("normals", LINE_LIST, stamp, (0.0015, 0, 0), ORANGE, ends)
 
     def _uncertainty(self, tracker: Tracker) -> Iterator[Message]:
-        """Yields the ellipsoid of two standard deviations of the object's centre, and the unobservable directions."""
         estimate, model, stamp = tracker.estimate, tracker.model, tracker.stamp
         if estimate is None:
             return
         T, covariance = estimate.T_palm_object, estimate.bounded_covariance
-        lever = (
-            T[:3, :3] @ model.center_object
-        )  # the object's origin may be anywhere, so the ellipsoid is around its centre
+        # The object's origin may be anywhere, so the ellipsoid is around its centre.
+        lever = T[:3, :3] @ model.center_object
         J = se3.point_jacobian(lever)[:3]
         values, axes = np.linalg.eigh(J @ covariance @ J.T)
         axes[:, 2] *= np.sign(np.linalg.det(axes))
         at = se3.compose(axes, T[:3, 3] + lever)
         longest = 0.3  # no semi-axis is drawn longer [m]
         sizes = 2 * np.minimum(2 * np.sqrt(np.maximum(values, 0)), longest)
-        yield self._marker("two sigma", Kind.SPHERE, stamp, np.maximum(sizes, 1e-4), BLUE, at=at)
+        yield self._marker("two sigma", SPHERE, stamp, np.maximum(sizes, 1e-4), BLUE, at=at)
+        # A rotation that is unobservable is an arc about its axis, a shift an arrow.
         for k, direction in enumerate(estimate.unobservable):
-            yield self._unobservable(k, direction, at[:3, 3], model.radius, stamp)
-
-    def _unobservable(self, k: int, direction: Array, center: Array, radius: float, stamp: float) -> Message:
-        """Returns the k-th unobservable direction: a rotation is an arc about its axis, a shift an arrow."""
-        shift, turn = direction[:3], direction[3:]
-        if np.linalg.norm(turn) < np.linalg.norm(shift):
-            ends = center + np.array([[-1.0], [1.0]]) * radius * shift / np.linalg.norm(shift)
-            return self._marker("open", Kind.ARROW, stamp, (0.003, 0.008, 0.01), RED, ends, number=k)
-        axis = turn / np.linalg.norm(turn)
-        side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-        side *= 1.2 * radius / np.linalg.norm(side)
-        angles = np.linspace(0, 1.5 * np.pi, 40)[:, None]
-        arc = center + np.cos(angles) * side + np.sin(angles) * np.cross(axis, side)
-        return self._marker("open", Kind.LINE_STRIP, stamp, (0.003, 0, 0), RED, arc, number=k)
+            shift, turn = direction[:3], direction[3:]
+            if np.linalg.norm(turn) < np.linalg.norm(shift):
+                ends = at[:3, 3] + np.array([[-1.0], [1.0]]) * model.radius * shift / np.linalg.norm(shift)
+                yield self._marker("open", ARROW, stamp, (0.003, 0.008, 0.01), RED, ends, number=k)
+                continue
+            axis = turn / np.linalg.norm(turn)
+            side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+            side *= 1.2 * model.radius / np.linalg.norm(side)
+            angles = np.linspace(0, 1.5 * np.pi, 40)[:, None]
+            arc = at[:3, 3] + np.cos(angles) * side + np.sin(angles) * np.cross(axis, side)
+            yield self._marker("open", LINE_STRIP, stamp, (0.003, 0, 0), RED, arc, number=k)
 
     def _marker(
         self,
         name: str,
-        kind: Kind,
+        kind: int,
         stamp: float,
         size: Sequence[float] | Array,
         color: tuple[float, float, float, float],
@@ -120,7 +104,7 @@ class Markers:
             header=header(stamp, self._writer.palm),
             ns=name,
             id=number,
-            type=int(kind),
+            type=kind,
             action=0,  # add or replace
             pose=pose(np.eye(4) if at is None else at),
             scale=parts("xyz", np.array(size, dtype=np.float64)),

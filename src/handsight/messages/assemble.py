@@ -44,15 +44,13 @@ class ObservationAssembler:
 
     def _restart(self) -> None:
         """Forgets everything but the static transforms."""
-        self._joints: dict[
-            tuple[str, ...], Measurement
-        ] = {}  # the newest of each publisher, by its joint names
+        # The newest joint states of each publisher, by its joint names.
+        self._joints: dict[tuple[str, ...], Measurement] = {}
         self._sensors: dict[str, WrenchSensor] = {}
         # The newest wrenches, contacts and readings with their stamps [s], by finger or array.
         self._touch: dict[Role, dict[str, tuple[float, Any]]] = {"wrench": {}, "contact": {}, "skin": {}}
-        self._vision: dict[
-            str, Measurement
-        ] = {}  # by role: vision, color and depth since the last observation
+        # By role: vision, color and depth since the last observation.
+        self._vision: dict[str, Measurement] = {}
         self.due: float | None = None
         """Stamp of the joint states whose observation was not returned yet [s]; None: there are none."""
         self.tree.keep_static()
@@ -171,9 +169,8 @@ class WrenchSensor:
             share, (full_force, full_torque) = ASSEMBLY.full_scale_share, full_scale
             if force >= share * full_force or torque >= share * full_torque:
                 self.saturated += 1
-                return (
-                    f"reads full scale ({full_force:g} N, {full_torque:g} N m) in {self.saturated} messages"
-                )
+                full = f"{full_force:g} N, {full_torque:g} N m"
+                return f"reads full scale ({full}) in {self.saturated} messages"
         constant = self.repeated >= ASSEMBLY.min_stuck_readings and stamp - self.changed > ASSEMBLY.stuck
         if constant and any(other.changed >= stamp - ASSEMBLY.stuck for other in sensors):
             self.stuck += 1

@@ -193,8 +193,7 @@ class ReorderBuffer:
             self._newest = max(each.stamp for each in joints)
             in_order, self._back = self._back, []
         elif is_joints:
-            # Joint states that jump ahead are used only if the next ones agree; those that were back are late after
-            # all.
+            # Joint states that jump ahead are used only if the next ones agree; those back are late after all.
             jumped, self._jumped = self._jumped, None
             if self._newest > -float("inf") and measurement.stamp > self._newest + CLOCKS.max_jump:
                 if jumped is not None and abs(measurement.stamp - jumped.stamp) <= CLOCKS.max_jump:
@@ -208,7 +207,7 @@ class ReorderBuffer:
             rejected.topic.reject(MessageRejected("stamp far ahead of those before and after"))
         for each in in_order:
             self._push(each)
-        return found + self._pop(self._edge())
+        return found + self.ready()
 
     def _edge(self) -> float:
         """Returns the stamp up to which the order is known [s]."""
@@ -259,9 +258,8 @@ class PromptBuffer(ReorderBuffer):
     def _restart(self) -> None:
         super()._restart()
         self.complete = -float("inf")
-        self._pending = deque[
-            tuple[float, float]
-        ]()  # joint states' stamps, and the time until which they wait [s]
+        # Joint states' stamps, and the time until which they wait [s].
+        self._pending = deque[tuple[float, float]]()
         # By topic: the newest stamp, and half of the interval to the stamp before it [s].
         self._reached: dict[str, tuple[float, float]] = {}
         self._newest_of: dict[tuple[str, tuple[str, ...]], float] = {}

@@ -44,8 +44,7 @@ class Measurement:
     """When it was recorded or received [s]."""
     value: Any
     """By the topic's role. joints: positions by name. wrench: (6,). contact: `ContactMeasurement` or None. skin:
-    (rows, columns). vision: `PoseMeasurement`. truth: (4, 4). color, depth: image. info: `Camera`. tf: parent, child
-    and
+    (rows, columns). vision: `PoseMeasurement`. truth: (4, 4). color, depth: image. info: `Camera`. tf: parent, child,
     `T_parent_child` (4, 4)."""
     restarts: bool = False
     """Whether it is the first measurement of all, or the first after the clock of the joint states was set back."""
@@ -96,13 +95,12 @@ def _transforms(raw: RawMessage, topic: TopicReport, reader: FastReader | None) 
     """Returns the transforms of a TFMessage; one that cannot be used is rejected, and the others are returned."""
     transforms = reader.transforms(raw.data) if reader else None
     if not transforms:
-        parts = _deserialized(raw).transforms
         transforms = [
             StampedTransform(
-                _seconds(part), part.header.frame_id, part.child_frame_id, (*_xyz(p), *_xyz(q), q.w)
+                _seconds(each), each.header.frame_id, each.child_frame_id, (*_xyz(p), *_xyz(q), q.w)
             )
-            for part in parts
-            for p, q in [(part.transform.translation, part.transform.rotation)]
+            for each in _deserialized(raw).transforms
+            for p, q in [(each.transform.translation, each.transform.rotation)]
         ]
     found = list[Measurement]()
     for each in transforms:
@@ -261,9 +259,8 @@ def _taxel_reading(message: RosMessage, shape: tuple[int, int]) -> Array:
     """
     expected = f"expected {shape[0]} x {shape[1]} taxels"
     if hasattr(message, "encoding"):
-        values = images.values(message, ("mono8", "8UC1", "mono16", "16UC1", "32FC1"))[..., 0].astype(
-            np.float64
-        )
+        pixels = images.values(message, ("mono8", "8UC1", "mono16", "16UC1", "32FC1"))
+        values = pixels[..., 0].astype(np.float64)
         if values.shape != shape:
             raise MessageRejected(f"{expected}, got {values.shape[0]} x {values.shape[1]}")
     else:

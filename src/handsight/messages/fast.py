@@ -110,8 +110,3 @@ class FastReader:
         if end > len(data):
             raise struct.error
         return end, count
-
-
-def fast_readers() -> dict[str, FastReader]:
-    """Returns a new reader for each encoding."""
-    return {"cdr": FastReader("cdr"), "ros1": FastReader("ros1")}

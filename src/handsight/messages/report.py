@@ -20,9 +20,7 @@ class UnitLimits(NamedTuple):
 
     max_range: float = 10.0  # from a camera to the object [m]
     max_force: float = 300.0  # on a fingertip [N]
-    min_share: float = (
-        0.1  # share of the observations with such values; if fewer have them, they are outliers
-    )
+    min_share: float = 0.1  # share of the observations with such values; fewer are outliers
 
 
 UNITS = UnitLimits()
@@ -34,10 +32,9 @@ class Units:
     def __init__(self, rig: Rig) -> None:
         self._rig, self._count, self._beyond = rig, 0, Counter[str]()
         self._largest: dict[str, tuple[float, str]] = {}
-        limits = zip(rig.hand.joint_names, np.abs(rig.hand.limits).max(axis=1).tolist(), strict=True)
-        self._limits = [
-            (name, limit) for name, limit in limits if name in rig.hand.moving and np.isfinite(limit)
-        ]
+        hand = rig.hand
+        limits = zip(hand.joint_names, np.abs(hand.limits).max(axis=1).tolist(), strict=True)
+        self._limits = [each for each in limits if each[0] in hand.moving and np.isfinite(each[1])]
 
     def put(self, observation: Observation) -> None:
         """Checks an observation."""
@@ -123,12 +120,9 @@ class Report:
                 f"{joints.name}: {joints.gaps} gaps of more than {TOPICS.max_gap} s, the longest {joints.gap:.3f} s"
             )
         of = f"of {self.observations} observations"
-        messages += shortened(
-            f"finger {name}: no wrench in {count} {of}" for name, count in self.without.items()
-        )
-        messages += shortened(
-            f"skin {name}: no reading in {count} {of}" for name, count in self.without_skin.items()
-        )
+        fingers, arrays = self.without.items(), self.without_skin.items()
+        messages += shortened(f"finger {name}: no wrench in {count} {of}" for name, count in fingers)
+        messages += shortened(f"skin {name}: no reading in {count} {of}" for name, count in arrays)
         others = sorted(name for name, kind in self.others.items() if kind == RosType.WRENCH)
         return [printable(each) for each in messages] + shortened(
             f"{name}: wrenches of no finger of the rig; not used" for name in others
@@ -168,9 +162,8 @@ def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -
         if known is None:
             lacking.append(f"{what} on {topic}{_nearest(topic, report.others)}")
         elif known.type not in known.expected:
-            lacking.append(
-                f"{what} on {topic}: expected {' or '.join(known.expected)}, got {known.type or 'no type'}"
-            )
+            expected = " or ".join(known.expected)
+            lacking.append(f"{what} on {topic}: expected {expected}, got {known.type or 'no type'}")
         elif report.ended and not known.messages:
             lacking.append(f"{what} on {topic}: no message")
     if by_tf and not silent_tf and report.ended:
@@ -185,10 +178,10 @@ def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -
         elif absent:
             of = f"{absent} of {report.observations} observations"
             lacking.append(f"no transform from {world!r} to {palm!r} in {of}")
-    absent_joints = [name for name in rig.hand.moving if report.observations and name not in joint_names]
     return [printable(each) for each in lacking] + shortened(
         f"joint {joint!r}: never on {topics.joint_states}{_nearest(joint, joint_names)}"
-        for joint in absent_joints
+        for joint in rig.hand.moving
+        if report.observations and joint not in joint_names
     )
 
 

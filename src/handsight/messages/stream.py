@@ -7,7 +7,7 @@ from handsight.camera import Camera
 from handsight.messages.assemble import ObservationAssembler
 from handsight.messages.clocks import ReorderBuffer
 from handsight.messages.decode import Measurement, decode
-from handsight.messages.fast import fast_readers
+from handsight.messages.fast import FastReader
 from handsight.messages.report import Report, missing
 from handsight.messages.topics import RawMessage, rig_topics
 from handsight.observation import Observation
@@ -52,7 +52,8 @@ class ObservationStream:
         self.report.others |= {name: kind for name, kind in known.items() if name not in self.topics}
         self._joint_names = set[str]()
         self._depth_size: tuple[int, ...] | None = None
-        self._fast, self.order = fast_readers(), order(self.report)
+        self._fast = {"cdr": FastReader("cdr"), "ros1": FastReader("ros1")}
+        self.order = order(self.report)
         self._assembler = ObservationAssembler(rig, self.report)
         self.truth = self._assembler.truth
         """Stamps [s] and true poses `T_palm_object` (4, 4) on the rig's topic of the truth; never in an observation."""
@@ -64,9 +65,8 @@ class ObservationStream:
             self.report.others.setdefault(message.topic, message.type)
             return []
         self.report.topics.setdefault(topic.name, topic)
-        topic.type = (
-            message.type
-        )  # this counts, not the type known in advance: a damaged file may contradict itself
+        # This counts, not the type known in advance: a damaged file may contradict itself.
+        topic.type = message.type
         found = []
         for measurement in decode(message, topic, self._rig.frames, self._fast):
             if topic.role == "tf_static":

@@ -49,9 +49,7 @@ class TopicOptions(NamedTuple):
 
     max_gap: float = 0.1  # a longer time between two joint states is counted as a gap [s]
     max_clock_difference: float = 0.1  # a larger difference of clocks is reported [s]
-    max_reasons: int = (
-        8  # number of different reasons that are kept for a topic; bounded, as a reason may quote its message
-    )
+    max_reasons: int = 8  # reasons that are kept for a topic; bounded, as one may quote its message
 
 
 TOPICS = TopicOptions()
@@ -172,9 +170,8 @@ def rig_topics(rig: Rig) -> dict[str, TopicReport]:
     poses, transforms = (RosType.POSE, RosType.POSE_COVARIANCE), (RosType.TF, RosType.TF_ROS1)
     images = RosType.IMAGE, RosType.COMPRESSED
     found = [TopicReport(topics.joint_states, "joints", (RosType.JOINTS,))]
-    found += [
-        TopicReport(topic, "wrench", (RosType.WRENCH,), name) for name, topic in topics.wrenches.items()
-    ]
+    wrenches = topics.wrenches.items()
+    found += [TopicReport(topic, "wrench", (RosType.WRENCH,), name) for name, topic in wrenches]
     for name, topic in topics.contacts.items():
         body = rig.fingers[name].frame if name in rig.fingers else ""
         found.append(TopicReport(topic, "contact", (RosType.CONTACT,), name, body))

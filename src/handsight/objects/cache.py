@@ -25,10 +25,9 @@ VERSION = 10
 """Part of every key; raise it whenever the same shape gives another geometry."""
 KEPT = 200
 """Files of each kind that are kept; the oldest are removed."""
-APPEARANCES = "appearances of objects"
-"""Name of masks and integers in the warning about a folder that cannot be written."""
 _warned: set[str] = set()
 T = TypeVar("T")
+Number = TypeVar("Number", bound=np.generic)
 
 
 def key(kind: str, *arrays: NDArray[np.generic]) -> str:
@@ -50,36 +49,16 @@ def remembered(name: str, compute: Callable[[], Geometry]) -> Geometry:
     return _remembered(path, name, "distance fields", _geometry, geometry_bytes, compute)
 
 
-def remembered_bits(
-    name: str, shape: tuple[int, int], compute: Callable[[], NDArray[np.bool_]]
-) -> NDArray[np.bool_]:
-    """Returns the mask of that shape kept under the key `name`, or computes and keeps it as `remembered` does."""
-
-    def load(data: memoryview) -> NDArray[np.bool_]:
-        packed = np.frombuffer(data, dtype=np.uint8)
-        return np.unpackbits(packed, count=shape[0] * shape[1]).reshape(shape).astype(np.bool_)
-
-    path = cache_folder() / f"bits-{name}"
-    return _remembered(path, name, APPEARANCES, load, lambda bits: np.packbits(bits).tobytes(), compute)
-
-
 def remembered_numbers(
-    name: str, fits: Callable[[NDArray[np.int32]], bool], compute: Callable[[], NDArray[np.int32]]
-) -> NDArray[np.int32]:
-    """Returns the integers (n,) kept under the key `name`, or computes and keeps them as `remembered` does.
+    kind: str, name: str, dtype: type[Number], compute: Callable[[], NDArray[Number]]
+) -> NDArray[Number]:
+    """Returns the numbers (n,) of a `kind` kept under the key `name`, or computes and keeps them, as `remembered`."""
 
-    `fits`: whether integers that were read from the file are possible; if not, they are computed again.
-    """
+    def load(data: memoryview) -> NDArray[Number]:
+        return np.frombuffer(data, dtype=dtype).copy()
 
-    def load(data: memoryview) -> NDArray[np.int32]:
-        """Returns the integers of a file; raises ValueError for impossible ones."""
-        numbers = np.frombuffer(data, dtype=np.int32)
-        if not fits(numbers):
-            raise ValueError("other numbers than those that were kept")
-        return numbers.copy()
-
-    path = cache_folder() / f"numbers-{name}"
-    return _remembered(path, name, APPEARANCES, load, lambda numbers: numbers.tobytes(), compute)
+    path = cache_folder() / f"{kind}-{name}"
+    return _remembered(path, name, "appearances of objects", load, lambda found: found.tobytes(), compute)
 
 
 def _remembered(
@@ -90,10 +69,8 @@ def _remembered(
     to_bytes: Callable[[T], bytes],
     compute: Callable[[], T],
 ) -> T:
-    """Returns what `load` makes of the file's content; else what `compute` returns, and writes that to the file.
-
-    `what` names the content in the warning about a folder that cannot be written.
-    """
+    """Returns what `load` makes of the file's content; else what `compute` returns, and writes that to the file. `what`
+    names the content in the warning about a folder that cannot be written."""
     with contextlib.suppress(Exception):  # whatever is wrong with the file, its content can be computed again
         return load(read_entry(path, name))
     built = compute()

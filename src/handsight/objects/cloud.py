@@ -17,7 +17,7 @@ from handsight.errors import InvalidObject
 from handsight.objects.fields import grid_fields, grids
 from handsight.objects.geometry import Geometry, geometry_of, roughened, with_error
 from handsight.objects.meshes.box_tree import Winding
-from handsight.objects.scans.normals import estimated_normals
+from handsight.objects.scans.normals import NORMALS, outwards, planes
 from handsight.objects.scans.roughness import unseen_variances
 from handsight.objects.scans.scan import scanned
 from handsight.objects.surface import SURFACE, Cloud, check_extent, diameter, distinct
@@ -57,7 +57,7 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
         points, normals = scan.surface.converged()
     tree = cKDTree(points)
     if normals is None:
-        normals = estimated_normals(points, tree)
+        normals = outwards(points, planes(points, points, NORMALS.neighbours), tree)
     reach = tree.query(points, k=CLOUD.area_neighbours + 1)[0][:, -1]
     # A disc holds its neighbours and half the one on its rim.
     cloud = Cloud(points, normals, np.pi * reach**2 / (CLOUD.area_neighbours + 0.5))
@@ -72,7 +72,12 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
     for axis, n in enumerate(coarse.shape):
         nearer = np.minimum(gap.take(range(n - 1), axis), gap.take(range(1, n), axis))
         hole = max(hole, float(2 * nearer[np.diff(inside, axis=axis)].max(initial=0.0)))
-    closed = hole < SURFACE.max_hole * size and _is_wound_once(cloud, winding)
+    # Is the winding number 1 behind nearly all points, and 0 in front of them? Nearer than two spacings, single points
+    # change it.
+    index = np.random.default_rng(3).permutation(len(points))[:400]
+    step = 2 * cloud.spacing * normals[index]
+    behind, front = winding.at(points[index] - step), winding.at(points[index] + step)
+    closed = hole < SURFACE.max_hole * size and bool(((behind > 0.5) & (front < 0.5)).mean() > 0.9)
     if closed:
         distances, blur = closed_distances(cloud, tree, heights, winding), 0.0
     else:
@@ -97,28 +102,18 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
 
 def _checked(points: Array, normals: Array | None) -> tuple[Array, Array | None, tuple[str, ...]]:
     """Returns the points and normals without repeats, and a remark where there were any; raises InvalidObject."""
+    expected = f"points: expected at least {CLOUD.min_points}"
     if len(points) < CLOUD.min_points:
-        raise InvalidObject(f"points: expected at least {CLOUD.min_points} points, got {len(points)}")
+        raise InvalidObject(f"{expected} points, got {len(points)}")
     extent = check_extent(points, "points")
     first, _ = distinct(points, extent)
     if len(first) < CLOUD.min_points:
-        raise InvalidObject(
-            f"points: expected at least {CLOUD.min_points} different points, got {len(first)}"
-        )
+        raise InvalidObject(f"{expected} different points, got {len(first)}")
     repeated = len(points) - len(first)
     points, normals = points[first], None if normals is None else normals[first]
     if np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6 * extent) < 2:
         raise InvalidObject("points: expected a surface, got points on one line")
     return points, normals, (f"{repeated} repeated points were dropped",) if repeated else ()
-
-
-def _is_wound_once(cloud: Cloud, winding: Winding) -> bool:
-    """Returns whether the winding number is 1 behind nearly all points, and 0 in front of them."""
-    index = np.random.default_rng(3).permutation(len(cloud.vertices))[:400]
-    # Nearer than two spacings, single points change the winding number.
-    step = 2 * cloud.spacing * cloud.normals[index]
-    behind, front = winding.at(cloud.vertices[index] - step), winding.at(cloud.vertices[index] + step)
-    return bool(((behind > 0.5) & (front < 0.5)).mean() > 0.9)
 
 
 def plane_heights(cloud: Cloud, tree: cKDTree) -> Heights:
@@ -148,14 +143,11 @@ def closed_distances(
     def distances(nodes: Array) -> Array:
         """Returns the height near the surface, blended into the distance to the nearest point far from it."""
         near, nearest = tree.query(nodes)
-        share = _smooth_step(near / cloud.spacing, CLOUD.near, CLOUD.far)
-        far = near.copy()
-        away = np.flatnonzero(share > 0)
-        far[away] *= np.where(winding.inside(nodes[away]), -1.0, 1.0)
-        close = np.flatnonzero(share < 1)
-        smooth = np.zeros(len(nodes))
+        share, smooth = _smooth_step(near / cloud.spacing, CLOUD.near, CLOUD.far), np.zeros(len(nodes))
+        away, close = np.flatnonzero(share > 0), np.flatnonzero(share < 1)
+        near[away] *= np.where(winding.inside(nodes[away]), -1.0, 1.0)
         smooth[close] = heights(nodes[close], nearest[close])
-        return np.asarray((1 - share) * smooth + share * far)
+        return np.asarray((1 - share) * smooth + share * near)
 
     return distances
 

@@ -108,15 +108,33 @@ def geometry_of(
     remarks: tuple[str, ...] = (),
 ) -> Geometry:
     """Returns the geometry of a surface with these distance fields: its samples, sizes and errors; `diameter` [m]."""
+    from handsight._kernels.math.spreading import snapped, spread_out  # numba's import is long
+
     vertices, _ = frozen(surface.vertices), frozen(surface.faces)
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
-    points, normals = _spread(surface, GEOMETRY.samples)
+    # The samples are chosen from many random points, each the farthest from those before it, and then moved by Lloyd's
+    # steps, each to the random point nearest to the middle of its own. Distances include normals, so that the two sides
+    # of a thin wall are separate.
+    n = GEOMETRY.samples
+    points, normals = surface.draw(GEOMETRY.drawn_per_sample * n, np.random.default_rng(0))
+    features = np.hstack([points, np.sqrt(surface.area / n) * normals])
+    chosen = snapped(features, spread_out(features, n, GEOMETRY.lloyd_steps))
     _, distance, angle = _errors(surface, fine, GEOMETRY.typical_samples, seed=1)
+    field_error = None
+    if isinstance(fine, GridField):  # at each node of a grid, from the samples of the surface nearest to it
+        places, *off = _errors(surface, fine, GEOMETRY.error_samples, seed=2)
+        # From mean magnitudes, √(2/π) and √(π/2) of a Gaussian's deviation, because squares would let a few samples at
+        # an edge dominate their neighbours.
+        lengths = np.stack([off[0] * np.sqrt(np.pi / 2), off[1] * np.sqrt(2 / np.pi)], axis=1)
+        grid = centered_grid(vertices, coarse.cell, np.ceil(np.ptp(vertices, axis=0) / coarse.cell) + 2)
+        values = np.zeros((*grid.shape, 4))
+        values[..., :2] = _mean_of_nearest(places, lengths, grid.nodes()).reshape(*grid.shape, 2) ** 2
+        field_error = FieldError(grid.origin, coarse.cell, values)
     return Geometry(
         coarse=coarse,
         fine=fine,
-        points_object=frozen(points),
-        normals_object=frozen(normals),
+        points_object=frozen(points[chosen]),
+        normals_object=frozen(normals[chosen]),
         area=surface.area,
         diameter=diameter,
         bounds_object=frozen(bounds),
@@ -125,8 +143,8 @@ def geometry_of(
         # |x| for a standard deviation of 1, and 1.1774 that of the length of two such numbers.
         sigma_point=float(np.median(distance) / 0.6745),
         sigma_normal=float(np.median(angle) / 1.1774),
-        field_error=_field_error(surface, fine, coarse.cell) if isinstance(fine, GridField) else None,
-        remarks=(*remarks, *_unit_remarks(bounds)),
+        field_error=field_error,
+        remarks=(*remarks, *_unit_remarks(float((bounds[1] - bounds[0]).max()))),
         surface=surface,
     )
 
@@ -167,36 +185,6 @@ def frozen(array: NDArray[Number]) -> NDArray[Number]:
     return array
 
 
-def _spread(surface: Surface, n: int) -> tuple[Array, Array]:
-    """Returns n evenly spread surface points (n, 3) [m] with normals (n, 3), each standing for about the same area.
-
-    They are chosen from many random points, each the farthest from those before it, and then moved by Lloyd's steps,
-    each to the middle of the random points nearest to it. Distances include normals, so that the two sides of a thin
-    wall are separate.
-    """
-    from handsight._kernels.math.spreading import snapped, spread_out  # numba's import is long
-
-    points, normals = surface.draw(GEOMETRY.drawn_per_sample * n, np.random.default_rng(0))
-    features = np.hstack([points, np.sqrt(surface.area / n) * normals])
-    # A middle lies off a curved surface, so the random point nearest to it is taken, each once.
-    index = snapped(features, spread_out(features, n, GEOMETRY.lloyd_steps))
-    return points[index], normals[index]
-
-
-def _field_error(surface: Surface, fine: Field, cell: float) -> FieldError:
-    """Returns the error of a fine field on a grid with this cell [m], from the samples of the surface nearest to each
-    node."""
-    points, distance, angle = _errors(surface, fine, GEOMETRY.error_samples, seed=2)
-    # From mean magnitudes, √(2/π) and √(π/2) of a Gaussian's deviation, because squares would let a few samples at an
-    # edge dominate their neighbours.
-    lengths = np.stack([distance * np.sqrt(np.pi / 2), angle * np.sqrt(2 / np.pi)], axis=1)
-    grid = centered_grid(surface.vertices, cell, np.ceil(np.ptp(surface.vertices, axis=0) / cell) + 2)
-    nodes = grid.nodes()
-    values = np.zeros((len(nodes), 4))
-    values[:, :2] = _mean_of_nearest(points, lengths, nodes) ** 2
-    return FieldError(grid.origin, cell, values.reshape(*grid.shape, 4))
-
-
 def _mean_of_nearest(points: Array, values: Array, nodes: Array) -> Array:
     """Returns the mean (n, k) of the values (m, k) at the points (m, 3) nearest to each of the nodes (n, 3)."""
     import numba  # an object from the cache needs neither numba nor scipy
@@ -215,9 +203,8 @@ def _errors(surface: Surface, fine: Field, count: int, seed: int) -> tuple[Array
     return points, np.abs(distance), np.arctan2(sine, (gradient * normals).sum(axis=1))
 
 
-def _unit_remarks(bounds: Array) -> tuple[str, ...]:
-    """Returns a remark where bounds (2, 3) [m] suggest another unit than metres."""
-    extent = float((bounds[1] - bounds[0]).max())
+def _unit_remarks(extent: float) -> tuple[str, ...]:
+    """Returns a remark where the largest extent [m] suggests another unit than metres."""
     if GEOMETRY.min_extent <= extent <= GEOMETRY.max_extent:
         return ()
     units = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "metres, scaled down twice": 1000.0}

@@ -75,15 +75,14 @@ class ObjectModel(Geometry):
     @classmethod
     def cylinder(cls, radius: float, height: float, *, symmetries: Symmetries | None = None) -> Self:
         """Returns a cylinder centred at the origin, axis z, `radius` and `height` [m]; raises InvalidInput."""
-        radius, height = _length(radius, "radius"), _length(height, "height")
+        radius, height = _checked_length(radius, "radius"), _checked_length(height, "height")
         geometry, own = primitives.cylinder(radius, height)
         return cls._from(geometry, "cylinder", symmetries or own)
 
     @classmethod
     def sphere(cls, radius: float, *, symmetries: Symmetries | None = None) -> Self:
         """Returns a ball centred at the origin, `radius` [m]; raises InvalidInput."""
-        radius = _length(radius, "radius")
-        geometry, own = primitives.sphere(radius)
+        geometry, own = primitives.sphere(_checked_length(radius, "radius"))
         return cls._from(geometry, "sphere", symmetries or own)
 
     @classmethod
@@ -176,10 +175,8 @@ class ObjectModel(Geometry):
         return self.surface.draw(int(n), np.random.default_rng(seed))
 
     def evaluate(self, points_object: ArrayLike, *, fine: bool = True) -> FieldValues:
-        """Returns distance, gradient and Hessian at the points (n, 3) [m]; raises InvalidInput.
-
-        `fine`: from the sharp distance field; False: from the smooth, coarse one.
-        """
+        """Returns distance, gradient and Hessian at the points (n, 3) [m]; raises InvalidInput. `fine`: from the sharp
+        distance field; False: from the smooth, coarse one."""
         points = checks.finite(points_object, "points_object", (None, 3))
         return (self.fine if fine else self.coarse).evaluate(points)
 
@@ -231,19 +228,15 @@ class ObjectModel(Geometry):
         return dataclasses.replace(self, mass=weight, center_of_mass=center, sigma_center_of_mass=sigma)
 
     def with_friction(self, friction: float | None, sigma: float = 0.1) -> Self:
-        """Returns the same object with this coefficient of friction and its sigma; None: to be learnt.
-
-        Raises InvalidInput.
-        """
+        """Returns the same object with this coefficient of friction and its sigma; None: to be learnt. Raises
+        InvalidInput."""
         check_friction(friction, sigma, "friction")
         return dataclasses.replace(self, friction=friction, sigma_friction=sigma)
 
     @property
     def volume_centroid(self) -> Array:
-        """(3,) the centroid of the volume: the centre of mass of a homogeneous object [m].
-
-        Raises InvalidObject for an open surface or a cloud.
-        """
+        """(3,) the centroid of the volume: the centre of mass of a homogeneous object [m]. Raises InvalidObject for an
+        open surface or a cloud."""
         if not self.closed or not isinstance(self.surface, Triangles):
             raise InvalidObject("object: expected a closed mesh for its volume's centroid, got none")
         return self.surface.volume_centroid
@@ -257,9 +250,8 @@ def check_friction(friction: float | None, sigma: float, name: str) -> None:
         raise InvalidInput(f"sigma_{name}: expected a number from 0.0001 to 10, got {sigma:g}")
 
 
-def _length(value: float, name: str) -> float:
-    length = checks.positive(value, name)
-    _check_range(length, name)
+def _checked_length(value: float, name: str) -> float:
+    _check_range(length := checks.positive(value, name), name)
     return length
 
 
@@ -271,7 +263,7 @@ def _check_range(value: ArrayLike, name: str) -> None:
 
 
 def _of_mesh(mesh: Triangles) -> Geometry:
-    # Imported here because it imports SciPy, which an object from the cache does not need.
+    # An object from the cache does not need SciPy, which this imports.
     from handsight.objects.meshes.mesh_geometry import mesh_geometry
 
     return mesh_geometry(mesh)
@@ -299,11 +291,9 @@ def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> Triangles:
     if triangles.size == 0:
         raise InvalidObject("faces: expected at least one triangle, got none")
     if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
-        raise InvalidObject(
-            f"faces: expected whole numbers of shape (m, 3), got {triangles.dtype} {triangles.shape}"
-        )
-    if triangles.min() < 0 or triangles.max() >= len(points):
-        raise InvalidObject(
-            f"faces: expected indices 0 to {len(points) - 1}, got {triangles.min()} to {triangles.max()}"
-        )
+        came = f"{triangles.dtype} {triangles.shape}"
+        raise InvalidObject(f"faces: expected whole numbers of shape (m, 3), got {came}")
+    low, high, last = triangles.min(), triangles.max(), len(points) - 1
+    if low < 0 or high > last:
+        raise InvalidObject(f"faces: expected indices 0 to {last}, got {low} to {high}")
     return Triangles(points, triangles.astype(np.int64))

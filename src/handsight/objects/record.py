@@ -11,10 +11,8 @@ from handsight.objects.symmetry import Symmetries
 
 
 class RecordOptions(NamedTuple):
-    """`RecordOptions` are the errors that an object's model is assumed to have, and the weights of phase 1.
-
-    Phase 1 of a correction matches contacts with samples of the surface.
-    """
+    """`RecordOptions` are the errors that an object's model is assumed to have, and the weights of phase 1. Phase 1 of
+    a correction matches contacts with samples of the surface."""
 
     edge: float = 0.75  # radius of curvature below which the surface counts as an edge [coarse cells]
     facet_margin: float = 0.01  # how far facets may be within the surface that they approximate [diameters]
@@ -62,11 +60,16 @@ def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
         error["inverse_cell"], error["origin"] = 1 / place_by_place.cell, place_by_place.origin
         error["shape"], error["nodes"] = place_by_place.values.shape[:3], sum(map(len, nodes))
         nodes.append(place_by_place.values.astype(np.float32).reshape(-1))
-    symmetry = row["symmetry"]
-    symmetry["kind"], symmetry["axes"] = _kind(symmetries), len(symmetries.axes)
+    symmetry, count = (
+        row["symmetry"],
+        len(symmetries.rotations),
+    )  # at most `MAX_ROTATIONS`, for which there is room
+    kind = records.NO_SYMMETRY if symmetries.trivial else records.DISCRETE
     for k, (point, direction) in enumerate(symmetries.axes):
+        through_origin = np.abs(point - (point @ direction) * direction).max() < 1e-15
+        kind = records.AXIS if len(symmetries.axes) == 1 and through_origin else records.OTHER_SYMMETRY
         symmetry["pivot"], symmetry["axis"][k] = point, direction
-    count = len(symmetries.rotations)  # at most `symmetry.MAX_ROTATIONS`, for which the record has room
+    symmetry["kind"], symmetry["axes"] = kind, len(symmetries.axes)
     symmetry["rotations"], symmetry["rotation"][:count] = count, symmetries.rotations[:, :3]
     row["normal_weight2"] = (RECORD.normal_weight * diameter) ** 2
     row["band"], row["tangential_weight"] = RECORD.band * spacing, 1 / (RECORD.tangential * spacing) ** 2
@@ -75,16 +78,4 @@ def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
     row["samples"][:, 0], row["samples"][:, 1] = geometry.points_object, geometry.normals_object
     row["scan"][0] = (geometry.points_object**2).sum(axis=1)
     row["scan"][1:4], row["scan"][4:] = geometry.points_object.T, geometry.normals_object.T
-    known = symmetry["kind"] != records.OTHER_SYMMETRY
-    return ModelRecord(record, np.concatenate(nodes), bool(known))
-
-
-def _kind(symmetries: Symmetries) -> int:
-    """Returns the kernels' name for the kind of these symmetries; OTHER_SYMMETRY for a kind that they do not know."""
-    if symmetries.trivial:
-        return records.NO_SYMMETRY
-    if not symmetries.axes:
-        return records.DISCRETE
-    point, direction = symmetries.axes[0]
-    through_origin = np.abs(point - (point @ direction) * direction).max() < 1e-15
-    return records.AXIS if len(symmetries.axes) == 1 and through_origin else records.OTHER_SYMMETRY
+    return ModelRecord(record, np.concatenate(nodes), kind != records.OTHER_SYMMETRY)

@@ -79,6 +79,14 @@ class Triangles:
         return Edges(ordered[first], which.reshape(-1, 3), count)
 
     @property
+    def shared(self) -> tuple[Indices, Indices]:
+        """(s,) each: the two triangles of each edge that two have, as 3 * triangle + the side of the triangle."""
+        edges = self.edges
+        order = np.argsort(edges.of_face, axis=None, kind="stable")
+        first = (np.cumsum(edges.counts) - edges.counts)[edges.counts == 2]
+        return order[first], order[first + 1]
+
+    @property
     def volume_centroid(self) -> Array:
         """(3,) the centroid of the enclosed volume [m]; raises InvalidObject where that volume is zero."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
@@ -153,17 +161,14 @@ def check_extent(points: Array, name: str) -> float:
     if extent == 0:
         raise InvalidObject(f"{name}: expected an object with a size, got all points in one place")
     if not SURFACE.min_size <= extent <= SURFACE.max_size or np.abs(points).max() > SURFACE.max_size:
-        raise InvalidObject(
-            f"{name}: expected a size of {SURFACE.min_size:g} to {SURFACE.max_size:g} m, got {extent:.4g}"
-        )
+        expected = f"expected a size of {SURFACE.min_size:g} to {SURFACE.max_size:g} m"
+        raise InvalidObject(f"{name}: {expected}, got {extent:.4g}")
     return extent
 
 
 def distinct(points: Array, extent: float) -> tuple[Indices, Indices]:
     """Returns the indices (k,) of the points (n, 3) that repeat no earlier one, and each point's place (n,) in them.
-
-    Points closer than 1e-9 of the `extent` [m] are repeats.
-    """
+    Points closer than 1e-9 of the `extent` [m] are repeats."""
     keys = np.round((points - points.min(axis=0)) / (1e-9 * extent)).astype(np.int64)
     _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(first))

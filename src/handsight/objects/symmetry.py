@@ -43,7 +43,22 @@ class Symmetries:
         for k, (point, direction) in enumerate(axes):
             base = checks.finite(point, f"axes[{k}].point", (3,))
             lines.append((base, checks.unit(direction, f"axes[{k}].direction", (3,))))
-        object.__setattr__(self, "axes", _merged(lines))
+        size, crossing = max([1e-3, *(float(np.abs(point).max()) for point, _ in lines)]), None
+        for other, direction in lines[1:]:
+            point, first = lines[0]
+            gap, normal = other - point, np.cross(first, direction)
+            if np.linalg.norm(normal) < SAME:
+                if np.linalg.norm(np.cross(gap, first)) > 1e-6 * size:
+                    raise InvalidInput("axes: expected axes that cross, got two that are parallel")
+                continue
+            if abs(gap @ normal) > 1e-6 * size * np.linalg.norm(normal):
+                raise InvalidInput("axes: expected axes that cross, got two that pass each other")
+            center = point + (np.cross(gap, direction) @ normal) / (normal @ normal) * first
+            if crossing is not None and np.linalg.norm(center - crossing) > 1e-6 * size:
+                raise InvalidInput("axes: expected axes that cross in one point, got several points")
+            crossing = center
+        ball = [(crossing, axis) for axis in np.eye(3)]
+        object.__setattr__(self, "axes", tuple(lines[:1] if crossing is None else ball))
         group = [] if rotations is None else [se3.check(T, "rotations") for T in np.asarray(rotations)]
 
         def distance(T: Array, others: Array) -> Array:
@@ -88,9 +103,8 @@ def nearest(symmetries: Symmetries, T: Array, T_reference: Array, radius: float)
     candidates = T[..., None, :, :] @ symmetries.rotations
     reference = T_reference[..., None, :, :]
     if symmetries.round:
-        candidates = _nearest_about_center(
-            candidates[..., :1, :, :], reference, symmetries.axes[0][0], radius
-        )
+        first, center = candidates[..., :1, :, :], symmetries.axes[0][0]
+        candidates = _nearest_about_center(first, reference, center, radius)
     elif symmetries.axes:
         candidates = _nearest_about_axis(candidates, reference, symmetries.axes[0], radius)
     delta = se3.difference(candidates, np.broadcast_to(reference, candidates.shape))
@@ -217,28 +231,3 @@ def _remaining_rotation(angle: Array, share: Array) -> Array:
     half = angle / 2
     sine = np.sqrt(np.maximum(1 - share**2, 0.0) + (share * np.sin(half)) ** 2)
     return np.asarray(2 * np.arctan2(sine, np.abs(share * np.cos(half))))
-
-
-def _merged(lines: list[tuple[Array, Array]]) -> tuple[tuple[Array, Array], ...]:
-    """Returns the axes without repeats, or three through one point where two or more cross; raises InvalidInput."""
-    if not lines:
-        return ()
-    size = max(1e-3, *(float(np.abs(point).max()) for point, _ in lines))
-    point, first = lines[0]
-    crossing = None
-    for other, direction in lines[1:]:
-        normal = np.cross(first, direction)
-        gap = other - point
-        if np.linalg.norm(normal) < SAME:
-            if np.linalg.norm(np.cross(gap, first)) > 1e-6 * size:
-                raise InvalidInput("axes: expected axes that cross, got two that are parallel")
-            continue
-        if abs(gap @ normal) > 1e-6 * size * np.linalg.norm(normal):
-            raise InvalidInput("axes: expected axes that cross, got two that pass each other")
-        center = point + (np.cross(gap, direction) @ normal) / (normal @ normal) * first
-        if crossing is not None and np.linalg.norm(center - crossing) > 1e-6 * size:
-            raise InvalidInput("axes: expected axes that cross in one point, got several points")
-        crossing = center
-    if crossing is None:
-        return ((point, first),)
-    return tuple((crossing, axis) for axis in np.eye(3))

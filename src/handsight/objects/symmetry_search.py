@@ -5,6 +5,7 @@ Only a person can decide whether a print on the surface distinguishes two poses 
 
 import re
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -25,15 +26,13 @@ class SymmetrySearchOptions(NamedTuple):
 
     tolerance: float = 0.01  # distance of the turned surface from the surface that counts as none [diameters]
     samples: int = 400  # surface points that are compared
-    max_start_error: float = 0.06
-    """Root mean square distance above which no refinement leads to a symmetry [diameters]."""
+    max_start_error: float = 0.06  # root mean square distance above which no refinement helps [diameters]
     equal_moments: float = 0.15
     """Where two principal moments differ by less than this share, axes between theirs are tried too."""
     steps: int = 6  # of a refinement
     directions: int = 150  # directions tried on the half sphere where no axis is distinguished
     percentile: int = 98
-    """Per cent of the samples that must be within the tolerance; the others may be at corners, which the field rounds
-    off."""
+    """Per cent of the samples that must be within the tolerance; others may be at corners, which the field rounds."""
     declared_tolerance: float = 0.04  # `tolerance` for a symmetry that a person declares [diameters]
     declared_samples: int = 1000  # `samples` for such a symmetry
 
@@ -60,13 +59,11 @@ def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Sy
     dihedral groups and those of the tetrahedron, the cube, the cylinder and the ball. The model stays as it is:
     `model.with_symmetries(...)` declares them. Raises InvalidInput for a tolerance that is not positive.
     """
-    limit = SEARCH.tolerance * model.diameter
-    if tolerance is not None:
-        limit = checks.positive(tolerance, "tolerance")
-    search = _Search(model, limit)
+    default = SEARCH.tolerance * model.diameter
+    search = _Search(model, default if tolerance is None else checks.positive(tolerance, "tolerance"))
     directions = search.directions()
     for direction in directions:
-        line = search.continuous(direction)
+        line = search.axis(direction, _SPINS)
         if line is not None:
             return search.of_revolution(*line)
     axes: list[_Axis] = []
@@ -100,7 +97,7 @@ def declared_symmetries(model: ObjectModel, words: Sequence[str]) -> Symmetries:
             raise InvalidInput(f"symmetry: expected {expected}, got {word!r}")
         axis = np.eye(3)["xyz".index(found[1])]
         angles = [2 * np.pi / int(found[2])] if found[2] else 2 * np.pi * np.arange(1, 12) / 12
-        off = max(_distance(model, about(center, angle * axis), points) for angle in angles)
+        off = max(_distance(model, points, about(center, angle * axis)) for angle in angles)
         if off > SEARCH.declared_tolerance * model.diameter:
             expected = "expected turns that leave the surface in place"
             raise InvalidInput(f"symmetry: {expected}, got {word}, which is {1e3 * off:.1f} mm off")
@@ -111,7 +108,7 @@ def declared_symmetries(model: ObjectModel, words: Sequence[str]) -> Symmetries:
     return Symmetries(axes, np.array(turns) if turns else None)
 
 
-def _distance(model: ObjectModel, T: Array, points: Array) -> float:
+def _distance(model: ObjectModel, points: Array, T: Array) -> float:
     """Returns a high percentile of the distances [m] to the surface from its points (n, 3) after the motion `T`."""
     distance = model.fine.evaluate(se3.apply(T, points)).distance
     return float(np.percentile(np.abs(distance), SEARCH.percentile))
@@ -126,26 +123,16 @@ class _Search:
         self.center = many.mean(axis=0)
         self.moments, self.principal = np.linalg.eigh(np.cov((many - self.center).T))
         self.model, self.size = model, model.diameter
+        self.worst = partial(_distance, model, self.points)
         self.limit = tolerance + self.worst(np.eye(4))
-
-    def worst(self, T: Array) -> float:
-        """Returns a high percentile of the distances [m] of the samples from the surface after the motion `T`."""
-        return _distance(self.model, T, self.points)
 
     def directions(self) -> Array:
         """Returns directions (k, 3) of possible axes: principal ones, x, y, z, and those between equal moments."""
-        found = np.vstack([self.principal.T[::-1], np.eye(3)])
-        low, middle, high = self.moments
-        if low > (1 - SEARCH.equal_moments) * high:
-            k = np.arange(SEARCH.directions) + 0.5
-            z, angle = k / SEARCH.directions, np.pi * (1 + np.sqrt(5)) * k
-            r = np.sqrt(1 - z * z)
-            return np.vstack([found, np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)])
-        for i, j, alike in (
-            (0, 1, low > (1 - SEARCH.equal_moments) * middle),
-            (1, 2, middle > (1 - SEARCH.equal_moments) * high),
-        ):
-            if alike:
+        found, moments = np.vstack([self.principal.T[::-1], np.eye(3)]), self.moments
+        if moments[0] > (1 - SEARCH.equal_moments) * moments[2]:
+            return np.vstack([found, se3.directions(2 * SEARCH.directions)[: SEARCH.directions]])
+        for i, j in ((0, 1), (1, 2)):
+            if moments[i] > (1 - SEARCH.equal_moments) * moments[j]:
                 angle = np.pi * np.arange(48)[:, None] / 48
                 between = np.cos(angle) * self.principal[:, i] + np.sin(angle) * self.principal[:, j]
                 found = np.vstack([found, between])
@@ -167,45 +154,35 @@ class _Search:
             T = se3.moved(T, change)
         return T
 
-    def line(self, T: Array) -> tuple[Array, Array]:
-        """Returns the axis of a rotation `T`: its point nearest to the object's centre, and its direction."""
-        vector = se3.rotation_log(T[:3, :3])
-        direction = vector / np.linalg.norm(vector)
-        offset = se3.apply(T, self.center[None])[0] - self.center
-        across = offset - (offset @ direction) * direction
-        point, *_ = np.linalg.lstsq(np.eye(3) - T[:3, :3], across, rcond=1e-6)
-        return self.center + point, direction
-
-    def continuous(self, direction: Array) -> tuple[Array, Array] | None:
-        """Returns point and direction of an axis near a direction about which any turn keeps the surface, or None."""
-        T = self.refined(about(self.center, _SPINS[0] * direction))
+    def axis(self, direction: Array, angles: Array, drift: float = np.inf) -> tuple[Array, Array] | None:
+        """Returns point and direction of an axis near a direction about which turns by the angles [rad] keep the
+        surface, or None; `drift`: the most by which the first angle may change in the refinement [rad]."""
+        T = self.refined(about(self.center, angles[0] * direction))
         if T is None:
             return None
-        point, axis = self.line(T)
-        if all(self.worst(about(point, angle * axis)) < self.limit for angle in _SPINS):
-            return point, axis * np.sign(axis @ direction)
-        return None
+        vector = se3.rotation_log(T[:3, :3])
+        angle = np.linalg.norm(vector)
+        along, offset = vector / angle, se3.apply(T, self.center[None])[0] - self.center
+        across = offset - (offset @ along) * along
+        point = self.center + np.linalg.lstsq(np.eye(3) - T[:3, :3], across, rcond=1e-6)[0]
+        if abs(angle - angles[0]) > drift or any(
+            self.worst(about(point, a * along)) >= self.limit for a in angles
+        ):
+            return None
+        return point, along * np.sign(along @ direction)
 
     def finite(self, direction: Array) -> _Axis | None:
         """Returns the axis near a direction with the highest order that keeps the surface, or None."""
         for order in ORDERS:
-            T = self.refined(about(self.center, 2 * np.pi / order * direction))
-            if T is None:
-                continue
-            vector = se3.rotation_log(T[:3, :3])
-            if abs(np.linalg.norm(vector) - 2 * np.pi / order) > 0.2 / order:
-                continue
-            point, axis = self.line(T)
-            if self.worst(about(point, 2 * np.pi / order * axis)) < self.limit:
-                return _Axis(point, axis, order)
+            found = self.axis(direction, np.array([2 * np.pi / order]), 0.2 / order)
+            if found is not None:
+                return _Axis(*found, order)
         return None
 
     def of_revolution(self, point: Array, axis: Array) -> Symmetries:
-        """Returns the symmetries of a surface with this continuous axis: those of a ball, or the axis with or without a
-        half turn that swaps its ends."""
-        side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-        side /= np.linalg.norm(side)
-        if self.continuous(side) is not None:
+        """Returns the symmetries of a surface with this axis: a ball's, or the axis with or without swapped ends."""
+        side = se3.perpendicular(axis)
+        if self.axis(side, _SPINS) is not None:
             return Symmetries([(self.center, axis) for axis in np.eye(3)])
         T = self.refined(about(point, np.pi * side))
         if T is not None:
@@ -223,7 +200,22 @@ class _Search:
         axes = sorted(axes, key=lambda a: -a.order)
         center = np.mean([a.point for a in axes], axis=0) if len(axes) > 1 else axes[0].point
         cyclic = 2 * np.pi / axes[0].order * axes[0].direction
-        for vectors in (*_polyhedral(axes), *_dihedral(axes), cyclic[None]):
+        candidates = []  # rotation vectors (m, 3) that generate a group
+        for order in (4, 2):  # the cube's, the tetrahedron's
+            square = [a.direction for a in axes if a.order % order == 0]
+            pairs = [(a, b) for a in square for b in square if abs(a @ b) < 0.1]
+            if pairs and sum(a.order % 3 == 0 for a in axes) > 1:
+                frame = _frame(*pairs[0])
+                diagonal = 2 * np.pi / 3 / np.sqrt(3) * frame.sum(axis=0)
+                candidates.append(np.vstack([2 * np.pi / order * frame, diagonal]))
+        for main in axes:  # dihedral: an axis with half turns across it
+            across = [
+                a.direction for a in axes if a.order % 2 == 0 and abs(a.direction @ main.direction) < 0.1
+            ]
+            if across:
+                frame = _frame(main.direction, across[0])
+                candidates.append(np.stack([2 * np.pi / main.order * frame[0], np.pi * frame[1]]))
+        for vectors in (*candidates, cyclic[None]):
             found = Symmetries(rotations=about(center, vectors))
             if all(self.worst(T) < 1.2 * self.limit for T in found.rotations):
                 return found
@@ -235,28 +227,3 @@ def _frame(x: Array, near_y: Array) -> Array:
     y = near_y - (near_y @ x) * x
     y = y / np.linalg.norm(y)
     return np.stack([x, y, np.cross(x, y)])
-
-
-def _polyhedral(axes: list[_Axis]) -> list[Array]:
-    """Returns rotation vectors (4, 3) that generate the cube's or the tetrahedron's group, for each that the axes
-    allow."""
-    found = []
-    for order in (4, 2):
-        square = [a.direction for a in axes if a.order % order == 0]
-        pairs = [(a, b) for a in square for b in square if abs(a @ b) < 0.1]
-        if pairs and sum(a.order % 3 == 0 for a in axes) > 1:
-            frame = _frame(*pairs[0])
-            diagonal = 2 * np.pi / 3 / np.sqrt(3) * frame.sum(axis=0)
-            found.append(np.vstack([2 * np.pi / order * frame, diagonal]))
-    return found
-
-
-def _dihedral(axes: list[_Axis]) -> list[Array]:
-    """Returns rotation vectors (2, 3) that generate the group of an axis with half turns across it, for each axis."""
-    found = []
-    for main in axes:
-        across = [a.direction for a in axes if a.order % 2 == 0 and abs(a.direction @ main.direction) < 0.1]
-        if across:
-            frame = _frame(main.direction, across[0])
-            found.append(np.stack([2 * np.pi / main.order * frame[0], np.pi * frame[1]]))
-    return found

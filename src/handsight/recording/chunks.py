@@ -34,9 +34,7 @@ class ChunkLimits(NamedTuple):
     message_overhead: int = 300  # memory of a message besides its data
     spare_unpacked: int = 1 << 28  # unpacked size that any file may have, however short
     spare_message: int = 1 << 24  # unpacked size that any message may have, such as an image of one colour
-    max_expansion: int = (
-        200  # unpacked bytes for each byte of the file; robots' data shrink to a half or a tenth
-    )
+    max_expansion: int = 200  # unpacked bytes for each of the file; robots' data shrink to a half or a tenth
     piece: int = 1 << 16  # data are unpacked in such pieces, so that those before a fault are kept
     spare_records: int = 100_000  # number of records that any file may hold, however short
 
@@ -180,20 +178,17 @@ class Budget:
         """Counts a chunk, and returns why it must not be read; None: it may."""
         self._bytes -= chunk.size if chunk.compression not in ("", "none") else 0
         if self._bytes < 0:
-            return (
-                f"expected at most {CHUNKS.max_expansion} times the file's bytes in all its chunks, got more"
-            )
+            most = f"{CHUNKS.max_expansion} times the file's bytes"
+            return f"expected at most {most} in all its chunks, got more"
         return None if self.records > 0 else TOO_MANY
 
     def limited(self, records: Iterable[Each]) -> Iterator[Each]:
         """Yields records while the budget allows, and counts them."""
-        left = self.records
-        try:
-            for after, each in zip(range(self.records - 1, -1, -1), records, strict=False):
-                left = after
-                yield each
-        finally:
-            self.records = left
+        for each in records:
+            if self.records <= 0:
+                return
+            self.records -= 1
+            yield each
 
 
 def seconds(nanoseconds: int) -> float:
@@ -219,9 +214,7 @@ def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | Non
     try:
         for part in _unpack(new, pieces, size):
             out += part
-    except (
-        Exception
-    ) as error:  # each library has its own errors for broken data; the data before them are kept
+    except Exception as error:  # each library has its own for broken data; the data before them are kept
         return bytes(out), f"cannot be unpacked beyond {len(out)} of {size} bytes ({error})"
     return bytes(out), None if len(out) == size else f"expected {size} bytes, got {len(out)}"
 

@@ -49,14 +49,15 @@ def read_bop_results(path: str | os.PathLike[str]) -> list[BopResult]:
         text = read_bytes(path, 256 * 1024**2).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InvalidFile(f"{path}: expected text in UTF-8, got bytes that are none") from None
-    rows, found = csv.reader(text.splitlines(), strict=True), list[BopResult]()
+    rows, head = csv.reader(text.splitlines(), strict=True), BOP_COLUMNS.split(",")
     try:
-        for row in rows:
-            if row and not (rows.line_num == 1 and [cell.strip() for cell in row] == BOP_COLUMNS.split(",")):
-                found.append(_result(row))
+        return [
+            _result(row)
+            for row in rows
+            if row and not (rows.line_num == 1 and [cell.strip() for cell in row] == head)
+        ]
     except (ValueError, OverflowError, csv.Error, HandsightError) as error:
         raise InvalidFile(f"{path}: line {rows.line_num}: {error}") from None
-    return found
 
 
 def _result(row: list[str]) -> BopResult:
@@ -139,6 +140,7 @@ def json_line(row: Located | Unread) -> str:
     if row.recognition is not None:
         fields |= {"scores": row.recognition.scores, "none": row.recognition.none}
     if reason is None:
+        columns = found.Ts_camera_object, found.covariances, found.weights
         poses = [
             {
                 "position": T[:3, 3].tolist(),
@@ -146,9 +148,7 @@ def json_line(row: Located | Unread) -> str:
                 "covariance": covariance.tolist(),
                 "weight": float(weight),
             }
-            for T, covariance, weight in zip(
-                found.Ts_camera_object, found.covariances, found.weights, strict=True
-            )
+            for T, covariance, weight in zip(*columns, strict=True)
         ]
         fields |= {key: value for key, value in poses[0].items() if key != "weight"}
         fields |= {"probability": found.probability, "explained": row.explained, "hypotheses": poses}
@@ -165,8 +165,7 @@ def bop_line(row: Located | Unread, numbers: Mapping[str, int]) -> str | None:
     if isinstance(row, Unread) or row.reason is not None:
         return None
     T = row.found.Ts_camera_object[0]
-    R, t = (
-        " ".join(f"{value:.6f}" for value in part.ravel()) for part in (T[:3, :3], T[:3, 3] / 1e-3)
-    )  # t in mm
+    parts = T[:3, :3], T[:3, 3] / 1e-3  # t in mm
+    R, t = (" ".join(f"{value:.6f}" for value in part.ravel()) for part in parts)
     scene, image = row.frame.number or (0, 0)
     return f"{scene},{image},{numbers[row.model.name]},{row.explained:.4f},{R},{t},{row.seconds:.4f}"

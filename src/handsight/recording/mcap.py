@@ -7,24 +7,15 @@ import mmap
 import struct
 from collections.abc import Collection, Iterator
 from contextlib import suppress
-from enum import IntEnum
 from pathlib import Path
 
 from handsight.messages import RawMessage
 from handsight.recording.chunks import Chunk, ChunkedSource, seconds
 
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 2, 3, 4, 5, 6
+"""The kinds of records."""
 RECORD, TEXT = struct.Struct("<BQ"), struct.Struct("<I")
 MESSAGE_HEAD, CHUNK_HEAD = struct.Struct("<HIQQ"), struct.Struct("<QQQI")
-
-
-class Op(IntEnum):
-    """`Op` is the kind of a record."""
-
-    FOOTER = 2
-    SCHEMA = 3
-    CHANNEL = 4
-    MESSAGE = 5
-    CHUNK = 6
 
 
 class McapSource(ChunkedSource):
@@ -40,11 +31,11 @@ class McapSource(ChunkedSource):
         # Consecutive messages outside chunks are read together as chunks of up to a megabyte: `run`.
         size, run = len(self.data), None
         for op, begin, end in _records(self.data, len(self.MAGIC), size):
-            if run is not None and (op != Op.MESSAGE or begin - run.offset > 1 << 20):
+            if run is not None and (op != MESSAGE or begin - run.offset > 1 << 20):
                 yield run
                 run = None
             at, stop = begin + CHUNK_HEAD.size + TEXT.size, min(end, size)
-            if op == Op.CHUNK and at <= stop:
+            if op == CHUNK and at <= stop:
                 start, _, unpacked, crc = CHUNK_HEAD.unpack_from(self.data, begin)
                 name = at + TEXT.unpack_from(self.data, at - TEXT.size)[0]
                 if name + 8 <= stop:
@@ -52,19 +43,17 @@ class McapSource(ChunkedSource):
                     compression = self.data[at : min(name, at + 20)].decode("ascii", "replace")
                     yield Chunk(start, name + 8, length, compression, unpacked, crc)
             if end > size:
-                self.truncated = (
-                    f"the file ends at byte {size} in a record that begins at {begin - RECORD.size}"
-                    f" and says it goes to {end}"
-                )
+                record = f"a record that begins at {begin - RECORD.size} and says it goes to {end}"
+                self.truncated = f"the file ends at byte {size} in {record}"
                 break
-            if op == Op.FOOTER:
+            if op == FOOTER:
                 break
-            if op == Op.MESSAGE and end - begin >= MESSAGE_HEAD.size:
+            if op == MESSAGE and end - begin >= MESSAGE_HEAD.size:
                 log = MESSAGE_HEAD.unpack_from(self.data, begin)[2]
                 run = run or Chunk(log, begin - RECORD.size, 0)
                 length = end - run.offset
                 run = run._replace(start=min(run.start, log), length=length, size=length)
-            elif op in (Op.SCHEMA, Op.CHANNEL):
+            elif op in (SCHEMA, CHANNEL):
                 self._take(op, self.data[begin:end])
         else:
             self.truncated = f"the file ends at byte {size} without MCAP's footer: it was not closed"
@@ -74,10 +63,10 @@ class McapSource(ChunkedSource):
     def _parse(self, data: bytes, wanted: Collection[str]) -> tuple[list[RawMessage], str | None]:
         found, read = [], 0
         for op, begin, end in self._budget.limited(_records(data, 0, len(data))):
-            if end > len(data) or op not in (Op.SCHEMA, Op.CHANNEL, Op.MESSAGE):
+            if end > len(data) or op not in (SCHEMA, CHANNEL, MESSAGE):
                 break
             read = end
-            if op != Op.MESSAGE:
+            if op != MESSAGE:
                 self._take(op, data[begin:end])
             elif end - begin >= MESSAGE_HEAD.size:
                 key, _, log, _ = MESSAGE_HEAD.unpack_from(data, begin)
@@ -91,7 +80,7 @@ class McapSource(ChunkedSource):
         """Keeps a schema, or defines a channel; a damaged one is left out, and so are its messages."""
         with suppress(struct.error, UnicodeDecodeError):
             key = int.from_bytes(data[:2], "little")
-            if op == Op.SCHEMA:
+            if op == SCHEMA:
                 self._schemas[key], _ = _text(data, 2)
             else:
                 topic, at = _text(data, 4)

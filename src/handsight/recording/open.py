@@ -2,12 +2,11 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Self
 
 from handsight.camera import Camera
 from handsight.errors import InvalidFile, printable
@@ -57,7 +56,7 @@ class RecordingReport(Report):
         return messages + Report.sentences(self)  # super() does not work in a dataclass with slots
 
 
-class Recording:
+class Recording(AbstractContextManager["Recording"]):
     """A `Recording` is an open recording; `report`, `truth` and `intrinsics` are of the part that has been read."""
 
     def __init__(self, path: Path, rig: Rig) -> None:
@@ -84,14 +83,11 @@ class Recording:
         return self._stream.intrinsics
 
     def camera(self) -> Camera:
-        """Returns the images' camera from the CameraInfo, else from the rig; raises InvalidInput if neither has it."""
+        """Returns the images' camera, as `ObservationStream.camera`."""
         return self._stream.camera()
 
     def calibrated_rig(self) -> Rig:
-        """Returns the rig; if it has a topic of depth images but no intrinsics, with those of the first CameraInfo.
-
-        The CameraInfo must come within the first thousand observations.
-        """
+        """Returns the rig as `ObservationStream.calibrated`, by a CameraInfo of the first thousand observations."""
         camera, topics = self._rig.camera, self._rig.topics
         if camera is None or camera.intrinsics is not None or None in (topics.depth, topics.camera_info):
             return self._rig
@@ -115,15 +111,11 @@ class Recording:
             raise self._without_joints()
 
     def lacks(self) -> list[str]:
-        """Returns a sentence for each missing topic, joint and frame of the rig, and each image of a wrong size.
-
-        Missing topics are known from the beginning, missing joints and frames after `observations`.
-        """
+        """Returns sentences as `ObservationStream.lacks`; missing joints and frames are known after `observations`."""
         return self._stream.lacks()
 
     def _without_joints(self) -> InvalidFile:
-        topic, names = self._rig.topics.joint_states, sorted(self._topics)
-        most = 12
+        topic, names, most = self._rig.topics.joint_states, sorted(self._topics), 12
         more = f" and {len(names) - most} more" if len(names) > most else ""
         cut = f" ({self.report.truncated})" if self.report.truncated else ""
         return InvalidFile(
@@ -135,9 +127,6 @@ class Recording:
         """Closes the files."""
         self._opened.close()
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.close()
 
@@ -148,10 +137,8 @@ def open_files(path: Path) -> Iterator[Source]:
         if not path.is_dir():
             yield _open_file(path)
             return
-        metadata, packed = (
-            path / "metadata.yaml",
-            None,
-        )  # whether the recorder compressed files, messages or nothing
+        # Whether the recorder compressed files, messages or nothing.
+        metadata, packed = path / "metadata.yaml", None
         if metadata.exists():
             pattern = rb"""compression_mode:\s*['"]?(file|message)"""
             packed = re.search(pattern, read_bytes(metadata, 1 << 20), re.IGNORECASE)

@@ -1,4 +1,4 @@
-"""A robot's depth images with the hand's pixels found: `Frame`s of a recording, and `View`s to reconstruct an object.
+"""The hand's pixels in a robot's depth images, and the images as `View`s to reconstruct an object.
 
 An object in the hand is static in the palm, unless it slips; the palm's pose comes from the hand in the image. An
 object on a table is static in the world. If the camera's motion in the world is unknown, all views start from the same
@@ -6,7 +6,6 @@ pose, and the reconstruction estimates theirs.
 """
 
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -14,51 +13,13 @@ import numpy as np
 from handsight import se3
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
-from handsight.errors import InvalidFile, InvalidInput
+from handsight.errors import InvalidInput
 from handsight.observation import Observation
-from handsight.recording.frames import Frame, Frames
-from handsight.recording.open import open_recording
 from handsight.rig import Rig
 from handsight.vision import PalmDetection
 from handsight.vision.palm.hand_in_image import HandInImage
 from handsight.vision.reconstruction.reconstruct import View, within
 from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, SEGMENTATION, InHandView
-
-
-def recorded_frames(path: Path, rig: Rig) -> Frames:
-    """Returns the frames of a recording in order of stamp.
-
-    The hand's pixels are those of its links, at the palm's pose that is detected (`detect_palm`), else at the pose by
-    the calibration of the rig's camera. They are unknown without joint positions, and for a camera that is fixed in the
-    world while the palm's pose in the world is unknown. Raises InvalidFile where the recording has no depth images, and
-    InvalidInput where neither it nor the rig has their camera.
-    """
-    if rig.topics.depth is None:
-        raise InvalidInput("rig: expected topics.depth, where the recording has its depth images, got none")
-    return Frames(None, _read(path, rig))
-
-
-def _read(path: Path, rig: Rig) -> Iterator[Frame]:
-    pixels, camera = HandPixels(rig), None
-    with open_recording(path, rig) as recording:
-        for observation in recording.observations():
-            if observation.depth is None:
-                continue
-            camera = camera or recording.camera()
-            if observation.depth.shape != camera.size[::-1]:
-                (width, height), (h, w) = camera.size, observation.depth.shape
-                message = f"expected depth of {width} x {height} pixels as its camera's, got {w} x {h}"
-                raise InvalidFile(f"{path}: {message}")
-            alike = observation.color is not None and observation.color.shape[:2] == observation.depth.shape
-            yield Frame(
-                name=f"{observation.stamp:.3f} s",
-                camera=camera,
-                depth=observation.depth,
-                color=observation.color if alike else None,
-                hand=pixels.mask(camera, np.nan_to_num(observation.depth), observation),
-            )
-    if camera is None:
-        raise InvalidFile(f"{path}: expected depth images on {rig.topics.depth}, got none")
 
 
 class HandPixels:
@@ -137,14 +98,11 @@ def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera)
         T = pixels.palm(camera, depth, observation)
         if T is None:
             continue
-        T_camera_object = T @ (
-            se3.compose(np.eye(3), in_hand.middle(joints)) if T_palm_object is None else T_palm_object
-        )
-        view = View(in_hand.without_hand(camera, depth, joints, T), T_camera_object)
-        if within(camera, view, IN_HAND_BOUNDS).sum() < SEGMENTATION.min_pixels:
-            continue
-        T_palm_object = se3.inverse(T) @ T_camera_object
-        yield view
+        at_middle = se3.compose(np.eye(3), in_hand.middle(joints)) if T_palm_object is None else T_palm_object
+        view = View(in_hand.without_hand(camera, depth, joints, T), T @ at_middle)
+        if within(camera, view, IN_HAND_BOUNDS).sum() >= SEGMENTATION.min_pixels:
+            T_palm_object = at_middle
+            yield view
 
 
 def _depth(depth: Depth, camera: Camera) -> Depth:

@@ -16,18 +16,8 @@ from handsight.checks import Array
 from handsight.correction import bounded_covariance
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import write_errors
+from handsight.messages import encode
 from handsight.messages.decode import rosbags_module, typestore
-from handsight.messages.encode import (
-    Message,
-    contact_fields,
-    header,
-    parts,
-    pose,
-    pose_with_covariance,
-    split_stamp,
-    taxel_fields,
-    transform,
-)
 from handsight.messages.topics import OwnTopic, RosType
 from handsight.observation import Observation
 from handsight.rig import Rig
@@ -58,8 +48,8 @@ class McapFile:
             raise InvalidInput(f"{self._path}: expected an open file to write to, got a closed one")
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
-        data = self._store.serialize_cdr(Message(**fields), kind)
-        sec, nanosec = split_stamp(stamp)
+        data = self._store.serialize_cdr(encode.Message(**fields), kind)
+        sec, nanosec = encode.split_stamp(stamp)
         self._writer.write(self._connections[topic], sec * 10**9 + nanosec, data)
 
     def close(self) -> None:
@@ -98,7 +88,7 @@ class RecordingWriter(McapFile):
         topic for something in the observation, and for stamps that a message cannot hold.
         """
         stamp, topics, frames = observation.stamp, self._rig.topics, self._rig.frames
-        top = header(stamp)
+        top = encode.header(stamp)
         if observation.joint_positions is not None:
             names, none = list(observation.joint_positions), np.zeros(0)
             position = np.array([*observation.joint_positions.values()], np.float64)
@@ -107,23 +97,24 @@ class RecordingWriter(McapFile):
         for finger, wrench in observation.wrenches.items():
             topic = _finger_topic(topics.wrenches, finger, "wrenches")
             value = checks.finite(wrench, f"wrenches[{finger!r}]", (6,))
-            body = Message(force=parts("xyz", value[:3]), torque=parts("xyz", value[3:]))
-            # In the sensor's own frame, for which the rig has no name.
-            self.append(topic, RosType.WRENCH, stamp, header=header(stamp, f"{finger}_sensor"), wrench=body)
+            body = encode.Message(force=encode.parts("xyz", value[:3]), torque=encode.parts("xyz", value[3:]))
+            frame = encode.header(stamp, f"{finger}_sensor")  # its own, for which the rig has no name
+            self.append(topic, RosType.WRENCH, stamp, header=frame, wrench=body)
         for finger, contact in observation.contacts.items():
             topic = _finger_topic(topics.contacts, finger, "contacts")
-            self.append(topic, RosType.CONTACT, stamp, **contact_fields(contact, stamp, frames["palm"]))
+            fields = encode.contact_fields(contact, stamp, frames["palm"])
+            self.append(topic, RosType.CONTACT, stamp, **fields)
         for array, reading in observation.skin.items():  # without a header: its log time is its stamp
-            fields = taxel_fields(reading, self._rig.skin.get(array), array)
+            fields = encode.taxel_fields(reading, self._rig.skin.get(array), array)
             topic = _topic(topics.skin.get(array), f"skin.{array}")
             self.append(topic, RosType.ARRAY, stamp, **fields)
         if observation.T_world_palm is not None:
             T_world_palm = se3.check(observation.T_world_palm, "T_world_palm")
-            link = transform(T_world_palm, stamp, frames["world"], frames["palm"])
+            link = encode.transform(T_world_palm, stamp, frames["world"], frames["palm"])
             self.append(_topic(topics.tf, "tf"), RosType.TF, stamp, transforms=[link])
         if (vision := observation.vision) is not None:
-            top = header(stamp if vision.stamp is None else vision.stamp, frames[vision.frame])
-            body = pose_with_covariance(vision.T_frame_object, vision.covariance)
+            top = encode.header(stamp if vision.stamp is None else vision.stamp, frames[vision.frame])
+            body = encode.pose_with_covariance(vision.T_frame_object, vision.covariance)
             topic = _topic(topics.vision, "vision")
             self.append(topic, RosType.POSE_COVARIANCE, stamp, header=top, pose=body)
         taken = stamp if observation.image_stamp is None else observation.image_stamp
@@ -138,7 +129,8 @@ class RecordingWriter(McapFile):
 
     def write_truth(self, stamp: float, T_palm_object: ArrayLike) -> None:
         """Appends the true pose of the object (4, 4) on the rig's topic of the truth; raises InvalidInput."""
-        truth, top = pose(se3.check(T_palm_object, "T_palm_object")), header(stamp, self._rig.frames["palm"])
+        truth = encode.pose(se3.check(T_palm_object, "T_palm_object"))
+        top = encode.header(stamp, self._rig.frames["palm"])
         topic = _topic(self._rig.topics.truth, "truth")
         self.append(topic, RosType.POSE, stamp, header=top, pose=truth)
 
@@ -148,7 +140,7 @@ class RecordingWriter(McapFile):
         """Appends an image and its CameraInfo; `stamps`: the log time, and when the image was taken [s]."""
         stamp, taken = stamps
         height, width = pixels.shape[:2]
-        top = {"header": header(taken, self._rig.frames["camera"]), "height": height, "width": width}
+        top = {"header": encode.header(taken, self._rig.frames["camera"]), "height": height, "width": width}
         data = np.frombuffer(pixels.tobytes(), dtype=np.uint8)
         fields = {"encoding": encoding, "is_bigendian": 0, "step": len(data) // height, "data": data}
         self.append(topic, RosType.IMAGE, stamp, **top, **fields)
@@ -160,7 +152,7 @@ class RecordingWriter(McapFile):
         model = "rational_polynomial" if len(camera.lens) > 5 else "plumb_bob"
         d = np.pad(camera.lens, (0, max(5 - len(camera.lens), 0)))
         lens = {"distortion_model": model, "d": d, "binning_x": 0, "binning_y": 0}
-        roi = Message(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+        roi = encode.Message(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
         self.append(info, RosType.INFO, stamp, **top, **matrices, **lens, roi=roi)
 
 
@@ -222,8 +214,8 @@ def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str =
     with McapFile(Path(path)) as file:
         for row in rows:
             if row.T_palm_object is not None:
-                top = header(row.stamp, frame)
-                pose = pose_with_covariance(row.T_palm_object, row.bounded_covariance)
+                top = encode.header(row.stamp, frame)
+                pose = encode.pose_with_covariance(row.T_palm_object, row.bounded_covariance)
                 file.append(OwnTopic.POSE, RosType.POSE_COVARIANCE, row.stamp, header=top, pose=pose)
 
 

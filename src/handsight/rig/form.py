@@ -209,9 +209,6 @@ class FingerForm(Section, kw_only=True):
             bias_torque=np.array(bias.torque),
             mass=sensor.tip_mass,
             center_of_mass=np.array(sensor.tip_center),
-            residual_force=np.zeros(3),
-            residual_torque=np.zeros(3),
-            condition=1.0,
             reading=sensor.reading,
         )
         return Finger(
@@ -253,6 +250,10 @@ class VisionNoiseForm(Form):
     sigma_rotation: Angle | None = field(name="rotation_deg", default=None)
 
 
+CAMERA_ERRORS = {"noise": "", "constant_error": "_constant", "correlated_error": "_correlated"}
+"""Keys of a camera's errors, and the ends of the names of their sigmas in the rig."""
+
+
 class IntrinsicsForm(Form):
     """An `IntrinsicsForm` is a camera matrix and the size of the images [pixels]."""
 
@@ -289,24 +290,16 @@ class CameraForm(Section):
 
     def camera(self) -> MountedCamera:
         """Returns the part of the rig."""
-        k = self.intrinsics
-        errors = {"constant": self.constant_error, "correlated": self.correlated_error}
-        given = {key: getattr(self, key) for key in ("correlation_time", "latency", "sigma_latency")}
-        return MountedCamera(
-            on=self.fixed_to,
-            T_mount_camera=(self.pose or PoseForm()).matrix(),
-            intrinsics=None if k is None else np.array([[k.fx, 0, k.cx], [0, k.fy, k.cy], [0, 0, 1.0]]),
-            size=None if k is None else (int(k.width), int(k.height)),
-            lens=np.array(self.lens or [], dtype=np.float64),
-            depth_camera=self.depth_camera or "structured_light",
-            **(self.noise or VisionNoiseForm()).sigmas(),
-            **{
-                f"{name}_{kind}": value
-                for kind, error in errors.items()
-                for name, value in (error or VisionNoiseForm()).sigmas().items()
-            },
-            **{key: value for key, value in given.items() if value is not None},
-        )
+        given, k = self.given(), self.intrinsics
+        pose = given.pop("pose", None) or PoseForm()
+        given |= {"on": given.pop("fixed_to"), "T_mount_camera": pose.matrix()}
+        if k is not None:
+            given["intrinsics"] = np.array([[k.fx, 0, k.cx], [0, k.fy, k.cy], [0, 0, 1.0]])
+            given["size"] = (int(k.width), int(k.height))
+        for name, kind in CAMERA_ERRORS.items():
+            errors = given.pop(name, None) or VisionNoiseForm()
+            given |= {sigma + kind: value for sigma, value in errors.sigmas().items()}
+        return MountedCamera(**given)
 
 
 class TableForm(Section):

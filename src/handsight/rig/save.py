@@ -35,10 +35,7 @@ def text(rig: Rig) -> str:
         "version": form.VERSION,
         "hand": _values(form.HandForm, rig, file=_file_name(rig.hand.file), palm=rig.hand.palm),
         "fingers": {name: _finger(finger) for name, finger in rig.fingers.items()},
-        "skin": {
-            name: _values(form.SkinForm, array, pose=_pose(array.T_frame_grid))
-            for name, array in rig.skin.items()
-        },
+        "skin": {k: _values(form.SkinForm, v, pose=_pose(v.T_frame_grid)) for k, v in rig.skin.items()},
         "camera": None if rig.camera is None else _camera(rig.camera),
         "table": None if rig.table is None else _values(form.TableForm, rig.table),
         "world": _values(form.WorldForm, rig, palm_from=rig.world_from or "nowhere"),
@@ -96,29 +93,11 @@ def _finger(finger: Finger) -> Values:
 
 
 def _camera(camera: MountedCamera) -> Values:
-    values = _values(
-        form.CameraForm,
-        camera,
-        fixed_to=camera.on,
-        pose=_pose(camera.T_mount_camera),
-        noise=_values(form.VisionNoiseForm, camera),
-        constant_error=_values(
-            form.VisionNoiseForm,
-            camera,
-            sigma_position=camera.sigma_position_constant,
-            sigma_rotation=camera.sigma_rotation_constant,
-        ),
-        correlated_error=_values(
-            form.VisionNoiseForm,
-            camera,
-            sigma_position=camera.sigma_position_correlated,
-            sigma_rotation=camera.sigma_rotation_correlated,
-        )
-        if camera.sigma_position_correlated is not None or camera.sigma_rotation_correlated is not None
-        else None,
-        intrinsics=None,
-        lens=None,
-    )
+    given: dict[str, Any] = {"fixed_to": camera.on, "pose": _pose(camera.T_mount_camera)}
+    for name, kind in form.CAMERA_ERRORS.items():
+        sigmas = {key: getattr(camera, key + kind) for key in ("sigma_position", "sigma_rotation")}
+        given[name] = _values(form.VisionNoiseForm, camera, **sigmas)
+    values = _values(form.CameraForm, camera, **given, intrinsics=None, lens=None)
     if camera.intrinsics is not None and camera.size is not None:
         numbers = (*camera.size, *camera.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]])
         values["intrinsics"] = dict(zip(("width", "height", "fx", "fy", "cx", "cy"), numbers, strict=True))
@@ -157,7 +136,7 @@ def _section(values: Mapping[str, Any], kind: object, comments: bool = True) -> 
         inner = key.kind if key else get_args(kind)[1]
         comment = f"   # {key.comment}" if key and key.comment and comments else ""
         name = name if key else _inline(name)
-        if value is None or (isinstance(value, Mapping) and not value):
+        if value is None or (isinstance(value, Mapping) and all(part is None for part in value.values())):
             continue
         if get_origin(inner) is dict or (isinstance(inner, type) and issubclass(inner, Section)):
             yield f"{name}:{comment}"

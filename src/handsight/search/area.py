@@ -54,9 +54,8 @@ class Area:
             raise InvalidInput("area.Rs_world_object: expected at least one way to stand, got none")
         R_table = checks.finite(self.R_world_table, "area.R_world_table", (3, 3))
         se3.check(se3.compose(R_table, np.zeros(3)), "area.R_world_table")
-        for name, value in zip(
-            ("low", "high", "Rs_world_object", "R_world_table"), (low, high, Rs, R_table), strict=True
-        ):
+        values = {"low": low, "high": high, "Rs_world_object": Rs, "R_world_table": R_table}
+        for name, value in values.items():
             object.__setattr__(self, name, value)
 
     def draw(self, n: int, rng: np.random.Generator) -> Array:
@@ -109,9 +108,8 @@ def resting(model: ObjectModel) -> Array:
     import trimesh
 
     if not (model.closed and len(model.faces)):
-        raise InvalidInput(
-            "model: expected a closed mesh to rest on its faces, got a cloud or an open surface"
-        )
+        expected = "expected a closed mesh to rest on its faces"
+        raise InvalidInput(f"model: {expected}, got a cloud or an open surface")
     mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
     Ts, _ = trimesh.poses.compute_stable_poses(mesh, n_samples=1, threshold=1e-3)
     turns = se3.rotation_exp(np.linspace(0, 2 * np.pi, 24, endpoint=False)[:, None] * [0.0, 0, 1])

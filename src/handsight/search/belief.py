@@ -10,7 +10,7 @@ import numpy as np
 
 from handsight import checks, se3
 from handsight._deprecated import renamed_members
-from handsight.checks import Array, Indices
+from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction.modes import distinct, pose_distances
 from handsight.errors import InvalidInput
@@ -32,14 +32,12 @@ class ParticleOptions(NamedTuple):
     step: tuple[float, float, float] = (0.004, 0.004, float(np.deg2rad(4.0)))
     """Largest standard deviation of a Metropolis step: x, y [m] and yaw [rad]."""
     max_modes: int = 8
-    contact_draws: int = 2048
-    """Placements that are drawn about a contact to decide whether it can be one with the object."""
+    contact_draws: int = 2048  # placements that decide whether a contact can be one with the object
     min_inside: int = 8  # so many of them must be within the area
     tip_positions: int = 20_000
     """Random positions of the tip around the object, for each stable pose; those that touch it are used."""
     shell: float = 0.003  # a tip within this distance of touching the surface counts as touching [m]
-    widening: float = 1.5
-    """Factor on a contact's standard deviations when placements are drawn about it: a proposal needs wide tails."""
+    widening: float = 1.5  # factor on a contact's sigmas for placements about it: a proposal needs wide tails
 
 
 class LikelihoodOptions(NamedTuple):
@@ -47,8 +45,7 @@ class LikelihoodOptions(NamedTuple):
 
     push: float = 0.0005
     """How far each touch pushes the object, one standard deviation per axis, which displaces older contacts [m]."""
-    freedom: float = 5.0
-    """Degrees of freedom of Student's t: errors of contacts at an edge are larger than their covariance."""
+    freedom: float = 5.0  # of Student's t: errors of contacts at an edge are larger than their covariance
     other_share: float = 0.02  # of contacts that are with something else, such as the table or a cable
     other_range: float = 0.3  # over which the distance of such a contact from the object is uniform [m]
     min_sigma_yaw: float = float(np.deg2rad(0.1))  # least standard deviation of the yaw [rad]
@@ -117,9 +114,17 @@ class Belief:
         probabilities = np.exp(log_weights - log_weights.max())
         chosen = rng.choice(len(placements), PARTICLES.kept, p=probabilities / probabilities.sum())
         particles = placements[chosen]
-        object.__setattr__(
-            self, "placements", self._diversified(particles, rng) if self.touches else particles
-        )
+        if self.touches:  # Metropolis steps separate copies of one that was resampled often
+            log_posterior = self._log_posterior(particles)
+            for _ in range(PARTICLES.metropolis_steps):
+                size = np.array(PARTICLES.step) * rng.uniform(size=(len(particles), 1)) ** 2
+                proposed = particles.copy()
+                proposed[:, :3] += size * rng.normal(size=(len(particles), 3))
+                proposed_log = self._log_posterior(proposed)
+                accepted = np.log(rng.uniform(size=len(particles))) < proposed_log - log_posterior
+                particles = np.where(accepted[:, None], proposed, particles)
+                log_posterior = np.where(accepted, proposed_log, log_posterior)
+        object.__setattr__(self, "placements", particles)
 
     def after(self, touch: Touch) -> "Belief":
         """Returns the belief after one more touch; raises InvalidInput.
@@ -173,9 +178,8 @@ class Belief:
             placements = area.draw(PARTICLES.drawn, rng)
             return placements, free_log_likelihood(model, self.touches, area.poses(model, placements))
         n = PARTICLES.drawn // len(contacts)
-        placements = np.vstack(
-            [placements_about(model, area, contact, radius, n, rng) for contact, radius in contacts]
-        )
+        drawn = [placements_about(model, area, contact, radius, n, rng) for contact, radius in contacts]
+        placements = np.vstack(drawn)
         Ts = area.poses(model, placements)
         by_contact = contact_log_likelihoods(model, self.touches, area.table, Ts)
         log_weight = by_contact.sum(axis=1) - np.logaddexp.reduce(by_contact, axis=1)
@@ -190,19 +194,6 @@ class Belief:
         log_likelihood = contact_log_likelihoods(self.model, self.touches, self.area.table, Ts).sum(axis=1)
         log_likelihood += free_log_likelihood(self.model, self.touches, Ts)
         return np.where(self.area.contains(placements), log_likelihood, -np.inf)
-
-    def _diversified(self, placements: Array, rng: np.random.Generator) -> Array:
-        """Returns the placements after Metropolis steps, which separate copies of one that was resampled often."""
-        log_posterior = self._log_posterior(placements)
-        for _ in range(PARTICLES.metropolis_steps):
-            size = np.array(PARTICLES.step) * rng.uniform(size=(len(placements), 1)) ** 2
-            proposed = placements.copy()
-            proposed[:, :3] += size * rng.normal(size=(len(placements), 3))
-            proposed_log = self._log_posterior(proposed)
-            accepted = np.log(rng.uniform(size=len(placements))) < proposed_log - log_posterior
-            placements = np.where(accepted[:, None], proposed, placements)
-            log_posterior = np.where(accepted, proposed_log, log_posterior)
-        return placements
 
     def _mode(self, T: Array, Ts: Array) -> Mode:
         """Returns the mode of particles with poses `Ts` (n, 4, 4), linearised at `T` (4, 4), one of these."""
@@ -237,12 +228,18 @@ def placements_about(
     (0, 4), where the object is not as high as the contact in any stable pose.
     """
     covariance = contact_world.covariance[0]
-    contact_world = contact_world.moved(
-        se3.compose(area.R_world_table.T, np.zeros(3))
-    )  # along the table's axes
-    normal = contact_world.normals_palm[0]
-    middle = tip_center(contact_world, radius)
-    arms, outward, stable = _touching_tips(model, area, float(middle[2]), radius, rng)
+    on_table = contact_world.moved(se3.compose(area.R_world_table.T, np.zeros(3)))  # along the table's axes
+    normal, middle = on_table.normals_palm[0], tip_center(on_table, radius)
+    # Random positions relative to the object's middle, at yaw 0 and the contact's height, at which a tip touches it.
+    Rs, reach = area.Rs_world_object, model.radius + radius
+    arms = rng.uniform(-reach, reach, (len(Rs), PARTICLES.tip_positions, 3))
+    arms[:, :, 2] = float(middle[2]) - area.center_heights(model)[:, None]
+    arms[:, :, 2] += area.table.sigma_height * rng.normal(size=arms.shape[:2])
+    values = model.evaluate((arms @ Rs).reshape(-1, 3) + model.center_object)  # Rᵀ arm
+    touching = np.abs(values.distance - radius) < PARTICLES.shell
+    stable = np.repeat(np.arange(len(Rs), dtype=np.int64), PARTICLES.tip_positions)[touching]
+    outward = np.einsum("nij,nj->ni", Rs[stable], values.gradient[touching])
+    arms = arms.reshape(-1, 3)[touching]
     if not len(arms):
         return np.empty((0, 4))
     chosen = rng.integers(len(arms), size=n)
@@ -258,26 +255,6 @@ def placements_about(
     return np.column_stack([middle[:2] + noise - shift, yaw, stable[chosen]])
 
 
-def _touching_tips(
-    model: ObjectModel, area: Area, height: float, radius: float, rng: np.random.Generator
-) -> tuple[Array, Array, Indices]:
-    """Returns random positions, at a height in the world [m], at which a tip touches the object at yaw 0.
-
-    These are vectors (m, 3) from the object's middle, along the world's axes [m]. The object's outward normals (m, 3)
-    at these positions follow, and the indices (m,) of the stable poses.
-    """
-    Rs, reach = area.Rs_world_object, model.radius + radius
-    arms = rng.uniform(-reach, reach, (len(Rs), PARTICLES.tip_positions, 3))
-    arms[:, :, 2] = height - area.center_heights(model)[:, None]
-    arms[:, :, 2] += area.table.sigma_height * rng.normal(size=arms.shape[:2])
-    points = (arms @ Rs).reshape(-1, 3) + model.center_object  # Rᵀ arm
-    values = model.evaluate(points)
-    touching = np.abs(values.distance - radius) < PARTICLES.shell
-    stable = np.repeat(np.arange(len(Rs), dtype=np.int64), PARTICLES.tip_positions)[touching]
-    outward: Array = np.einsum("nij,nj->ni", Rs[stable], values.gradient[touching])
-    return arms.reshape(-1, 3)[touching], outward, stable
-
-
 def contact_log_likelihoods(
     model: ObjectModel, touches: Sequence[Touch], table: Table, Ts_world_object: Array
 ) -> Array:
@@ -286,11 +263,8 @@ def contact_log_likelihoods(
     It is that of the contact's distance to the surface and of its normal, by Student's t, or, with a small probability,
     of a contact with something else. The errors of the table's height and tilt are marginalised.
     """
-    contacts = [
-        (len(touches) - 1 - i, touch.contact_world, touch.radius)
-        for i, touch in enumerate(touches)
-        if touch.contact_world
-    ]
+    met = [(k, touch.contact_world, touch.radius) for k, touch in enumerate(reversed(touches))]
+    contacts = [(later, contact, radius) for later, contact, radius in reversed(met) if contact]
     R, freedom = Ts_world_object[:, :3, :3], LIKELIHOOD.freedom
     constant = math.lgamma((freedom + 3) / 2) - math.lgamma(freedom / 2) - 1.5 * math.log(freedom * math.pi)
     middle = se3.apply(Ts_world_object, model.center_object[None])[:, 0]

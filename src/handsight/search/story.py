@@ -4,7 +4,7 @@ import numpy as np
 
 from handsight.correction.modes import pose_distances
 from handsight.objects import ObjectModel
-from handsight.search.belief import CERTAINTY, Belief, Mode
+from handsight.search.belief import CERTAINTY, Belief
 
 MIN_PROBABILITY = 0.05
 """Less likely modes are not named."""
@@ -33,9 +33,11 @@ def open_text(belief: Belief) -> str:
         parts = [f"the position is open (± {1e3 * best.sigma_position:.0f} mm)"]
     if best.sigma_yaw > CERTAINTY.rotation / 2:
         parts.append(f"the spin about the vertical is open (± {np.rad2deg(best.sigma_yaw):.0f}°)")
-    parts += [
-        f"it may be {_difference(belief, best, mode)} (probability {mode.probability:.2f})" for mode in others
-    ]
+    for mode in others:
+        T, T_best = mode.pose_world_object.T_a_b, best.pose_world_object.T_a_b
+        shift, turn = (float(x[0]) for x in pose_distances(belief.model, T[None], T_best))
+        where = f"{1e3 * shift:.0f} mm away, turned by {np.rad2deg(turn):.0f}°"
+        parts.append(f"it may be {where} (probability {mode.probability:.2f})")
     if text := symmetry_text(belief.model):
         parts.append(text)
     return "; ".join(parts)
@@ -47,14 +49,6 @@ def symmetry_text(model: ObjectModel) -> str:
     if symmetries.round:
         return "touch cannot tell any turn about its middle"
     if symmetries.axes:
-        return "touch cannot tell its spin about its axis" + (
-            " nor one end from the other" if same > 1 else ""
-        )
+        ends = " nor one end from the other" if same > 1 else ""
+        return f"touch cannot tell its spin about its axis{ends}"
     return "" if same == 1 else f"touch cannot tell {same} of its rotations from each other"
-
-
-def _difference(belief: Belief, best: Mode, mode: Mode) -> str:
-    """Returns in words where a mode is relative to the best one."""
-    T = mode.pose_world_object.T_a_b
-    shift, turn = (float(x[0]) for x in pose_distances(belief.model, T[None], best.pose_world_object.T_a_b))
-    return f"{1e3 * shift:.0f} mm away, turned by {np.rad2deg(turn):.0f}°"

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks
-from handsight.checks import Array, Mask
+from handsight.checks import Array
 from handsight.correction.modes import pose_distances
 from handsight.errors import InvalidInput
 from handsight.search.belief import CERTAINTY, Belief
@@ -18,9 +18,7 @@ class SweepOptions(NamedTuple):
 
     sigma_distance: float = 0.0025  # of a touch, along the normal: a degree at each joint of the finger [m]
     sigma_normal: float = float(np.deg2rad(6.0))  # of a touch's normal [rad]
-    same: float = (
-        0.5  # poses this near to each other, relative to the limits of certainty, need not be distinguished
-    )
+    same: float = 0.5  # distance of two poses that need not be distinguished [limits of certainty]
     curvature_radius: float = 0.03  # of a surface that a sweep brushes [m]
     max_sweeps: int = 256  # sweeps that are compared
     max_poses: int = 128  # particles on which each sweep is cast
@@ -38,14 +36,15 @@ def expected_information(belief: Belief, sweeps: list[Sweep], radius: float) -> 
     Bhattacharyya distances between the outcomes of all pairs of poses (Kolchinsky and Tracey 2017, α = 1/2). Pairs so
     near to each other that the object can be grasped at either are not distinguished.
     """
-    Ts = _some_poses(belief)
+    Ts = belief.Ts_world_object[:: max(len(belief.placements) // SWEEPS.max_poses, 1)]
     distances, normals, gaps = cast(belief.model, Ts, sweeps, radius)
     hit = np.isfinite(distances)
     directions = np.array([sweep.direction_world for sweep in sweeps])
     cosines = -np.einsum("snj,sj->sn", normals, directions)
     # How far the path would have to be shifted for a miss to be a hit, or a hit to be a miss.
     margins = np.where(hit, SWEEPS.curvature_radius * cosines**2 / 2, gaps)
-    same = _same(belief, Ts)
+    shifts, turns = np.array([pose_distances(belief.model, Ts, T) for T in Ts]).transpose(1, 0, 2)
+    same = (shifts < SWEEPS.same * CERTAINTY.position) & (turns < SWEEPS.same * CERTAINTY.rotation)
     information = []
     for k in range(len(sweeps)):
         d, n, m, h = np.where(hit[k], distances[k], 0.0), normals[k], margins[k], hit[k]
@@ -55,14 +54,6 @@ def expected_information(belief: Belief, sweeps: list[Sweep], radius: float) -> 
         chi2[same | ~(h[:, None] | h)] = 0.0
         information.append(-np.log(np.exp(-chi2 / 8).mean(axis=1)).mean())
     return np.maximum(information, 0.0)
-
-
-def _same(belief: Belief, Ts_world_object: Array) -> Mask:
-    """Returns (n, n) whether two poses (n, 4, 4) are so near that the object can be grasped at either."""
-    pairs = [pose_distances(belief.model, Ts_world_object, T) for T in Ts_world_object]
-    shifts, turns = np.array(pairs).transpose(1, 0, 2)
-    limits = SWEEPS.same * CERTAINTY.position, SWEEPS.same * CERTAINTY.rotation
-    return np.asarray((shifts < limits[0]) & (turns < limits[1]))
 
 
 def candidates(belief: Belief, heights: ArrayLike, rng: np.random.Generator) -> list[Sweep]:
@@ -87,9 +78,7 @@ def candidates(belief: Belief, heights: ArrayLike, rng: np.random.Generator) -> 
 
 def shortened(belief: Belief, sweep: Sweep, radius: float) -> Sweep:
     """Returns the part of a sweep in which it may meet the object; all of it if it meets the object of no particle.
-
-    `radius` is the tip's [m].
-    """
+    `radius` is the tip's [m]."""
     distances, _, _ = cast(belief.model, belief.Ts_world_object, [sweep], radius)
     hits = distances[np.isfinite(distances)]
     if not len(hits):
@@ -107,8 +96,3 @@ def best_sweep(belief: Belief, heights: ArrayLike, radius: float) -> Sweep:
     sweeps = candidates(belief, heights, rng)
     information = expected_information(belief, sweeps, checks.positive(radius, "radius"))
     return shortened(belief, sweeps[int(np.argmax(information))], radius)
-
-
-def _some_poses(belief: Belief) -> Array:
-    """Returns the poses (n, 4, 4) of about `SWEEPS.max_poses` of the particles, or of all if there are fewer."""
-    return belief.Ts_world_object[:: max(len(belief.placements) // SWEEPS.max_poses, 1)]

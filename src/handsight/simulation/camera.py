@@ -1,10 +1,11 @@
 """The depth camera at the shoulder: its calibrated pose, the error of that pose, and the errors of its depth."""
 
-from functools import lru_cache, reduce
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import fftfreq, irfft2, rfft2
+from scipy.ndimage import minimum_filter
 from scipy.special import ndtri
 
 from handsight import checks, se3
@@ -76,7 +77,12 @@ def add_depth_noise(depth: Depth, noise: DepthNoise, rng: np.random.Generator, s
     """
     z = np.asarray(depth, dtype=np.float32)
     known = (z > noise.nearest) & (z < noise.farthest)  # False for NaN
-    known &= rng.random(z.shape, dtype=np.float32) >= _dropout_rate(z, noise)
+    dropouts = np.full(z.shape, noise.dropouts, dtype=np.float32)
+    if noise.edges > 0:  # more behind edges
+        there = np.where(z > 0, z, np.float32(np.inf))
+        nearest = minimum_filter(there, 2 * noise.edge_width + 1, mode="constant", cval=np.inf)
+        dropouts[z > nearest + np.float32(EDGE) * np.square(np.maximum(nearest, 1))] = noise.edges
+    known &= rng.random(z.shape, dtype=np.float32) >= dropouts
     z = _laterally_displaced(z, noise.lateral, rng)
     known &= (z > noise.nearest) & (z < noise.farthest)
     z = np.where(known, z, np.float32(1))
@@ -95,19 +101,6 @@ def add_depth_noise(depth: Depth, noise: DepthNoise, rng: np.random.Generator, s
         disparity = np.rint(1 / (np.float32(noise.step) * np.maximum(z, np.float32(0.01))))
         z = np.asarray(1 / (np.float32(noise.step) * np.maximum(disparity, 1)), dtype=np.float32)
     return np.where(known, z, np.float32(np.nan))
-
-
-def _dropout_rate(z: Depth, noise: DepthNoise) -> Depth | np.float32:
-    """Returns the probability that a pixel has no depth, (h, w) or the same for all; it is larger behind edges."""
-    if noise.edges == 0:
-        return np.float32(noise.dropouts)
-    height, width = z.shape
-    around = np.pad(np.where(z > 0, z, np.float32(np.inf)), noise.edge_width, constant_values=np.inf)
-    sides = range(2 * noise.edge_width + 1)
-    nearest = reduce(np.minimum, (around[:, k : k + width] for k in sides))
-    nearest = reduce(np.minimum, (nearest[k : k + height] for k in sides))
-    behind = z > nearest + np.float32(EDGE) * np.square(np.maximum(nearest, 1))
-    return np.where(behind, np.float32(noise.edges), np.float32(noise.dropouts))
 
 
 def _laterally_displaced(z: Depth, sigma: float, rng: np.random.Generator) -> Depth:

@@ -143,9 +143,8 @@ def grasp_candidates(body: Body) -> list[Hold]:
         resting.sort(key=lambda hold: -hold.merit)
         for hold in resting[: GRASP.examined]:
             wish = wished(hold.points)
-            pressed, left = forces(
-                np.array([*hold.points.values()]), np.array([*hold.normals.values()]), wish
-            )
+            points, normals = (np.array([*of.values()]) for of in (hold.points, hold.normals))
+            pressed, left = forces(points, normals, wish)
             lacking = 1 - np.minimum(np.linalg.norm(pressed, axis=1) / wish, 1.0)
             found.append(replace(hold, merit=hold.merit - left - 0.5 * float(lacking.mean())))
     return sorted(found, key=lambda hold: -hold.merit)
@@ -220,8 +219,18 @@ def _holds_along_x(body: Body, R: Array, order: int) -> Iterator[Hold]:
             points, normals = (np.vstack(pair) for pair in zip(thumb, others, strict=True))
             if not np.isfinite(points).all() or (np.abs(normals[:, 0]) < GRASP.min_cosine).any():
                 continue
-            merit = _merit(body, points, normals, float(roll))
-            merit = merit - 0.2 * (order > 0) - 0.1 * (offset > 0) + 0.2 * (zigzag > 0)
+            middle, lowest = points[1:].mean(axis=0), float(points[:, 2].min())
+            width, straight = float(middle[0] - points[0, 0]), float(np.abs(normals[:, 0]).mean())
+            under = np.sin(roll) * (body.vertices[:, 2].max() - points[0, 2])
+            if width > GRASP.max_width or lowest < GRASP.tip_radius - 0.002 or under > GRASP.reach:
+                continue
+            lever = float(np.linalg.norm((body.mass - (middle + points[0]) / 2)[1:]))
+            missing_room = max(GRASP.tip_radius + 0.004 - lowest, 0.0)
+            merit = (
+                straight + 0.1 * (len(points) - 4) - 4 * lever - 3 * max(width - GRASP.wide, 0.0)
+                - 30 * max(width * straight - GRASP.reached, 0.0) - 50 * missing_room - 0.1 * (roll > 0)
+                - 0.2 * (order > 0) - 0.1 * (offset > 0) + 0.2 * (zigzag > 0)
+            )  # fmt: skip
             if merit > -1:
                 names, kin = ("th", *fingers), (order, float(roll), offset + zigzag)
                 at, outward = (dict(zip(names, each, strict=True)) for each in (points, normals))
@@ -241,19 +250,3 @@ def _exits(body: Body, starts: Array, sense: float) -> tuple[Array, Array]:
     points = starts + sense * np.take_along_axis(steps, k[:, None], axis=1) * [1.0, 0, 0]
     points[below.min(axis=1) <= 0] = np.nan
     return points, body.normals[k]
-
-
-def _merit(body: Body, points: Array, normals: Array, roll: float) -> float:
-    """Returns the merit of a hold by its shape alone; -inf where no hand could have it."""
-    fingers = points[1:].mean(axis=0)
-    width, lowest = float(fingers[0] - points[0, 0]), float(points[:, 2].min())
-    under = np.sin(roll) * (body.vertices[:, 2].max() - points[0, 2])
-    if width > GRASP.max_width or lowest < GRASP.tip_radius - 0.002 or under > GRASP.reach:
-        return -np.inf
-    straight = float(np.abs(normals[:, 0]).mean())
-    lever = float(np.linalg.norm((body.mass - (fingers + points[0]) / 2)[1:]))
-    missing_room = max(GRASP.tip_radius + 0.004 - lowest, 0.0)
-    return (
-        straight + 0.1 * (len(points) - 4) - 4 * lever - 3 * max(width - GRASP.wide, 0.0)
-        - 30 * max(width * straight - GRASP.reached, 0.0) - 50 * missing_room - 0.1 * (roll > 0)
-    )  # fmt: skip

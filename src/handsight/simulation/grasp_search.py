@@ -135,9 +135,7 @@ def _trial(scenario: Scenario, grasp: Grasp) -> tuple[float, str]:
         unsensed = sum(force for geom, force, _ in touches if not geom.endswith("_tip"))
         if unsensed > GRASP_SEARCH.max_other_force:
             return world.time, "pressed by links without a sensor"
-        tips = {
-            geom for geom, force, _ in touches if force > GRASP_SEARCH.min_force and geom.endswith("_tip")
-        }
+        tips = {tip for tip, force, _ in touches if force > GRASP_SEARCH.min_force and tip.endswith("_tip")}
         checked, in_contact = checked + 1, in_contact + ("th_tip" in tips and len(tips) > 1)
     return world.time, "" if in_contact >= GRASP_SEARCH.min_contact_share * checked else "hardly in contact"
 

@@ -91,11 +91,6 @@ def tip_errors(nuisances: Nuisances, seed: int) -> TipErrors:
     return tuple((float(wider), float(longer)) for wider, longer in nuisances.tip_size * draws)
 
 
-def center_of_mass(scene: SimulatedScene) -> Array:
-    """Returns the object's centre of mass (3,) in its own frame [m]."""
-    return np.asarray(scene.model.body("object").ipos).copy()
-
-
 class Pull:
     """A `Pull` draws the direction, speed and distance of one pull; `wrench` gives its load on the object over time."""
 

@@ -94,9 +94,8 @@ class Posture:
             of_joint[leader] += POSTURE.coupling * of_joint[follower]
         closed = x[6:] + np.array([of_joint[name] for name in self._names]) / POSTURE.stiffness
         closed = np.clip(closed, self._low - POSTURE.stop_margin, self._high + POSTURE.stop_margin)
-        opened = self._fitted(
-            lambda joints: self._residuals(np.concatenate([x[:6], joints]), POSTURE.tip_clearance), x[6:]
-        )
+        away = POSTURE.tip_clearance
+        opened = self._fitted(lambda joints: self._residuals(np.concatenate([x[:6], joints]), away), x[6:])
         self._place(x)
         palm, height = self._data.body(PALM), float(self.hold.body.middle[2])
         R_world_palm = palm.xmat.reshape(3, 3).copy()
@@ -112,19 +111,11 @@ class Posture:
     def _fitted(self, residuals: Callable[[Array], Array], start: Array) -> Array:
         """Returns the minimiser of the sum of squares within the joints' range; its last numbers are the joints."""
         free = np.full(len(start) - len(self._low), np.inf)
-        start = start.copy()
-        start[len(free) :] = np.clip(
-            start[len(free) :], self._low + POSTURE.tolerance, self._high - POSTURE.tolerance
-        )
-        found = least_squares(
-            residuals,
-            start,
-            bounds=(np.concatenate([-free, self._low]), np.concatenate([free, self._high])),
-            x_scale=np.concatenate([np.full(len(free), 0.1), np.full(len(self._low), 0.5)]),
-            ftol=POSTURE.tolerance,
-            xtol=POSTURE.tolerance,
-            max_nfev=40,
-        )
+        low, high = np.concatenate([-free, self._low]), np.concatenate([free, self._high])
+        start = np.clip(start, low + POSTURE.tolerance, high - POSTURE.tolerance)
+        scale = np.repeat([0.1, 0.5], [len(free), len(self._low)])
+        tolerances = dict.fromkeys(("ftol", "xtol"), POSTURE.tolerance)
+        found = least_squares(residuals, start, bounds=(low, high), x_scale=scale, max_nfev=40, **tolerances)
         return np.asarray(found.x)
 
     def _place(self, x: Array) -> None:

@@ -85,9 +85,8 @@ class Probe(World):
         # The other fingers make a fist [rad].
         fist = {f"robot0:{finger}J{joint}": 1.5 for finger in ("MF", "RF", "LF") for joint in (2, 1)}
         fist |= {"robot0:THJ3": 1.2, "robot0:THJ2": 0.2, "robot0:THJ1": -0.5, "robot0:THJ0": -1.5}
-        T_palm_middle = se3.compose(
-            R_world_palm.T @ R_scene_object, R_world_palm.T @ [0.0, 0.0, -PROBE.start_height]
-        )
+        below = R_world_palm.T @ [0.0, 0.0, -PROBE.start_height]
+        T_palm_middle = se3.compose(R_world_palm.T @ R_scene_object, below)
         height = float(np.ptp(corners[:, 2])) / 2
         grasp = Grasp(T_palm_middle, opening=fist, closed={}, height=height, R_world_palm=R_world_palm)
         super().__init__(replace(scenario, motion="grasp", images=False), grasp)

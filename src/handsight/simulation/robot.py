@@ -11,22 +11,9 @@ from handsight.contact import Ellipsoid, WrenchCalibration
 from handsight.hand import Hand
 from handsight.objects import ObjectModel, ObjectSpec
 from handsight.rig import Finger, MountedCamera, Rig, Table, Topics
+from handsight.simulation import scene
 from handsight.simulation.camera import CALIBRATED_CAMERA, INTRINSICS
 from handsight.simulation.scenario import SCENARIO, Nuisances, Scenario
-from handsight.simulation.scene import (
-    BOX_SIZE,
-    CAN_SIZE,
-    FINGERS,
-    GRAVITY,
-    HAND_FILE,
-    IMAGE_SIZE,
-    PALM,
-    SCENE,
-    UNLOADED,
-    convex_hull,
-    hand_file,
-    tip_shape,
-)
 from handsight.simulation.skin import PALM_SKIN
 
 
@@ -39,15 +26,13 @@ def rig_of(scenario: Scenario) -> Rig:
     usual = Nuisances()
     return Rig(
         hand=_hand(),
-        fingers={
-            finger: _finger(finger, unloaded) for finger, unloaded in zip(FINGERS, UNLOADED, strict=True)
-        },
+        fingers=dict(zip(scene.FINGERS, map(_finger, scene.FINGERS, scene.UNLOADED), strict=True)),
         sigma_joint_offset=usual.joint_offset,
         sigma_joint=usual.joint_noise,
         camera=MountedCamera(
             T_mount_camera=CALIBRATED_CAMERA,
             intrinsics=INTRINSICS,
-            size=IMAGE_SIZE,
+            size=scene.IMAGE_SIZE,
             depth_camera=scenario.depth_camera,
             sigma_position=usual.vision_position,
             sigma_rotation=usual.vision_rotation,
@@ -58,9 +43,9 @@ def rig_of(scenario: Scenario) -> Rig:
             sigma_rotation_correlated=usual.vision_rotation,
         ),
         table=Table(height=0.0, sigma_height=usual.table_height, sigma_tilt=usual.table_tilt),
-        gravity=GRAVITY,
+        gravity=scene.GRAVITY,
         topics=Topics(
-            wrenches={finger: f"/{finger}/wrench" for finger in FINGERS},
+            wrenches={finger: f"/{finger}/wrench" for finger in scene.FINGERS},
             color="/camera/color" if scenario.images else None,
             depth="/camera/depth" if scenario.images else None,
             camera_info="/camera/camera_info" if scenario.images else None,
@@ -69,8 +54,10 @@ def rig_of(scenario: Scenario) -> Rig:
         ),
         skin={"palm": PALM_SKIN} if scenario.skin else {},
         objects={
-            "can": ObjectSpec(cylinder=CAN_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3),
-            "box": ObjectSpec(box=BOX_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3),
+            "can": ObjectSpec(
+                cylinder=scene.CAN_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3
+            ),
+            "box": ObjectSpec(box=scene.BOX_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3),
         },
     )
 
@@ -83,11 +70,11 @@ def model_of(scenario: Scenario) -> ObjectModel:
     """
     n, seed = scenario.nuisances, int(scenario.seed)
     if scenario.object == "can":
-        model = ObjectModel.cylinder(n.object_scale * CAN_SIZE[0], n.object_scale * CAN_SIZE[1])
+        model = ObjectModel.cylinder(n.object_scale * scene.CAN_SIZE[0], n.object_scale * scene.CAN_SIZE[1])
     elif scenario.object == "box":
-        model = ObjectModel.box(n.object_scale * np.array(BOX_SIZE))
+        model = ObjectModel.box(n.object_scale * np.array(scene.BOX_SIZE))
     else:
-        vertices, faces = convex_hull(scenario.object)
+        vertices, faces = scene.convex_hull(scenario.object)
         model = ObjectModel.from_mesh(n.object_scale * vertices, faces)
     scan_points, center = 4000, model.volume_centroid if n.declared_mass else None
     if n.object_dent > 0:
@@ -122,31 +109,27 @@ def declared_weight(nuisances: Nuisances) -> tuple[float, float]:
 
 @cache
 def _hand() -> Hand:
-    hand_file()  # raises MissingExtra where it is absent
-    tips = {finger: f"robot0:{finger}distal" for finger in FINGERS}
-    return Hand.from_file(f"package://gymnasium_robotics/{HAND_FILE}", palm=PALM, tips=tips)
+    scene.hand_file()  # raises MissingExtra where it is absent
+    tips = {finger: f"robot0:{finger}distal" for finger in scene.FINGERS}
+    return Hand.from_file(f"package://gymnasium_robotics/{scene.HAND_FILE}", palm=scene.PALM, tips=tips)
 
 
 def _finger(name: str, unloaded: Array) -> Finger:
     """Returns a finger whose sensor reads `unloaded` (6,) without load."""
-    semi_axes, center_z = tip_shape(name)
-    center, zero = np.array([0.0, 0.0, center_z]), np.zeros(3)
+    semi_axes, center_z = scene.tip_shape(name)
+    center = np.array([0.0, 0.0, center_z])
     calibration = WrenchCalibration(
         bias_force=unloaded[:3],
         bias_torque=unloaded[3:],
-        mass=SCENE.tip_mass,
+        mass=scene.SCENE.tip_mass,
         center_of_mass=center,
-        residual_force=zero,
-        residual_torque=zero,
-        condition=1.0,
         reading="on_tip",
     )
-    tip = Ellipsoid(
-        semi_axes, cap=-semi_axes[2] / 2, max_friction=1.2, T_surface_sensor=se3.compose(np.eye(3), -center)
-    )
+    T_surface_sensor = se3.compose(np.eye(3), -center)
+    tip = Ellipsoid(semi_axes, -semi_axes[2] / 2, max_friction=1.2, T_surface_sensor=T_surface_sensor)
     return Finger(
         frame=f"robot0:{name}distal",
-        T_frame_surface=se3.compose(np.eye(3), np.array([0, 0, SCENE.sensor_z + center_z])),
+        T_frame_surface=se3.compose(np.eye(3), np.array([0, 0, scene.SCENE.sensor_z + center_z])),
         tip=tip,
         calibration=calibration,
         # The tip is exactly where its file has it; these cover its deflection by `tip_compliance`.

@@ -106,8 +106,7 @@ class Nuisances:
     object_scan: float = 0.0
     """Sigma of the points of a scan [m]: above zero the robot's model is a cloud of 4 000 such points."""
     friction: float = 1.0
-    """Coefficient of friction of the fingertips; torsional friction is
-    proportional to it, with an arm of 5 mm."""
+    """Coefficient of friction of the fingertips; torsional friction is proportional to it, with an arm of 5 mm."""
     pull_force: float = 9.0
     """Greatest force with which the object is pulled, in the motions of a `Profile` [N]."""
     pull_torque: float = 0.0
@@ -248,21 +247,18 @@ class Scenario:
     nuisances: Nuisances = dataclasses.field(default_factory=Nuisances)
 
     def __post_init__(self) -> None:
-        named = isinstance(self.object, str)
-        meshes = (".stl", ".obj", ".ply", ".off")
-        if not named or (
-            self.object not in ("can", "box") and Path(self.object).suffix.lower() not in meshes
+        meshes, name = (".stl", ".obj", ".ply", ".off"), self.object
+        if not isinstance(name, str) or (
+            name not in ("can", "box") and Path(name).suffix.lower() not in meshes
         ):
             raise InvalidInput(
-                f"object: expected can, box or a mesh file ({', '.join(meshes)}), got {self.object!r:.80}"
+                f"object: expected can, box or a mesh file ({', '.join(meshes)}), got {name!r:.80}"
             )
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
             raise InvalidInput(f"seed: expected a whole number of at least 0, got {self.seed!r:.60}")
-        if self.motion not in get_args(Motion):
-            raise InvalidInput(f"motion: expected one of {', '.join(get_args(Motion))}, got {self.motion!r}")
-        if self.depth_camera not in get_args(DepthCamera):
-            kinds = ", ".join(get_args(DepthCamera))
-            raise InvalidInput(f"depth_camera: expected one of {kinds}, got {self.depth_camera!r:.80}")
+        for name, kinds in (("motion", get_args(Motion)), ("depth_camera", get_args(DepthCamera))):
+            if (value := getattr(self, name)) not in kinds:
+                raise InvalidInput(f"{name}: expected one of {', '.join(kinds)}, got {value!r:.80}")
         if not isinstance(self.nuisances, Nuisances):
             raise InvalidInput(f"nuisances: expected Nuisances, got {type(self.nuisances).__name__}")
         for name in ("images", "skin"):
@@ -272,12 +268,10 @@ class Scenario:
             raise InvalidInput(
                 "skin: expected can or a mesh, got box, which the hand cannot press on its palm"
             )
-        rate = checks.positive(self.rate, "rate")
-        steps = SCENARIO.steps_per_second / rate
+        rate, per_second = checks.positive(self.rate, "rate"), SCENARIO.steps_per_second
+        steps = per_second / rate
         if rate < SCENARIO.min_rate or steps < 1 or abs(steps - round(steps)) > 1e-9 * steps:
-            raise InvalidInput(
-                f"rate: expected a divisor of {SCENARIO.steps_per_second} per second, got {rate:g}"
-            )
+            raise InvalidInput(f"rate: expected a divisor of {per_second} per second, got {rate:g}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -328,18 +322,13 @@ class Sample:
     def forces_object(self) -> Mapping[str, float]:
         """Force of the object on each finger that it touches, by name [N]."""
         total: dict[str, Array] = {}
-        for contact in self.contacts_truth:
-            if contact.other == "object":
-                total[contact.finger] = total.get(contact.finger, np.zeros(3)) + contact.force_palm
+        for c in (c for c in self.contacts_truth if c.other == "object"):
+            total[c.finger] = total.get(c.finger, np.zeros(3)) + c.force_palm
         return {finger: float(np.linalg.norm(force)) for finger, force in total.items()}
 
     @property
     def touches(self) -> Mapping[str, TipContact]:
         """Contact with the largest force between the object and each finger that it touches, by name."""
-        hardest: dict[str, TipContact] = {}
-        for contact in self.contacts_truth:
-            if contact.other == "object":
-                kept = hardest.get(contact.finger, contact)
-                harder = np.linalg.norm(contact.force_palm) >= np.linalg.norm(kept.force_palm)
-                hardest[contact.finger] = contact if harder else kept
-        return hardest
+        found = [contact for contact in self.contacts_truth if contact.other == "object"]
+        by_force = sorted(found, key=lambda contact: float(np.linalg.norm(contact.force_palm)))
+        return {c.finger: c for c in found} | {c.finger: c for c in by_force}

@@ -278,13 +278,11 @@ def convex_hull(path: str) -> tuple[Array, Any]:
 
     from handsight.objects.files import read_shape
 
-    vertices: Array = read_shape(path).vertices
+    vertices, name, most = read_shape(path).vertices, Path(path).name, SCENARIO.max_extent
     extent = float(np.ptp(vertices, axis=0).max())
-    if not extent <= SCENARIO.max_extent:
-        raise InvalidObject(
-            f"{Path(path).name}: expected metres, at most {SCENARIO.max_extent:g}, got {extent:.3g}"
-        )
+    if not extent <= most:
+        raise InvalidObject(f"{name}: expected metres, at most {most:g}, got {extent:.3g}")
     if np.linalg.matrix_rank(vertices - vertices[0]) < 3:
-        raise InvalidObject(f"{Path(path).name}: expected a body with a volume, got none")
+        raise InvalidObject(f"{name}: expected a body with a volume, got none")
     hull = trimesh.convex.convex_hull(vertices, qhull_options="Qt")
     return np.asarray(hull.vertices), np.asarray(hull.faces)

@@ -167,8 +167,7 @@ def constant_errors(nuisances: Nuisances, seed: int, joints: int = 24) -> Consta
     """Returns the constant errors that a seed draws for a hand of that many joints, of the sizes of the nuisances."""
     n, rng = nuisances, np.random.default_rng((seed, 2))
     offsets = n.joint_offset * rng.normal(size=joints)
-    bias = UNLOADED + _errors(n.force_bias, n.torque_bias, rng, len(FINGERS))
-    bias += tip_biases(n, seed)
+    bias = UNLOADED + _errors(n.force_bias, n.torque_bias, rng, len(FINGERS)) + tip_biases(n, seed)
     drift = _errors(n.force_drift, n.torque_drift, rng, len(FINGERS))
     height, *tilt = np.random.default_rng((seed, 9)).normal(size=3)
     turn = se3.rotation_exp(n.table_tilt * np.array([*tilt, 0.0]))

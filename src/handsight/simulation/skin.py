@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from handsight import se3
 from handsight.checks import Array
@@ -37,9 +38,7 @@ PALM_GEOM = "robot0:C_palm0"
 PALM_SKIN = TaxelArray(
     frame=PALM,
     # On the face of the palm's collision box that is towards -y.
-    T_frame_grid=se3.compose(
-        np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([0.011, -0.0111, 0.045])
-    ),
+    T_frame_grid=np.array([[1.0, 0, 0, 0.011], [0, 0, -1, -0.0111], [0, 1, 0, 0.045], [0, 0, 0, 1]]),
     rows=20,
     columns=15,
     pitch=0.004,
@@ -59,11 +58,6 @@ class Solid:
     """(k,) distances of the planes from the origin along their normals [m]."""
 
     @classmethod
-    def box(cls, size: Array) -> "Solid":
-        """Returns a box about the origin."""
-        return cls(np.vstack([np.eye(3), -np.eye(3)]), np.tile(np.asarray(size) / 2, 2))
-
-    @classmethod
     def cylinder(cls, radius: float, height: float) -> "Solid":
         """Returns a cylinder about the origin and z."""
         angle = 2 * np.pi * np.arange(SKIN.circle_sides) / SKIN.circle_sides
@@ -72,15 +66,10 @@ class Solid:
         return cls(np.vstack([sides, ends]), np.repeat([radius, height / 2], [SKIN.circle_sides, 2]))
 
     @classmethod
-    def hull(cls, vertices: Array, faces: Array) -> "Solid":
-        """Returns the solid of a convex mesh."""
-        corners = vertices[faces]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        corners, normals = corners[length[:, 0] > 0], (normals / np.maximum(length, 1e-300))[length[:, 0] > 0]
-        inward = np.einsum("ki,ki->k", normals, corners[:, 0] - vertices.mean(axis=0)) < 0
-        normals[inward] *= -1
-        return cls(normals, np.einsum("ki,ki->k", normals, corners[:, 0]))
+    def hull(cls, vertices: Array) -> "Solid":
+        """Returns the convex hull of vertices (k, 3) [m]."""
+        planes = ConvexHull(vertices).equations
+        return cls(planes[:, :3], -planes[:, 3])
 
     def distances(self, points: Array, direction: Array) -> Array:
         """Returns the distances (n,) from points (n, 3) along a unit direction to the body's nearer surface [m].
@@ -146,7 +135,7 @@ class PalmSkin:
         self._offset = n.skin_offset * constant.normal(size=shape)
         self._share, self._noise = n.skin_noise, np.random.default_rng((seed, 12))
         is_can = scenario.object == "can"  # else it is a mesh: a scenario with a skin has no box
-        self._solid = Solid.cylinder(*CAN_SIZE) if is_can else Solid.hull(*convex_hull(scenario.object))
+        self._solid = Solid.cylinder(*CAN_SIZE) if is_can else Solid.hull(convex_hull(scenario.object)[0])
 
     def readings(self, T_palm_object: Array, force: float) -> dict[str, Array]:
         """Returns the array's readings (rows, columns) by its name [N]; `force` is the object's on the palm [N]."""

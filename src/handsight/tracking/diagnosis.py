@@ -2,9 +2,11 @@
 
 While a hand grasps an object in different ways, contacts measure more than its pose: what remains tells of the errors
 that all grasps have in common. Contact i of an instant is off the surface by r_i + A_i (M_i x + C_i θ), with x the
-instant's own error of the pose and θ the declared values' errors: of each joint, of each fingertip's radius (a tip that
-is mounted farther out looks nearly the same), and of the object's size. The instants' x are eliminated (Schur
-complement), and θ, with the declared sigmas as its prior, is the solution of one least-squares problem.
+instant's own error of the pose and θ the declared values' errors: of each joint, of each fingertip's place and radius,
+of the gain of each axis of its sensor (torque and force tell where it is touched), and of the object's size. The loads
+of a grasp in the air are those of a weight, whatever the squeeze: they depend on joints, gains and the mass. What is a
+grasp's or an instant's own is eliminated (Schur complement), and θ, with the declared sigmas as its prior, is
+the solution of one least-squares problem.
 
 Declared is θ = 0 with prior covariance P; estimated is θ̂ with covariance S. If what is declared is right, θ̂ is a
 Gaussian with covariance P - S, so θ̂ᵀ (P - S)⁻¹ θ̂ is a χ². The estimate that is shown is that of the recording
@@ -13,7 +15,7 @@ alone, without the value's own prior: information S⁻¹ - P⁻¹.
 
 import contextlib
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -23,8 +25,10 @@ from scipy.special import chdtrc
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts, Ellipsoid
+from handsight.correction import PoseEstimate
+from handsight.correction.modes import chi2_limit
 from handsight.errors import InvalidInput
-from handsight.forces import Weighing
+from handsight.forces import WEIGHER, Carried, Unknowns, Weighing, common_equations, weigh
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Finger, Rig
@@ -45,11 +49,17 @@ class DiagnosisOptions(NamedTuple):
     min_fingers: int = 3  # an instant has so many fingers or more: fewer determine the pose alone
     min_force: float = 0.3  # each presses by so much [N]: fingers that close are not at rest yet
     max_instants: int = 200  # most instants that are kept
+    unfit: float = 0.34  # at most such a share of them is left out where they do not fit the others
     enlarged: float = 1e-4  # by so much a radius is changed for a difference quotient [m]
+    louder: float = 1e-3  # by such a share a reading is
+    wide_gain: float = 0.15  # sigma of gains with which loads must be those of a weight
     passes: int = 3  # of Gauss and Newton's method
     max_errors: float = 10.0
-    """Errors of more of their declared sigmas are no small errors of this hand and this object."""
+    """Errors of more of their declared sigmas are no small errors of this hand and this object: a recording tells
+    nothing of what it knows to more sigmas only."""
     sigma_size: float = 0.03  # of an object's size, as a share, which models do not declare
+    sigma_compliance: float = 2e-4  # of the tips, how far each is pressed in [m/N]; it is no row of the table
+    unknown_mass: float = 10.0  # sigma of a mass that is not declared [kg]
     sigma_pose: float = 0.02  # sigma of an instant's pose about the tracked one [m]; see `sigma_turn`
     sigma_turn: float = float(np.deg2rad(20.0))  # [rad]
     measured: float = 1.0
@@ -180,19 +190,37 @@ class Diagnoser:
     def __init__(self, tracker: Tracker) -> None:
         """The tracker's rig and model declare the values."""
         self.tracker = tracker
-        self._offsets, self._sensors = JointOffsets.of(tracker.rig), FingertipSensors(tracker.rig)
-        larger = {name: _enlarged(finger) for name, finger in tracker.rig.fingers.items()}
-        self._larger = FingertipSensors(replace(tracker.rig, fingers=larger))
+        rig = tracker.rig
+        exact = {name: replace(finger, sigma_gain=0.0) for name, finger in rig.fingers.items()}
+        self._offsets, self._sensors = JointOffsets.of(rig), FingertipSensors(replace(rig, fingers=exact))
+        """The fingertips' sensors, without the errors of gains, which are values of their own."""
+        larger = {name: _enlarged(finger) for name, finger in exact.items()}
+        self._larger = FingertipSensors(replace(rig, fingers=larger))
         """The same fingertips, larger by `DIAGNOSIS.enlarged`."""
-        points = [max(finger.sigma_point, 1e-6) for finger in tracker.rig.fingers.values()]
-        joints = [max(self._offsets.sigma, 1e-6)] * len(self._offsets.joints)
-        self._sigmas = np.array([*joints, *points, DIAGNOSIS.sigma_size])
-        """(j + f + 1,) declared sigmas of the joints, of the fingertips' radii, and of the object's size."""
+        fingers, mass = rig.fingers.values(), tracker.track_state.weight.weigher.sigma_mass
+        sigmas = {
+            "joint": [self._offsets.sigma] * len(self._offsets.joints),
+            "gain": [f.sigma_gain for f in fingers for _ in range(6)],
+            "place": [f.sigma_point for f in fingers for _ in range(2)],
+            "radius": [f.sigma_point for f in fingers],
+            "size": [DIAGNOSIS.sigma_size],
+            "compliance": [DIAGNOSIS.sigma_compliance],
+            "mass": [mass or DIAGNOSIS.unknown_mass],
+        }
+        self._sigmas = np.maximum(np.concatenate(list(sigmas.values())), 1e-6)
+        """(k,) declared sigmas of the values that all grasps have in common."""
+        ends = np.cumsum([len(part) for part in sigmas.values()]).tolist()
+        self._at = {
+            kind: slice(e - len(part), e) for e, (kind, part) in zip(ends, sigmas.items(), strict=True)
+        }
+        """Where the values of each kind are among them."""
+        self._grasps = list[tuple[tuple[Carried, ...], Weighing]]()
+        """The loads of each grasp in the air, by joints as declared, where gravity had most directions."""
+        self._in_hand = False
+        """Whether the last of these is of the current grasp."""
         self._instants = list[Instant]()
         self._bias: tuple[Array, Array] | None = None
         """Vision's constant error (6,) and its covariance (6, 6), when they were known best."""
-        self._weighing: tuple[Weighing, bool] | None = None
-        """The last weighing in most directions of gravity, and whether it includes the declared mass."""
         self._table: TableEstimate | None = None
         """Where the table must be, when its height was known best."""
 
@@ -202,10 +230,7 @@ class Diagnoser:
         corrected = self.tracker.track_state.correction
         if observation is None or estimate is None or not estimate.consistent:
             return
-        weigher = self.tracker.track_state.weight.weigher
-        found, best = weigher.weighing, self._weighing
-        if found is not None and (best is None or found.directions >= best[0].directions):
-            self._weighing = found, weigher.mass is not None and not weigher.reason
+        self._add_loads()
         if corrected is None or corrected.stamp != observation.stamp:
             return
         table = self.tracker.table
@@ -214,10 +239,32 @@ class Diagnoser:
         bias = self.tracker.vision_bias()
         if bias is not None and (self._bias is None or np.trace(bias[1]) < np.trace(self._bias[1])):
             self._bias = bias
-        self._add_contacts(observation, estimate.T_palm_object)
+        self._add_contacts(observation, estimate)
 
-    def _add_contacts(self, observation: Observation, T: Array) -> None:
-        """Adds the contacts of an instant with the object at T (4, 4), if they are a new grasp."""
+    def _add_loads(self) -> None:
+        """Keeps the loads of the last weighing, if gravity has had no more directions before in this grasp."""
+        state, last = self.tracker.track_state, self._grasps[-1][1] if self._in_hand else None
+        found, instants = state.weight.weigher.weighing, state.weight.weigher.instants
+        self._in_hand = found is not None
+        if found is None or found is last or (last is not None and found.directions < last.directions):
+            return
+        if last is not None:
+            self._grasps.pop()
+        self._grasps.append((tuple(self._as_declared(each, state.offsets.mean) for each in instants), found))
+
+    def _as_declared(self, instant: Carried, offsets: Array) -> Carried:
+        """Returns a load without the joints' estimated offsets (j,), whose readings are without the tips' weights."""
+        load, readings = instant.load, instant.load.readings.copy()
+        for i, finger in enumerate(self.tracker.rig.fingers.values()):
+            own, known = load.by_bias[:3, 6 * i : 6 * i + 3].T @ load.gravity, finger.calibration
+            readings[6 * i : 6 * i + 6] -= known.mass * np.concatenate(
+                [own, np.cross(known.center_of_mass, own)]
+            )
+        wrench = load.wrench + load.by_joint @ offsets
+        return replace(instant, load=replace(load, wrench=wrench, readings=readings))
+
+    def _add_contacts(self, observation: Observation, estimate: PoseEstimate) -> None:
+        """Adds the contacts of an instant with the object at its estimated pose, if they are a new grasp."""
         if len(self._instants) >= DIAGNOSIS.max_instants or observation.contacts:
             return
         touch = self._sensors.contacts(observation)
@@ -228,38 +275,112 @@ class Diagnoser:
             return
         if not self._is_new(touch.fingers, contacts):
             return
-        larger = self._larger.contacts(observation)
-        if larger.contacts is None or larger.fingers != touch.fingers:
+        others = [self._larger.contacts(observation)]
+        others += [self._sensors.contacts(self._with_gain(observation, axis)) for axis in range(6)]
+        found = [
+            each.contacts for each in others if each.contacts is not None and each.fingers == touch.fingers
+        ]
+        if len(found) < len(others):
             return
+        # (7, n, 6) by how much each change moves the point and the normal of each contact.
+        changed = np.array([np.hstack([each.points_palm, each.normals_palm]) for each in found])
+        changed -= np.hstack([contacts.points_palm, contacts.normals_palm])
         K, alone = self._offsets.separated(contacts, touch.by_error)
-        names, j = list(self.tracker.rig.fingers), K.shape[2]
         J = np.zeros((len(contacts), 6, len(self._sigmas)))
-        J[:, :, :j] = -K  # a joint that reads too much is at a smaller angle
-        tips = np.arange(len(contacts)), slice(None), [j + names.index(finger) for finger in touch.fingers]
-        J[tips] = (
-            np.hstack(
-                [
-                    larger.contacts.points_palm - contacts.points_palm,
-                    larger.contacts.normals_palm - contacts.normals_palm,
-                ]
-            )
-            / DIAGNOSIS.enlarged
+        J[:, :, self._at["joint"]] = -K  # a joint that reads too much is at a smaller angle
+        rig, (place, gain, radius) = (
+            self.tracker.rig,
+            (self._at[k].start for k in ("place", "gain", "radius")),
         )
+        Ts = rig.hand.kinematics(dict(observation.joint_positions or {})).Ts_palm_tip
+        for i, name in enumerate(touch.fingers):
+            n, tip = list(rig.fingers).index(name), list(rig.hand.tips).index(name)
+            R = Ts[tip, :3, :3] @ rig.fingers[name].T_frame_surface[:3, :3]
+            J[i, :3, place + 2 * n : place + 2 * n + 2] = R[
+                :, :2
+            ]  # along its axis it looks like another radius
+            J[i, :, radius + n] = changed[0, i] / DIAGNOSIS.enlarged
+            # A sensor that reads too much measures less.
+            J[i, :, gain + 6 * n : gain + 6 * n + 6] = -changed[1:, i].T / DIAGNOSIS.louder
         # A contact with a larger object is nearer to its middle, relative to its surface.
+        T = estimate.T_palm_object
         middle = se3.apply(T, self.tracker.model.center_object[None])[0]
-        J[:, :3, -1] = middle - contacts.points_palm
+        J[:, :3, self._at["size"]] = (middle - contacts.points_palm)[:, :, None]
+        J[:, :3, self._at["compliance"]] = (loads[:, 3:4] * contacts.normals_palm)[:, :, None]
         self._instants.append(Instant(touch.fingers, contacts, alone, J, T))
+
+    def _with_gain(self, observation: Observation, axis: int) -> Observation:
+        """Returns an observation whose sensors read too much along one of their six axes, by `DIAGNOSIS.louder`."""
+        wrenches = {}
+        for name, wrench in observation.wrenches.items():
+            wrenches[name] = louder = np.array(wrench, dtype=float)
+            if (finger := self.tracker.rig.fingers.get(name)) is not None:
+                known = finger.calibration
+                bias = np.concatenate([known.bias_force, known.bias_torque])
+                louder[axis] += DIAGNOSIS.louder * (louder - bias)[axis]
+        return replace(observation, wrenches=wrenches)
 
     def diagnosis(self) -> Diagnosis:
         """Returns the diagnosis of all that was watched."""
-        errors, covariance = self._solve()
-        far = bool(np.abs(errors / self._sigmas).max() > DIAGNOSIS.max_errors)
-        by_touch = () if far else self._contact_values(errors, covariance)
-        values = [*by_touch, *self._vision_values(), *self._other_values()]
+        errors, H = self._solve()
+        hand = (
+            np.abs(errors / self._sigmas)[self._at[kind]].max()
+            for kind in ("joint", "place", "radius", "size")
+        )
+        far = max(hand) > DIAGNOSIS.max_errors
+        rows = [] if far else self._rows()
+        others = [*self._vision_values(), *self._other_values()]
         # Bonferroni: that any of n right values is called wrong has at most the stated probability.
-        level = DIAGNOSIS.level / max(len(values), 1)
-        judged = (replace(value, wrong=float(chdtrc(value.freedom, value.chi2)) < level) for value in values)
-        return Diagnosis(tuple(judged), len(self._instants), UNLIKE if far else "")
+        level = DIAGNOSIS.level / max(len(rows) + len(others), 1)
+        judged = [replace(v, wrong=float(chdtrc(v.freedom, v.chi2)) < level) for v in others]
+        values = *self._judged(rows, errors, H, level), *judged
+        return Diagnosis(values, len(self._instants), UNLIKE if far else "")
+
+    def _rows(self) -> list[tuple[str, str, float, list[int]]]:
+        """Returns the table's rows: name, unit, declared value [SI], and of which common values each is the mean."""
+        fingers, model, at = self.tracker.rig.fingers, self.tracker.model, self._at
+        k = {kind: iter(range(part.start, part.stop)) for kind, part in at.items()}
+        rows = [(f"joint {joint}", "°", 0.0, [next(k["joint"])]) for joint in self._offsets.joints]
+        for name, finger in fingers.items():
+            rows += [(f"tip {name} shift {axis}", "mm", 0.0, [next(k["place"])]) for axis in "xy"]
+            rows.append(
+                (f"tip {name} radius", "mm", float(np.mean(finger.tip.semi_axes)), [next(k["radius"])])
+            )
+            rows.append((f"sensor {name} gain", "%", 1.0, [next(k["gain"]) for _ in range(6)]))
+        rows.append(("object size", "%", 1.0, [next(k["size"])]))
+        if model.mass is not None:
+            rows.append(("object mass", "g", model.mass, [next(k["mass"])]))
+        return rows
+
+    def _judged(
+        self, rows: list[tuple[str, str, float, list[int]]], errors: Array, H: Array, level: float
+    ) -> list[Diagnosed]:
+        """Returns the rows' values, of which those are wrong that are so for a test of this level.
+
+        What is wrong makes everything that depends on it look wrong, too. So what is most unlikely is called wrong
+        alone, and the rest is tested again with ten times its declared sigma (Baarda's data snooping, 1968).
+        """
+        wrong, sigmas = dict[int, float](), self._sigmas.copy()
+        while True:
+            S, values = np.linalg.inv(H), list[Diagnosed]()
+            for k, (name, unit, declared, at) in enumerate(rows):
+                prior, sigma = (
+                    sigmas[at[0]] / math.sqrt(len(at)),
+                    math.sqrt(S[np.ix_(at, at)].sum()) / len(at),
+                )
+                value = diagnosed(name, unit, declared, float(prior), float(errors[at].mean()), sigma)
+                if k in wrong:
+                    value = replace(
+                        value, sigma=value.sigma / DIAGNOSIS.max_errors, chi2=wrong[k], wrong=True
+                    )
+                values.append(value)
+            k = max(range(len(rows)), key=lambda k: 0.0 if k in wrong else values[k].chi2, default=-1)
+            if k < 0 or k in wrong or chdtrc(1, values[k].chi2) >= level:
+                return values
+            wrong[k], at, freed = values[k].chi2, rows[k][3], H.copy()
+            freed[at, at] -= (1 - DIAGNOSIS.max_errors**-2) / sigmas[at] ** 2
+            sigmas[at] *= DIAGNOSIS.max_errors
+            errors, H = np.asarray(np.linalg.solve(freed, H @ errors)), freed
 
     def _is_new(self, fingers: tuple[str, ...], contacts: Contacts) -> bool:
         """Returns whether a finger touches elsewhere than in all kept instants with the same fingers."""
@@ -271,44 +392,77 @@ class Diagnoser:
                 return False
         return True
 
-    def _solve(self) -> tuple[Array, Array]:
-        """Returns the errors (j + f + 1,) that the kept instants have in common, and their covariance."""
-        errors, H = np.zeros(len(self._sigmas)), np.diag(self._sigmas**-2)
+    def _solve(self, kept: Sequence[Instant] | None = None) -> tuple[Array, Array]:
+        """Returns the errors (k,) that all grasps have in common, and their information (k, k), with the priors.
+
+        A few instants that do not fit the others are left out: a tip may have touched something else, or at two places.
+        """
+        kept = self._instants if kept is None else kept
+        errors, (by_loads, pulled) = np.zeros(len(self._sigmas)), self._load_equations()
+        H = by_loads + np.diag(self._sigmas**-2)
+        worst = 1.0, -1
         by_pose = np.diag(np.repeat([DIAGNOSIS.sigma_pose, DIAGNOSIS.sigma_turn], 3) ** -2.0)
-        Ts, moved = [instant.T_palm_object for instant in self._instants], np.zeros((len(self._instants), 6))
+        Ts, moved = [instant.T_palm_object for instant in kept], np.zeros((len(kept), 6))
         for _ in range(DIAGNOSIS.passes):
-            H, slope, parts = np.diag(self._sigmas**-2), errors / self._sigmas**2, []
-            for instant, T, motion in zip(self._instants, Ts, moved, strict=True):
+            H, parts, worst = by_loads + np.diag(self._sigmas**-2), list[Array](), (1.0, -1)
+            slope = H @ errors + pulled
+            for instant, T, motion in zip(kept, Ts, moved, strict=True):
                 A, b = contact_equations(
                     self.tracker.model, instant.with_errors(errors), instant.covariance, instant.by_value, T
                 )
                 A[:6, :6] += by_pose
                 b[:6] += by_pose @ motion
                 eliminated = np.linalg.solve(A[:6, :6], np.column_stack([A[:6, 6:], b[:6]]))
-                H += A[6:, 6:] - A[6:, :6] @ eliminated[:, :-1]
-                slope += b[6:] - A[6:, :6] @ eliminated[:, -1]
-                parts.append(eliminated)
+                own, pull = A[6:, 6:] - A[6:, :6] @ eliminated[:, :-1], b[6:] - A[6:, :6] @ eliminated[:, -1]
+                # The values explain any error of a contact, so this is all that is left: 3 numbers each, less a pose.
+                root = self._sigmas
+                left = (
+                    root
+                    * pull
+                    @ np.linalg.pinv(own * np.outer(root, root), 1e-9, hermitian=True)
+                    @ (root * pull)
+                )
+                limit = chi2_limit(max(3 * len(instant.fingers) - 6, 1), DIAGNOSIS.level / len(kept))
+                worst = max(worst, (float(left) / limit, len(parts)))
+                H, slope = H + own, slope + pull
+                parts.append(np.asarray(eliminated))
             step = -np.linalg.solve(H, slope)
             errors = errors + step
             for k, eliminated in enumerate(parts):
                 turned = -(eliminated[:, :-1] @ step + eliminated[:, -1])
                 moved[k] += turned
                 Ts[k] = se3.moved(Ts[k], turned)
-        return errors, np.linalg.inv(H)
+        if worst[1] < 0 or len(kept) - 1 < (1 - DIAGNOSIS.unfit) * len(self._instants):
+            return errors, H
+        return self._solve([*kept[: worst[1]], *kept[worst[1] + 1 :]])
 
-    def _contact_values(self, errors: Array, covariance: Array) -> Iterator[Diagnosed]:
-        """Yields what contacts tell of joints, tips and the object's size; the arguments are those of `_solve`."""
-        sigmas = np.sqrt(covariance.diagonal())
-        fingers = self.tracker.rig.fingers
-        named = [(f"joint {joint}", "°", 0.0) for joint in self._offsets.joints]
-        named += [
-            (f"tip {name} radius", "mm", float(np.mean(f.tip.semi_axes))) for name, f in fingers.items()
-        ]
-        named.append(("object size", "%", 1.0))
-        for value, prior, error, sigma in zip(
-            named, self._sigmas.tolist(), errors.tolist(), sigmas.tolist(), strict=True
-        ):
-            yield diagnosed(*value, prior, error, sigma)
+    def _load_equations(self) -> tuple[Array, Array]:
+        """Returns what the loads of all grasps add to H (k, k) and to the slope (k,) where nothing is wrong."""
+        H, slope = np.zeros((len(self._sigmas), len(self._sigmas))), np.zeros(len(self._sigmas))
+        of = np.array([len(H) - 1, *range(self._at["gain"].stop)])
+        scale, gains = np.append(1.0, self._sigmas[of[1:]]).astype(float), self._sigmas[self._at["gain"]]
+        rig, mass, joints = (
+            self.tracker.rig,
+            self.tracker.model.mass,
+            np.diag(self._sigmas[self._at["joint"]]),
+        )
+        for instants, start in self._grasps:
+            # A tip that is elsewhere has another arm: its torque is off by about as much in all directions of gravity.
+            forces = np.linalg.norm(instants[-1].load.forces, axis=1).tolist()
+            biases = [
+                [f.sigma_force] * 3 + [math.hypot(f.sigma_torque, f.sigma_point * force)] * 3
+                for f, force in zip(rig.fingers.values(), forces, strict=True)
+            ]
+            unknowns = Unknowns(
+                joints, np.concatenate(biases), WEIGHER.creep, rig.gravity, WEIGHER.sigma_gravity, gains
+            )
+            wide = replace(unknowns, gains=np.full_like(gains, DIAGNOSIS.wide_gain))
+            if (found := weigh(instants, wide, start)).consistent:
+                mass = found.mass if mass is None else mass
+                own, pull = common_equations(instants, unknowns, found)
+                H[np.ix_(of, of)] += own / np.outer(scale, scale)
+                slope[of] += (pull + own[0] * (mass - found.mass)) / scale
+        return H, slope
 
     def _vision_values(self) -> Iterator[Diagnosed]:
         """Yields what the palm's motion tells of the camera's constant error, at the object, along its mount's axes."""
@@ -326,22 +480,16 @@ class Diagnoser:
             yield diagnosed("camera latency", "ms", camera.latency, camera.sigma_latency, off, latency[1])
 
     def _other_values(self) -> Iterator[Diagnosed]:
-        """Yields what the table, the object's weight, slips, and sensors in the air tell."""
+        """Yields what the table, slips, and sensors in the air tell."""
         rig, model, table = self.tracker.rig, self.tracker.model, self._table
         if rig.table is not None and table is not None:
             off = table.height - rig.table.height
             height, tilt = rig.table.sigma_height, rig.table.sigma_tilt
             yield diagnosed("table height", "mm", rig.table.height, height, off, table.sigma_height)
             value = diagnosed("table tilt", "°", 0.0, tilt, table.tilt, table.sigma_tilt)
-            yield replace(value, freedom=2)
+            # The sigma is the larger one of two axes: where it is no smaller than declared, χ² of both is not known.
+            yield replace(value, chi2=value.chi2 if value.measured else 0.0, freedom=2)
         weigher, slip = self.tracker.track_state.weight.weigher, self.tracker.slip
-        if self._weighing is not None and model.mass is not None:
-            found, includes = self._weighing
-            numbers = "object mass", "g", model.mass, weigher.sigma_mass
-            if includes:
-                yield diagnosed(*numbers, found.mass - model.mass, found.sigma_mass)
-            else:
-                yield measured(*numbers, found.mass, found.sigma_mass)
         if model.friction is not None and slip.friction is not None:
             off = slip.friction - model.friction
             yield diagnosed(
@@ -371,7 +519,7 @@ def diagnosed(name: str, unit: str, declared: float, prior: float, error: float,
     """
     factor = UNITS[unit]
     own = 1 / sigma**2 - 1 / prior**2 if prior > 0 else 0.0  # what is declared exact stays as it is
-    if own * prior**2 < 1e-6:  # the recording tells nothing
+    if own * (DIAGNOSIS.max_errors * prior) ** 2 < 1:  # the recording tells next to nothing
         return Diagnosed(name, unit, factor * declared, factor * prior, math.nan, math.inf, 0.0)
     estimated, sigma_estimated = declared + error / sigma**2 / own, own**-0.5
     chi2 = error**2 / (prior**2 - sigma**2)

@@ -30,7 +30,7 @@ from handsight.tracking.hypotheses import (
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate
-from handsight.tracking.misfit import MISFIT, NO_INNOVATIONS, OTHER_OBJECT, better_object
+from handsight.tracking.misfit import MISFIT, NO_INNOVATIONS, better_object
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
@@ -245,10 +245,10 @@ class Follower:
 
     def _regrasped(self, state: _Next, smoother: PoseBiasSmoother, change: GraspChange) -> PoseBiasSmoother:
         """Returns the smoother after fingers came or went, which may have pushed the object."""
-        state.offsets = self.joint_offsets(state)
-        state.learnt_from = last = state.correction
-        pose, T, table = smoother.now, state.T_world_palm, self.rig.table
+        last, pose, T, table = state.correction, smoother.now, state.T_world_palm, self.rig.table
         if change == "released":
+            # Once a grasp: where readings are missing, fingers come and go, and the same errors would count each time.
+            state.offsets, state.learnt_from = self.joint_offsets(state), last
             if last is not None:
                 # What was measured of the pose up to now stays true; the object's motion from now on is unknown.
                 pose = pose.given_pose(last.estimate.T_palm_object, last.estimate.information)
@@ -369,32 +369,41 @@ class Follower:
             state.memory = state.memory.only(state.memory.last.keys() - wrong)
         if others:  # those that were found by the last search
             estimate = with_others(self.model, estimate, others)
-        modes = estimate.modes
-        if state.table is not None and state.table.alternatives is not None:
-            estimate = state.table.alternatives.added(self.model, estimate)
-        # What has not fitted the model lately inflates the answer.
-        age = 0.0 if last is None else now - last.stamp
-        afresh = estimate.consistent and now - state.fits_at > FOLLOWER.lost_without_fit  # found again
-        watched = NO_INNOVATIONS if last is None or afresh else state.innovations
-        watched = watched.after(age, touch.fingers, estimate, prior)
-        # An answer that contacts did not fit was called wrong before it moved.
-        if last is not None and last.estimate.consistent and not state.slip.now.slipping:
-            noise = process_variance(self.process_noise, age)
-            if touch.fingers != last.fingers:
-                noise = noise + self.regrasp_noise
-            watched = watched.moved(age, self.model, last.estimate, estimate, noise)
-        if not watched.another_object:
-            state.better_object = ""
-        elif self.alternatives and now - state.objects_compared_at >= MISFIT.compare_period:
-            state.objects_compared_at, explained = now, (self.model, estimate, prior)
-            state.better_object = better_object(self.alternatives, contacts, links, explained)
-        state.innovations, estimate = watched, watched.inflated(estimate)
+        estimate, modes = self._judged(state, estimate, prior, (contacts, links))
         _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
         state.correction = Correction(
             estimate, touched, touch.by_error, prior, touch.fingers, now, variance, skin, modes, searched_at
         )
         state.estimate, state.propagated_to = estimate, now
         state.corrections += 1
+
+    def _judged(
+        self, state: _Next, estimate: PoseEstimate, prior: PosePrior, touch: tuple[Contacts, Outside | None]
+    ) -> tuple[PoseEstimate, Sequence[np.void]]:
+        """Returns a correction's estimate with the other explanations of the table, and with a covariance inflated by
+        what has not fitted the model lately; and its modes under its `prior` alone."""
+        last, now = state.correction, state.stamp
+        age = 0.0 if last is None else now - last.stamp
+        afresh = estimate.consistent and now - state.fits_at > FOLLOWER.lost_without_fit  # found again
+        watched = NO_INNOVATIONS if last is None or afresh else state.innovations
+        watched = watched.after(age, state.fingertips.fingers, estimate, prior)
+        if not watched.touch:
+            state.better_object = ""
+        elif self.alternatives and now - state.objects_compared_at >= MISFIT.compare_period:
+            state.objects_compared_at, explained = now, (self.model, estimate, prior)
+            state.better_object = better_object(self.alternatives, *touch, explained)
+        estimate = watched.covered(self.model, estimate, prior)
+        modes = estimate.modes
+        if state.table is not None and state.table.alternatives is not None:
+            estimate = state.table.alternatives.added(self.model, estimate)
+        # An answer that contacts did not fit was called wrong before it moved.
+        if last is not None and last.estimate.consistent and not state.slip.now.slipping:
+            noise = process_variance(self.process_noise, age)
+            if state.fingertips.fingers != last.fingers:
+                noise = noise + self.regrasp_noise
+            watched = watched.moved(age, self.model, last.estimate, estimate, noise)
+        state.innovations = watched
+        return watched.inflated(estimate), modes
 
     def _recovered(
         self,
@@ -425,27 +434,27 @@ class Follower:
 
     def _trust(self, state: _Next, estimate: PoseEstimate) -> tuple[State, str]:
         """Returns how far the estimate can be trusted, and why not further."""
-        other = ""
-        if state.innovations.another_object:
-            better = state.better_object
-            other = f"another object, {better}, explains the touch better" if better else OTHER_OBJECT
+        better = state.better_object
+        other = f"another object, {better}, explains the touch better" if better else state.innovations.touch
         if state.measured_at == -math.inf:
             return "lost", "nothing was touched or seen yet"
         if (since := state.stamp - state.measured_at) > self.settings.lost_after:
             return "lost", f"nothing touched and nothing seen for {since:.1f} s"
         if (since := state.stamp - state.fits_at) > FOLLOWER.lost_without_fit:
-            return "lost", f"the contacts have fitted no pose for {since:.1f} s: {other or OTHER_OBJECT}"
+            reason = f"the contacts have fitted no pose for {since:.1f} s"
+            return "lost", f"{reason}: {other}" if other else reason
         if state.slip.now.slipping:
             return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
         if not estimate.consistent:
             reason = "the contacts do not fit the object at its estimated pose"
             return "uncertain", f"{reason}: {other}" if other else reason
-        if doubt := state.weight.doubt(estimate):
+        if doubt := state.weight.doubt:
             return "uncertain", doubt
         if ambiguous := ambiguity(self.model, estimate):
             return "uncertain", ambiguous
         if state.correction is not None and (misfit := state.innovations.worst):
-            return "uncertain", f"{misfit}: {other}" if other else str(misfit)
+            why = state.weight.elsewhere(estimate) if misfit.name == "weight" else other
+            return "uncertain", f"{misfit}: {why}" if why else str(misfit)
         if state.correction is None and not state.vision.camera_from_palm.confirmed:
             return "uncertain", "nothing is touched: the pose is vision's"
         if (sigma := self.sigma(state)) > self.settings.uncertain_position:

@@ -7,12 +7,19 @@ squared (NIS) of each kind of evidence is averaged over a window, in time, as co
 * of a finger: by how much χ² rises with its contact where that contradicts the rest (`estimate.conflicts`), else zero;
 * of vision, the prior with all but contacts: d' P₀⁻¹ d, with d from the prior to the answer; if both are right, it is
   6 - tr(P₀⁻¹ P₁) on average, with P₁ the answer's covariance;
+* of the weight: by how much χ² rises with the centre of mass in the palm where that contradicts the rest, else zero;
 * of the answer's motion since the last correction: d' (P₀ + P₁)⁻¹ d, with P₀ that of the last answer propagated to now.
 
 Successive observations of one grasp have the same errors of calibration, so a window is worth one independent sample.
 With an unknown factor s² on all noise, whose prior is scaled inverse χ² with ν degrees of freedom and scale 1, a NIS of
 n degrees of freedom gives E[1/s²] = (ν + n) / (ν + NIS) (the weight of Student's t): the covariance is multiplied by
 (ν + NIS) / (ν + n) where that is above 1 and the NIS is beyond the quantile of a χ² test.
+
+Offsets of the joints may not show in residuals at all: the object then fits elsewhere. Their declared sigmas are
+estimates, too: with ν degrees of freedom, the pose follows Student's t, whose 95 % region is that of a Gaussian with a
+covariance larger by k F(k, ν) / χ²(k), by the 95 % quantiles (a coverage factor: Guide to the Expression of Uncertainty
+in Measurement, annex G). The information of touch is divided by that, and by the factor s² of all touch above 1; that
+of vision, whose errors are states, is not.
 """
 
 import math
@@ -21,12 +28,13 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import fdtri
 
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import Outside, PoseEstimate, PosePrior, correct_pose
-from handsight.correction.modes import chi2_limit
+from handsight.correction.modes import chi2_limit, in_metres
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.tracking.hypotheses import log_evidence
@@ -43,9 +51,14 @@ class MisfitOptions(NamedTuple):
     usual choice for measurements with outliers (Lange, Little and Taylor 1989)."""
     rejected: float = 0.5
     """A finger whose contact is rejected for a larger share of the window contradicts the others."""
+    coverage: float = 6 * 6.163 / 12.592
+    """6 F(6, 4) / χ²(6), of 95 % quantiles: for six numbers of the pose and `noise_freedom`."""
     suspicious: float = 0.6
-    """The object may be another one once contacts fitted no pose, or one finger at least had to be rejected, for a
-    larger share of the window: that is for about a second, in which two searches from wider priors have failed."""
+    """The object may be another one once contacts contradicted the model for a larger share of the window: that is for
+    about a second, in which two searches from wider priors have failed."""
+    one_finger: float = 0.01
+    """Level at which one finger alone contradicts the model: so many honest ones are that far off (`contradicted`). One
+    that contradicts the others less may be calibrated badly as well."""
     decisive: float = math.log(100.0)
     """Another object explains the touch better if its log evidence is higher by so much."""
     sigma_turn: float = 1.0  # of another object's rotation about that of the model, per axis [rad]
@@ -54,8 +67,9 @@ class MisfitOptions(NamedTuple):
 
 MISFIT = MisfitOptions()
 OTHER_OBJECT = "this may be another object than the model"
-TOUCH = "touch"
-"""Name of the misfit of all contacts together."""
+FINGER_OR_OBJECT = "a finger is calibrated badly, or this is another object"
+TOUCH, OBJECT = "touch", "object"
+"""Names of the misfits of all contacts together: those that a finger may cause, and those that none can."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +77,7 @@ class Misfit:
     """A `Misfit` says how well one kind of evidence fits the model; `str` of it is a sentence."""
 
     name: str
-    """What is compared: the name of a finger, "vision" or "motion"."""
+    """What is compared: the name of a finger, "vision", "weight" or "motion"."""
     nis: float = 0.0
     """Normalised innovation squared, averaged over the window."""
     expected: float = 0.0
@@ -74,25 +88,27 @@ class Misfit:
     @property
     def contradicts(self) -> bool:
         """Whether the evidence does not fit."""
-        if self.rejected:
-            return self.rejected > (MISFIT.suspicious if self.name == TOUCH else MISFIT.rejected)
+        if self.rejected or self.name in (TOUCH, OBJECT):
+            return self.rejected > (MISFIT.suspicious if self.name in (TOUCH, OBJECT) else MISFIT.rejected)
         return bool(self.nis > chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm))
 
     @property
     def factor(self) -> float:
         """By how much the answer's covariance is multiplied; 1 where the evidence fits."""
-        if self.nis <= chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm):
+        if self.name == TOUCH or self.nis <= chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm):
             return 1.0
         return (MISFIT.noise_freedom + self.nis) / (MISFIT.noise_freedom + self.expected)
 
     def __str__(self) -> str:
         """Returns a sentence such as "finger ff contradicts the others"."""
-        if self.name == TOUCH:
-            return f"contacts contradict the model: {OTHER_OBJECT}"
+        if self.name in (TOUCH, OBJECT):
+            return "contacts contradict the model"
         if self.name == "motion":
             return f"the answer has moved by {math.sqrt(self.nis):.0f} sigma at once"
         if self.name == "vision":
             return f"contacts and vision have differed by {math.sqrt(self.nis):.0f} sigma"
+        if self.name == "weight":
+            return f"the weight has contradicted the rest by {math.sqrt(self.nis):.0f} sigma"
         return f"finger {self.name} contradicts the others"
 
     def after(self, share: float, nis: float, expected: float, rejected: float = 0.0) -> "Misfit":
@@ -107,7 +123,7 @@ class Innovations:
     """`Innovations` are how well all evidence has fitted the model, over a window."""
 
     misfits: dict[str, Misfit] = field(default_factory=dict)
-    """By what is compared: fingers, "vision", "motion"."""
+    """By what is compared: fingers, "vision", "weight", "motion"."""
 
     @property
     def worst(self) -> Misfit | None:
@@ -115,9 +131,12 @@ class Innovations:
         return max((m for m in self.misfits.values() if m.contradicts), key=lambda m: m.factor, default=None)
 
     @property
-    def another_object(self) -> bool:
-        """Whether contacts have contradicted the model for so long that the object may be another one."""
-        return self.misfits.get(TOUCH, Misfit(TOUCH)).contradicts
+    def touch(self) -> str:
+        """What contacts that have contradicted the model for a while suggest; empty where they have not."""
+        for name, reason in ((OBJECT, OTHER_OBJECT), (TOUCH, FINGER_OR_OBJECT)):
+            if name in self.misfits and self.misfits[name].contradicts:
+                return reason
+        return ""
 
     @property
     def factor(self) -> float:
@@ -133,15 +152,21 @@ class Innovations:
         """
         share, known = 1 - math.exp(-age / MISFIT.window), self.misfits
         new = {name: misfit for name, misfit in known.items() if name in ("vision", "motion")}
-        against = {c.evidence: c for c in estimate.conflicts if c.evidence.startswith("contact")}
+        against = {c.evidence: c for c in estimate.conflicts}
+        if estimate.weight_fits is not None or "weight" in known:
+            chi2 = against["weight"].chi2 if "weight" in against else 0.0
+            new["weight"] = known.get("weight", Misfit("weight", 0.0, 3.0)).after(share, chi2, 3.0)
         for i, finger in enumerate(fingers):
             before, conflict = known.get(finger), against.get(f"contact {i}")
             if conflict is not None or before is not None:
                 nis, freedom = (0.0, 3) if conflict is None else (conflict.chi2, conflict.freedom)
                 before = before or Misfit(finger, expected=freedom)
                 new[finger] = before.after(share, nis, freedom, float(i in estimate.outliers))
-        wrong = not estimate.consistent or any(i < len(fingers) for i in estimate.outliers)
-        new[TOUCH] = known.get(TOUCH, Misfit(TOUCH)).after(share, 0.0, 0.0, float(wrong))
+        wrong, other = contradicted(estimate, len(fingers))
+        rows = float(estimate.answer["rows"])
+        touch = known.get(TOUCH, Misfit(TOUCH, expected=rows))
+        new[TOUCH] = touch.after(share, float(estimate.answer["chi2"]), rows, float(wrong))
+        new[OBJECT] = known.get(OBJECT, Misfit(OBJECT)).after(share, 0.0, 0.0, float(other))
         inverse = np.linalg.inv(prior.covariance)
         off = se3.difference(estimate.T_palm_object, prior.T_palm_object)
         expected = 6.0 - float((inverse * estimate.bounded_covariance).sum())
@@ -165,6 +190,25 @@ class Innovations:
         before = self.misfits.get("motion", Misfit("motion")).nis * math.exp(-age / MISFIT.window)
         return replace(self, misfits={**self.misfits, "motion": Misfit("motion", max(nis, before), 6.0)})
 
+    def covered(self, model: ObjectModel, estimate: PoseEstimate, prior: PosePrior) -> PoseEstimate:
+        """Returns a correction's estimate with the information of touch divided by its coverage factor; `prior` is
+        that of the correction."""
+        touch, unit = self.misfits[TOUCH], np.repeat([1.0, model.radius], 3)
+        scale = (MISFIT.noise_freedom + touch.nis) / (MISFIT.noise_freedom + touch.expected)
+        lost = 1 - 1 / (MISFIT.coverage * max(scale, 1.0))
+        # In coordinates y = U' x, the information U U' is the identity, and that of the prior is at most that.
+        values, vectors = np.linalg.eigh(in_metres(estimate.information, model.radius))
+        values = np.maximum(values, 1e-12 * values[-1])  # rounding
+        known = values > (1e-9 * values[-1] if estimate.covariance is None else 0.0)
+        U = vectors[:, known] * np.sqrt(values[known]) * unit[:, None]
+        prior_variances, axes = np.linalg.eigh(U.T @ prior.covariance @ U)
+        left = 1 - lost * (1 - 1 / np.maximum(prior_variances, 1.0))
+        information, covariance = (U @ axes * left) @ (U @ axes).T, None
+        if estimate.covariance is not None:
+            W = vectors / np.sqrt(values) / unit[:, None] @ axes
+            covariance = (W / left) @ W.T
+        return estimate.with_gaussian(estimate.T_palm_object, covariance, information)
+
     def inflated(self, estimate: PoseEstimate) -> PoseEstimate:
         """Returns the estimate with its covariance inflated until the evidence fits."""
         # A variance stops growing where the object may be anywhere.
@@ -176,6 +220,22 @@ class Innovations:
 
 
 NO_INNOVATIONS = Innovations()
+
+
+def contradicted(estimate: PoseEstimate, fingers: int) -> tuple[bool, bool]:
+    """Returns whether contacts contradict the model, and whether no calibration of one finger can explain that.
+
+    They do where they fit no pose, or one of the first `fingers` contacts had to be rejected; an answer that vision
+    alone contradicts is none of these. One finger explains it if only one had to be, and if it is not too far off: with
+    Student's t for residuals, the χ² of n numbers, divided by n, follows an F distribution (n, `MISFIT.noise_freedom`).
+    """
+    kept = [c for c in estimate.conflicts if not c.excluded]
+    touch = [c for c in estimate.conflicts if c.evidence.startswith("contact")]
+    now = [c for c in touch if c.excluded and int(c.evidence.split()[1]) < fingers]
+    fits = estimate.consistent or (bool(kept) and all(c.excluded for c in touch))
+    far, nu = 1 - MISFIT.one_finger, MISFIT.noise_freedom
+    too_far = any(c.chi2 > c.freedom * fdtri(c.freedom, nu, far) for c in now)
+    return not fits or bool(now), not fits or too_far or len(now) > 1
 
 
 def better_object(

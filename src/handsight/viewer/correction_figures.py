@@ -58,10 +58,8 @@ def draw_corrections(panels: Sequence[CorrectionPanel], path: Path) -> None:
 
 
 def save(figure: "Figure", path: Path) -> None:
-    """Writes a figure with one legend to an image file, whose suffix is its format, and closes it.
-
-    Raises HandsightError.
-    """
+    """Writes a figure with one legend to an image file, whose suffix is its format, and closes it. Raises
+    HandsightError."""
     legends = [axes.get_legend_handles_labels() for axes in figure.axes]
     labelled = {label: handle for legend in legends for handle, label in zip(*legend, strict=True)}
     figure.legend(labelled.values(), labelled, loc="outside lower center", ncols=len(labelled), frameon=False)
@@ -96,8 +94,18 @@ def _draw(axes: "Axes3D", panel: CorrectionPanel) -> None:
         ends = [(line[-2], 4 * (line[-1] - line[-2]))] if turn else [(center, end - center) for end in line]
         for start, shift in ends:
             axes.quiver(*start, *shift, color=blue, linewidth=2.2, arrow_length_ratio=1.0 if turn else 0.12)
-    shown.append(points)
-    _frame(axes, np.vstack(shown))
+    # Equal limits around everything, and labels in millimetres.
+    everything = np.vstack([*shown, points])
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    half = (high - low).max() / 2
+    axes.set_box_aspect((1, 1, 1))
+    axes.view_init(elev=22, azim=-58)
+    for name, value in zip("xyz", (low + high) / 2, strict=True):
+        axes.set(**{f"{name}lim": (value - half, value + half)})
+        axis = getattr(axes, f"{name}axis")
+        axis.set_major_formatter(lambda value, _: f"{1000 * value:.0f}")
+        axis.set_tick_params(labelsize=7)
+        axis.set_label_text(f"palm {name} [mm]", fontsize=8)
     fit = "fits" if answer["consistent"] else "does NOT fit"
     axes.set_title(f"{model.name or 'object'}: {len(points)} contacts, {fit}", fontsize=11)
 
@@ -114,17 +122,3 @@ def draw_object(axes: "Axes3D", model: ObjectModel, T_palm_object: Array, color:
         axes.add_collection3d(Line3DCollection(segments, colors=color, linewidths=1.3))
     axes.plot([], [], [], color=color, linewidth=3, label=label)
     return cloud
-
-
-def _frame(axes: "Axes3D", points: Array) -> None:
-    """Sets equal limits around points (n, 3), and labels in millimetres."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    half = (high - low).max() / 2
-    axes.set_box_aspect((1, 1, 1))
-    axes.view_init(elev=22, azim=-58)
-    for name, value in zip("xyz", (low + high) / 2, strict=True):
-        axes.set(**{f"{name}lim": (value - half, value + half)})
-        axis = getattr(axes, f"{name}axis")
-        axis.set_major_formatter(lambda value, _: f"{1000 * value:.0f}")
-        axis.set_tick_params(labelsize=7)
-        axis.set_label_text(f"palm {name} [mm]", fontsize=8)

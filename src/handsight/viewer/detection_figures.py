@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from handsight import se3
 from handsight.camera import Depth
@@ -16,7 +17,7 @@ from handsight.checks import Array
 from handsight.recording.detections import Located
 from handsight.recording.frames import Frame
 from handsight.viewer.correction_figures import require_matplotlib, save
-from handsight.viewer.shapes import creases, silhouette
+from handsight.viewer.shapes import creases, grey, silhouette
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,9 +45,7 @@ FIGURE = DetectionFigureOptions()
 
 def draw_located(rows: Sequence[Located], path: Path) -> None:
     """Writes a row for each picture to an image file: the picture with the poses, and the residuals of its depth.
-
-    Raises MissingExtra, HandsightError.
-    """
+    Raises MissingExtra, HandsightError."""
     plt = require_matplotlib()
     size = {"figsize": (11.5, 4.6 * len(rows) + 0.5), "width_ratios": [1.5, 1]}
     figure, axes = plt.subplots(len(rows), 2, squeeze=False, layout="constrained", **size)
@@ -62,7 +61,10 @@ def _draw(left: "Axes", right: "Axes", row: Located) -> None:
         likeliest = list(row.recognition.scores.items())[: FIGURE.max_scores]
         each = [*likeliest, ("none", row.recognition.none)]
         scores = "\n" + ", ".join(f"{label} {share:.2f}" for label, share in each)
-    left.imshow(_background(frame), interpolation="nearest")
+    image = grey(frame.depth) if frame.color is None else frame.color / 255
+    if frame.hand is not None:
+        image = np.where(frame.hand[..., None], 0.55 * image + 0.45 * HAND, image)
+    left.imshow(image, interpolation="nearest")
     for axes in (left, right):
         axes.set_xticks([])
         axes.set_yticks([])
@@ -83,27 +85,19 @@ def _draw(left: "Axes", right: "Axes", row: Located) -> None:
     for T, (color, style, _) in reversed(list(zip(shown, styles, strict=False))):
         _outline(left, row, T, color, style)
     drawn = silhouette(frame.camera, row.model, shown[0])
-    if np.isfinite(drawn).any():
-        _crop(left, drawn)
+    rows, columns = np.nonzero(np.isfinite(drawn))
+    if len(rows):  # the picture is limited to the object and its surroundings
+        height, width = drawn.shape
+        across = max(float(np.ptp(rows)), float(np.ptp(columns)) / FIGURE.aspect, 60.0)
+        tall = min(max((1 + 2 * FIGURE.margin) * across, 0.45 * height), height, width / FIGURE.aspect)
+        sides = np.array([FIGURE.aspect * tall, tall])
+        middle = np.array([columns.min() + columns.max(), rows.min() + rows.max()]) / 2
+        low = np.clip(middle - sides / 2, -0.5, np.array([width, height]) - 0.5 - sides)
+        left.set(xlim=(low[0], low[0] + sides[0]), ylim=(low[1] + sides[1], low[1]))
     _residual(right, frame, drawn)
     x, y, z = (1e3 * shown[0][:3, 3]).round() + 0.0  # no -0
     place = f"{name} at {x:.0f}, {y:.0f}, {z:.0f} mm, weight {found.weights[0]:.2f}"
     left.set_title(f"{frame.name}: {place}{scores}", fontsize=11)
-
-
-def _background(frame: Frame) -> Array:
-    """Returns red, green, blue (h, w, 3) from 0 to 1: colour, else depth in grey, near light; the hand is tinted."""
-    if frame.color is not None:
-        image = frame.color / 255.0
-    else:
-        known = np.isfinite(frame.depth) & (frame.depth > 0)
-        z = np.where(known, frame.depth, 1)
-        near, far = np.percentile(z[known], [1, 95]) if known.any() else (0, 1)
-        grey = np.where(known, 0.9 - 0.75 * np.clip((z - near) / max(far - near, 1e-6), 0, 1), 0)
-        image = np.repeat(grey[..., None], 3, axis=2)
-    if frame.hand is not None:
-        image = np.where(frame.hand[..., None], 0.55 * image + 0.45 * HAND, image)
-    return np.asarray(image)
 
 
 def _outline(axes: "Axes", row: Located, T: Array, color: str, style: str) -> None:
@@ -120,31 +114,15 @@ def _outline(axes: "Axes", row: Located, T: Array, color: str, style: str) -> No
     edges = creases(row.model)
     long = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) > FIGURE.min_edge * row.model.diameter
     lines = se3.apply(T, edges[long].reshape(-1, 3)).reshape(-1, 2, 3)
-    for line in lines[(lines[..., 2] > 0).all(axis=1)][: FIGURE.max_edges]:
-        pixels = row.frame.camera.project(line)
-        if not np.isfinite(pixels).all():
-            continue
-        u, v = np.round(pixels.mean(axis=0)).astype(int)
-        if 0 <= u < drawn.shape[1] and 0 <= v < drawn.shape[0]:
-            # An edge is visible if its middle is not behind the surface that is drawn around it.
-            around = drawn[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2]
-            surface = np.nanmax(np.where(np.isfinite(around), around, -np.inf))
-            if line[:, 2].mean() < surface + FIGURE.edge_depth:
-                axes.plot(*pixels.T, color=color, lw=0.9)
-
-
-def _crop(axes: "Axes", drawn: Depth) -> None:
-    """Limits the axes to the object in its depth image `drawn` (h, w) [m] and its surroundings."""
-    rows, columns = np.nonzero(np.isfinite(drawn))
-    height, width = drawn.shape
-    across = max(float(np.ptp(rows)), float(np.ptp(columns)) / FIGURE.aspect, 60.0)
-    tall = max((1 + 2 * FIGURE.margin) * across, 0.45 * height)
-    tall = min(tall, height, width / FIGURE.aspect)
-    sides = np.array([FIGURE.aspect * tall, tall])
-    middle = np.array([columns.min() + columns.max(), rows.min() + rows.max()]) / 2
-    low = np.clip(middle - sides / 2, -0.5, np.array([width, height]) - 0.5 - sides)
-    axes.set_xlim(low[0], low[0] + sides[0])
-    axes.set_ylim(low[1] + sides[1], low[1])
+    lines = lines[(lines[..., 2] > 0).all(axis=1)][: FIGURE.max_edges]
+    pixels = row.frame.camera.project(lines.reshape(-1, 3)).reshape(-1, 2, 2)
+    # An edge is visible if its middle is in the image, and not behind the surface that is drawn around it.
+    surface = np.pad(maximum_filter(np.where(inside, drawn, -np.inf), size=3), 1, constant_values=-np.inf)
+    middles = np.nan_to_num(pixels.mean(axis=1), nan=-1).round()
+    columns, rows = middles.clip(-1, inside.shape[::-1]).astype(int).T + 1
+    visible = lines[..., 2].mean(axis=1) < surface[rows, columns] + FIGURE.edge_depth
+    for line in pixels[visible]:
+        axes.plot(*line.T, color=color, lw=0.9)
 
 
 def _residual(axes: "Axes", frame: Frame, drawn: Depth) -> None:
@@ -165,8 +143,8 @@ def _residual(axes: "Axes", frame: Frame, drawn: Depth) -> None:
         axes.imshow(before, interpolation="nearest")
     axes.contour(inside, [0.5], colors=[BEST], linewidths=1.5)
     rows, columns = np.nonzero(inside)
-    around = 0.12 * max(float(np.ptp(rows)), float(np.ptp(columns)), 20.0)
-    axes.set_xlim(columns.min() - around, columns.max() + around)
-    axes.set_ylim(rows.max() + around, rows.min() - around)
+    low, high = np.array([columns.min(), rows.min()]), np.array([columns.max(), rows.max()])
+    around = 0.12 * max((high - low).max(), 20.0)
+    axes.set(xlim=(low[0] - around, high[0] + around), ylim=(high[1] + around, low[1] - around))
     bar = axes.figure.colorbar(shown, ax=axes, shrink=0.8, extend="both")
     bar.set_label("nearer  ←  [mm]  →  farther", fontsize=9)

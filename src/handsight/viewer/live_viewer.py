@@ -82,9 +82,7 @@ class NullViewer:
 
 class Viewer(NullViewer):
     """A `Viewer` shows the newest estimate of a tracker, at most 30 times a second, and nothing while nobody watches.
-
-    It may be updated at any rate, and draws in a process of its own.
-    """
+    It may be updated at any rate, and draws in a process of its own."""
 
     def __init__(self, tracker: Tracker, *, port: int = PAGE.port) -> None:
         """See `view`."""
@@ -166,35 +164,24 @@ class Viewer(NullViewer):
             self._pipe.send(message)
 
     def _run(self) -> None:
-        """Sends a frame each time that the page asks for one, until the page is gone."""
+        """Sends what the page does not show yet each time that it asks for a frame, until the page is gone."""
         with contextlib.suppress(EOFError, OSError):
             while True:
                 self._watched = self._pipe.recv()
-                frame = self._next() if self._watched else None
-                if frame is not None:
-                    self._send(frame)
+                while self._watched and not self._closed:
+                    self._changed.wait(LIVE_VIEWER.idle_pause)
+                    self._changed.clear()
+                    newest, shot = self._newest, self._shot
+                    if newest is None or newest is self._sent[0]:
+                        continue
+                    (tracker, moment), shown = newest, self._shown
+                    self._shown = tracker.rig, tracker.model
+                    begins = None if self._shown == shown else self._shown
+                    moment = moment or Moment.now(tracker)  # while no browser was open, none was computed
+                    new_shot, self._sent = None if shot is self._sent[1] else shot, (newest, shot)
+                    self._send(viewer_process.PageUpdate(begins, moment, new_shot, self._curves()))
+                    break
         self._watched = False
-
-    def _next(self) -> viewer_process.PageUpdate | None:
-        """Returns what the page does not show yet, as soon as there is anything; None once the viewer is closed."""
-        while not self._closed:
-            self._changed.wait(LIVE_VIEWER.idle_pause)
-            self._changed.clear()
-            newest, shot = self._newest, self._shot
-            if newest is None or newest is self._sent[0]:
-                continue
-            (tracker, moment), shown = newest, self._shown
-            self._shown = tracker.rig, tracker.model
-            frame = viewer_process.PageUpdate(
-                begins=None if self._shown == shown else self._shown,
-                # While no browser was open, no moment was computed.
-                moment=moment or Moment.now(tracker),
-                shot=None if shot is self._sent[1] else shot,
-                curves=self._curves(),
-            )
-            self._sent = newest, shot
-            return frame
-        return None
 
     def _curves(self) -> Curves | None:
         """Returns the curves of the last minute, since the clock was last set back; None if they were just plotted."""
@@ -206,7 +193,5 @@ class Viewer(NullViewer):
         stamps = np.array([note[0] for note in notes])
         begin = int(np.flatnonzero(np.diff(stamps, prepend=math.inf) < 0)[-1]) if len(stamps) else 0
         known, times = notes[begin:], stamps[begin:] - stamps[-1]
-        slips = [
-            (first - stamps[-1], last - stamps[-1]) for first, last in slips_of(note[::3] for note in known)
-        ]
+        slips = [(a - stamps[-1], b - stamps[-1]) for a, b in slips_of(note[::3] for note in known)]
         return Curves(times, in_mm([note[1] for note in known]), None, [note[2] for note in known], slips)

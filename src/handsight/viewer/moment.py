@@ -78,19 +78,12 @@ class Moment:
     def _from_tracker(
         cls, known: Tracker | Step, observation: Observation | None, T_vision: Array | None
     ) -> "Moment":
+        names = "stamp state reason estimate sigma fingertips T_world_palm slip skin"
         return cls(
-            stamp=known.stamp,
-            state=known.state,
-            reason=known.reason,
-            estimate=known.estimate,
-            sigma=known.sigma,
-            fingertips=known.fingertips,
-            T_world_palm=known.T_world_palm,
+            **{name: getattr(known, name) for name in names.split()},
             joint_positions=None if observation is None else observation.joint_positions,
             wrenches={} if observation is None else observation.wrenches,
             vision=None if T_vision is None else Measured(known.stamp, T_vision),
-            slip=known.slip,
-            skin=known.skin,
         )
 
     def after(self, last: "Moment | None", picture: Picture | None) -> "Moment":
@@ -115,10 +108,8 @@ class Moment:
             return {}
 
     def forces(self, rig: Rig) -> dict[str, Array]:
-        """Returns the force (3,) of the object on each finger that touches and has a reading, in the palm [N].
-
-        Without the palm's pose in the world the weight of the tips is included.
-        """
+        """Returns the force (3,) of the object on each finger that touches and has a reading, in the palm [N]. Without
+        the palm's pose in the world the weight of the tips is included."""
         if self.joint_positions is None:
             return {}
         Ts = dict(zip(rig.hand.tips, rig.hand.Ts_palm_tip(self.joint_positions), strict=True))

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handsight import se3
 from handsight.checks import Array
 from handsight.errors import HandsightError, InvalidInput, MissingExtra
 from handsight.objects import ObjectModel
@@ -54,7 +55,7 @@ class Page:
         if not 1 <= port <= PAGE.max_port:  # viser would wait for ever
             raise InvalidInput(f"port: expected a number from 1 to {PAGE.max_port}, got {port}")
         try:
-            with _silent():
+            with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
                 self.server = viser.ViserServer(host=PAGE.host, port=port, label="handsight", verbose=False)
         except OSError as error:
             raise HandsightError(f"port: expected one that is free from {port} on, got {error}") from None
@@ -114,7 +115,7 @@ class Page:
 
     def close(self) -> None:
         """Ends the server; browsers keep what they show."""
-        with _silent():
+        with contextlib.redirect_stdout(io.StringIO()):  # and a farewell
             self.server.stop()
 
     def _draw_picture(self, moment: Moment) -> None:
@@ -156,7 +157,7 @@ class Page:
         along = places[-1] - places[0]
         across = np.cross(up, along)
         if np.linalg.norm(across) < 0.2 * np.linalg.norm(along):
-            across = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+            across = se3.perpendicular(up)
         across = across / np.linalg.norm(across)
         view = across + 0.45 * np.cross(across, up) + 0.4 * up
         position = center + PAGE.distance * span * np.asarray(view / np.linalg.norm(view))
@@ -165,8 +166,3 @@ class Page:
         for camera in (self.server.initial_camera, *(c.camera for c in self.server.get_clients().values())):
             for name, value in (("position", position), ("look_at", center)):  # viser asks for this order
                 setattr(camera, name, value)
-
-
-def _silent() -> contextlib.redirect_stdout[io.StringIO]:
-    """Returns a context in which viser prints neither its banner nor its farewell."""
-    return contextlib.redirect_stdout(io.StringIO())

@@ -15,7 +15,7 @@ from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking.camera_from_palm import CameraFromPalm
-from handsight.viewer.shapes import silhouette
+from handsight.viewer.shapes import grey, silhouette
 from handsight.vision import pixels
 from handsight.vision.pixels import Color
 
@@ -100,11 +100,7 @@ def picture(
     if color is not None and aligned:
         image = color
     elif depth is not None:
-        known = np.isfinite(depth) & (depth > 0)
-        z = np.where(known, depth, 1)
-        near, far = np.percentile(z[known][::16], [1, 95]) if known.any() else (0, 1)
-        grey = np.where(known, 230 - 190 * np.clip((z - near) / max(far - near, 1e-6), 0, 1), 0)
-        image = np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
+        image = (255 * grey(depth)).astype(np.uint8)
     else:
         return None
     mounted, (height, width) = rig.camera, image.shape[:2]
@@ -118,10 +114,8 @@ def picture(
         # The depth points near the palm.
         cloud = camera.points(np.ascontiguousarray(depth)).reshape(-1, 3)
         with np.errstate(invalid="ignore"):
-            near_palm = (
-                np.abs(cloud - T_camera_palm[:3, 3].astype(np.float32)).max(axis=1) < PICTURE.max_range
-            )
-        places = np.flatnonzero(near_palm)
+            off = np.abs(cloud - T_camera_palm[:3, 3].astype(np.float32)).max(axis=1)
+            places = np.flatnonzero(off < PICTURE.max_range)
         places = places[:: max(1, -(-len(places) // PICTURE.max_points))]
         points = se3.apply(se3.inverse(T_camera_palm), cloud[places].astype(float)).astype(np.float32)
         grey_points = np.full((len(points), 3), PICTURE.grey, np.uint8)
@@ -155,8 +149,7 @@ def palm_in_camera(rig: Rig, from_palm: CameraFromPalm, T_world_palm: Array | No
 def _window(
     camera: Camera | None, T_camera_palm: Array | None, shape: tuple[int, int]
 ) -> tuple[slice, slice]:
-    """Returns the rows and columns of an image (h, w) that are shown: around the hand if it is visible, at most
-    `max_width` columns."""
+    """Returns the shown rows and columns (at most `max_width`) of an image (h, w): around the hand, if it is there."""
     rows, columns = slice(0, shape[0]), slice(0, shape[1])
     if camera is not None and T_camera_palm is not None:
         pixel, focal = camera.project(T_camera_palm[None, :3, 3])[0], camera.matrix[0, 0]

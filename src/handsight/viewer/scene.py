@@ -1,5 +1,6 @@
 """A moment in three dimensions, in the palm's frame: nodes of a viser scene."""
 
+import itertools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -67,10 +68,8 @@ class MomentScene:
             name: scene.add_mesh_simple(f"/hand/{name.replace('/', '_')}", *mesh, **style)
             for name, mesh in rig.hand.link_meshes().items()
         }
-        self._sent = {
-            "position": np.full((len(self.links), 3), np.inf),
-            "wxyz": np.full((len(self.links), 4), np.inf),
-        }
+        count = len(self.links)
+        self._sent = {"position": np.full((count, 3), np.inf), "wxyz": np.full((count, 4), np.inf)}
         """Positions and quaternions of the links as they were last sent."""
         self._picture: Picture | None = None
         self.object = self._copy("/object", "object", STYLE.object_opacity)
@@ -92,38 +91,31 @@ class MomentScene:
 
     def draw(self, moment: Moment, forces: Mapping[str, Array]) -> None:
         """Shows a moment in place of the last one; `forces` are those of `Moment.forces`."""
-        self._draw_hand(moment.links(self._rig) if self.layers["hand"] else {})
+        links = moment.links(self._rig) if self.layers["hand"] else {}
+        known, handles = [name in links for name in self.links], list(self.links.values())
+        for handle, visible in zip(handles, known, strict=True):
+            _show(handle, visible)
+        if any(known):
+            Ts = np.stack([links.get(name, np.eye(4)) for name in self.links])
+            shifts, turns = (Ts[:, :3, 3], STYLE.min_shift), (quaternions_wxyz(Ts), STYLE.min_rotation)
+            for part, (values, least) in (("position", shifts), ("wxyz", turns)):
+                sent = self._sent[part]
+                for k in np.flatnonzero((np.abs(values - sent) > least).any(axis=1) & known):
+                    setattr(handles[k], part, values[k])
+                    sent[k] = values[k]
         self._draw_contacts(moment, forces)
         estimate, vision = moment.estimate, moment.vision
         self._put(self.object, "object", None if estimate is None else estimate.T_palm_object)
         self._put(self.vision, "vision", None if vision is None else vision.T_palm_object)
         others = [] if estimate is None else [mode for mode in estimate.modes[1:] if mode["weight"] >= LIKELY]
-        for k, handle in enumerate(self.modes):
-            self._put(handle, "modes", others[k]["T_palm_object"] if k < len(others) else None)
+        for handle, mode in itertools.zip_longest(self.modes, others[: len(self.modes)]):
+            self._put(handle, "modes", None if mode is None else mode["T_palm_object"])
         self._draw_uncertainty(moment)
         picture = moment.picture if self.layers["depth"] else None
         if picture is not None and len(picture.points_palm) and picture is not self._picture:
             self._picture = picture
             self.depth.points, self.depth.colors = picture.points_palm, picture.colors
         _show(self.depth, picture is not None and len(picture.points_palm) > 0)
-
-    def _draw_hand(self, links: Mapping[str, Array]) -> None:
-        """Shows the links at their poses (4, 4) in the palm, and hides those without one."""
-        known, handles = [name in links for name in self.links], list(self.links.values())
-        for handle, visible in zip(handles, known, strict=True):
-            _show(handle, visible)
-        if not any(known):
-            return
-        Ts = np.stack([links.get(name, np.eye(4)) for name in self.links])
-        new = {
-            "position": (Ts[:, :3, 3], STYLE.min_shift),
-            "wxyz": (quaternions_wxyz(Ts), STYLE.min_rotation),
-        }
-        for part, (values, least) in new.items():
-            sent = self._sent[part]
-            for k in np.flatnonzero((np.abs(values - sent) > least).any(axis=1) & known):
-                setattr(handles[k], part, values[k])
-                sent[k] = values[k]
 
     def _draw_contacts(self, moment: Moment, forces: Mapping[str, Array]) -> None:
         """Shows contacts, rejected ones in black, their normals, and the forces on the fingers."""
@@ -147,12 +139,12 @@ class MomentScene:
     def _draw_uncertainty(self, moment: Moment) -> None:
         """Shows where the object's middle is with 95 %, and the directions that contacts leave open."""
         estimate, model = moment.estimate, self._model
-        found = None if estimate is None else ellipsoid(estimate, model)
-        self._put(self.covariance, "covariance", None if found is None else found.T_palm_axes)
-        if found is not None and self.layers["covariance"]:
-            self.covariance.scale = tuple(float(a) for a in found.semi_axes.clip(min=2e-4))
+        T_palm_axes, semi_axes = (None, np.zeros(3)) if estimate is None else ellipsoid(estimate, model)
+        self._put(self.covariance, "covariance", T_palm_axes)
+        if T_palm_axes is not None and self.layers["covariance"]:
+            self.covariance.scale = tuple(float(a) for a in semi_axes.clip(min=2e-4))
             # Inside the object it must be opaque, to be drawn before it; around the object it must be translucent.
-            inside = found.semi_axes.max() < STYLE.inside * model.radius
+            inside = semi_axes.max() < STYLE.inside * model.radius
             self.covariance.opacity = None if inside else STYLE.ghost_opacity / 2
         open_shifts, turns = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 3))]
         if estimate is not None and moment.fingertips.fingers:

@@ -21,9 +21,7 @@ PINK, BLUE, GREY = "#c2185b", "#1565c0", "0.55"
 
 def draw_search(name: str, beliefs: Sequence[Belief], T_world_object: Array, path: Path) -> None:
     """Writes the beliefs of a search, the one before the first touch first, and the truth (4, 4) to an image file.
-
-    Raises MissingExtra, HandsightError.
-    """
+    Raises MissingExtra, HandsightError."""
     plt = require_matplotlib()
     columns = min(4, len(beliefs) + 1)
     rows = -(-(len(beliefs) + 1) // columns)
@@ -58,14 +56,10 @@ def _draw_table(axes: "Axes", belief: Belief, T_world_object: Array) -> None:
         title = f"touch {len(belief.touches)}: " + ("a miss" if touch.contact_world is None else "a contact")
         axes.plot(*(1e3 * touch.free_world[:, :2].T), color="#2e7d32", lw=2, label="path of the finger")
         if touch.contact_world is not None:
-            (x, y, _), (u, v, _) = (
-                1e3 * touch.contact_world.points_palm[0],
-                touch.contact_world.normals_palm[0],
-            )
-            axes.plot(x, y, "o", color="#e0a100", ms=6, label="contact, its normal")
-            axes.annotate(
-                "", (x + 45 * u, y + 45 * v), (x, y), arrowprops={"arrowstyle": "->", "color": "#e0a100"}
-            )
+            place, way = (1e3 * touch.contact_world.points_palm[0], 45 * touch.contact_world.normals_palm[0])
+            axes.plot(*place[:2], "o", color="#e0a100", ms=6, label="contact, its normal")
+            arrow = {"arrowstyle": "->", "color": "#e0a100"}
+            axes.annotate("", (place + way)[:2], place[:2], arrowprops=arrow)
     half = 1e3 * (max(abs(area.low).max(), abs(area.high).max()) + belief.model.radius)
     axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")
     axes.set_xlabel("world x [mm]", fontsize=8)

@@ -30,23 +30,6 @@ class ShapeStyle(NamedTuple):
 SHAPES = ShapeStyle()
 
 
-class DirectionLine(NamedTuple):
-    """A `DirectionLine` is an unobservable direction as a line: a slide's has arrowheads at both ends, a turn's one."""
-
-    line: Array
-    """(n, 3) in the palm [m]: the ends of a slide, or an arc about the axis of a turn."""
-    turn: bool
-
-
-class Ellipsoid(NamedTuple):
-    """An `Ellipsoid` contains the object's middle with a probability of 95 %."""
-
-    T_palm_axes: Array
-    """(4, 4) its middle and principal axes."""
-    semi_axes: Array
-    """(3,) [m]."""
-
-
 def creases(model: ObjectModel) -> Array:
     """Returns edges (k, 2, 3) [m] at which the surface bends sharply or ends; none for an object without triangles."""
     if not len(model.faces):
@@ -73,31 +56,41 @@ def silhouette(camera: Camera, model: ObjectModel, T_camera_object: Array) -> De
     return np.asarray(minimum_filter(depth, footprint=dot, mode="constant", cval=np.inf))
 
 
+def grey(depth: Depth) -> Array:
+    """Returns a depth image (h, w) [m] as red, green, blue (h, w, 3) from 0 to 1, near light, black without depth."""
+    known = np.isfinite(depth) & (depth > 0)
+    near, far = np.percentile(depth[known][::16], [1, 95]) if known.any() else (0, 1)
+    share = np.clip((np.where(known, depth, 1) - near) / max(far - near, 1e-6), 0, 1)
+    return np.repeat(np.where(known, 0.9 - 0.75 * share, 0)[..., None], 3, axis=2)
+
+
 def middle(model: ObjectModel, T_palm_object: Array) -> Array:
     """Returns the object's middle (3,) in the palm [m]."""
     return np.asarray(se3.apply(T_palm_object, model.center_object[None])[0])
 
 
-def direction_line(direction: Array, center: Array, model: ObjectModel) -> DirectionLine:
-    """Returns the line of a direction (6,) of `PoseEstimate.unobservable`: a slide or a turn, whichever it mostly is.
+def direction_line(direction: Array, center: Array, model: ObjectModel) -> tuple[Array, bool]:
+    """Returns a line (n, 3) in the palm [m] for a direction (6,) of `PoseEstimate.unobservable`, and whether it is a
+    turn.
 
-    A turn is about the object's middle `center` (3,), where it leaves the drawn object in place.
+    A slide has two ends. A turn is an arc about the object's middle `center` (3,), where it leaves the drawn object in
+    place, with an arrowhead at its last point.
     """
     if np.linalg.norm(direction[:3]) >= np.linalg.norm(direction[3:]):
         reach = SHAPES.open_shift * model.diameter * direction[:3] / np.linalg.norm(direction[:3])
-        return DirectionLine(np.stack([center - reach, center + reach]), turn=False)
+        return np.stack([center - reach, center + reach]), False
     axis = direction[3:] / np.linalg.norm(direction[3:])
-    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    side /= np.linalg.norm(side)
+    side = se3.perpendicular(axis)
     angle = np.linspace(0, SHAPES.arc_angle, SHAPES.arc_points)[:, None]
     ring = np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)
-    return DirectionLine(center + SHAPES.open_rotation * model.radius * ring, turn=True)
+    return center + SHAPES.open_rotation * model.radius * ring, True
 
 
-def ellipsoid(estimate: PoseEstimate, model: ObjectModel) -> Ellipsoid:
-    """Returns the ellipsoid of the object's middle; along flat directions it is no longer than the object."""
+def ellipsoid(estimate: PoseEstimate, model: ObjectModel) -> tuple[Array, Array]:
+    """Returns the ellipsoid that contains the object's middle with a probability of 95 %: T_palm_axes (4, 4) and its
+    semi-axes (3,) [m], along flat directions no longer than the object."""
     values, axes = np.linalg.eigh(point_uncertainty(estimate, model, model.center_object)[0])
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     semi_axes = SHAPES.sigmas_95 * np.sqrt(values.clip(min=0.0))
     center = middle(model, estimate.T_palm_object)
-    return Ellipsoid(se3.compose(axes, center), semi_axes.clip(max=model.diameter))
+    return se3.compose(axes, center), semi_axes.clip(max=model.diameter)

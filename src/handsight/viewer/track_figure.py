@@ -24,9 +24,8 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
     shown = [step for k, step in enumerate(steps) if k % every == 0 or step.T_palm_object_vision is not None]
     times = np.array([step.stamp - steps[0].stamp for step in shown])
     curves = _curves(model, shown, truths)
-    figure, axes = plt.subplots(
-        4, 1, figsize=(9, 9), sharex=True, height_ratios=[3, 3, 3, 0.5], layout="constrained"
-    )
+    size = {"figsize": (9, 9), "height_ratios": [3, 3, 3, 0.5]}
+    figure, axes = plt.subplots(4, 1, sharex=True, layout="constrained", **size)
     pink, grey = "#c2185b", "0.6"
     for k, axis in enumerate("xyz"):
         tracked, vision, true, sigma = curves[:, :, k]
@@ -65,10 +64,8 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
 
 
 def _curves(model: ObjectModel, steps: Sequence[Step], truths: Truths) -> Array:
-    """Returns (4, n, 3) [cm]: the base's position as tracked, by vision and true, and sigma of the tracked one.
-
-    What is not known is NaN.
-    """
+    """Returns (4, n, 3) [cm]: the base's position as tracked, by vision and true, and sigma of the tracked one. What is
+    not known is NaN."""
     curves = np.full((4, len(steps), 3), np.nan)
     for i, step in enumerate(steps):
         T_world_palm = np.eye(4) if step.T_world_palm is None else step.T_world_palm

@@ -89,10 +89,8 @@ def serve(pipe: "Connection[Any, Any]") -> None:
 
 
 def _draw(page: Page, rig: Rig, pipe: "Connection[Any, Any]") -> None:
-    """Draws frames until one is None, or until a message arrives that was not asked for.
-
-    It asks for each frame with True, and sends False when no browser is open.
-    """
+    """Draws frames until one is None, or until a message arrives that was not asked for. It asks for each frame with
+    True, and sends False when no browser is open."""
     last: Moment | None = None
     while True:
         if not page.watched:

@@ -7,7 +7,7 @@ from handsight.vision.object.depth_tracker import DepthTracker, Sighting
 from handsight.vision.object.first_pose import ObjectDetection
 from handsight.vision.object.locate import Recognition, locate, recognise
 from handsight.vision.palm.hand_appearance import HandAppearance, PlacedHand
-from handsight.vision.palm.hand_mask import hand_mask
+from handsight.vision.palm.hand_in_image import hand_mask
 from handsight.vision.palm.palm_detector import PalmDetection, PalmNotFound, detect_palm, follow_palm
 from handsight.vision.pixels import read_camera, read_color, read_depth
 from handsight.vision.registration import register_color

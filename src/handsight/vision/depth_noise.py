@@ -36,8 +36,7 @@ class DepthNoise:
     correlation: float = 5.0
     """Distance at which their correlation has fallen to 1/e [pixels]."""
     lateral: float = 0.0
-    """Sigma of the offset along each axis between a pixel and the place that it measures, before rounding to whole
-    pixels [pixels]."""
+    """Sigma of the offset per axis between a pixel and the place that it measures, before it is rounded [pixels]."""
     smooth: float = 0.0
     """Constant bias that changes over the image: sigma at 1 m [m]; it grows with z²."""
     smooth_length: float = 40.0
@@ -106,8 +105,7 @@ STRUCTURED_LIGHT = DepthNoise(
 """A Kinect: disparity in eighths of a pixel, 2.85 mm at 1 m (Barron and Malik, CVPR 2013; Handa and others, ICRA 2014),
 with noise of .35 of a step over 5 pixels and .25 white. That is 1.5 mm z², as Khoshelham and Oude Elberink (Sensors
 2012) measured. Nguyen, Izadi and Lovell (3DIMPVT 2012) measured 1.2 + 1.9 (z - .4)² mm about planes fitted to the
-image, which include the smooth bias: both together are within a third of that from .65 to 1.4 m, and less than it
-nearer."""
+image, which include the smooth bias: both together are within a third of that from .65 to 1.4 m, and less nearer."""
 
 TIME_OF_FLIGHT = dataclasses.replace(
     STRUCTURED_LIGHT,
@@ -137,8 +135,7 @@ STEREO = dataclasses.replace(
     farthest=6.0,
 )
 """An active stereo camera as the RealSense D435: .08 pixels of disparity, z² · .08 px / (f B), at f = 425 px and
-B = 5 cm, in steps of 1/32 pixel. The correlation (by the window that is matched), the bias and the edges are
-assumed."""
+B = 5 cm, in steps of 1/32 pixel. The correlation (by the matched window), the bias and the edges are assumed."""
 
 PRESETS: Mapping[DepthCamera, DepthNoise] = MappingProxyType(
     {"structured_light": STRUCTURED_LIGHT, "time_of_flight": TIME_OF_FLIGHT, "stereo": STEREO}

@@ -95,8 +95,7 @@ def read_depth(path: str | Path, scale: float = MILLIMETRE, *, camera: Camera | 
 
 
 def read_color(path: str | Path, *, camera: Camera | None = None) -> Color:
-    """Returns red, green, blue (h, w, 3) of a PNG or JPEG, which must have the size of `camera`; raises InvalidFile,
-    MissingExtra."""
+    """Returns red, green, blue (h, w, 3) of a PNG or JPEG of the size of `camera`; raises InvalidFile, MissingExtra."""
     data = read_bytes(path, LIMITS.max_image)
     try:
         return _of_size(color(data), camera)
@@ -105,10 +104,8 @@ def read_color(path: str | Path, *, camera: Camera | None = None) -> Color:
 
 
 def metres(pixels: NDArray[np.generic], scale: float = MILLIMETRE) -> Depth:
-    """Returns the depth (h, w) [m], NaN where there is none, of whole numbers of `scale` metres, or of metres.
-
-    Raises InvalidInput where the median says that the unit is another.
-    """
+    """Returns the depth (h, w) [m], NaN where there is none, of whole numbers of `scale` metres, or of metres. Raises
+    InvalidInput where the median says that the unit is another."""
     is_integer = pixels.dtype.kind in "iu"
     unit = scale if is_integer else 1.0
     depth = pixels.astype(np.float32)

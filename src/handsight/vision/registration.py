@@ -24,11 +24,7 @@ class Registered(NamedTuple):
 
 
 def register_color(
-    depth: ArrayLike,
-    camera: Camera,
-    color: Color,
-    color_camera: Camera,
-    T_color_depth: ArrayLike,
+    depth: ArrayLike, camera: Camera, color: Color, color_camera: Camera, T_color_depth: ArrayLike
 ) -> Registered:
     """Returns the colour of each pixel of a depth image (h, w) [m] of `camera`.
 

@@ -14,6 +14,7 @@ from handsight._kernels.math.vec3 import (
     Vec3,
     add,
     add33,
+    apply_inverse,
     block,
     cross,
     dot,
@@ -32,7 +33,7 @@ from handsight._kernels.math.vec3 import (
     transpose,
     vector,
 )
-from handsight._kernels.mesh.field import FLAT, field_at
+from handsight._kernels.mesh.field import FLAT, clamped, field_at
 from handsight._kernels.runtime.compilation import inner
 
 Pose = tuple[Mat33, Vec3]
@@ -51,8 +52,7 @@ Factor = tuple[float, Vec3, Vec3, Vec3]
 @inner
 def surface_at(nodes: Any, field: Any, point: Vec3, pose: Pose) -> Surface:
     """Returns the object's surface near a palm point."""
-    R, p = pose
-    place = tmul(R, sub(point, p))
+    R, place = pose[0], apply_inverse(pose, point)
     d, g, H = field_at(nodes, field, place)
     g, H = mul(R, g), matmul(matmul(R, H), transpose(R))
     s = 1 / max(norm(g), 1e-9)
@@ -86,6 +86,12 @@ def load_terms(contacts: Any, terms: Any) -> Vec3:
 
 
 @inner
+def distance_row(point: Vec3, by_shift: Vec3, residual: float, frame: Frame) -> Any:
+    """Returns the row of a residual that a shift at a palm point changes by `by_shift`; a turn by its cross product."""
+    return by_shift + cross(scale(sub(point, frame[0]), 1 / frame[1]), by_shift) + (residual,)
+
+
+@inner
 def add_contact(term: Any, surface: Surface, frame: Frame, equations: Any) -> None:
     """Adds a contact's rows at its surface, weighted by `term.weight`."""
     d, g, n, K, _ = surface
@@ -94,11 +100,10 @@ def add_contact(term: Any, surface: Surface, frame: Frame, equations: Any) -> No
     lever = scale(sub(vector(contact.point), center), 1 / radius)
     error = sub(n, vector(contact.normal))
     turned = skew(scale(n, 1 / radius))
-    by_distance = neg(g)
     a, b, c = neg(K[0]), neg(K[1]), neg(K[2])
-    # The derivative by a turn is the lever's cross product with that by a shift; the surface's normal turns itself too.
+    # By a turn, the surface's normal also turns itself.
     rows = (
-        by_distance + cross(lever, by_distance) + (d,),
+        distance_row(vector(contact.point), neg(g), d, frame),
         a + sub(cross(lever, a), turned[0]) + (error[0],),
         b + sub(cross(lever, b), turned[1]) + (error[1],),
         c + sub(cross(lever, c), turned[2]) + (error[2],),
@@ -115,11 +120,16 @@ def add_contacts(evidence: Any, field: Any, pose: Pose, frame: Frame, rewhiten: 
         if term.contact.used:
             surface = surface_at(evidence.nodes, field, vector(term.contact.point), pose)
             if rewhiten:
-                S = residual_covariance(evidence.model, evidence.nodes, field, term, surface)
-                factor = factored(S)
-                invert_covariance(factor, term.contact.has_normal != 0, term.weight)
-                term.log_spread = log_determinant(factor, term.contact.has_normal != 0)
+                whiten(evidence.model, evidence.nodes, field, term, surface)
             add_contact(term, surface, frame, equations)
+
+
+@inner
+def whiten(model: Any, nodes: Any, field: Any, term: Any, surface: Surface) -> None:
+    """Fills in the inverse and the log determinant of the covariance of a contact's residuals."""
+    factor = factored(residual_covariance(model, nodes, field, term, surface))
+    invert_covariance(factor, term.contact.has_normal != 0, term.weight)
+    term.log_spread = log_determinant(factor, term.contact.has_normal != 0)
 
 
 @inner
@@ -192,7 +202,7 @@ def model_error(error: Any, nodes: Any, place: Vec3, first: int) -> tuple[float,
     one, other = 0.0, 0.0
     nx, ny, nz = error.shape[0], error.shape[1], error.shape[2]
     u = scale(sub(place, vector(error.origin)), error.inverse_cell)
-    x, y, z = _between(u[0], nx - 1.001), _between(u[1], ny - 1.001), _between(u[2], nz - 1.001)
+    x, y, z = clamped(u[0], 0.0, nx - 1.001), clamped(u[1], 0.0, ny - 1.001), clamped(u[2], 0.0, nz - 1.001)
     i, j, k = int(x), int(y), int(z)
     x, y, z = x - i, y - j, z - k
     for a in range(2):
@@ -202,13 +212,6 @@ def model_error(error: Any, nodes: Any, place: Vec3, first: int) -> tuple[float,
             one += share * ((1 - z) * nodes[at] + z * nodes[at + 4])
             other += share * ((1 - z) * nodes[at + 1] + z * nodes[at + 5])
     return one, other
-
-
-@inner
-def _between(u: float, most: float) -> float:
-    """Returns u limited to 0 to `most`; of a NaN, 0."""
-    low = u if u > 0.0 else 0.0
-    return low if low < most else most
 
 
 @inner

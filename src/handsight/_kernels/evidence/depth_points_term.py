@@ -7,23 +7,21 @@ image does. It is the same at every pose, so that the cost needs no log determin
 
 from typing import Any
 
-from handsight._kernels.evidence.contact_term import Frame, Pose, surface_at
+from handsight._kernels.evidence.contact_term import Frame, Pose, distance_row, surface_at
 from handsight._kernels.math.simd import accumulate
-from handsight._kernels.math.vec3 import cross, neg, scale, sub, vector
+from handsight._kernels.math.vec3 import neg, vector
 from handsight._kernels.runtime.compilation import inner
 
 
 @inner
 def add_depth_points(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     """Adds the row of every depth point; the variance of a coarse field's own error is added to the point's."""
-    depth, (center, radius) = evidence.constraints.depth, frame
+    depth = evidence.constraints.depth
     for i in range(depth.count):
         point = vector(depth.points[i])
         distance, gradient, _, _, _ = surface_at(evidence.nodes, field, point, pose)
-        by_shift = neg(gradient)
-        by_turn = cross(scale(sub(point, center), 1 / radius), by_shift)
         weight = (1 / (depth.variance + field.variance_distance),)
-        accumulate(weight, (by_shift + by_turn + (distance,),), equations)
+        accumulate(weight, (distance_row(point, neg(gradient), distance, frame),), equations)
 
 
 @inner

@@ -13,7 +13,7 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame, Pose
 from handsight._kernels.math.simd import accumulate
-from handsight._kernels.math.vec3 import Vec3, add, cross, mul, norm, scale, sub, tmul, vector
+from handsight._kernels.math.vec3 import Vec3, add, apply, apply_inverse, cross, mul, norm, scale, sub, vector
 from handsight._kernels.mesh.field import field_at
 from handsight._kernels.runtime.compilation import inner
 
@@ -42,10 +42,10 @@ def _beyond_bounds(model: Any, place: Vec3) -> float:
 @inner
 def largest_move(model: Any, pose: Pose, other: Pose) -> float:
     """Returns an upper bound of how far any point within the object's bounds moves from one pose to another [m]."""
-    (R, p), (Q, q) = pose, other
+    R, Q = pose[0], other[0]
     low, high = vector(model.bounds[0]), vector(model.bounds[1])
     middle = scale(add(low, high), 0.5)
-    shift, turn = sub(add(mul(R, middle), p), add(mul(Q, middle), q)), 0.0
+    shift, turn = sub(apply(pose, middle), apply(other, middle)), 0.0
     for i in range(3):
         for j in range(3):
             turn += (R[i][j] - Q[i][j]) * (R[i][j] - Q[i][j])
@@ -82,12 +82,11 @@ def mark_far(near: Any, move: float) -> None:
 @inner
 def measure_clearances(evidence: Any, field: Any, pose: Pose, reach: float, near: Any) -> int:
     """Fills `near` with the rows of OUTSIDE that are nearer to the object than a reach [m]; returns their number."""
-    R, p = pose
     count = 0
     for i in range(len(evidence.outside)):
         row, clearance = evidence.outside[i], 0.0
         if not row.is_plane:
-            place = tmul(R, sub(vector(row.point), p))
+            place = apply_inverse(pose, vector(row.point))
             clearance = _beyond_bounds(evidence.model, place)
             if clearance == 0.0:
                 clearance = field_at(evidence.nodes, field, place)[0] / MAX_FIELD_SLOPE
@@ -99,10 +98,20 @@ def measure_clearances(evidence: Any, field: Any, pose: Pose, reach: float, near
 
 
 @inner
+def _depth(evidence: Any, field: Any, pose: Pose, point: Any) -> tuple[float, Vec3]:
+    """Returns how deep a point of OUTSIDE is in the object, in its sigmas, and the field's gradient there; a depth of 0
+    for a plane, and where the point is certainly outside."""
+    nothing, place = (0.0, 0.0, 0.0), apply_inverse(pose, vector(point.point))
+    if point.far or point.is_plane or _beyond_bounds(evidence.model, place) > 0:
+        return 0.0, nothing
+    distance, g, _ = field_at(evidence.nodes, field, place)
+    return -(distance + point.slack) / point.sigma, g
+
+
+@inner
 def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     """Adds the row of every link: the norm ρ of its points' depths u, with dρ = Σ (u / ρ)^(POWER - 1) du."""
-    outside, model = evidence.outside, evidence.model
-    (R, p), (center, radius) = pose, frame
+    outside, (center, radius) = evidence.outside, frame
     n, link, total = len(outside), 0, 0.0
     if n == 0:
         return
@@ -110,13 +119,7 @@ def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: 
     for i in range(n + 1):  # one more, for the last link's row
         u, g, point = 0.0, (0.0, 0.0, 0.0), outside[min(i, n - 1)]
         if i < n:
-            if point.far or point.is_plane:
-                continue
-            place = tmul(R, sub(vector(point.point), p))
-            if _beyond_bounds(model, place) > 0:
-                continue
-            distance, g, _ = field_at(evidence.nodes, field, place)
-            u = -(distance + point.slack) / point.sigma
+            u, g = _depth(evidence, field, pose, point)
             if u <= 0:
                 continue
         if total > 0 and (i == n or point.link != link):
@@ -126,7 +129,7 @@ def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: 
             by_shift, by_turn, total = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0
         if u > 0:
             power = u**POWER
-            slope = scale(mul(R, g), power / (u * point.sigma))
+            slope = scale(mul(pose[0], g), power / (u * point.sigma))
             lever = scale(sub(vector(point.point), center), 1 / radius)
             by_shift, by_turn = add(by_shift, slope), add(by_turn, cross(lever, slope))
             total, link = total + power, point.link
@@ -135,17 +138,10 @@ def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: 
 @inner
 def outside_cost(evidence: Any, field: Any, pose: Pose) -> float:
     """Returns the squared residuals of all links."""
-    outside, model = evidence.outside, evidence.model
-    (R, p), cost, total, link = pose, 0.0, 0.0, 0
-    for i in range(len(outside)):
-        point = outside[i]
-        if point.far or point.is_plane:
-            continue
-        place = tmul(R, sub(vector(point.point), p))
-        if _beyond_bounds(model, place) > 0:
-            continue
-        distance, _, _ = field_at(evidence.nodes, field, place)
-        u = -(distance + point.slack) / point.sigma
+    cost, total, link = 0.0, 0.0, 0
+    for i in range(len(evidence.outside)):
+        point = evidence.outside[i]
+        u, _ = _depth(evidence, field, pose, point)
         if u > 0:
             if point.link != link:
                 cost, total, link = cost + total ** (2 / POWER), 0.0, point.link

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.contact_term import Frame, Pose
+from handsight._kernels.evidence.contact_term import Frame, Pose, distance_row
 from handsight._kernels.math.simd import accumulate, scan
-from handsight._kernels.math.vec3 import Vec3, add, cross, dot, mul, scale, sub, tmul, vector
+from handsight._kernels.math.vec3 import Vec3, apply, dot, scale, sub, tmul, vector
 from handsight._kernels.mesh.field import field_at
 from handsight._kernels.records import BOX, CYLINDER, SPHERE
 from handsight._kernels.runtime.compilation import inner
@@ -57,7 +57,7 @@ def _height(evidence: Any, pose: Pose, plane: Any) -> tuple[float, Vec3]:
     if height + corner >= 0:
         return height + corner, p
     low = lowest_point(evidence, up)
-    return height + dot(up, low), add(mul(R, low), p)
+    return height + dot(up, low), apply(pose, low)
 
 
 @inner
@@ -68,16 +68,13 @@ def add_planes(evidence: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     pose changes, another point may become the lowest; the derivative of the height is that of the present lowest
     point's all the same (envelope theorem).
     """
-    center, radius = frame
     for i in range(len(evidence.outside)):
         plane = evidence.outside[i]
         if plane.is_plane:
             height, point = _height(evidence, pose, plane)
             if height < 0:
-                by_shift = vector(plane.normal)
-                lever = scale(sub(point, center), 1 / radius)
-                weight = (1 / (plane.sigma * plane.sigma),)
-                accumulate(weight, (by_shift + cross(lever, by_shift) + (height,),), equations)
+                row = distance_row(point, vector(plane.normal), height, frame)
+                accumulate((1 / (plane.sigma * plane.sigma),), (row,), equations)
 
 
 @inner

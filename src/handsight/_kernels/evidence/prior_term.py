@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.contact_term import Frame, Pose
+from handsight._kernels.evidence.contact_term import Frame, Pose, distance_row
 from handsight._kernels.math.dense6 import eigen, from_eigen, scale_turns
 from handsight._kernels.math.simd import accumulate
 from handsight._kernels.math.so3 import IDENTITY, log_derivative, rotation_log
@@ -17,6 +17,7 @@ from handsight._kernels.math.vec3 import (
     Vec3,
     add,
     add33,
+    apply,
     block,
     cross,
     dot,
@@ -27,7 +28,6 @@ from handsight._kernels.math.vec3 import (
     outer,
     scale,
     scale33,
-    skew,
     store,
     store33,
     sub,
@@ -65,7 +65,7 @@ def vision_prior(model: Any, vision: Any, prior: Any, u: Any) -> None:
     arm = mul(R, vector(symmetry.pivot))
     prior.kind, prior.has_axis = VISION_PRIOR, symmetry.axes
     store(vector(symmetry.pivot), prior.pivot_object)
-    store((symmetry.axis[0, 0], symmetry.axis[0, 1], symmetry.axis[0, 2]), prior.axis_object)
+    store(vector(symmetry.axis[0]), prior.axis_object)
     store(add(vector(vision.pose.position), arm), prior.pivot_palm)
     store33(R, prior.rotation)
     scale_turns(vision.covariance, radius, u.matrix)
@@ -75,7 +75,13 @@ def vision_prior(model: Any, vision: Any, prior: Any, u: Any) -> None:
     from_eigen(u.values, u.vectors, radius, prior.information)
     about_point(prior.information, arm, prior.information)
     for k in range(symmetry.axes):
-        _forget_spin(mul(R, vector(symmetry.axis[k])), prior.information)
+        # The turn about an axis is removed, by the Schur complement.
+        axis, information = mul(R, vector(symmetry.axis[k])), prior.information
+        by_shift, by_turn = mul(block(information, 0, 3), axis), mul(block(information, 3, 3), axis)
+        along, turned = max(dot(axis, by_turn), 1e-300), by_shift + by_turn
+        for i in range(6):
+            for j in range(6):
+                information[i, j] -= turned[i] * turned[j] / along
 
 
 @inner
@@ -84,25 +90,11 @@ def about_point(information: Any, lever: Vec3, out: Any) -> None:
     lever from the origin: Fᵀ Λ F with F = [1, [lever]x; 0, 1], as δp of the origin is that of the point less what the
     turn does to the lever."""
     for i in range(6):
-        row = (information[i, 0], information[i, 1], information[i, 2])
-        turned = cross(row, lever)
-        for j in range(3):
-            out[i, j], out[i, 3 + j] = row[j], information[i, 3 + j] + turned[j]
+        row = vector(information[i])
+        store(add(vector(information[i, 3:]), cross(row, lever)), out[i, 3:])
+        store(row, out[i])
     for j in range(6):
-        turned = cross((out[0, j], out[1, j], out[2, j]), lever)
-        for i in range(3):
-            out[3 + i, j] += turned[i]
-
-
-@inner
-def _forget_spin(axis: Vec3, information: Any) -> None:
-    """Removes the turn around an axis, given in the palm, from an information (6, 6), by the Schur complement."""
-    by_shift, by_turn = mul(block(information, 0, 3), axis), mul(block(information, 3, 3), axis)
-    along = max(dot(axis, by_turn), 1e-300)
-    turned = by_shift + by_turn
-    for i in range(6):
-        for j in range(6):
-            information[i, j] -= turned[i] * turned[j] / along
+        store(add(vector(out[3:, j]), cross(vector(out[:, j]), lever)), out[3:, j])
 
 
 @inner
@@ -135,20 +127,18 @@ def swing(axis_from: Vec3, axis_to: Vec3) -> tuple[Vec3, Mat33]:
 @inner
 def point_off(point_object: Any, point_palm: Any, pose: Pose) -> tuple[Vec3, Vec3]:
     """Returns where a point of the object is in the palm, and how far that is from where it should be."""
-    R, p = pose
-    place = add(p, mul(R, vector(point_object)))
+    place = apply(pose, vector(point_object))
     return place, sub(place, vector(point_palm))
 
 
 @inner
 def point_rows(place: Vec3, off: Vec3, frame: Frame) -> Any:
     """Returns three rows: how far a point of the object at a place is off, which moves by τ + ω × (place - center)."""
-    center, radius = frame
-    by_turn = skew(scale(sub(center, place), 1 / radius))
+    x, y, z = IDENTITY
     return (
-        (1.0, 0.0, 0.0) + by_turn[0] + (off[0],),
-        (0.0, 1.0, 0.0) + by_turn[1] + (off[1],),
-        (0.0, 0.0, 1.0) + by_turn[2] + (off[2],),
+        distance_row(place, x, off[0], frame),
+        distance_row(place, y, off[1], frame),
+        distance_row(place, z, off[2], frame),
     )
 
 
@@ -159,16 +149,9 @@ def add_prior(prior: Any, pose: Pose, frame: Frame, equations: Any) -> None:
         return
     pivot, off = point_off(prior.pivot_object, prior.pivot_palm, pose)
     turn, D = turn_between(prior, pose[0])
-    by_pivot, D, still = point_rows(pivot, off, frame), scale33(D, 1 / frame[1]), (0.0, 0.0, 0.0)
-    rows = (
-        by_pivot[0],
-        by_pivot[1],
-        by_pivot[2],
-        still + D[0] + (turn[0],),
-        still + D[1] + (turn[1],),
-        still + D[2] + (turn[2],),
-    )
-    accumulate(prior.information, rows, equations)
+    D, still = scale33(D, 1 / frame[1]), (0.0, 0.0, 0.0)
+    by_turn = still + D[0] + (turn[0],), still + D[1] + (turn[1],), still + D[2] + (turn[2],)
+    accumulate(prior.information, point_rows(pivot, off, frame) + by_turn, equations)
 
 
 @inner

@@ -11,22 +11,10 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame
-from handsight._kernels.math.dense6 import eigen, factor, solve
+from handsight._kernels.math.dense6 import eigen, factor, from_eigen, solve
 from handsight._kernels.math.so3 import IDENTITY, rotation_exp
-from handsight._kernels.math.vec3 import (
-    Mat33,
-    Vec3,
-    add,
-    cross,
-    dot,
-    matrix,
-    mul,
-    scale,
-    store,
-    sub,
-    tmul,
-    vector,
-)
+from handsight._kernels.math.symmetry import transform_of
+from handsight._kernels.math.vec3 import Mat33, Vec3, add, cross, dot, mul, scale, store, sub, tmul, vector
 from handsight._kernels.mesh.field import field_at
 from handsight._kernels.runtime.compilation import entry, inner
 
@@ -106,16 +94,6 @@ def pose_jacobian(R: Mat33, arm: Vec3, before: float, after: float, out: Any) ->
 
 
 @inner
-def _compose(values: Any, vectors: Any, out: Any) -> None:
-    """Fills `out` (6, 6) with the symmetric matrix of eigenvalues (6) and of eigenvectors in columns."""
-    for i in range(6):
-        for j in range(6):
-            out[i, j] = 0.0
-            for k in range(6):
-                out[i, j] += values[k] * vectors[i, k] * vectors[j, k]
-
-
-@inner
 def pose_covariance(informed: Any, error: Any, out: Any) -> None:
     """Fills `out` (6, 6) with the covariance of a pose by (δp, r δθ) of its centre: (A S⁻¹ A + U)⁻¹ + v.
 
@@ -131,11 +109,11 @@ def pose_covariance(informed: Any, error: Any, out: Any) -> None:
     for k in range(6):
         # S is summed over some of the pairs of points, and may be less than nothing along a direction.
         values[k] = 1 / (max(values[k], 0.0) + 1e-3 * trace / 6 + 1e-12)
-    _compose(values, vectors, S_inverse)
+    from_eigen(values, vectors, 1.0, S_inverse)
     eigen(A, values, vectors)
     for k in range(6):
         values[k] = max(values[k], 0.0)
-    _compose(values, vectors, A)
+    from_eigen(values, vectors, 1.0, A)
     congruence(A, S_inverse, information)
     for i in range(6):
         information[i, i] += error.known_shift if i < 3 else error.known_turn
@@ -162,7 +140,7 @@ def largest_shift(model: Any, nodes: Any, T_camera_object: Any, covariance: Any)
     covariance (6, 6): of (δp, δθ) of the object's origin along the camera's axes. A turn that the object looks the same
     after does not move its surface.
     """
-    R, radius, center = matrix(T_camera_object), model[0].radius, vector(model[0].center)
+    R, radius, center = transform_of(T_camera_object)[0], model[0].radius, vector(model[0].center)
     J, along_object, values, vectors = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty((6, 6))
     pose_jacobian(R, mul(R, center), 1.0, radius, J)
     congruence(J, covariance, along_object)

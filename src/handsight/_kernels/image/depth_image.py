@@ -10,7 +10,7 @@ import numpy as np
 
 from handsight._kernels.image.vision_records import HAND, OUT, TABLE
 from handsight._kernels.math.symmetry import pose_of
-from handsight._kernels.math.vec3 import Vec3, add, dot, mul, norm, scale, store, sub, tmul, vector
+from handsight._kernels.math.vec3 import Vec3, apply, apply_inverse, dot, norm, scale, store, sub, vector
 from handsight._kernels.mesh.field import field_at
 from handsight._kernels.runtime.compilation import entry, inner
 
@@ -180,9 +180,9 @@ def _gathered(surface: Any, image: Any, window: Any, at: Any, found: Any) -> int
     model, nodes = surface
     rays, depth, labels = image
     here, step = window
-    coarse, R, p = model[0].coarse, pose_of(at)[0], pose_of(at)[1]
+    coarse, pose = model[0].coarse, pose_of(at)
     # No point of an object is farther from its centre than 1.2 radii.
-    center, reach2 = add(mul(R, vector(model[0].center)), p), (1.2 * model[0].radius + here.within) ** 2
+    center, reach2 = apply(pose, vector(model[0].center)), (1.2 * model[0].radius + here.within) ** 2
     count = 0
     for v in range(here.rows[0], here.rows[1], step):
         for u in range(here.columns[0], here.columns[1], step):
@@ -190,7 +190,10 @@ def _gathered(surface: Any, image: Any, window: Any, at: Any, found: Any) -> int
                 continue
             P = _point(rays, depth, v, u)
             way = sub(P, center)
-            if dot(way, way) < reach2 and abs(field_at(nodes, coarse, tmul(R, sub(P, p)))[0]) < here.within:
+            if (
+                dot(way, way) < reach2
+                and abs(field_at(nodes, coarse, apply_inverse(pose, P))[0]) < here.within
+            ):
                 found[count] = v * depth.shape[1] + u
                 count += 1
     return count

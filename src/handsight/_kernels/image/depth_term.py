@@ -9,26 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.contact_term import Frame, Pose
+from handsight._kernels.evidence.contact_term import Frame, Pose, distance_row
 from handsight._kernels.evidence.prior_term import add_prior
 from handsight._kernels.image.depth_covariance import congruence, inform, pose_covariance, pose_jacobian
 from handsight._kernels.math.simd import accumulate, local
 from handsight._kernels.math.so3 import IDENTITY
 from handsight._kernels.math.symmetry import pose_of, store_pose
-from handsight._kernels.math.vec3 import (
-    Vec3,
-    add,
-    cross,
-    dot,
-    mul,
-    neg,
-    scale,
-    store,
-    store33,
-    sub,
-    tmul,
-    vector,
-)
+from handsight._kernels.math.vec3 import Vec3, apply, apply_inverse, dot, mul, neg, store, store33, vector
 from handsight._kernels.mesh.field import field_at
 from handsight._kernels.records import NO_PRIOR, PRIOR_TERM, VISION_PRIOR, WORKSPACE
 from handsight._kernels.runtime.compilation import entry, inner
@@ -40,16 +27,6 @@ MAX_SHIFT, MAX_TURN = 0.15, 0.5
 """The most that one step moves the object [diameters, rad]."""
 COMPARED = 100
 """Points whose errors are compared with each other's, to stand for all."""
-
-
-@inner
-def add_plane_row(
-    weight: float, residual: float, point: Vec3, normal: Vec3, frame: Frame, equations: Any
-) -> None:
-    """Adds the row of a point's distance along a normal to equations by a step (τ, radius ω) about a frame."""
-    by_shift = neg(normal)
-    by_turn = cross(scale(sub(point, frame[0]), 1 / frame[1]), by_shift)
-    accumulate((weight,), (by_shift + by_turn + (residual,),), equations)
 
 
 @inner
@@ -72,26 +49,12 @@ def stepped(
 @inner
 def _point(surface: Any, points: Any, pose: Pose, bound: float) -> tuple[float, float, Vec3, Vec3]:
     """Returns the weight and the residual of a DEPTH_POINT, its place, and the surface's normal there in the camera."""
-    nodes, field = surface
-    R, p = pose
     P = vector(points.point)
-    distance, gradient, _ = field_at(nodes, field, tmul(R, sub(P, p)))
-    ratio, g, normal = distance / bound, mul(R, gradient), vector(points.normal)
+    distance, gradient, _ = field_at(surface[0], surface[1], apply_inverse(pose, P))
+    ratio, g, normal = distance / bound, mul(pose[0], gradient), vector(points.normal)
     if not ratio * ratio < 1 or (dot(normal, g) < MIN_COSINE and normal != (0.0, 0.0, 0.0)):
         return 0.0, distance, P, g
     return (1 - ratio * ratio) ** 2, distance, P, g
-
-
-@inner
-def _add_points(surface: Any, points: Any, pose: Pose, frame: Frame, bound: float, equations: Any) -> float:
-    """Adds the rows of all points to the equations, and returns the sum of their weights."""
-    total = 0.0
-    for n in range(len(points)):
-        weight, distance, P, g = _point(surface, points[n], pose, bound)
-        if weight > 0:
-            add_plane_row(weight, distance, P, g, frame, equations)
-            total += weight
-    return total
 
 
 @inner
@@ -99,7 +62,7 @@ def _expect(model: Any, information: Any, pose: Pose, prior: Any) -> None:
     """Fills in the prior that expects the object at a pose, with information (6, 6) by (δp, δθ) of its centre."""
     prior.kind, prior.has_axis = VISION_PRIOR if information[0, 0] > 0 else NO_PRIOR, 0
     store(vector(model.center), prior.pivot_object)
-    store(add(mul(pose[0], vector(model.center)), pose[1]), prior.pivot_palm)
+    store(apply(pose, vector(model.center)), prior.pivot_palm)
     store33(pose[0], prior.rotation)
     for i in range(6):
         for j in range(6):
@@ -116,12 +79,8 @@ def refine_poses(
     6): the information of each candidate's pose before, by (δp, δθ) of the object's centre along the camera's axes, in
     units of one point's residual [1/m²]; 0 where nothing is known.
     """
-    workspace, prior, center, radius = (
-        local(WORKSPACE),
-        local(PRIOR_TERM),
-        vector(model[0].center),
-        model[0].radius,
-    )
+    workspace, prior = local(WORKSPACE), local(PRIOR_TERM)
+    center, radius = vector(model[0].center), model[0].radius
     equations, longest = workspace.now, (MAX_SHIFT * 2 * radius, MAX_TURN)
     for k in range(len(candidates)):
         pose = pose_of(candidates[k].pose)
@@ -131,9 +90,14 @@ def refine_poses(
             surface = nodes, model[0].fine if stage.fine else model[0].coarse
             for step in range(stage.steps):
                 bound = max(unit * bound_at(stage, step), candidates[k].bound)
-                frame = add(mul(pose[0], center), pose[1]), radius
+                frame, total = (apply(pose, center), radius), 0.0
                 equations[:] = 0.0
-                if not _add_points(surface, points[:: stage.stride], pose, frame, bound, equations) > 0:
+                for n in range(0, len(points), stage.stride):
+                    weight, distance, P, g = _point(surface, points[n], pose, bound)
+                    if weight > 0:
+                        accumulate((weight,), (distance_row(P, neg(g), distance, frame),), equations)
+                        total += weight
+                if not total > 0:
                     break
                 add_prior(prior, pose, frame, equations)
                 solved, pose = stepped(equations, pose, frame, longest, workspace)
@@ -147,10 +111,9 @@ def closeness(model: Any, nodes: Any, points: Any, within: Any, candidates: Any)
     """Fills in `close` of CANDIDATE (k,): how many of DEPTH_POINT (n,) lie within so far (k,) [m] of its surface, each
     counted by how near it is."""
     for k in range(len(candidates)):
-        R, p = pose_of(candidates[k].pose)
-        close = 0.0
+        pose, close = pose_of(candidates[k].pose), 0.0
         for n in range(len(points)):
-            point = tmul(R, sub(vector(points[n].point), p))
+            point = apply_inverse(pose, vector(points[n].point))
             ratio = field_at(nodes, model[0].fine, point)[0] / within[k]
             close += max(1 - ratio * ratio, 0.0)
         candidates[k].close = close
@@ -180,13 +143,12 @@ def pose_covariances(
                 total += weight
                 count += 1
         candidates[k].weight = total
-        arm = mul(pose[0], vector(model[0].center))
-        inform(
-            weights[:count], places, normals, (add(arm, pose[1]), radius), errors[k], COMPARED, informed[k]
-        )
+        center = vector(model[0].center)
+        frame = apply(pose, center), radius
+        inform(weights[:count], places, normals, frame, errors[k], COMPARED, informed[k])
         for i in range(3, 6):
             # The model's normals differ from the object's, and seem to observe turns that the object's do not.
             informed[k, 0, i, i] -= total * errors[k].normal
         pose_covariance(informed[k], errors[k], out[k])
-        pose_jacobian(IDENTITY, neg(arm), radius, 1.0, J)
+        pose_jacobian(IDENTITY, neg(mul(pose[0], center)), radius, 1.0, J)
         congruence(J, out[k], out[k])

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handsight._kernels.image.depth_term import add_plane_row, bound_at, stepped
-from handsight._kernels.image.palm_scan import PALM_SCAN
-from handsight._kernels.image.pinhole import project
+from handsight._kernels.evidence.contact_term import distance_row
+from handsight._kernels.image.depth_term import bound_at, stepped
+from handsight._kernels.image.palm_scan import PALM_SCAN, observed_at
 from handsight._kernels.image.pose_score import ScoreWeights, finish_score
-from handsight._kernels.math.simd import local
+from handsight._kernels.math.simd import accumulate, local
 from handsight._kernels.math.symmetry import pose_of, store_pose
-from handsight._kernels.math.vec3 import Vec3, add, cross, dot, mul, norm, sub, vector
+from handsight._kernels.math.vec3 import Vec3, apply, cross, dot, mul, neg, norm, sub, vector
 from handsight._kernels.records import WORKSPACE
 from handsight._kernels.runtime.compilation import entry, inner
 
@@ -34,17 +34,6 @@ class HandTermOptions(NamedTuple):
 
 HAND_TERM = HandTermOptions()
 HAND_SCORE = ScoreWeights(passed=1.5, hidden=0.1, unexplained=0.2, max_unexplained=np.inf, min_expected=100.0)
-
-
-@inner
-def _observed_at(camera: Any, depth: Any, P: Vec3) -> tuple[int, int, float]:
-    """Returns row, column and depth [m] of a point's pixel; the depth is 0 where there is none, -1 out of the image."""
-    u, v = project(camera, P)
-    if not (-0.5 < u < depth.shape[1] - 0.5 and -0.5 < v < depth.shape[0] - 0.5):
-        return 0, 0, -1.0
-    row, column = int(v + 0.5), int(u + 0.5)
-    z = depth[row, column]
-    return row, column, float(z) if z > 0 else 0.0
 
 
 @inner
@@ -69,7 +58,7 @@ def _row(camera: Any, image: Any, P: Vec3, n: Vec3, bound: float) -> tuple[float
     depth, rays, cells, corner = image
     if not -dot(n, P) > PALM_SCAN.facing_cosine * norm(P):
         return 0.0, 0.0
-    row, column, z = _observed_at(camera, depth, P)
+    row, column, z = observed_at(camera, depth, P)
     if not z > 0:
         return 0.0, 0.0
     away = sub((float(rays[row, column, 0]) * z, float(rays[row, column, 1]) * z, z), P)
@@ -93,13 +82,13 @@ def refine_hand(
         pose = pose_of(candidates[k].pose)
         for step in range(stage.steps):
             bound, total = bound_at(stage, step), 0.0
-            (R, p), frame = pose, (add(mul(pose[0], vector(middle)), pose[1]), radius)
+            frame = apply(pose, vector(middle)), radius
             equations[:] = 0.0
             for m in range(hand.shape[1]):
-                P, n = add(mul(R, vector(hand[0, m])), p), mul(R, vector(hand[1, m]))
+                P, n = apply(pose, vector(hand[0, m])), mul(pose[0], vector(hand[1, m]))
                 weight, residual = _row(camera[0], image, P, n, bound)
                 if weight > 0:
-                    add_plane_row(weight, residual, P, n, frame, equations)
+                    accumulate((weight,), (distance_row(P, neg(n), residual, frame),), equations)
                     total += weight
             if not total > HAND_TERM.min_points:
                 break
@@ -116,7 +105,7 @@ def _add(camera: Any, image: Any, P: Vec3, n: Vec3, area: float, bound: float, c
     cosine = -dot(n, P) / way
     if not cosine > PALM_SCAN.facing_cosine:
         return
-    _, _, z = _observed_at(camera, image[0], P)
+    _, _, z = observed_at(camera, image[0], P)
     if z < 0:
         return
     pixels = area * camera.fx * camera.fy * cosine / (P[2] * P[2])
@@ -150,11 +139,11 @@ def score_hand(camera: Any, image: Any, hand: Any, area: float, bound: float, ca
     """
     for k in range(len(candidates)):
         candidate = candidates[k]
-        R, p = pose_of(candidate.pose)
+        pose = pose_of(candidate.pose)
         candidate.expected = candidate.explained = candidate.passed = candidate.hidden = 0.0
         candidate.unexplained = candidate.rms = 0.0
         for m in range(hand.shape[1]):
-            P, n = add(mul(R, vector(hand[0, m])), p), mul(R, vector(hand[1, m]))
+            P, n = apply(pose, vector(hand[0, m])), mul(pose[0], vector(hand[1, m]))
             _add(camera[0], image, P, n, area, bound, candidate)
         finish_score(HAND_SCORE, candidate)
 
@@ -163,9 +152,9 @@ def score_hand(camera: Any, image: Any, hand: Any, area: float, bound: float, ca
 def rows_of(camera: Any, image: Any, hand: Any, pose: Any, bound: float, rows: Any) -> None:
     """Fills in `rows` (m, 8) of the hand's points at a POSE (1,): weight, residual [m], and (n, P × n) in the
     camera."""
-    R, p = pose_of(pose[0])
+    at = pose_of(pose[0])
     for k in range(hand.shape[1]):
-        P, n = add(mul(R, vector(hand[0, k])), p), mul(R, vector(hand[1, k]))
+        P, n = apply(at, vector(hand[0, k])), mul(at[0], vector(hand[1, k]))
         rows[k, 0], rows[k, 1] = _row(camera[0], image, P, n, bound)
         line = n + cross(P, n)
         for i in range(6):

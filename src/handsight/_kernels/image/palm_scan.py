@@ -9,7 +9,7 @@ import numpy as np
 
 from handsight._kernels.image.depth_image import normal_at
 from handsight._kernels.image.pinhole import project
-from handsight._kernels.math.vec3 import matrix, mul, norm, store, vector
+from handsight._kernels.math.vec3 import Vec3, matrix, mul, norm, store, vector
 from handsight._kernels.runtime.compilation import entry, inner
 
 
@@ -32,26 +32,28 @@ class PalmScanOptions(NamedTuple):
 PALM_SCAN = PalmScanOptions()
 
 
+@inner
+def observed_at(camera: Any, depth: Any, P: Vec3) -> tuple[int, int, float]:
+    """Returns row, column and depth [m] of a point's pixel; the depth is 0 where there is none, -1 out of the image."""
+    u, v = project(camera, P)
+    if not (-0.5 < u < depth.shape[1] - 0.5 and -0.5 < v < depth.shape[0] - 0.5):
+        return 0, 0, -1.0
+    row, column = int(v + 0.5), int(u + 0.5)
+    z = depth[row, column]
+    return row, column, float(z) if z > 0 else 0.0
+
+
 @entry
 def cells_of(camera: Any, rays: Any, depth: Any, corner: Any, cells: Any) -> None:
     """Fills in `cells` (h, w, 4): depth [m] and normal along the rays `corner[:2] + corner[2] · (column, row)`.
 
     The depth is 0 where there is none, -1 out of the image; the normal is 0 where there is none.
     """
-    height, width = depth.shape
     for i in range(cells.shape[0]):
         for j in range(cells.shape[1]):
-            cell = cells[i, j]
-            x, y = corner[0] + corner[2] * j, corner[1] + corner[2] * i
-            u, v = project(camera[0], (x, y, 1.0))
-            cell[0] = -1.0
-            cell[1] = cell[2] = cell[3] = 0.0
-            if not (-0.5 < u < width - 0.5 and -0.5 < v < height - 0.5):
-                continue
-            row, column = int(v + 0.5), int(u + 0.5)
-            cell[0] = depth[row, column] if depth[row, column] > 0 else 0.0
-            if cell[0] > 0:
-                cell[1], cell[2], cell[3] = normal_at(rays, depth, row, column)
+            cell, ray = cells[i, j], (corner[0] + corner[2] * j, corner[1] + corner[2] * i, 1.0)
+            row, column, cell[0] = observed_at(camera[0], depth, ray)
+            store(normal_at(rays, depth, row, column) if cell[0] > 0 else (0.0, 0.0, 0.0), cell[1:])
 
 
 @inner
@@ -84,11 +86,8 @@ def scan(
     (2, m, 3), normals of 0 for points in the air beside it. rotations (r, 3, 3), middles (s, 3) of it in the camera.
     """
     height, width, count = cells.shape[0], cells.shape[1], hand.shape[1]
-    there, agree, turned = (
-        np.empty(PALM_SCAN.range_bins),
-        np.empty(PALM_SCAN.range_bins),
-        np.empty((count, 2, 3)),
-    )
+    there, agree = np.empty(PALM_SCAN.range_bins), np.empty(PALM_SCAN.range_bins)
+    turned = np.empty((count, 2, 3))
     half, finer, bins = PALM_SCAN.range_bins // 2, 1 / corner[2], 1 / bin_width
     for r in range(len(rotations)):
         R = matrix(rotations[r])

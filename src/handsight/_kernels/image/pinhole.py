@@ -20,10 +20,8 @@ def lens(camera: Any, x: float, y: float) -> tuple[float, float]:
     k, r2 = camera.lens, x * x + y * y
     p1, p2 = k[2], k[3]
     radial = (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
-    return (
-        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-        y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y),
-    )
+    slope_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    return slope_x, y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y)
 
 
 @inner

@@ -11,7 +11,7 @@ import numpy as np
 from handsight._kernels.image.pinhole import project
 from handsight._kernels.image.vision_records import HAND, TABLE
 from handsight._kernels.math.symmetry import pose_of
-from handsight._kernels.math.vec3 import Vec3, add, dot, mul, norm, scale, tmul, vector
+from handsight._kernels.math.vec3 import Vec3, add, apply, dot, mul, norm, scale, tmul, vector
 from handsight._kernels.mesh.field import field_at
 from handsight._kernels.runtime.compilation import entry, inner
 
@@ -120,16 +120,16 @@ def score_all(camera: Any, image: Any, sides: Any, sizes: Any, center: Any, cand
     density = area * camera[0].fx * camera[0].fy
     for k in range(len(candidates)):
         candidate = candidates[k]
-        R, p = pose_of(candidate.pose)
-        middle = add(mul(R, vector(center)), p)
-        side = _nearest(directions, scale(tmul(R, middle), -1 / max(norm(middle), 1e-9)))
+        pose = pose_of(candidate.pose)
+        middle = apply(pose, vector(center))
+        side = _nearest(directions, scale(tmul(pose[0], middle), -1 / max(norm(middle), 1e-9)))
         explained[:] = 0.0
         candidate.expected = candidate.explained = candidate.passed = candidate.hidden = candidate.rms = 0.0
         for m in range(samples.shape[1]):
             if visible[side, m]:
-                P = add(mul(R, vector(samples[0, m])), p)
+                P = apply(pose, vector(samples[0, m]))
                 u, v = project(camera[0], P)
-                cosine = -dot(mul(R, vector(samples[1, m])), P) / norm(P)
+                cosine = -dot(mul(pose[0], vector(samples[1, m])), P) / norm(P)
                 if cosine > 0 and -0.5 < u < width - 0.5 and -0.5 < v < height - 0.5:
                     sample = u, v, P[2], density * cosine / (P[2] * P[2])
                     _add(image, sample, candidate.bound, candidate, explained)

@@ -68,33 +68,25 @@ def _cut(inside: Vec3, outside: Vec3) -> Vec3:
     return x, y, NEAR
 
 
-@inner
-def _clipped(camera: Any, depth: Any, drawn: Any, label: int, corners: tuple[Vec3, Vec3, Vec3]) -> None:
-    """Draws the part of a triangle in the camera that lies beyond `NEAR`."""
-    a, b, c = corners
-    for _ in range(2):  # rotate until the first corner is beyond, if any is
-        if not a[2] > NEAR:
-            a, b, c = b, c, a
-    if not a[2] > NEAR:
-        return
-    if not b[2] > NEAR and c[2] > NEAR:
-        a, b, c = c, a, b
-    if not b[2] > NEAR:
-        ab, ac = _cut(a, b), _cut(a, c)
-        _fill(depth, drawn, label, _corner(camera, a), _corner(camera, ab), _corner(camera, ac))
-        return
-    if c[2] > NEAR:
-        _fill(depth, drawn, label, _corner(camera, a), _corner(camera, b), _corner(camera, c))
-        return
-    bc, ac = _cut(b, c), _cut(a, c)
-    _fill(depth, drawn, label, _corner(camera, a), _corner(camera, b), _corner(camera, bc))
-    _fill(depth, drawn, label, _corner(camera, a), _corner(camera, bc), _corner(camera, ac))
-
-
 @entry
 def draw(camera: Any, vertices: Any, faces: Any, labels: Any, depth: Any, drawn: Any) -> None:
     """Draws faces (m, 3) of vertices (k, 3) in the camera into `depth` (h, w) [m], which is infinite where nothing is,
-    and the label (m,) of the nearest face into `drawn` (h, w)."""
+    and the label (m,) of the nearest face into `drawn` (h, w). Of a face the part beyond `NEAR` is drawn."""
     for m in range(len(faces)):
         a, b, c = vector(vertices[faces[m, 0]]), vector(vertices[faces[m, 1]]), vector(vertices[faces[m, 2]])
-        _clipped(camera[0], depth, drawn, labels[m], (a, b, c))
+        for _ in range(2):  # rotate until the first corner is beyond, if any is
+            if not a[2] > NEAR:
+                a, b, c = b, c, a
+        if not a[2] > NEAR:
+            continue
+        if not b[2] > NEAR and c[2] > NEAR:
+            a, b, c = c, a, b
+        end, has_end = c, False
+        if not b[2] > NEAR:
+            b, c = _cut(a, b), _cut(a, c)
+        elif not c[2] > NEAR:
+            c, end, has_end = _cut(b, c), _cut(a, c), True
+        first, third = _corner(camera[0], a), _corner(camera[0], c)
+        _fill(depth, drawn, labels[m], first, _corner(camera[0], b), third)
+        if has_end:
+            _fill(depth, drawn, labels[m], first, third, _corner(camera[0], end))

@@ -11,7 +11,8 @@ import numpy as np
 
 from handsight._kernels.image.depth_image import step_at
 from handsight._kernels.image.pinhole import project
-from handsight._kernels.math.vec3 import Vec3, norm
+from handsight._kernels.math.symmetry import transform_of
+from handsight._kernels.math.vec3 import Vec3, apply, norm
 from handsight._kernels.runtime.compilation import entry, inner
 
 CLEAR = 3.0
@@ -63,14 +64,11 @@ def fuse(camera: Any, depth: Any, to_camera: Any, bound: float, voxels: Any) -> 
     `to_camera` (3, 4): from a node's index in the grid to the camera [m]; `bound`: the largest distance to the surface
     that is kept [m].
     """
-    height, width = depth.shape
-    M = to_camera
+    (height, width), pose = depth.shape, transform_of(to_camera)
     for i in range(voxels.shape[0]):
         for j in range(voxels.shape[1]):
             for k in range(voxels.shape[2]):
-                x = M[0, 0] * i + M[0, 1] * j + M[0, 2] * k + M[0, 3]
-                y = M[1, 0] * i + M[1, 1] * j + M[1, 2] * k + M[1, 3]
-                z = M[2, 0] * i + M[2, 1] * j + M[2, 2] * k + M[2, 3]
-                u, v = project(camera[0], (x, y, z))
+                node = apply(pose, (i, j, k))
+                u, v = project(camera[0], node)
                 if u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5:
-                    _see(voxels[i, j, k], depth, (u, v), (x, y, z), bound)
+                    _see(voxels[i, j, k], depth, (u, v), node, bound)

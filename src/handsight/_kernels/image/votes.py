@@ -9,20 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.math.so3 import rotation_exp
+from handsight._kernels.math.so3 import about_normal, rotation_exp
 from handsight._kernels.math.symmetry import store_pose
-from handsight._kernels.math.vec3 import (
-    Mat33,
-    Vec3,
-    dot,
-    matmul,
-    mul,
-    norm,
-    scale,
-    sub,
-    transpose,
-    vector,
-)
+from handsight._kernels.math.vec3 import Mat33, Vec3, dot, matmul, mul, norm, scale, sub, transpose, vector
 from handsight._kernels.runtime.compilation import entry, inner
 
 DISTANCES, ANGLES, SPINS = 20, 13, 30
@@ -33,15 +22,6 @@ PEAKS = 4
 POINT_BITS = 16
 """A pair of the model is one whole number: its first point, and in this many bits below it the spin."""
 TURN = 1 << POINT_BITS
-
-
-@inner
-def about_normal(n: Vec3) -> Mat33:
-    """Returns a rotation that brings a unit normal to +x, the same for the same normal (Duff and others, JCGT 2017)."""
-    sign = 1.0 if n[2] >= 0 else -1.0
-    a = -1 / (sign + n[2])
-    b = n[0] * n[1] * a
-    return n, (1 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]), (b, sign + n[1] * n[1] * a, -n[1])
 
 
 @inner

@@ -8,34 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.math.so3 import IDENTITY
-from handsight._kernels.math.vec3 import (
-    Mat33,
-    Vec3,
-    add,
-    add33,
-    cross,
-    matmul,
-    matrix,
-    mul,
-    outer,
-    scale,
-    scale33,
-    skew,
-    store,
-    store33,
-    sub,
-    vector,
-)
-from handsight._kernels.runtime.compilation import entry, inner
-
-
-@inner
-def rotation(axis: Vec3, angle: float) -> Mat33:
-    """Returns the rotation about a unit axis (Rodrigues)."""
-    cosine = np.cos(angle)
-    along, across = scale33(outer(axis, axis), 1 - cosine), scale33(skew(axis), np.sin(angle))
-    return add33(add33(scale33(IDENTITY, cosine), across), along)
+from handsight._kernels.math.so3 import IDENTITY, rotation_about
+from handsight._kernels.math.symmetry import store_transform, transform_of
+from handsight._kernels.math.vec3 import add, apply, cross, matmul, mul, scale, store, sub, vector
+from handsight._kernels.runtime.compilation import entry
 
 
 @entry
@@ -52,20 +28,17 @@ def poses(values: Any, starts: Any, joints: Any, homes: Any, Ts: Any, axes: Any)
         R, p = IDENTITY, (0.0, 0.0, 0.0)
         for k in range(starts[i], starts[i + 1]):
             joint = joints[k]
-            axis, point = mul(R, vector(joint.axis)), add(p, mul(R, vector(joint.point)))
+            axis, point = mul(R, vector(joint.axis)), apply((R, p), vector(joint.point))
             store(axis, axes[k, 0])
             store(point, axes[k, 1])
             travel = values[joint.value] - joint.zero
             if joint.slides:
                 p = add(p, scale(axis, travel))
             else:
-                R = matmul(rotation(axis, travel), R)
+                R = matmul(rotation_about(axis, np.cos(travel), np.sin(travel)), R)
                 p = sub(point, mul(R, vector(joint.point)))
-        T, home = Ts[i], homes[i]
-        store33(matmul(R, matrix(home)), T)
-        T[0, 3], T[1, 3], T[2, 3] = add(p, mul(R, (home[0, 3], home[1, 3], home[2, 3])))
-        T[3, 0] = T[3, 1] = T[3, 2] = 0.0
-        T[3, 3] = 1.0
+        home, at = transform_of(homes[i])
+        store_transform((matmul(R, home), apply((R, p), at)), Ts[i])
     return True
 
 
@@ -89,5 +62,4 @@ def jacobians(points: Any, bodies: Any, starts: Any, joints: Any, axes: Any, out
 def transform_points(points: Any, bodies: Any, Ts: Any, out: Any) -> None:
     """Writes to `out` (m, 3) the points (m, 3), each transformed by the pose `Ts[bodies[i]]` of its body."""
     for i in range(len(points)):
-        T = Ts[bodies[i]]
-        store(add(mul(matrix(T), vector(points[i])), (T[0, 3], T[1, 3], T[2, 3])), out[i])
+        store(apply(transform_of(Ts[bodies[i]]), vector(points[i])), out[i])

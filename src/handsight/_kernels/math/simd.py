@@ -51,8 +51,10 @@ def _spline(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     for j in range(4):
         rows: list[Any] = [None] * 3
         for i in range(4):
-            shift = builder.add(_times(builder, i, step_x), _times(builder, j, step_y))
-            four = builder.fpext(_load(builder, nodes, builder.add(first, shift), _FOUR), _DOUBLES)
+            x, y = (builder.mul(ir.Constant(_INT64, k), step) for k, step in ((i, step_x), (j, step_y)))
+            four = builder.fpext(
+                _load(builder, nodes, builder.add(first, builder.add(x, y)), _FOUR), _DOUBLES
+            )
             rows = [_add(builder, _splat(builder, along_x[o], i), four, rows[o]) for o in range(3)]
         for o in range(3):
             for m in range(3 - o):
@@ -63,15 +65,13 @@ def _spline(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 def _basis(builder: Any, f: Any) -> list[Any]:
     """Returns the weights of four nodes, and their first and second derivatives by f, as vectors."""
-    four = _filled(builder, f, _DOUBLES)
-    return [_polynomial(builder, rows, four) for rows in (_VALUE, _SLOPE, _BEND)]
-
-
-def _polynomial(builder: Any, rows: Any, f: Any) -> Any:
-    total = ir.Constant(_DOUBLES, rows[-1].tolist())
-    for row in rows[-2::-1]:
-        total = _add(builder, total, f, ir.Constant(_DOUBLES, row.tolist()))
-    return total
+    four, found = _filled(builder, f, _DOUBLES), []
+    for rows in (_VALUE, _SLOPE, _BEND):
+        total = ir.Constant(_DOUBLES, rows[-1].tolist())
+        for row in rows[-2::-1]:
+            total = _add(builder, total, four, ir.Constant(_DOUBLES, row.tolist()))
+        found.append(total)
+    return found
 
 
 @intrinsic
@@ -87,9 +87,8 @@ def accumulate(_: Any, weight: Any, rows: Any, equations: Any) -> Any:
 def _accumulate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     equations = _data(context, builder, signature.args[2], arguments[2])
     n, zero = signature.args[1].count, ir.Constant(_DOUBLE, 0.0)
-    numbers = [
-        cgutils.unpack_tuple(builder, row, 7) for row in cgutils.unpack_tuple(builder, arguments[1], n)
-    ]
+    unpacked = cgutils.unpack_tuple(builder, arguments[1], n)
+    numbers = [cgutils.unpack_tuple(builder, row, 7) for row in unpacked]
     rows = [[_packed(builder, row[:4]), _packed(builder, [*row[4:], zero])] for row in numbers]
     weighted = _weighted(context, builder, signature.args[0], arguments[0], rows)
     for i in range(7):
@@ -210,10 +209,6 @@ def _splat(builder: Any, vector: Any, k: int) -> Any:
     """Returns a vector with the k-th element of another one in every place."""
     same = ir.Constant(ir.VectorType(_INT32, vector.type.count), [k] * vector.type.count)
     return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), same)
-
-
-def _times(builder: Any, k: int, step: Any) -> Any:
-    return builder.mul(ir.Constant(_INT64, k), step)
 
 
 def _sum(builder: Any, vector: Any) -> Any:

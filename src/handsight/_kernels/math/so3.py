@@ -2,22 +2,26 @@
 
 import numpy as np
 
-from handsight._kernels.math.vec3 import (
-    Mat33,
-    Vec3,
-    add33,
-    dot,
-    matmul,
-    norm,
-    outer,
-    scale,
-    scale33,
-    skew,
-    sub33,
-)
+from handsight._kernels.math.vec3 import Mat33, Vec3, add33, dot, matmul, norm, outer, scale, scale33, skew
 from handsight._kernels.runtime.compilation import inner
 
 IDENTITY: Mat33 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@inner
+def about_normal(n: Vec3) -> Mat33:
+    """Returns a rotation that brings a unit normal to +x, the same for the same normal (Duff et al. 2017)."""
+    sign = -1.0 if n[2] < 0.0 else 1.0
+    a = -1.0 / (sign + n[2])
+    b = n[0] * n[1] * a
+    return n, (1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]), (b, sign + n[1] * n[1] * a, -n[1])
+
+
+@inner
+def rotation_about(axis: Vec3, cosine: float, sine: float) -> Mat33:
+    """Returns the rotation about a unit axis, by an angle with that cosine and sine (Rodrigues)."""
+    along, across = scale33(outer(axis, axis), 1 - cosine), scale33(skew(axis), sine)
+    return add33(add33(scale33(IDENTITY, cosine), across), along)
 
 
 @inner
@@ -26,9 +30,8 @@ def rotation_exp(turn: Vec3) -> Mat33:
     half = 0.5 * norm(turn)
     ratio = np.sin(half) / half if half > 1e-9 else 1.0
     S = skew(turn)
-    return add33(
-        IDENTITY, add33(scale33(S, ratio * np.cos(half)), scale33(matmul(S, S), 0.5 * ratio * ratio))
-    )
+    first, second = scale33(S, ratio * np.cos(half)), scale33(matmul(S, S), 0.5 * ratio * ratio)
+    return add33(IDENTITY, add33(first, second))
 
 
 @inner
@@ -59,5 +62,5 @@ def log_derivative(turn: Vec3) -> Mat33:
     b = 1 / 12 + half * half / 180
     if half >= 5e-3:
         b = (1 - half / np.tan(half)) / (4 * half * half)
-    bent = sub33(outer(turn, turn), scale33(IDENTITY, square))
-    return add33(sub33(IDENTITY, scale33(skew(turn), 0.5)), scale33(bent, b))
+    S = skew(turn)
+    return add33(add33(IDENTITY, scale33(S, -0.5)), scale33(matmul(S, S), b))

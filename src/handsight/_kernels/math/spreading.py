@@ -20,25 +20,19 @@ def _gaps2(columns: Any, p: Any, k: int, out: Any) -> None:
         out[j] = a * a + b * b + c * c + d * d + e * e + f * f
 
 
-@inner
-def _least(numbers: Any) -> int:
-    """Returns the index of the least of the numbers, of equal ones the first."""
-    best, least = -1, np.inf
-    for j in range(len(numbers)):
-        if numbers[j] < least:
-            best, least = j, numbers[j]
-    return best
+@entry
+def spread_out(features: Any, n: int, steps: int) -> Any:
+    """Returns (n, 6) points spread evenly over the features (m, 6): farthest points, moved by Lloyd's `steps`.
 
-
-@inner
-def _farthest(features: Any, columns: Any, chosen: Any) -> None:
-    """Writes to `chosen` rows of the features, each the farthest from those before it; the first, from the mean."""
-    middle, gap, now = np.zeros((1, WIDE)), np.empty(len(features)), np.empty(len(features))
+    The first is the farthest from the mean.
+    """
+    chosen, columns, middle = np.empty((n, WIDE)), features.T.copy(), np.zeros((1, WIDE))
+    gap, now, own = np.empty(len(features)), np.empty(len(features)), np.empty(n)
     for i in range(len(features)):
         for k in range(WIDE):
             middle[0, k] += features[i, k] / len(features)
     _gaps2(columns, middle, 0, gap)
-    for j in range(len(chosen)):
+    for j in range(n):
         farthest = np.argmax(gap)
         for k in range(WIDE):  # assigning a row takes two seconds to compile, for its error message
             chosen[j, k] = features[farthest, k]
@@ -46,19 +40,12 @@ def _farthest(features: Any, columns: Any, chosen: Any) -> None:
         for i in range(len(features)):
             # The gaps from the mean only served to choose the first point.
             gap[i] = now[i] if j == 0 else min(gap[i], now[i])
-
-
-@entry
-def spread_out(features: Any, n: int, steps: int) -> Any:
-    """Returns (n, 6) points spread evenly over the features (m, 6): farthest points, moved by Lloyd's `steps`."""
-    chosen, gap = np.empty((n, WIDE)), np.empty(n)
-    _farthest(features, features.T.copy(), chosen)
     for _ in range(steps):
         columns = chosen.T.copy()
         sums, count = np.zeros((n, WIDE)), np.zeros(n)
         for i in range(len(features)):
-            _gaps2(columns, features, i, gap)
-            owner = _least(gap)
+            _gaps2(columns, features, i, own)
+            owner = np.argmin(own)
             count[owner] += 1
             for k in range(WIDE):
                 sums[owner, k] += features[i, k]
@@ -77,6 +64,6 @@ def snapped(features: Any, middles: Any) -> Any:
     index = np.empty(len(middles), np.int64)
     for j in range(len(middles)):
         _gaps2(columns, middles, j, gap)
-        index[j] = _least(gap)
+        index[j] = np.argmin(gap)
         columns[0, index[j]] = np.inf
     return index

@@ -5,23 +5,16 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.math.so3 import IDENTITY, rotation_log
+from handsight._kernels.math.so3 import rotation_about, rotation_log
 from handsight._kernels.math.vec3 import (
-    Mat33,
-    Vec3,
-    add,
-    add33,
+    apply,
     dot,
     matmul,
     matrix,
     mul,
-    outer,
-    scale33,
-    skew,
     store,
     store33,
     sub,
-    sub33,
     transpose,
     vector,
 )
@@ -45,14 +38,14 @@ def store_pose(pose: Pose, record: Any) -> None:
 @inner
 def transform_of(T: Any) -> Pose:
     """Returns the pose of a transform (4, 4)."""
-    return matrix(T), (T[0, 3], T[1, 3], T[2, 3])
+    return matrix(T), vector(T[:3, 3])
 
 
 @inner
 def store_transform(pose: Pose, T: Any) -> None:
     """Writes a transform (4, 4)."""
     store33(pose[0], T)
-    T[0, 3], T[1, 3], T[2, 3] = pose[1]
+    store(pose[1], T[:3, 3])
     T[3, 0] = T[3, 1] = T[3, 2] = 0.0
     T[3, 3] = 1.0
 
@@ -61,27 +54,17 @@ def store_transform(pose: Pose, T: Any) -> None:
 def _equivalent(symmetry: Any, k: int, pose: Pose, reference: Pose) -> Pose:
     """Returns a pose times the k-th element of the symmetry group and, for an object with an axis, spun about it to be
     nearest to the reference."""
-    element, (R, p) = symmetry.rotation[k], pose
-    shift = element[0, 3], element[1, 3], element[2, 3]
-    turned = matmul(R, matrix(element))
+    R, p = transform_of(symmetry.rotation[k])
+    R, p = matmul(pose[0], R), apply(pose, p)
     if symmetry.kind == AXIS:
-        turned = _spun(vector(symmetry.axis[0]), turned, reference[0])
-    return turned, add(p, mul(R, shift))
-
-
-@inner
-def _spun(axis: Vec3, R: Mat33, reference: Mat33) -> Mat33:
-    """Returns R turned about the object's own axis, which goes through the origin, to be nearest to the reference."""
-    Q = matmul(transpose(reference), R)
-    # The trace of Q exp(φ a) is c cos φ - s sin φ and what does not depend on φ.
-    s = dot(axis, (Q[2][1] - Q[1][2], Q[0][2] - Q[2][0], Q[1][0] - Q[0][1]))
-    c = Q[0][0] + Q[1][1] + Q[2][2] - dot(axis, mul(Q, axis))
-    length = np.sqrt(c * c + s * s)
-    if not length > 1e-12:
-        return R
-    c, s = c / length, -s / length
-    turn = add33(scale33(outer(axis, axis), 1 - c), add33(scale33(IDENTITY, c), scale33(skew(axis), s)))
-    return matmul(R, turn)
+        # The axis goes through the origin. The trace of Q exp(φ a) is c cos φ - s sin φ and what does not depend on φ.
+        axis, Q = vector(symmetry.axis[0]), matmul(transpose(reference[0]), R)
+        s = dot(axis, (Q[2][1] - Q[1][2], Q[0][2] - Q[2][0], Q[1][0] - Q[0][1]))
+        c = Q[0][0] + Q[1][1] + Q[2][2] - dot(axis, mul(Q, axis))
+        length = np.sqrt(c * c + s * s)
+        if length > 1e-12:
+            R = matmul(R, rotation_about(axis, c / length, -s / length))
+    return R, p
 
 
 @inner
@@ -109,10 +92,9 @@ def nearest(model: Any, pose: Pose, reference: Pose) -> Pose:
 def are_distinct(model: Any, a: Pose, b: Pose, limits: Any) -> bool:
     """Returns whether two poses differ by more than a shift of the object's center [m] or a turn [rad], modulo
     symmetry."""
-    R, p = nearest(model, a, b)
-    center = vector(model.center)
-    gap = add(sub(p, b[1]), mul(sub33(R, b[0]), center))
+    near, center = nearest(model, a, b), vector(model.center)
+    gap = sub(apply(near, center), apply(b, center))
     if dot(gap, gap) > limits[0] * limits[0]:
         return True
-    turn = rotation_log(matmul(R, transpose(b[0])))
+    turn = rotation_log(matmul(near[0], transpose(b[0])))
     return dot(turn, turn) > limits[1] * limits[1]

@@ -131,6 +131,18 @@ def tmul(M: Mat33, v: Vec3) -> Vec3:
 
 
 @inner
+def apply(pose: tuple[Mat33, Vec3], v: Vec3) -> Vec3:
+    """R v + p, of a pose (R, p)."""
+    return add(mul(pose[0], v), pose[1])
+
+
+@inner
+def apply_inverse(pose: tuple[Mat33, Vec3], v: Vec3) -> Vec3:
+    """Rᵀ (v - p), of a pose (R, p)."""
+    return tmul(pose[0], sub(v, pose[1]))
+
+
+@inner
 def transpose(M: Mat33) -> Mat33:
     """Mᵀ."""
     return (M[0][0], M[1][0], M[2][0]), (M[0][1], M[1][1], M[2][1]), (M[0][2], M[1][2], M[2][2])

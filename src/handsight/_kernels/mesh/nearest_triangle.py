@@ -13,7 +13,6 @@ import numpy as np
 
 from handsight._kernels.math.vec3 import Vec3, add, dot, matrix, mul, scale, store, sub, tmul, vector
 from handsight._kernels.runtime.compilation import entry, inner
-from handsight._kernels.runtime.threads import in_parts
 
 RESULT = 8
 """Numbers for each closest point: distance, point (3), weights of the corners (3), triangle."""
@@ -30,10 +29,8 @@ def _gap2(boxes: Any, k: int, p: Vec3) -> float:
 
 @inner
 def _weights(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
-    """Returns the weights of the corners in the point of triangle abc that is closest to p.
-
-    On an edge the weight of the corner opposite is exactly 0.
-    """
+    """Returns the weights of the corners in the point of triangle abc that is closest to p. On an edge the weight of
+    the corner opposite is exactly 0."""
     u, v, w = sub(b, a), sub(c, a), sub(p, a)
     uu, uv, vv, wu, wv = dot(u, u), dot(u, v), dot(v, v), dot(w, u), dot(w, v)
     # Corner, edge or inside, with one division at most: Ericson, Real-Time Collision Detection, 5.1.5.
@@ -57,17 +54,9 @@ def _weights(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
     if first <= 0 and bv > bu and cu >= cv:
         s = (bv - bu) / ((bv - bu) + (cu - cv))
         return 0.0, 1 - s, s
-    if area2 <= 1e-14 * uu * vv or min(first, min(second, third)) < 0:  # too flat to have an inside
-        return _on_edges(uu, uv, vv, wu, wv)
-    return scale((first, second, third), 1 / area2)
-
-
-@inner
-def _on_edges(uu: float, uv: float, vv: float, wu: float, wv: float) -> Vec3:
-    """Returns what `_weights` returns, considering the edges only.
-
-    Edges are compared by their squared distances from p, less that of the first corner.
-    """
+    if not (area2 <= 1e-14 * uu * vv or min(first, min(second, third)) < 0):
+        return scale((first, second, third), 1 / area2)
+    # It is too flat to have an inside. Edges are compared by their squared distances from p, less that of corner a.
     s = min(wu / uu, 1.0) if wu > 0 else 0.0
     t = min(wv / vv, 1.0) if wv > 0 else 0.0
     along, size = wv - wu + uu - uv, uu - 2 * uv + vv
@@ -84,9 +73,7 @@ def _on_edges(uu: float, uv: float, vv: float, wu: float, wv: float) -> Vec3:
 @inner
 def _try_leaf(tree: Any, leaf: int, point: Vec3, found: Any) -> None:
     """Writes the closest point on a leaf's triangles, in the leaf's frame, to `found` if it is closer than that.
-
-    `found` is a RESULT with the squared distance in the place of the distance.
-    """
+    `found` is a RESULT with the squared distance in the place of the distance."""
     starts, _, frames, triangles, around = tree
     p = mul(matrix(frames[leaf]), point)
     for t in range(starts[leaf], starts[leaf + 1]):
@@ -142,10 +129,3 @@ def closest(points: Any, within: float, tree: Any, out: Any) -> None:
         else:
             found[0] = np.sqrt(found[0])
             store(tmul(matrix(frames[last]), vector(found[1:4])), found[1:4])
-
-
-def closest_points(points: Any, within: float, tree: Any) -> Any:
-    """Returns what `closest` writes (n, 8), computed on several threads."""
-    out = np.zeros((len(points), RESULT))
-    in_parts(lambda some, there: closest(some, within, tree, there), (points, out), 1000)
-    return out

@@ -50,7 +50,6 @@ LEVEL = np.dtype(
 )
 ROOM = np.dtype(
     [
-        ("trial", PATCH),
         ("many", "f8"),  # effective number of points
         ("matrix", "f8", (6, 6)),
         ("factor", "f8", (6, 6)),
@@ -110,16 +109,13 @@ def _is_left_out(patch: Any, level: Any, normal: Vec3, place: Vec3, x: Any) -> i
 
 
 @inner
-def _normal_equations(cloud: Any, index: Any, level: Any, room: Any) -> tuple[float, float, float, float]:
+def _normal_equations(
+    cloud: Any, index: Any, level: Any, patch: Any, room: Any
+) -> tuple[float, float, float, float]:
     """Writes the normal equations of a fit; returns the sums of weights, squared weights, weights that are left out,
     and weighted squared heights."""
-    patch, h = room.trial, level.window
-    n, a, b, origin = (
-        vector(patch.normal),
-        vector(patch.along[0]),
-        vector(patch.along[1]),
-        vector(patch.point),
-    )
+    n, origin, h = vector(patch.normal), vector(patch.point), level.window
+    a, b = vector(patch.along[0]), vector(patch.along[1])
     room.matrix[:], room.right[:] = 0.0, 0.0
     total, squares, rejected, heights = 0.0, 0.0, 0.0, 0.0
     for i in index:
@@ -144,10 +140,10 @@ def _normal_equations(cloud: Any, index: Any, level: Any, room: Any) -> tuple[fl
 
 
 @inner
-def _fitted(cloud: Any, index: Any, level: Any, room: Any) -> float:
-    """Fits the trial patch; returns the share of weight that is left out, above 1 where there is no fit."""
-    patch, h = room.trial, level.window
-    total, squares, rejected, heights = _normal_equations(cloud, index, level, room)
+def _fitted(cloud: Any, index: Any, level: Any, patch: Any, room: Any) -> float:
+    """Fits a patch; returns the share of weight that is left out, above 1 where there is no fit."""
+    h = level.window
+    total, squares, rejected, heights = _normal_equations(cloud, index, level, patch, room)
     if total * total < QUADRICS.min_weight * squares or not total > 0:
         return 2.0
     ridge = level.variance / (level.bend * h * h) ** 2
@@ -226,18 +222,6 @@ def _has_drifted(patch: Any, earlier: Any, windows: int, tensor: Any) -> bool:
 
 
 @inner
-def _copy(patch: Any, other: Any) -> None:
-    """Copies a patch's shape, and what was measured of it, to another one."""
-    for i in range(3):
-        other.point[i], other.normal[i], other.bends[i] = patch.point[i], patch.normal[i], patch.bends[i]
-        other.along[0, i], other.along[1, i] = patch.along[0, i], patch.along[1, i]
-    for i in range(6):
-        for j in range(6):
-            other.covariance[i, j] = patch.covariance[i, j]
-    other.bend, other.spread, other.window, other.fits = patch.bend, patch.spread, patch.window, patch.fits
-
-
-@inner
 def _note(patch: Any, tensor: Any, row: Any) -> None:
     """Writes the WINDOW_VALUES of a fit, with which fits in wider windows are compared."""
     C = patch.covariance
@@ -257,16 +241,17 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
     (m, windows, WINDOW_VALUES): the fits in smaller windows; those in this one are added.
     """
     level, room, index = levels[0], local(ROOM), np.empty(QUADRICS.max_points, np.int64)
+    trials = np.empty(1, PATCH)
     for k in range(len(patches)):
-        patch, trial = patches[k], room.trial
+        patch, trial = patches[k], trials[0]
         if patch.ended:
             continue
         count = _gathered(cloud, keys, level, vector(patch.point), index)
-        _copy(patch, trial)
+        trials[0] = patch
         left_out = 0.0
         for _ in range(QUADRICS.passes):
             if left_out <= 1:
-                left_out = _fitted(cloud, index[:count], level, room)
+                left_out = _fitted(cloud, index[:count], level, trial, room)
         if left_out > 1:
             continue
         _tensor(trial, room.tensor)
@@ -280,7 +265,7 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
             ):
                 patch.ended = 1
                 continue
-        _copy(trial, patch)
+        patches[k] = trial
         patch.window = level.window
         _note(patch, room.tensor, earlier[k, level.place])
         patch.fits += 1

@@ -6,31 +6,29 @@ import numpy as np
 
 from handsight._kernels.math.vec3 import Vec3, cross, dot, norm, sub, vector
 from handsight._kernels.runtime.compilation import entry, inner
-from handsight._kernels.runtime.threads import in_parts
 
 FAR_PATCH, FAR_TRIANGLE = 2.0, 4.0
 """At a distance of this many of its radii, a patch or a triangle is approximated by one dipole."""
 
 
 @inner
-def _solid_angle(a: Vec3, b: Vec3, c: Vec3) -> float:
-    """Returns the solid angle of a triangle seen from the origin, signed (Oosterom, Strackee 1983)."""
-    la, lb, lc = norm(a), norm(b), norm(c)
-    volume = dot(a, cross(b, c))
-    return 2 * np.arctan2(volume, la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb)
-
-
-@inner
 def _near(elements: Any, first: int, last: int, p: Vec3) -> float:
-    """Returns the sum of the solid angles of the elements from number `first` to `last`, exclusive, seen from p."""
+    """Returns the sum of the signed solid angles of the elements from number `first` to `last`, exclusive, seen from p
+    (Oosterom, Strackee 1983)."""
     centers, vectors, reach, corners = elements
     total = 0.0
     for t in range(first, last):
         way = sub(vector(centers[t]), p)
         gap = norm(way)
         if len(corners) and gap < FAR_TRIANGLE * reach[t]:
-            a, b, c = vector(corners[t, 0]), vector(corners[t, 1]), vector(corners[t, 2])
-            total += _solid_angle(sub(a, p), sub(b, p), sub(c, p))
+            a, b, c = (
+                sub(vector(corners[t, 0]), p),
+                sub(vector(corners[t, 1]), p),
+                sub(vector(corners[t, 2]), p),
+            )
+            la, lb, lc = norm(a), norm(b), norm(c)
+            size = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
+            total += 2 * np.arctan2(dot(a, cross(b, c)), size)
         elif gap > 0:
             total += dot(vector(vectors[t]), way) / (gap * gap * gap)
     return total
@@ -55,10 +53,3 @@ def winding(points: Any, patches: Any, elements: Any, out: Any) -> None:
             else:
                 total += dot(vector(vectors[k]), way) / (gap2 * np.sqrt(gap2))
         out[i] = total / (4 * np.pi)
-
-
-def winding_at(points: Any, patches: Any, elements: Any) -> Any:
-    """Returns what `winding` writes (n,), computed on several threads."""
-    out = np.zeros(len(points))
-    in_parts(lambda some, there: winding(some, patches, elements, there), (points, out), 200)
-    return out

@@ -85,8 +85,12 @@ class KernelCache:
             )
         except OSError as error:
             _warn_once(str(folder().parent), error.strerror or str(error))
-        else:
-            _remove_oldest()
+        else:  # all but four folders of this and earlier versions go; other processes may do so at the same time
+            with contextlib.suppress(OSError):
+                ages = sorted((path.stat().st_mtime, path) for path in folder().parent.glob("kernels-*"))
+                for _, path in ages[:-4]:
+                    if path != folder():
+                        shutil.rmtree(path, ignore_errors=True)
 
     def _file(self, signature: Any, codegen: Any) -> tuple[Path, str]:
         """Returns the file for a signature and this processor, and the text by which it is sealed."""
@@ -101,12 +105,3 @@ def _warn_once(place: str, reason: str) -> None:
         "(name another folder in HANDSIGHT_CACHE or NUMBA_CACHE_DIR)"
     )
     warnings.warn(message, KernelWarning, stacklevel=2)
-
-
-def _remove_oldest() -> None:
-    """Removes all but four folders of this and earlier versions; other processes may do so at the same time."""
-    with contextlib.suppress(OSError):
-        ages = sorted((path.stat().st_mtime, path) for path in folder().parent.glob("kernels-*"))
-        for _, path in ages[:-4]:
-            if path != folder():
-                shutil.rmtree(path, ignore_errors=True)

@@ -74,13 +74,6 @@ def _residual(model: Any, nodes: Any, contact: Any, pose: Pose) -> tuple[float, 
     return distance, np.arctan2(norm(cross(facing, normal)), dot(facing, normal))
 
 
-@inner
-def _store_answer(pose: Pose, answer: Any) -> None:
-    """Writes the pose of an ANSWER, as a POSE and as a matrix (4, 4)."""
-    store_pose(pose, answer.pose)
-    store_transform(pose, answer.T_palm_object)
-
-
 @entry
 def width(model: Any, constraints: Any) -> float:
     """Returns the `prior_width` of the constraints' prior."""
@@ -118,7 +111,8 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
         start = pose_of(problem.start) if problem.follows else prior_pose
         pose = _solve(evidence, start, problem.follows != 0, answer)
         pose = nearest(model[0], pose, prior_pose)
-        _store_answer(pose, answer)
+        store_pose(pose, answer.pose)
+        store_transform(pose, answer.T_palm_object)
         if problem.pose_only:
             continue
         answer.first_order, answer.weight = 0, 1.0
@@ -169,7 +163,7 @@ def summarize_all(
     evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, center)
     for k in range(len(answers)):
         pose = pose_of(answers[k].pose)
-        _store_answer(pose, answers[k])
+        store_transform(pose, answers[k].T_palm_object)
         summarize(evidence, pose, answers[k])
         for i in range(len(terms) if k == 0 else 0):
             contacts[0, i].gain = terms[i].contact.gain

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.math.symmetry import pose_of
-from handsight._kernels.math.vec3 import Vec3, add, dot, matmul, matrix, mul, sub, transpose, vector
+from handsight._kernels.math.symmetry import pose_of, transform_of
+from handsight._kernels.math.vec3 import Vec3, apply, dot, matmul, mul, sub, transpose, vector
 from handsight._kernels.runtime.compilation import entry, inner
 
 
@@ -28,16 +28,15 @@ def _cosine(symmetries: Any, R: Any) -> float:
 @inner
 def _alike(symmetries: Any, about: Vec3, radius: float, limit: float, poses: tuple[Pose, Pose]) -> bool:
     """Returns whether a symmetry brings the second pose to within a limit [m] of the first, by shift and turn."""
-    (R, p), (R1, p1) = poses
-    place = add(mul(R, about), p)
+    pose, other = poses
+    place = apply(pose, about)
     for k in range(len(symmetries[0])):
-        S = symmetries[0][k]
-        moved = add(mul(matrix(S), about), (S[0, 3], S[1, 3], S[2, 3]))
-        off = sub(add(mul(R1, moved), p1), place)
+        S = transform_of(symmetries[0][k])
+        off = sub(apply(other, apply(S, about)), place)
         left = limit * limit - dot(off, off)
         if left > 0:
             angle = np.sqrt(left) / radius
-            turn = matmul(transpose(R), matmul(R1, matrix(S)))
+            turn = matmul(transpose(pose[0]), matmul(other[0], S[0]))
             if angle >= np.pi or _cosine(symmetries, turn) > np.cos(angle):
                 return True
     return False

@@ -4,10 +4,23 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.contact_term import Frame, Pose
+from handsight._kernels.evidence.contact_term import Frame, Pose, distance_row
 from handsight._kernels.evidence.terms import FIXED_NOISE, PRIOR, Evidence, add_evidence
 from handsight._kernels.math.simd import accumulate, local, scan
-from handsight._kernels.math.vec3 import Vec3, cross, dot, mul, neg, norm, scale, skew, sub, tmul, vector
+from handsight._kernels.math.vec3 import (
+    Vec3,
+    apply,
+    apply_inverse,
+    dot,
+    mul,
+    neg,
+    norm,
+    scale,
+    skew,
+    sub,
+    tmul,
+    vector,
+)
 from handsight._kernels.records import WORKSPACE
 from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.levenberg import LONGEST_STEP, damped_step, retract
@@ -19,9 +32,8 @@ f4 = np.float32
 @inner
 def nearest_sample(model: Any, contact: Any, pose: Pose) -> tuple[Vec3, Vec3]:
     """Returns point and normal, in the object's frame, of the sample nearest to a contact in (point, w normal)."""
-    R, p = pose
-    x = scale(tmul(R, sub(vector(contact.point), p)), -2.0)
-    n = scale(tmul(R, vector(contact.normal)), -2 * model.normal_weight2)
+    x = scale(apply_inverse(pose, vector(contact.point)), -2.0)
+    n = scale(tmul(pose[0], vector(contact.normal)), -2 * model.normal_weight2)
     # |a - b|² without |a|², which is the same for every sample.
     query = f4(1.0), f4(x[0]), f4(x[1]), f4(x[2]), f4(n[0]), f4(n[1]), f4(n[2])
     sample = model.samples[scan(model.scan, query)]
@@ -32,16 +44,15 @@ def nearest_sample(model: Any, contact: Any, pose: Pose) -> tuple[Vec3, Vec3]:
 def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     """Adds a contact's rows: the distance to its sample's plane, the distance along the plane beyond a band around the
     sample, and the difference of the normals."""
-    (R, p), (center, radius), contact = pose, frame, term.contact
+    contact = term.contact
     place, normal = nearest_sample(model, contact, pose)
-    point, n = vector(contact.point), mul(R, normal)
-    offset = sub(sub(point, p), mul(R, place))
+    point, n = vector(contact.point), mul(pose[0], normal)
+    offset = sub(point, apply(pose, place))
     distance = dot(offset, n)
     lateral = sub(offset, scale(n, distance))
     reach = norm(lateral)
-    lever = scale(sub(point, center), 1 / radius)
-    by_distance, by_reach = neg(n), scale(lateral, -1 / max(reach, 1e-300))
-    turned, error = skew(scale(n, -1 / radius)), sub(n, vector(contact.normal))
+    by_reach = scale(lateral, -1 / max(reach, 1e-300))
+    turned, error = skew(scale(n, -1 / frame[1])), sub(n, vector(contact.normal))
     plane, band = 1 / (term.variance_point + model.sample_variance_distance), 0.0
     facing, still = 0.0, (0.0, 0.0, 0.0)
     if reach > model.band:
@@ -49,8 +60,8 @@ def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -
     if contact.has_normal:
         facing = 1 / max(term.variance_normal + model.sample_variance_normal, 1e-12)
     rows = (
-        by_distance + cross(lever, by_distance) + (distance,),
-        by_reach + cross(lever, by_reach) + (reach - model.band,),
+        distance_row(point, neg(n), distance, frame),
+        distance_row(point, by_reach, reach - model.band, frame),
         still + turned[0] + (error[0],),
         still + turned[1] + (error[1],),
         still + turned[2] + (error[2],),

@@ -17,7 +17,7 @@ from handsight._kernels.math.symmetry import are_distinct, pose_of, store_pose
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
-    add,
+    apply,
     block,
     cross,
     dot,
@@ -25,6 +25,7 @@ from handsight._kernels.math.vec3 import (
     mul,
     norm,
     scale,
+    store33,
     sub,
     transpose,
     vector,
@@ -50,9 +51,7 @@ def draw(constraints: Any, draws: Any, descents: Any) -> None:
     for a in range(0, 6, 3):
         for b in range(0, 6, 3):
             turned = matmul(transpose(R), matmul(block(prior.covariance, a, b), R))
-            for i in range(3):
-                for j in range(3):
-                    u.matrix[a + i, b + j] = turned[i][j]
+            store33(turned, u.matrix[a : a + 3, b : b + 3])
     # In `u.row` the standard deviations, in `u.factor` the Cholesky factor of the correlation.
     for i in range(6):
         u.row[i] = np.sqrt(max(u.matrix[i, i], 0.0)) + 1e-12
@@ -66,7 +65,7 @@ def draw(constraints: Any, draws: Any, descents: Any) -> None:
                 value += u.factor[i, j] * draws[k, j]
             u.column[i] = value * u.row[i]
         turn = mul(R, (u.column[3], u.column[4], u.column[5]))
-        store_pose((matmul(rotation_exp(turn), R), add(p, mul(R, vector(u.column)))), descents[k].pose)
+        store_pose((matmul(rotation_exp(turn), R), apply((R, p), vector(u.column))), descents[k].pose)
 
 
 @inner
@@ -128,11 +127,11 @@ def _repeats(model: Any, rows: Any, k: int, pose: Pose, earlier: Any) -> bool:
 
     `earlier` (M,) POSE: where phase 1 led those of the first k rows that were not repeats.
     """
-    (R, p), center = pose, vector(model.center)
+    R, center = pose[0], vector(model.center)
     for j in range(k):
         if rows[j, 0].cost < np.inf:
-            Q, q = pose_of(earlier[j])
-            gap = add(sub(p, q), sub(mul(R, center), mul(Q, center)))
+            other = pose_of(earlier[j])
+            gap, Q = sub(apply(pose, center), apply(other, center)), other[0]
             trace = dot(R[0], Q[0]) + dot(R[1], Q[1]) + dot(R[2], Q[2])
             if dot(gap, gap) < SEARCH.same_after_match[0] ** 2 and trace > 1 + 2 * COSINE:
                 return True
@@ -146,21 +145,16 @@ def _select(model: Any, rows: Any, chosen: Any) -> int:
     cheapest first."""
     count, taken = 0, np.zeros(len(rows), np.bool_)
     for _ in range(len(rows)):
-        best = -1
+        best, least = -1, np.inf
         for k in range(len(rows)):
-            if (
-                not taken[k]
-                and rows[k, 0].cost < np.inf
-                and (best < 0 or rows[k, 0].cost < rows[best, 0].cost)
-            ):
-                best = k
+            if not taken[k] and rows[k, 0].cost < least:
+                best, least = k, rows[k, 0].cost
         if best < 0:
             break
         taken[best], new = True, True
+        pose, limits = pose_of(rows[best, 0].pose), SEARCH.same_after_coarse
         for j in range(count):
-            if not are_distinct(
-                model, pose_of(rows[best, 0].pose), pose_of(rows[chosen[j], 0].pose), SEARCH.same_after_coarse
-            ):
+            if not are_distinct(model, pose, pose_of(rows[chosen[j], 0].pose), limits):
                 new = False
                 break
         if new:

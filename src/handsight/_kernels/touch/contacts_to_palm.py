@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from handsight._kernels.math.symmetry import transform_of
 from handsight._kernels.math.vec3 import (
-    Mat33,
-    Vec3,
     add,
+    apply,
     block,
     cross,
     dot,
@@ -35,45 +35,34 @@ from handsight._kernels.touch.tip_to_tip import (
 
 
 @inner
-def _compensate(reading: Any, finger: Any, gravity_sensor: Vec3) -> Vec6:
-    """Returns force [N] and torque [N m] of the object on the tip, in the sensor's frame: a reading without bias and
-    the tip's weight."""
-    weight = scale(gravity_sensor, finger.mass)
-    force = scale(sub(vector(reading[:3]), vector(finger.bias[:3])), finger.sign)
-    torque = scale(sub(vector(reading[3:]), vector(finger.bias[3:])), finger.sign)
-    return sub(force, weight), sub(torque, cross(vector(finger.center_of_mass), weight))
+def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, contact: Any) -> None:
+    """Transforms a contact from its tip's frame to the palm, adding the errors of tip and joints to its covariance.
 
-
-@inner
-def _rotate(R: Mat33, C: Any) -> None:
-    """Rotates a covariance (6, 6) of two vectors in place: each 3 x 3 block becomes `R block Rᵀ`."""
-    for row in range(0, 6, 3):
-        for column in range(0, 6, 3):
-            part = C[row : row + 3, column : column + 3]
-            store33(matmul(matmul(R, matrix(part)), transpose(R)), part)
-
-
-@inner
-def _add_joint_errors(J: Any, lever: Vec3, normal: Vec3, C: Any) -> None:
-    """Adds the effect of independent errors of the joints to a contact's covariance.
-
-    `J` (6, j) has the motion of the tip's origin by one standard deviation of each error, and is overwritten by the
-    motion of the contact's point and normal. `lever` leads from the origin to the point.
+    `J` (6, j) has the motion of the tip's origin by one standard deviation of each joint's error, and is overwritten by
+    the motion of the contact's point and normal.
     """
+    (R, p), C = transform_of(T_palm_surface), contact.covariance
+    point, n = apply((R, p), vector(contact.point)), mul(R, vector(contact.normal))
+    store(point, contact.point)
+    store(n, contact.normal)
+    for i in range(0, 6, 3):
+        for j in range(0, 6, 3):
+            part = C[i : i + 3, j : j + 3]
+            store33(matmul(matmul(R, matrix(part)), transpose(R)), part)
+    lever = sub(point, vector(T_palm_tip[:3, 3]))
     for j in range(J.shape[1]):
         turn = J[3, j], J[4, j], J[5, j]
         store(add((J[0, j], J[1, j], J[2, j]), cross(turn, lever)), J[:3, j])
-        store(cross(turn, normal), J[3:, j])
+        store(cross(turn, n), J[3:, j])
     for i in range(6):
         for k in range(6):
             for j in range(J.shape[1]):
                 C[i, k] += J[i, j] * J[k, j]
-
-
-@inner
-def _project_to_tangent(C: Any, n: Vec3) -> None:
-    """Removes from a covariance (6, 6) the change of a unit normal along itself, which cannot occur."""
-    for i in range(6):
+    two = touch_probability(contact.gap)  # of the sensor measuring the sum of two contacts
+    for i in range(3):
+        C[i, i] += finger.variance_point + two * TIP_TO_TIP.variance_point
+        C[3 + i, 3 + i] += finger.variance_normal + two * TIP_TO_TIP.variance_normal
+    for i in range(6):  # a unit normal cannot change along itself
         row = C[i, 3:]
         store(sub(vector(row), scale(n, dot(vector(row), n))), row)
     for j in range(6):
@@ -82,33 +71,12 @@ def _project_to_tangent(C: Any, n: Vec3) -> None:
 
 
 @inner
-def _to_palm(finger: Any, T_palm_surface: Any, T_palm_tip: Any, J: Any, contact: Any) -> None:
-    """Transforms a contact from its tip's frame to the palm, adding the errors of tip and joints to its covariance."""
-    R, C = matrix(T_palm_surface), contact.covariance
-    point = add(mul(R, vector(contact.point)), vector(T_palm_surface[:3, 3]))
-    normal = mul(R, vector(contact.normal))
-    store(point, contact.point)
-    store(normal, contact.normal)
-    _rotate(R, C)
-    _add_joint_errors(J, sub(point, vector(T_palm_tip[:3, 3])), normal, C)
-    two = touch_probability(contact.gap)  # of the sensor measuring the sum of two contacts
-    for i in range(3):
-        C[i, i] += finger.variance_point + two * TIP_TO_TIP.variance_point
-        C[3 + i, 3 + i] += finger.variance_normal + two * TIP_TO_TIP.variance_normal
-    _project_to_tangent(C, normal)
-
-
-@inner
 def _sigmas(finger: Any, load: Vec6) -> Vec6:
     """Returns the sigmas of a reading: its noise, and the error of each axis' gain in proportion to the load."""
-    s, (x, y, z), (u, v, w) = (
-        finger.sigmas,
-        scale(load[0], finger.sigma_gain),
-        scale(load[1], finger.sigma_gain),
-    )
+    s, f, t = finger.sigmas, scale(load[0], finger.sigma_gain), scale(load[1], finger.sigma_gain)
     return (
-        (np.hypot(s[0], x), np.hypot(s[1], y), np.hypot(s[2], z)),
-        (np.hypot(s[3], u), np.hypot(s[4], v), np.hypot(s[5], w)),
+        (np.hypot(s[0], f[0]), np.hypot(s[1], f[1]), np.hypot(s[2], f[2])),
+        (np.hypot(s[3], t[0]), np.hypot(s[4], t[1]), np.hypot(s[5], t[2])),
     )
 
 
@@ -124,18 +92,20 @@ def contacts_to_palm(
     """
     Ts_palm_surface = np.empty((len(fingers), 3, 4))
     for i in range(len(fingers)):
-        R, finger = matrix(Ts_palm_tip[i]), fingers[i]
-        store33(matmul(R, matrix(finger.R_tip_surface)), Ts_palm_surface[i])
-        center = add(mul(R, vector(finger.center_tip)), vector(Ts_palm_tip[i, :3, 3]))
-        store(center, Ts_palm_surface[i, :, 3])
+        T_palm_tip, finger = transform_of(Ts_palm_tip[i]), fingers[i]
+        store33(matmul(T_palm_tip[0], matrix(finger.R_tip_surface)), Ts_palm_surface[i])
+        store(apply(T_palm_tip, vector(finger.center_tip)), Ts_palm_surface[i, :, 3])
     n, nearest, loads = len(fingers), np.zeros((len(fingers), 4)), np.zeros((len(fingers), 6))
     find_nearest_tips(fingers, Ts_palm_surface, nearest, contacts)
     gravity = vector(gravity_palm)
     for i in range(n):
-        R_palm_sensor = matmul(matrix(Ts_palm_surface[i]), matrix(fingers[i].tip.R_surface_sensor))
-        force, torque = _compensate(readings[i], fingers[i], tmul(R_palm_sensor, gravity))
-        store(force, loads[i, :3])
-        store(torque, loads[i, 3:])
+        finger = fingers[i]
+        R_palm_sensor = matmul(matrix(Ts_palm_surface[i]), matrix(finger.tip.R_surface_sensor))
+        weight = scale(tmul(R_palm_sensor, gravity), finger.mass)
+        force = scale(sub(vector(readings[i, :3]), vector(finger.bias[:3])), finger.sign)
+        torque = scale(sub(vector(readings[i, 3:]), vector(finger.bias[3:])), finger.sign)
+        store(sub(force, weight), loads[i, :3])
+        store(sub(torque, cross(vector(finger.center_of_mass), weight)), loads[i, 3:])
     for i in range(n):
         finger, contact, load = fingers[i], contacts[i], (vector(loads[i, :3]), vector(loads[i, 3:]))
         tip = unpack_fingertip(finger.tip)

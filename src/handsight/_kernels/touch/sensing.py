@@ -97,15 +97,6 @@ def _solve(w: Any, tip: Fingertip) -> None:
         _set3(w, AT.normal, j, normal)
 
 
-@lane
-def _write(w: Any, j: int, contact: Any) -> None:
-    for i in range(3):
-        contact.point[i] = w[(AT.q + i) * LANES + j]
-        contact.normal[i] = w[(AT.normal + i) * LANES + j]
-        contact.force[i] = w[(AT.force + i) * LANES + j]
-    contact.force_normal, contact.torque = w[AT.c * LANES + j], w[AT.kappa * LANES + j]
-
-
 @entry
 def sense(forces: Any, torques: Any, tip: Any, reasons: Any, rows: Any, contacts: Any) -> int:
     """Returns k, the number of contacts among n wrenches, and writes the contacts in the order of their wrenches.
@@ -127,7 +118,11 @@ def sense(forces: Any, torques: Any, tip: Any, reasons: Any, rows: Any, contacts
             # Written always, and kept only for a contact: a branch could not be predicted.
             reasons[start + j] = np.int8(w[AT.reason * LANES + j])
             rows[k] = start + j
-            _write(w, j, contacts[k])
+            contact = contacts[k]
+            store(_get3(w, AT.q, j), contact.point)
+            store(_get3(w, AT.normal, j), contact.normal)
+            store(_get3(w, AT.force, j), contact.force)
+            contact.force_normal, contact.torque = w[AT.c * LANES + j], w[AT.kappa * LANES + j]
             k += 1 if w[AT.reason * LANES + j] == CONTACT else 0
     return k
 

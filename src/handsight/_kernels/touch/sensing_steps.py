@@ -25,7 +25,7 @@ from typing import Any, NamedTuple, TypeVar
 import numba
 import numpy as np
 
-from handsight._kernels.math import vec3
+from handsight._kernels.math import so3, vec3
 from handsight._kernels.math.vec3 import Mat33, Vec3
 from handsight.checks import MAX_LOAD
 
@@ -49,7 +49,7 @@ def lane(function: F) -> F:
 vector, matrix, store = lane(vec3.vector), lane(vec3.matrix), lane(vec3.store)
 add, sub, neg = lane(vec3.add), lane(vec3.sub), lane(vec3.neg)
 scale, times, mul, tmul = lane(vec3.scale), lane(vec3.times), lane(vec3.mul), lane(vec3.tmul)
-dot, cross, norm = lane(vec3.dot), lane(vec3.cross), lane(vec3.norm)
+dot, cross, norm, about_normal = lane(vec3.dot), lane(vec3.cross), lane(vec3.norm), lane(so3.about_normal)
 
 
 class Fingertip(NamedTuple):
@@ -163,15 +163,6 @@ def wrench_to_contact(
 
 
 @lane
-def _tangents(q: Vec3) -> tuple[Vec3, Vec3]:
-    """Returns two unit vectors that make a right-handed frame with `q` (Duff et al. 2017)."""
-    sign = -1.0 if q[2] < 0.0 else 1.0
-    a = -1.0 / (sign + q[2])
-    b = q[0] * q[1] * a
-    return (1.0 + sign * q[0] * q[0] * a, sign * b, -sign * q[0]), (b, sign + q[1] * q[1] * a, -q[1])
-
-
-@lane
 def _tangent_noise(by_moment: Vec3, by_force: Vec3, tip: Fingertip, sigmas: Vec6) -> Vec6:
     """Returns the motion of q along a tangent by one sigma of each number of a reading."""
     m = times(by_moment, tip.by_moment)
@@ -206,7 +197,7 @@ def covariance_factor(contact: Vec3, push: float, twist: float, tip: Fingertip, 
     c, kappa = -push * steepness, -twist / (tip.volume * steepness)
     inverse = 1.0 / (c * c + kappa * kappa)
     c, kappa = c * inverse, kappa * inverse
-    t, u = _tangents(q)
+    _, t, u = about_normal(q)
     v = sub(scale(t, kappa), scale(u, c))
     w = add(scale(u, kappa), scale(t, c))
     # The triangular factor (a, b; 0, d) of the rows' products, by Gram and Schmidt, so that nothing is squared twice.

@@ -4,13 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.evidence.contact_term import (
-    factored,
-    invert_covariance,
-    load_terms,
-    residual_covariance,
-    surface_at,
-)
+from handsight._kernels.evidence.contact_term import load_terms, surface_at, whiten
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.math.vec3 import sub, vector
 from handsight._kernels.records import TERM
@@ -33,8 +27,7 @@ def information_by_contact(
     for k in range(len(contacts)):
         term = terms[k]
         surface = surface_at(nodes, field, vector(term.contact.point), pose)
-        S = residual_covariance(model[0], nodes, field, term, surface)
-        invert_covariance(factored(S), term.contact.has_normal != 0, term.weight)
+        whiten(model[0], nodes, field, term, surface)
         d, g, n, N, _ = surface
         error = sub(n, vector(term.contact.normal))
         r[0] = d

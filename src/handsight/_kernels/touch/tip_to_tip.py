@@ -28,33 +28,25 @@ from handsight._kernels.touch.sensing_steps import CONTACT, Fingertip, Vec6, wre
 class TipToTip(NamedTuple):
     """`TipToTip` are the parameters of contacts between two fingertips."""
 
-    max_gap: float
+    max_gap: float = 0.003
     """Below this distance a tip touches another with a probability above 5 % [m]. One degree of each joint is 1.3 mm
     per axis at each of two tips."""
-    gap_scale: float
+    gap_scale: float = 1.645 / (math.sqrt(2.0) * max_gap)
     """Factor of a gap in the argument of `erfc` [1/m], by which `max_gap` is 1.645 of its standard deviations."""
-    variance_point: float
+    variance_point: float = 0.002**2
     """Added variance of a contact's point where two contacts are taken for one [m²]."""
-    variance_normal: float
+    variance_normal: float = math.radians(12.0) ** 2
     """The same of its normal [rad²]."""
-    mean_load: float
+    mean_load: float = 0.4
     """Mean load of one tip on another, as a share of the smaller of both tips' loads; it is from 0 to twice that.
     Simulated tips press each other less than the object."""
-    max_trials: int
+    max_trials: int = 4
     """A load of the other tip that leaves no contact to explain the rest is halved, until so many were tried."""
-    iterations: int
+    iterations: int = 12
     """Steps to the direction that separates two tips best; the gap is then too small by 0.1-1 mm."""
 
 
-TIP_TO_TIP = TipToTip(
-    max_gap=0.003,
-    gap_scale=1.645 / (math.sqrt(2.0) * 0.003),
-    variance_point=0.002**2,
-    variance_normal=math.radians(12.0) ** 2,
-    mean_load=0.4,
-    max_trials=4,
-    iterations=12,
-)
+TIP_TO_TIP = TipToTip()
 
 
 @inner

@@ -4,8 +4,8 @@ https://pointclouds.org/documentation/tutorials/pcd_file_format.html
 """
 
 import codecs
+import math
 from itertools import accumulate, chain, islice
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,23 +13,13 @@ from numpy.typing import NDArray
 from handsight.objects.files.shape import BadText, Shape, numbers, rows, text_lines, three_columns
 
 
-class _Header(NamedTuple):
-    names: list[str]
-    row: np.dtype[np.void]
-    """The layout of one point in a binary body: a field of one or several numbers for each name."""
-    points: int
-    kind: str
-    body: bytes
-
-
 def pcd_shape(data: bytes) -> Shape:
     """Returns the cloud in a PCD file, with its normals if the file has some; raises BadText."""
-    header = _header(data)
-    points, body, row = header.points, header.body, header.row
-    parts = [(row[k].base, row[k].shape[0]) for k in range(len(header.names))]
+    names, row, points, kind, body = _header(data)
+    parts = [(row[k].base, row[k].shape[0]) for k in range(len(names))]
     size = points * row.itemsize
     columns: list[NDArray[np.generic]] = []
-    if header.kind == "ascii":
+    if kind == "ascii":
         ends = list(accumulate(count for _, count in parts))
         width = ends.pop()
         words = chain.from_iterable(rows(text_lines(body)))
@@ -37,12 +27,12 @@ def pcd_shape(data: bytes) -> Shape:
         if len(found) < points * width:
             raise BadText(f"expected {points} points of {width} numbers, got {len(found)} numbers")
         columns = np.split(found.reshape(-1, width), ends, axis=1)
-    elif header.kind == "binary":
+    elif kind == "binary":
         if len(body) < size:
             raise BadText(f"expected {size} bytes of points, got {len(body)}")
         table = np.frombuffer(body, dtype=row, count=points)
         columns = [table[name] for name in row.names or ()]
-    elif header.kind == "binary_compressed":
+    elif kind == "binary_compressed":
         # Two sizes, then field after field rather than point after point.
         if len(body) < 8:
             raise BadText("expected two sizes before the compressed points")
@@ -56,8 +46,8 @@ def pcd_shape(data: bytes) -> Shape:
             columns.append(np.frombuffer(flat, dtype, points * count, offset=at).reshape(-1, count))
             at += columns[-1].nbytes
     else:
-        raise BadText(f"DATA: expected ascii, binary or binary_compressed, got {header.kind[:30]!r}")
-    fields = dict(zip(header.names, columns, strict=True))
+        raise BadText(f"DATA: expected ascii, binary or binary_compressed, got {kind[:30]!r}")
+    fields = dict(zip(names, columns, strict=True))
     single = {name: column[:, 0] for name, column in fields.items() if column.shape[1] == 1}
     places = three_columns(single, "x", "y", "z")
     if places is None:
@@ -65,8 +55,11 @@ def pcd_shape(data: bytes) -> Shape:
     return Shape(places, None, three_columns(single, "normal_x", "normal_y", "normal_z"))
 
 
-def _header(data: bytes) -> _Header:
-    """Returns the header of a PCD file with the bytes that follow it; raises BadText naming the entry."""
+def _header(data: bytes) -> tuple[list[str], "np.dtype[np.void]", int, str, bytes]:
+    """Returns the names, the number of points, the kind of the body and the body of a PCD file; raises BadText.
+
+    Second is the layout of a point in a binary body: a field of one or several numbers for each name.
+    """
     entries: dict[str, list[str]] = {}
     at = len(codecs.BOM_UTF8) if data.startswith(codecs.BOM_UTF8) else 0
     while "DATA" not in entries:
@@ -90,11 +83,8 @@ def _header(data: bytes) -> _Header:
     length = len(names)
     if not 0 < length <= most_fields:
         raise BadText(f"FIELDS: expected 1 to {most_fields} names, got {length}")
-    points = (
-        integers("POINTS", 1)[0]
-        if "POINTS" in entries
-        else integers("WIDTH", 1)[0] * integers("HEIGHT", 1)[0]
-    )
+    sides = ("POINTS",) if "POINTS" in entries else ("WIDTH", "HEIGHT")
+    points = math.prod(integers(side, 1)[0] for side in sides)
     counts = integers("COUNT", length) if "COUNT" in entries else [1] * length
     if max(counts) > most_count:
         raise BadText(f"COUNT: expected at most {most_count}, got {max(counts)}")
@@ -108,7 +98,7 @@ def _header(data: bytes) -> _Header:
             raise BadText(f"TYPE and SIZE: expected F, I or U of 1 to 8 bytes, got {kind[:10]} {size}")
         parts.append((f"f{k}", f"<{kind.lower()}{size}", (count,)))
     body_kind = entries["DATA"][0].lower() if entries["DATA"] else ""
-    return _Header(names, np.dtype(parts), points, body_kind, data[at:])
+    return names, np.dtype(parts), points, body_kind, data[at:]
 
 
 def lzf_unpacked(packed: bytes, size: int) -> bytes:

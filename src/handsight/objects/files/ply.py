@@ -3,14 +3,14 @@
 import codecs
 import struct
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight.checks import Indices, Mask
+from handsight.checks import Mask
 from handsight.objects.files.shape import (
     BadText,
     Shape,
@@ -30,22 +30,13 @@ _TYPES = {
 _FLOATS = "efd"
 
 
-class _Property(NamedTuple):
-    """One column of an element's table: a number in each row, or a list of numbers in each row."""
-
-    name: str
-    kind: str
-    """Letter of the type of its numbers."""
-    length: str = ""
-    """Letter of the type of a list's length; empty for a property that is not a list."""
-
-
 class _Element(NamedTuple):
     """A table of the file, such as the one of the vertices."""
 
     name: str
     rows: int
-    properties: list[_Property]
+    properties: list[tuple[str, str, str]]
+    """Name, letter of the numbers' type, and letter of the type of a list's length, empty for one number a row."""
 
     def cut_short(self, got: int) -> BadText:
         """Returns the error for a file that has only `got` rows of the table."""
@@ -59,10 +50,8 @@ Table = dict[str, Column]
 
 
 def ply_shape(data: bytes) -> Shape:
-    """Returns the mesh in a PLY file, or the cloud if the file has no faces; raises BadText.
-
-    The vertex property `sigma` is the standard deviation of a cloud's points.
-    """
+    """Returns the mesh in a PLY file, or the cloud if the file has no faces; raises BadText. The vertex property
+    `sigma` is the standard deviation of a cloud's points."""
     order, elements, at = _header(data)
     lines = iter(()) if order else rows(text_lines(data[at:]))
     tables: dict[str, Table] = {}
@@ -83,9 +72,16 @@ def ply_shape(data: bytes) -> Shape:
     points = three_columns(vertex, "x", "y", "z")
     if points is None:
         raise BadText("expected the vertex properties x, y, z")
-    if "face" in tables:
-        return Shape(points, _faces(tables["face"]))
-    return Shape(points, None, three_columns(vertex, "nx", "ny", "nz"), sigmas=vertex.get("sigma"))
+    if "face" not in tables:
+        return Shape(points, None, three_columns(vertex, "nx", "ny", "nz"), sigmas=vertex.get("sigma"))
+    # The triangles are in the list `vertex_indices` or `vertex_index`, or else in the only list.
+    usual, face = ("vertex_indices", "vertex_index"), tables["face"]
+    lists = [name for name, (v, counts) in face.items() if counts is not None and v.dtype.kind in "iu"]
+    name = next((name for name in (*usual, *lists) if name in lists), "")
+    if not name or (name not in usual and len(lists) > 1):
+        raise BadText(f"expected a list {usual[0]} of each face, got {', '.join(face)[:80]}")
+    corners, counts = face[name]
+    return Shape(points, triangles(corners, [] if counts is None else counts))
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int]:
@@ -107,11 +103,11 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
             case ["element", name, count] if count.isdecimal() and len(count) < 19:
                 elements.append(_Element(name, int(count), []))
             case ["property", kind, name] if elements and kind in _TYPES:
-                elements[-1].properties.append(_Property(name, _TYPES[kind]))
+                elements[-1].properties.append((name, _TYPES[kind], ""))
             case ["property", "list", count, kind, name] if (
                 elements and {count, kind} <= _TYPES.keys() and _TYPES[count] not in _FLOATS
             ):
-                elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[count]))
+                elements[-1].properties.append((name, _TYPES[kind], _TYPES[count]))
             case ["element" | "property", *_]:
                 raise BadText(f"expected an element or a property of one, got {' '.join(words)[:60]!r}")
             case ["end_header"]:
@@ -125,111 +121,83 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
 
 def _text_table(lines: Iterator[list[str]], element: _Element) -> Table:
     """Returns the next rows of a text body, a line each; raises BadText."""
-    found, properties = islice(lines, element.rows), element.properties
-    if not any(each.length for each in properties):
-        table = number_table(found, len(properties), element.name)
+    properties = element.properties
+    if not any(length for _, _, length in properties):
+        table = number_table(islice(lines, element.rows), len(properties), element.name)
         if len(table) < element.rows:
             raise element.cut_short(len(table))
-        return {each.name: (table[:, k], None) for k, each in enumerate(properties)}
+        return {name: (table[:, k], None) for k, (name, _, _) in enumerate(properties)}
 
-    def ragged() -> Iterator[list[list[float]]]:
-        """Yields the numbers of each property, row after row; raises BadText."""
-        for words in found:
-            left, row = iter(words), list[list[float]]()
-            try:
-                for each in properties:
-                    n = int(next(left)) if each.length else 1
-                    row.append(list(map(float if each.kind in _FLOATS else int, islice(left, n))))
-                    if len(row[-1]) < n:
-                        raise ValueError
-            except (ValueError, StopIteration):
-                message = f"expected numbers, as many as there are properties, got {' '.join(words)[:40]!r}"
-                raise BadText(f"{element.name}: {message}") from None
-            yield row
+    def row() -> list[list[float]]:
+        """Returns the numbers of each property in the next line; raises BadText, StopIteration where there is none."""
+        words = next(lines)
+        left, found = iter(words), list[list[float]]()
+        try:
+            for _, kind, length in properties:
+                n = int(next(left)) if length else 1
+                found.append(list(map(float if kind in _FLOATS else int, islice(left, n))))
+                if len(found[-1]) < n:
+                    raise ValueError
+        except (ValueError, StopIteration):
+            message = f"expected numbers, as many as there are properties, got {' '.join(words)[:40]!r}"
+            raise BadText(f"{element.name}: {message}") from None
+        return found
 
-    return _table_of_rows(element, ragged())
+    return _table_of_rows(element, row)
 
 
 def _binary_table(data: bytes, at: int, order: str, element: _Element) -> tuple[Table, int]:
     """Returns the rows of a binary body that begin at the offset `at`, and the offset behind them; raises BadText."""
+    start, properties = at, element.properties
 
-    def row_at(at: int) -> tuple[list[tuple[Any, ...]], int]:
-        """Returns the numbers of each property in a row, and the offset behind it; raises struct.error where the file
-        ends before."""
-        row = []
-        for each in element.properties:
+    def row() -> list[tuple[Any, ...]]:
+        """Returns the numbers of each property in the next row; raises struct.error where the file ends before."""
+        nonlocal at
+        found = []
+        for _, kind, length in properties:
             n = 1
-            if each.length:
-                (n,) = struct.unpack_from(order + each.length, data, at)
-                at += struct.calcsize(order + each.length)
-            row.append(struct.unpack_from(f"{order}{n}{each.kind}", data, at))
-            at += struct.calcsize(f"{order}{n}{each.kind}")
-        return row, at
+            if length:
+                (n,) = struct.unpack_from(order + length, data, at)
+                at += struct.calcsize(order + length)
+            found.append(struct.unpack_from(f"{order}{n}{kind}", data, at))
+            at += struct.calcsize(f"{order}{n}{kind}")
+        return found
 
     # In most files each list is as long in every row as in the first, so that all rows have one layout.
     try:
-        first, end = row_at(at)
+        first = row()
     except struct.error:
         raise element.cut_short(0) from None
-    length = end - at
-    if element.rows <= (len(data) - at) // length:
+    size, at = at - start, start
+    if element.rows <= (len(data) - at) // size:
         parts: list[Any] = []
-        for k, (each, values) in enumerate(zip(element.properties, first, strict=True)):
-            parts += [(f"n{k}", order + each.length)] if each.length else []
-            parts.append((f"v{k}", order + each.kind, (len(values),)))
+        for k, ((_, kind, length), values) in enumerate(zip(properties, first, strict=True)):
+            parts += [(f"n{k}", order + length)] if length else []
+            parts.append((f"v{k}", order + kind, (len(values),)))
         table = np.frombuffer(data, np.dtype(parts), element.rows, at)
-        counts = {k: table[f"n{k}"] for k, each in enumerate(element.properties) if each.length}
+        counts = {k: table[f"n{k}"] for k, (_, _, length) in enumerate(properties) if length}
         if all((count == len(first[k])).all() for k, count in counts.items()):
-            columns = {
-                each.name: (table[f"v{k}"].reshape(-1), counts.get(k))
-                for k, each in enumerate(element.properties)
-            }
-            return columns, at + element.rows * length
-
-    def ragged() -> Iterator[list[tuple[Any, ...]]]:
-        """Yields the numbers of each property, row after row."""
-        nonlocal at
-        for _ in range(element.rows):
-            row, at = row_at(at)
-            yield row
-
-    return _table_of_rows(element, ragged()), at
+            columns = [(table[f"v{k}"].reshape(-1), counts.get(k)) for k in range(len(properties))]
+            return {name: columns[k] for k, (name, _, _) in enumerate(properties)}, at + element.rows * size
+    found = _table_of_rows(element, row)
+    return found, at
 
 
-def _table_of_rows(element: _Element, found: Iterator[Sequence[Sequence[Any]]]) -> Table:
-    """Returns an element's table from its rows, each the numbers of every property; raises BadText."""
-    values = [array("d" if each.kind in _FLOATS else "q") for each in element.properties]
+def _table_of_rows(element: _Element, row: Callable[[], Sequence[Sequence[Any]]]) -> Table:
+    """Returns an element's table; `row` returns the numbers of every property in the next row. Raises BadText."""
+    values = [array("d" if kind in _FLOATS else "q") for _, kind, _ in element.properties]
     counts = [array("q") for _ in element.properties]
-    done = 0
-    try:
-        for row in found:
-            for k, numbers in enumerate(row):
+    for done in range(element.rows):
+        try:
+            for k, numbers in enumerate(row()):
                 values[k].extend(numbers)
                 counts[k].append(len(numbers))
-            done += 1
-    except struct.error:
-        raise element.cut_short(done) from None
-    except OverflowError:
-        raise BadText(f"{element.name}: expected numbers of 64 bits, got a larger one") from None
-    if done < element.rows:
-        raise element.cut_short(done)
+        except (struct.error, StopIteration):
+            raise element.cut_short(done) from None
+        except OverflowError:
+            raise BadText(f"{element.name}: expected numbers of 64 bits, got a larger one") from None
     columns = zip(element.properties, values, counts, strict=True)
-    return {each.name: (np.array(v), np.array(n) if each.length else None) for each, v, n in columns}
-
-
-def _faces(table: Table) -> Indices:
-    """Returns the triangles (m, 3) of the faces, from their list `vertex_indices` or `vertex_index`, or else from their
-    only list."""
-    usual = ("vertex_indices", "vertex_index")
-    lists = {
-        name: (values, counts)
-        for name, (values, counts) in table.items()
-        if counts is not None and values.dtype.kind in "iu"
-    }
-    name = next((name for name in (*usual, *lists) if name in lists), "")
-    if not name or (name not in usual and len(lists) > 1):
-        raise BadText(f"expected a list {usual[0]} of each face, got {', '.join(table)[:80]}")
-    return triangles(*lists[name])
+    return {name: (np.array(v), np.array(n) if length else None) for (name, _, length), v, n in columns}
 
 
 def ply_bytes(shape: Shape, scale: float, measured: Mask | None = None) -> bytes:
@@ -237,14 +205,11 @@ def ply_bytes(shape: Shape, scale: float, measured: Mask | None = None) -> bytes
 
     `measured` (k,): which vertices were measured; it is written as the property `measured`, 1 or 0.
     """
-    columns = [scale * shape.vertices]
-    names = ["x", "y", "z"]
+    names, columns = ["x", "y", "z"], [scale * shape.vertices]
     if shape.normals is not None:
-        columns.append(shape.normals)
-        names += ["nx", "ny", "nz"]
+        names, columns = [*names, "nx", "ny", "nz"], [*columns, shape.normals]
     if shape.sigmas is not None:
-        columns.append(scale * shape.sigmas[:, None])
-        names.append("sigma")
+        names, columns = [*names, "sigma"], [*columns, scale * shape.sigmas[:, None]]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(shape.vertices)}"]
     header += [f"property double {name}" for name in names]
     kinds: list[Any] = [("numbers", "<f8", len(names))]

@@ -2,7 +2,7 @@
 
 Only the named file is opened: no material, texture or other path inside it is followed. Text is read line by line, so
 that only the numbers of a large file are kept in memory. The counts that a file states are compared with its content: a
-file that was cut, or whose header is wrong, is refused and never read in part (general mesh libraries read it in part).
+file that was cut, or whose header is wrong, is refused; general mesh libraries read it in part.
 """
 
 import codecs
@@ -18,15 +18,7 @@ from handsight.errors import InvalidFile
 from handsight.files import read_bytes
 from handsight.objects.files.pcd import pcd_shape
 from handsight.objects.files.ply import ply_shape
-from handsight.objects.files.shape import (
-    BadText,
-    Shape,
-    number_table,
-    numbers,
-    rows,
-    text_lines,
-    triangles,
-)
+from handsight.objects.files.shape import BadText, Shape, number_table, numbers, rows, text_lines, triangles
 
 LARGEST_FILE = 500_000_000
 """The largest number of bytes that a file may have."""

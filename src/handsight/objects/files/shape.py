@@ -66,9 +66,7 @@ def numbers(words: Iterable[str]) -> Array:
 
 def number_table(found: Iterable[list[str]], width: int, name: str) -> Array:
     """Returns the first `width` numbers of each row (n, width); raises BadText, naming the row, where there are fewer.
-
-    `name`: what a row is, for the message.
-    """
+    `name`: what a row is, for the message."""
 
     def checked() -> Iterator[list[str]]:
         """Yields `width` words of each row; raises BadText for a row with fewer."""

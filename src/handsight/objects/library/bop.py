@@ -65,8 +65,7 @@ def info_of(model: ObjectModel) -> dict[str, object]:
 
 
 def symmetries_of(info: Info) -> Symmetries:
-    """Returns the symmetries that the file's rounded numbers mean, as an exact group; raises InvalidInput where they
-    form none."""
+    """Returns the symmetries that rounded numbers mean, as an exact group; raises InvalidInput where they form none."""
     near = TOLERANCE * info.diameter * METRES
     turns = []
     for k, matrix in enumerate(info.symmetries_discrete):
@@ -76,13 +75,10 @@ def symmetries_of(info: Info) -> Symmetries:
         if not (np.abs(R - given[:3, :3]).max() < TOLERANCE and (given[3] == [0, 0, 0, 1]).all()):
             raise InvalidInput(f"{name}: expected a rigid transform, got {checks.brief(given)}")
         turns.append(se3.compose(R, shift))
-    lines = [
-        (
-            checks.position(METRES * np.array(line.offset), f"symmetries_continuous[{k}].offset", (3,)),
-            line.axis,
-        )
-        for k, line in enumerate(info.symmetries_continuous)
-    ]
+    lines = []
+    for k, line in enumerate(info.symmetries_continuous):
+        offset, name = METRES * np.array(line.offset), f"symmetries_continuous[{k}].offset"
+        lines.append((checks.position(offset, name, (3,)), line.axis))
     if len(turns) > MAX_ROTATIONS:
         raise InvalidInput(f"symmetries_discrete: expected at most {MAX_ROTATIONS}, got {len(turns)}")
     if not lines:
@@ -107,8 +103,7 @@ def symmetries_of(info: Info) -> Symmetries:
     middle = np.mean(middles, axis=0)
     if np.abs(np.array(middles) - middle).max() > near:
         raise InvalidInput("symmetries_discrete: expected half turns that swap the ends about one middle")
-    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    return Symmetries([(middle, axis)], about(middle, np.pi * side / np.linalg.norm(side))[None])
+    return Symmetries([(middle, axis)], about(middle, np.pi * se3.perpendicular(axis))[None])
 
 
 def _nearest_rotations(M: Array) -> Array:

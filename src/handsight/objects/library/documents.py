@@ -8,7 +8,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import msgspec
 
@@ -88,12 +87,8 @@ class FactsDocument(msgspec.Struct, forbid_unknown_fields=True):
     objects: dict[str, Record]
 
 
-class Documents(NamedTuple):
-    """`Documents` are the contents of a library's two documents."""
-
-    info: bytes
-    facts: bytes | None
-    """None for a BOP folder that has no `handsight.json`."""
+Documents = tuple[bytes, bytes | None]
+"""The contents of `models_info.json` and of `handsight.json`, which a folder of BOP does not have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +100,7 @@ class Entry:
     name: str
     """The name under which the object was added; `obj_000005` for one without a name."""
     facts: Record | None
-    """Mass, licence and so on, with size and checksum of the model's file; None for an object that BOP alone
-    describes."""
+    """Mass, licence and so on, size and checksum of the model's file; None for an object that BOP alone describes."""
     info: Info
     place: str
     """Folder or URL of the library."""
@@ -143,13 +137,14 @@ class Entry:
 def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
     """Returns the objects in the order of their numbers; raises InvalidFile, whose message begins with the place."""
     where, there = f"{place}: {INFO}", f"{place}: {FACTS}"
-    infos = _by_number(decode(documents.info, dict[str, Info], where), where)
+    info, facts = documents
+    infos = _by_number(decode(info, dict[str, Info], where), where)
     records: dict[int, Record] = {}
-    if documents.facts is not None:
-        version = decode_object(documents.facts, there).get("version")
+    if facts is not None:
+        version = decode_object(facts, there).get("version")
         if version != VERSION:  # another version may have other keys
             raise InvalidFile(f"{there}: version: expected {VERSION}, got {checks.brief(version)}")
-        records = _by_number(decode(documents.facts, FactsDocument, there).objects, there)
+        records = _by_number(decode(facts, FactsDocument, there).objects, there)
     entries, owners = list[Entry](), dict[str, int]()
     for number in sorted(infos):
         record = records.get(number)
@@ -163,10 +158,8 @@ def entries(documents: Documents, place: str) -> tuple[Entry, ...]:
 
 
 def _by_number(values: Mapping[str, Form], where: str) -> dict[int, Form]:
-    """Returns the values by their keys as numbers; raises InvalidFile for a key that is no number.
-
-    Numbers become the names of files, so that another key could name any file.
-    """
+    """Returns the values by their keys as numbers; raises InvalidFile for a key that is no number. Numbers become the
+    names of files, so that another key could name any file."""
     found: dict[int, Form] = {}
     for key, value in values.items():
         if not (key.isascii() and key.isdecimal() and len(key) < 10 and str(int(key)) == key):

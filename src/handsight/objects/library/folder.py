@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import msgspec
 import numpy as np
@@ -20,7 +20,7 @@ import numpy as np
 from handsight import checks
 from handsight.errors import InvalidFile, InvalidInput, NotWritten
 from handsight.files import atomic_file, open_regular, read_bytes, write_errors
-from handsight.msgspec_errors import decode_object
+from handsight.msgspec_errors import JsonObject, decode_object
 from handsight.objects.files import ply_bytes, read_shape
 from handsight.objects.files.read import LARGEST_FILE, content
 from handsight.objects.library.bop import METRES, info_of
@@ -54,18 +54,10 @@ else:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-class NewObject(NamedTuple):
-    """A `NewObject` is an object to be added: its part of each document, and its model as PLY."""
-
-    facts: dict[str, Any]
-    info: dict[str, Any]
-    ply: bytes
-
-
 def new_object(
     file: str | os.PathLike[str], facts: Facts, scale: float, symmetries: Symmetries | None
-) -> NewObject:
-    """Returns the object in a file, ready to be added; raises InvalidInput, and the errors of `ObjectModel.from_file`.
+) -> tuple[JsonObject, JsonObject, bytes]:
+    """Returns what `Folder.add` takes of an object in a file; raises InvalidInput, and as `ObjectModel.from_file`.
 
     A PLY in millimetres is kept byte for byte, with its colours; any other file is converted to one.
     """
@@ -80,7 +72,7 @@ def new_object(
         data = ply_bytes(read_shape(path), scale / METRES)
         if len(data) > LARGEST_FILE:
             raise InvalidFile(f"{path.name}: expected at most {LARGEST_FILE} bytes as PLY, got {len(data)}")
-    return NewObject(msgspec.to_builtins(facts) | _identity(data), info_of(model), data)
+    return msgspec.to_builtins(facts) | _identity(data), info_of(model), data
 
 
 def check_inside(facts: Facts, model: ObjectModel) -> None:
@@ -114,8 +106,8 @@ class Folder:
         # Info is read first: an add writes it last, so that the facts of every object in it are already there.
         info = read_bytes(models / INFO, LARGEST_DOCUMENT)
         if not (models / FACTS).exists():
-            return Documents(info, None)
-        return Documents(info, read_bytes(models / FACTS, LARGEST_DOCUMENT))
+            return info, None
+        return info, read_bytes(models / FACTS, LARGEST_DOCUMENT)
 
     def file(self, entry: Entry) -> Path:
         """Returns the path of the model's file; raises InvalidFile where it is missing or has changed since the add."""
@@ -123,24 +115,25 @@ class Folder:
         check_content(path, facts.sha256 if facts else None, facts.bytes if facts else None)
         return path
 
-    def add(self, new: NewObject) -> None:
-        """Adds an object; raises InvalidInput where its name is taken, NotWritten, InvalidFile without a library."""
+    def add(self, new: JsonObject, new_info: JsonObject, ply: bytes) -> None:
+        """Adds an object: its parts of the documents, and its model; raises InvalidInput where its name is taken,
+        NotWritten, InvalidFile without a library."""
         models = self.models
         with locked(models):
-            documents = self.documents() if (models / INFO).exists() else Documents(b"{}", None)
+            documents = self.documents() if (models / INFO).exists() else (b"{}", None)
             for entry in entries(documents, str(self.place)):
-                if entry.name == new.facts["name"]:
+                if entry.name == new["name"]:
                     owner = f"{entry.name!r}, which is that of object {entry.number}"
                     raise InvalidInput(f"name: expected a new one, got {owner}")
-            infos = decode_object(documents.info, INFO)
+            infos = decode_object(documents[0], INFO)
             # Facts that an interrupted add has left behind must not become those of another object.
             facts = {key: value for key, value in _facts(documents).items() if key in infos}
             stems = [path.stem.removeprefix("obj_") for path in models.glob("obj_*.ply")]
             taken = [int(stem) for stem in stems if stem.isascii() and stem.isdecimal() and len(stem) < 10]
             # A file that no document lists keeps its number.
             number = 1 + max([0, *map(int, infos), *taken])
-            facts[str(number)], infos[str(number)] = new.facts, new.info
-            write_file(models / f"obj_{number:06d}.ply", new.ply)
+            facts[str(number)], infos[str(number)] = new, new_info
+            write_file(models / f"obj_{number:06d}.ply", ply)
             write_file(models / FACTS, _json({"version": VERSION, "objects": facts}))
             write_file(models / INFO, _json(infos))
 
@@ -155,15 +148,15 @@ class Folder:
             write_file(models / FACTS, _json(document))
 
 
-def _facts(documents: Documents) -> dict[str, Any]:
-    return {} if documents.facts is None else decode_object(documents.facts, FACTS)["objects"]
+def _facts(documents: Documents) -> JsonObject:
+    return {} if documents[1] is None else decode_object(documents[1], FACTS)["objects"]
 
 
-def _identity(data: bytes) -> dict[str, Any]:
+def _identity(data: bytes) -> JsonObject:
     return {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
 
 
-def _json(document: dict[str, Any]) -> bytes:
+def _json(document: JsonObject) -> bytes:
     return msgspec.json.format(msgspec.json.encode(document), indent=2) + b"\n"
 
 
@@ -208,12 +201,8 @@ def check_content(path: Path, sha256: str | None, size: int | None) -> None:
         came = os.fstat(file.fileno()).st_size
         if size is not None and came != size:
             raise InvalidFile(f"{path}: expected {size} bytes, got {came}: changed since it was added")
-        if sha256 is not None:
-            try:
-                found = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
-            except OSError as error:
-                raise InvalidFile(f"{path}: cannot be read: {error.strerror or error}") from None
-            check_sha256(path, sha256, found)
+    if sha256 is not None:
+        check_sha256(path, sha256, hashlib.sha256(read_bytes(path, came)).hexdigest())
 
 
 def check_sha256(name: str | Path, sha256: str, found: str) -> None:

@@ -27,8 +27,7 @@ from handsight.objects.symmetry import Symmetries
 
 
 def default_place() -> str:
-    """Returns `$HANDSIGHT_LIBRARY`, else `$XDG_DATA_HOME/handsight/library`, else
-    `~/.local/share/handsight/library`."""
+    """Returns `$HANDSIGHT_LIBRARY`, else `handsight/library` in `$XDG_DATA_HOME`, else in `~/.local/share`."""
     if named := os.environ.get("HANDSIGHT_LIBRARY"):
         return named
     base = os.environ.get("XDG_DATA_HOME", "")
@@ -54,8 +53,7 @@ class Library:
         return f"<Library {self.place}>"
 
     def entries(self) -> tuple[Entry, ...]:
-        """Returns all objects in the order of their numbers; raises InvalidFile where there is no library, or a damaged
-        one."""
+        """Returns all objects in the order of their numbers; raises InvalidFile for no library, or a damaged one."""
         return entries(self._source.documents(), self.place)
 
     def entry(self, name: str) -> Entry:
@@ -68,21 +66,16 @@ class Library:
         raise InvalidInput(f"name: expected an object of {self.place}, got {checks.brief(name)!r}{near}")
 
     def file(self, entry: Entry) -> Path:
-        """Returns the path of the object's model on this machine; raises InvalidFile where that file is missing, or is
-        not the one that was added."""
+        """Returns the path of the object's model on this machine; raises InvalidFile where it is not the added file."""
         return self._source.file(entry)
 
     def model(self, name: str) -> ObjectModel:
         """Returns the object with that name, its symmetries and its weight; raises the errors of `entry` and `file`."""
         entry = self.entry(name)
         model = ObjectModel.from_file(self.file(entry), scale=METRES, symmetries=entry.symmetries)
-        facts = entry.facts
-        if facts is not None and (facts.mass is not None or facts.center_of_mass is not None):
-            model = model.with_weight(
-                mass=facts.mass,
-                center_of_mass=facts.center_of_mass,
-                sigma_center_of_mass=facts.sigma_center_of_mass,
-            )
+        if facts := entry.facts:
+            keys = ("mass", "center_of_mass", "sigma_center_of_mass")
+            model = model.with_weight(**{key: getattr(facts, key) for key in keys})
         return replace(model, name=entry.name)
 
     def wrong(self, entries: Iterable[Entry]) -> Iterator[str]:
@@ -94,10 +87,9 @@ class Library:
                     measured, declared = diameter(points), entry.info.diameter
                     # Some documents state the diagonal of the bounding box, which is at most √3 times too large.
                     if not 1 / 3 < measured / declared < 3:
-                        message = (
-                            f"expected the diameter {declared:.4g} mm, got {measured:.4g}: another unit?"
-                        )
-                        raise InvalidFile(f"{entry.place}: {entry.file}: {message}")
+                        expected = f"expected the diameter {declared:.4g} mm"
+                        where = f"{entry.place}: {entry.file}"
+                        raise InvalidFile(f"{where}: {expected}, got {measured:.4g}: another unit?")
                 _ = entry.symmetries
             except HandsightError as error:
                 yield str(error)
@@ -137,7 +129,7 @@ class Library:
         """
         if isinstance(self._source, Remote):
             raise InvalidInput(f"{self.place}: expected a folder to add to, got a URL")
-        self._source.add(new_object(file, facts, scale, symmetries))
+        self._source.add(*new_object(file, facts, scale, symmetries))
         return self.entry(facts.name)
 
     def weigh(self, name: str, mass: float, center_of_mass: Array, sigma_center_of_mass: float) -> Entry:
@@ -188,6 +180,5 @@ def find_model(
             return library.model(entry.name)
     in_library = f"the library {library.place}" if known else f"a library (there is none at {library.place})"
     near = checks.suggestion(name, {*objects, *(entry.name for entry in known)})
-    raise InvalidInput(
-        f"{argument}: expected a name of {place or in_library} or a mesh file, got {checks.brief(name)!r}{near}"
-    )
+    expected = f"expected a name of {place or in_library} or a mesh file"
+    raise InvalidInput(f"{argument}: {expected}, got {checks.brief(name)!r}{near}")

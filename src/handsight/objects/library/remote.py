@@ -40,8 +40,8 @@ class Remote:
 
     def documents(self) -> Documents:
         """Returns both documents as they were last fetched; raises InvalidFile where there is no library."""
-        copy = self._copy()
-        return Documents(copy.info, copy.facts)
+        copy = self._kept() or self.refresh()
+        return copy.info, copy.facts
 
     def refresh(self) -> _Copy:
         """Fetches the documents and keeps them; where it raises InvalidFile, those fetched before stay."""
@@ -50,9 +50,7 @@ class Remote:
             if info is not None:
                 kept = self._kept()
                 facts = fetched(_under(base, FACTS), LARGEST_DOCUMENT)
-                copy = _Copy(base, info, facts, kept.sha256 if kept else {})
-                self._keep(copy)
-                return copy
+                return self._keep(_Copy(base, info, facts, kept.sha256 if kept else {}))
         raise NoLibrary(f"{self.url}: expected a library, with models/{INFO}, got none")
 
     def file(self, entry: Entry, *, anew: bool = False) -> Path:
@@ -60,11 +58,9 @@ class Remote:
 
         `anew`: fetch it also where no document states a checksum by which the cached file is known to be current.
         """
-        copy = self._copy()
-        if entry.facts:
-            known: str | None = entry.facts.sha256
-        else:
-            known = None if anew else copy.sha256.get(entry.number)
+        copy, known = self._kept() or self.refresh(), entry.facts.sha256 if entry.facts else None
+        if not entry.facts and not anew:
+            known = copy.sha256.get(entry.number)
         if known is not None:
             path = _folder() / known / entry.file
             with contextlib.suppress(HandsightError):  # a missing or damaged file is fetched again
@@ -79,14 +75,10 @@ class Remote:
             check_sha256(where, entry.facts.sha256, found)
         path = _folder() / found / entry.file
         write_file(path, data)
-        now = self._copy()
+        now = self._kept() or self.refresh()
         if not entry.facts and now.info == copy.info:  # otherwise another process has fetched other documents
             self._keep(msgspec.structs.replace(now, sha256={**now.sha256, entry.number: found}))
         return path
-
-    def _copy(self) -> _Copy:
-        """Returns the copy in the cache; fetches it if there is none."""
-        return self._kept() or self.refresh()
 
     def _kept(self) -> _Copy | None:
         """Returns the copy in the cache; None where it is missing or damaged."""
@@ -94,9 +86,10 @@ class Remote:
             return msgspec.msgpack.decode(read_entry(self._path, self.url), type=_Copy)
         return None
 
-    def _keep(self, copy: _Copy) -> None:
+    def _keep(self, copy: _Copy) -> _Copy:
         with write_errors(self._path.parent):
             write_entry(self._path, self.url, msgspec.msgpack.encode(copy))
+        return copy
 
     @property
     def _path(self) -> Path:

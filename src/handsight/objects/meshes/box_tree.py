@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handsight import se3
 from handsight.checks import Array, Indices, Mask
 from handsight.objects.surface import Triangles
 
@@ -82,9 +83,7 @@ class ClosestPointSearch:
         normals = np.add.reduceat(mesh.doubled_normals[tree.order], tree.starts[:-1])
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         third = np.where(length > 0, normals / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
-        lateral = np.eye(3)[np.abs(third).argmin(axis=1)]
-        first = np.cross(lateral, third)
-        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        first = se3.perpendicular(third)
         frames = np.stack([first, np.cross(third, first), third], axis=1)
         turned = corners @ np.repeat(frames, np.diff(tree.starts), axis=0).swapaxes(1, 2)
         around = np.hstack([turned.min(axis=1), turned.max(axis=1)])
@@ -96,9 +95,11 @@ class ClosestPointSearch:
 
         Of equally near triangles any one is returned. The search is fastest if neighbours in space follow each other.
         """
-        from handsight._kernels.mesh.nearest_triangle import closest_points  # numba's import is long
+        from handsight._kernels.mesh.nearest_triangle import RESULT, closest  # numba's import is long
+        from handsight._kernels.runtime.threads import in_parts
 
-        found = closest_points(np.require(points, np.float64, ["C", "W"]), within, self._tree)
+        places, found = np.require(points, np.float64, ["C", "W"]), np.zeros((len(points), RESULT))
+        in_parts(lambda some, there: closest(some, within, self._tree, there), (places, found), 1000)
         index = np.flatnonzero(np.isfinite(found[:, 0]))
         found = found[index]
         face = self._order[found[:, 7].astype(np.int64)]
@@ -147,9 +148,13 @@ class Winding:
 
     def at(self, points: Array) -> Array:
         """Returns winding numbers (n,) at the points (n, 3) [m]."""
-        from handsight._kernels.mesh.winding import winding_at  # numba's import is long
+        from handsight._kernels.mesh.winding import winding  # numba's import is long
+        from handsight._kernels.runtime.threads import in_parts
 
-        return np.asarray(winding_at(np.require(points, np.float64, ["C", "W"]), self.patches, self.elements))
+        places, found = np.require(points, np.float64, ["C", "W"]), np.zeros(len(points))
+        surface = self.patches, self.elements
+        in_parts(lambda some, there: winding(some, *surface, there), (places, found), 200)
+        return found
 
     def inside(self, points: Array) -> Mask:
         """Returns (n,) whether the winding numbers at the points (n, 3) [m] are above one half."""

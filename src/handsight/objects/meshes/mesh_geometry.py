@@ -1,6 +1,5 @@
 """The geometry of a triangle mesh: whether it is closed, and its two distance fields."""
 
-from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -42,7 +41,13 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
     search, winding = ClosestPointSearch(mesh, tree), Winding.of_mesh(mesh, tree)
     rim = rim_of(mesh, winding, fine.cell)
     holes = holes_of(mesh, rim)
-    closed = _is_closed(mesh, winding, holes, size)
+    closed = bool(holes[1].max(initial=0.0) <= SURFACE.max_hole * size)
+    if closed:  # are the winding numbers those of a closed surface?
+        points, normals, _ = side_samples(mesh)
+        behind, front = (winding.at(points + side * size * normals) for side in (-1e-4, 1e-4))
+        # Where pieces overlap, the winding number is 2 and the surface within is no boundary: that is closed too.
+        good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
+        closed = bool(good.mean() >= MESH.closed_share)
     if closed:
         signed = partial(signed_by_winding, winding, holes)
     else:
@@ -90,22 +95,12 @@ def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
     return rim
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Holes:
-    """`Holes` are the places where a surface ends: the bounding boxes of connected runs of rim edges."""
-
-    middles: Array
-    """(h, 3) the middle of each box [m]."""
-    extents: Array
-    """(h,) the diagonal of each box [m]."""
-
-
-def holes_of(mesh: Triangles, rim: Mask | None = None) -> Holes:
-    """Returns the holes of a mesh whose rim is the edges in `rim` (e,); None: all edges with one triangle."""
-    edges = mesh.edges
-    pairs = edges.vertices[edges.counts == 1 if rim is None else rim]
+def holes_of(mesh: Triangles, rim: Mask) -> tuple[Array, Array]:
+    """Returns the middles (h, 3) and the diagonals (h,) [m] of a mesh's holes: of the bounding boxes of connected runs
+    of its rim's edges; `rim` (e,): which edges these are."""
+    pairs = mesh.edges.vertices[rim]
     if not len(pairs):
-        return Holes(np.empty((0, 3)), np.empty(0))
+        return np.empty((0, 3)), np.empty(0)
     used, local = np.unique(pairs, return_inverse=True)
     start, end = local.reshape(-1, 2).T
     label = components(start, end, len(used))
@@ -113,23 +108,11 @@ def holes_of(mesh: Triangles, rim: Mask | None = None) -> Holes:
     high = -low
     np.minimum.at(low, label, mesh.vertices[used])
     np.maximum.at(high, label, mesh.vertices[used])
-    return Holes((low + high) / 2, np.linalg.norm(high - low, axis=1))
-
-
-def _is_closed(mesh: Triangles, winding: Winding, holes: Holes, diameter: float) -> bool:
-    """Returns whether the surface has an inside: its holes are small, and its winding numbers a closed surface's."""
-    if holes.extents.max(initial=0.0) > SURFACE.max_hole * diameter:
-        return False
-    points, normals, _ = side_samples(mesh)
-    step = 1e-4 * diameter
-    behind, front = winding.at(points - step * normals), winding.at(points + step * normals)
-    # Where pieces overlap, the winding number is 2 and the surface within is no boundary: that is closed too.
-    good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
-    return bool(good.mean() >= MESH.closed_share)
+    return (low + high) / 2, np.linalg.norm(high - low, axis=1)
 
 
 def signed_by_winding(
-    winding: Winding, holes: Holes, index: Indices, grid: Grid, closest: ClosestPoints
+    winding: Winding, holes: tuple[Array, Array], index: Indices, grid: Grid, closest: ClosestPoints
 ) -> Array:
     """Returns signed distances (n,) [m] of nodes of a grid from a closed mesh: negative where its winding number is
     above one half.
@@ -139,11 +122,10 @@ def signed_by_winding(
     nodes of each connected set are enough. Near holes, where inside and outside are connected, that of every node is
     computed.
     """
-    from handsight._kernels.mesh.connected_nodes import linked  # numba's import is long
 
     points = grid.nodes_at(index)
     free = np.ones(len(points), dtype=bool)
-    for middle, extent in zip(holes.middles, holes.extents, strict=True):
+    for middle, extent in zip(*holes, strict=True):
         free &= ((points - middle) ** 2).sum(axis=1) > (extent / 2 + grid.cell) ** 2
     inside = np.zeros(len(points), dtype=bool)
     todo = np.arange(len(points))
@@ -167,17 +149,31 @@ def signed_by_winding(
     return np.asarray(np.where(inside, -closest.distance, closest.distance))
 
 
+def linked(index: Indices, shape: tuple[int, ...], distance: Array, free: Mask, limit: float) -> Indices:
+    """Returns (n,) the number of the connected set of each node; `index` (n,): the nodes' places in a grid of `shape`.
+
+    Neighbours are in one set where both are `free` (n,) and their values of `distance` (n,) add up to over `limit`.
+    """
+    place = np.full(shape, -1)
+    place.reshape(-1)[index] = np.arange(len(index))
+    pairs = []
+    for axis, n in enumerate(shape):
+        i, j = (place.take(steps, axis).reshape(-1) for steps in (range(n - 1), range(1, n)))
+        i, j = np.stack([i, j])[:, (i >= 0) & (j >= 0)]
+        pairs.append(np.stack([i, j])[:, free[i] & free[j] & (distance[i] + distance[j] > limit)])
+    row, column = np.hstack(pairs)
+    return components(row, column, len(index))
+
+
 def signed_by_normal(normals: Array, index: Indices, grid: Grid, closest: ClosestPoints) -> Array:
     """Returns signed distances (n,) [m] of nodes of a grid from an open mesh: negative behind it, not behind its rim.
 
     `normals` (m, 7, 3): `_pseudonormals`. `index` (n,) of the nodes; `closest`: their closest points.
     """
-    zero = closest.weights == 0
-    count = zero.sum(axis=1)
     # One zero: the closest point is on the edge opposite that corner (12 for corner 0). Two: it is the third corner.
-    edge = np.array([2, 3, 1])[zero.argmax(axis=1)]
-    corner = 4 + (~zero).argmax(axis=1)
-    feature = np.where(count == 0, 0, np.where(count == 1, edge, corner))
+    zero = closest.weights == 0
+    edge, corner = np.array([2, 3, 1])[zero.argmax(axis=1)], 4 + (~zero).argmax(axis=1)
+    feature = np.choose(zero.sum(axis=1), [np.zeros_like(edge), edge, corner])
     normal = normals[closest.face, feature]
     behind = ((grid.nodes_at(index) - closest.points) * normal).sum(axis=1) < 0
     return np.asarray(np.where(behind, -closest.distance, closest.distance))

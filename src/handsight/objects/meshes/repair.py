@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidObject
 from handsight.objects.meshes.box_tree import BoxTree, Winding, box_tree
-from handsight.objects.surface import Edges, Triangles, check_extent, distinct
+from handsight.objects.surface import Triangles, check_extent, distinct
 
 
 class RepairOptions(NamedTuple):
@@ -19,8 +19,7 @@ class RepairOptions(NamedTuple):
     flat: float = 1e-12  # a triangle whose height is below this share of its longest side has no area
     side_samples: int = 400  # places at which a mesh's outside is found
     inside_out: float = -0.55
-    """A piece is inside out if the winding number in front of it is below this: it is -0.5 for a patch, -1 for a solid
-    that is inside out."""
+    """A piece is inside out if the winding number in front of it is below this: a patch has -0.5, a turned solid -1."""
     small_piece: float = 0.01  # share of the area below which a separate piece is remarked
     same_corner: float = 1e-4
     """Ends of edges with one triangle that are closer than this share of the extent are merged, because files round."""
@@ -53,21 +52,25 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
             # A triangle between two such corners has become a line.
             triangles = triangles[(triangles != np.roll(triangles, -1, axis=1)).all(axis=1)]
             points, triangles = _referenced(points, _distinct(points, triangles, []), [])
-            edges = Triangles(points, triangles).edges
-    triangles, turned, orientable = _consistent(triangles, edges)
-    if turned:
-        remarks.append(f"{turned} of {len(triangles)} triangles were turned to agree with their neighbours")
-    if not orientable:
-        remarks.append(
-            "the surface has one side only somewhere: its triangles cannot all agree on what is outside"
-        )
+    # Neighbours agree if they run along their common edge in opposite directions.
+    i, j = Triangles(points, triangles).shared
+    forward = (triangles < np.roll(triangles, -1, axis=1)).reshape(-1)
+    agree = forward[i] != forward[j]
+    if not agree.all():
+        flip, orientable = agreeing(i // 3, j // 3, agree, len(triangles))
+        triangles = _turned_over(triangles, flip)
+        if turned := int(flip.sum()):
+            what = "triangles were turned to agree with their neighbours"
+            remarks.append(f"{turned} of {len(triangles)} {what}")
+        if not orientable:
+            what = "its triangles cannot all agree on what is outside"
+            remarks.append(f"the surface has one side only somewhere: {what}")
     tree = box_tree(points[triangles].mean(axis=1))
     return _facing_out(Triangles(points, triangles), tree, remarks), tree, tuple(remarks)
 
 
 def _referenced(points: Array, triangles: Indices, remarks: list[str]) -> tuple[Array, Indices]:
-    """Returns the vertices that triangles use, and the triangles with indices of these; raises InvalidObject where such
-    a vertex is not finite."""
+    """Returns the vertices that triangles use, and the triangles by their indices; raises InvalidObject for NaN."""
     used, which = np.unique(triangles, return_inverse=True)
     finite = np.asarray(np.isfinite(points).all(axis=1))
     if not finite[used].all():
@@ -95,20 +98,6 @@ def _distinct(points: Array, triangles: Indices, remarks: list[str]) -> Indices:
     return triangles[np.sort(first)]
 
 
-def _consistent(faces: Indices, edges: Edges) -> tuple[Indices, int, bool]:
-    """Returns triangles turned over so that neighbours agree, how many were turned, and whether all could agree."""
-    order = np.argsort(edges.of_face, axis=None, kind="stable")
-    # The two places of each edge that two triangles share; they agree if they run along it in opposite directions.
-    first = (np.cumsum(edges.counts) - edges.counts)[edges.counts == 2]
-    i, j = order[first], order[first + 1]
-    forward = (faces < np.roll(faces, -1, axis=1)).reshape(-1)
-    agree = forward[i] != forward[j]
-    if agree.all():
-        return faces, 0, True
-    flip, orientable = agreeing(i // 3, j // 3, agree, len(faces))
-    return _turned_over(faces, flip), int(flip.sum()), orientable
-
-
 def _facing_out(mesh: Triangles, tree: BoxTree, remarks: list[str]) -> Triangles:
     """Returns the mesh with every piece that was inside out turned; a piece is connected through shared vertices."""
     faces = mesh.faces
@@ -118,9 +107,8 @@ def _facing_out(mesh: Triangles, tree: BoxTree, remarks: list[str]) -> Triangles
     points, normals, face = side_samples(mesh)
     step = 1e-4 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))  # less than any wall is thick
     front = Winding.of_mesh(mesh, tree).at(points + step * normals)
-    inverted = np.zeros(count, dtype=bool)
-    for k in np.unique(piece[face]):
-        inverted[k] = np.median(front[piece[face] == k]) < REPAIR.inside_out
+    inside_out = [k for k in np.unique(piece[face]) if np.median(front[piece[face] == k]) < REPAIR.inside_out]
+    inverted = np.isin(np.arange(count), inside_out)
     if inverted.any():
         what = "the surface was" if count == 1 else f"{int(inverted.sum())} of {count} separate pieces were"
         remarks.append(f"{what} inside out and turned")

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from handsight import se3
 from handsight._kernels.mesh import quadrics as kernel
 from handsight._kernels.mesh.patches import PATCH, neighbours
 from handsight._kernels.runtime.threads import in_parts
@@ -116,24 +117,17 @@ def noise_of(points: Points, thickness: float) -> Noise:
     level = int(flat[0])
     calm = patches[spread[:, level] <= quiet[level]]
     widened(points, calm, windows[: level + 1], **every_point)
-    return Noise(float(quiet[level]) / NOISE.chance, _sharing_points(points, calm, float(windows[level])))
-
-
-def _sharing_points(points: Points, patches: Patches, window: float) -> float:
-    """Returns how many points share one error, from residuals about patches in windows of that radius [m].
-
-    It is the number of points on the area that is the integral, over a plane, of the correlation exp(-d²/2L²) of the
-    errors of two points at the distance d.
-    """
     pairs = cKDTree(points.places).query_pairs(NOISE.near * points.spacing, output_type="ndarray")
-    sums = np.zeros(4)
-    neighbours(points.places, pairs, patches, window, sums)
-    products, squares, distances, count = sums
+    sums, together = np.zeros(4), 1.0
+    neighbours(points.places, pairs, calm, float(windows[level]), sums)
+    products, squares, distances, number = sums
     correlation = products / max(squares, 1e-300)
-    if not correlation > NOISE.independent:
-        return 1.0
-    length2 = (distances / count) ** 2 / max(-2 * np.log(correlation), 1e-9)
-    return float(min(1 + 2 * np.pi * length2 / points.spacing**2, NOISE.max_together))
+    # Points that share one error: those on the area that is the integral, over a plane, of the correlation exp(-d²/2L²)
+    # of the errors of two points at the distance d.
+    if correlation > NOISE.independent:
+        length2 = (distances / number) ** 2 / max(-2 * np.log(correlation), 1e-9)
+        together = float(min(1 + 2 * np.pi * length2 / points.spacing**2, NOISE.max_together))
+    return Noise(float(quiet[level]) / NOISE.chance, together)
 
 
 def spacing_of(places: Array, least: float = 0.0) -> float:
@@ -157,10 +151,8 @@ def flat_patches(places: Array, normals: Array) -> Patches:
     """Returns a flat patch at each place (m, 3) [m], with the normal (m, 3) there."""
     patches = np.zeros(len(places), dtype=PATCH)
     patches["point"], patches["normal"] = places, normals
-    least = np.abs(normals).argmin(axis=1)
-    a = np.cross(normals, np.eye(3)[least])
-    a /= np.linalg.norm(a, axis=1, keepdims=True)
-    patches["along"][:, 0], patches["along"][:, 1] = a, np.cross(normals, a)
+    patches["along"][:, 0] = se3.perpendicular(normals)
+    patches["along"][:, 1] = np.cross(normals, patches["along"][:, 0])
     return patches
 
 

@@ -22,12 +22,6 @@ class NormalOptions(NamedTuple):
 NORMALS = NormalOptions()
 
 
-def estimated_normals(points: Array, tree: cKDTree) -> Array:
-    """Returns unit outward normals (n, 3) of surface points (n, 3) [m], by the planes through their neighbours."""
-    nearest = tree.query(points, k=min(NORMALS.neighbours, len(points)))[1]
-    return outwards(points, _plane_normals(points[nearest]), tree)
-
-
 def planes(points: Array, places: Array, count: int) -> Array:
     """Returns unit normals (k, 3), of either sign, of planes through about `count` points around the places (k, 3).
 
@@ -37,18 +31,13 @@ def planes(points: Array, places: Array, count: int) -> Array:
     share = len(points) * NORMALS.max_neighbours // max(count, NORMALS.max_neighbours)
     thinned = points[: max(share, NORMALS.neighbours)]
     nearest = cKDTree(thinned).query(places, k=min(count, NORMALS.max_neighbours, len(thinned)))[1]
-    return _plane_normals(thinned[nearest])
+    around = thinned[nearest] - thinned[nearest].mean(axis=1, keepdims=True)
+    return np.asarray(np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0])
 
 
 def enough_neighbours(sigma: float, spacing: float, least: int = NORMALS.neighbours) -> int:
     """Returns how many points a plane needs where these have errors of `sigma` [m] and are `spacing` [m] apart."""
     return int(max(np.pi * (NORMALS.min_width * sigma / spacing) ** 2, least))
-
-
-def _plane_normals(points: Array) -> Array:
-    """Returns unit normals (n, 3), of either sign, of the planes through points (n, k, 3)."""
-    points = points - points.mean(axis=1, keepdims=True)
-    return np.asarray(np.linalg.eigh(np.einsum("nki,nkj->nij", points, points))[1][:, :, 0])
 
 
 def outwards(points: Array, normals: Array, tree: cKDTree, *, turning: bool = False) -> Array:

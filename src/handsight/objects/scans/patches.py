@@ -61,9 +61,7 @@ class ScannedSurface:
 
     def blended(self, nodes: Array, nearest: Indices) -> Array:
         """Returns (n, 4): signed distances [m] of nodes (n, 3) near the surface, and vectors outwards of any length.
-
-        `nearest` (n,): index of the patch nearest to each node.
-        """
+        `nearest` (n,): index of the patch nearest to each node."""
         out = np.empty((len(nodes), 4))
         kernel = partial(blended, self.patches, self.spacing, self.around)
         in_parts(kernel, (nearest, nodes, out), PATCH_FIT.parallel)

@@ -49,42 +49,33 @@ def roughness_of(surface: ScannedSurface, points: Points, noise: Noise) -> Rough
     explains, a window was too large for the shape, and that mean is added.
     """
     height, normal, bend = surface.variances.T
-    by_height, by_slope = _oversmoothing(surface, points, noise)
-    patches = surface.patches
+    patches, n = surface.patches, len(points.places)
+    share = ROUGHNESS.per_patch * n / len(patches)
+    compared = min(int(np.clip(share, ROUGHNESS.min_points, ROUGHNESS.max_points)), n)
+    near = cKDTree(points.places).query(patches["point"], k=compared)[1].reshape(-1, compared)
+    offset = points.places[near] - patches["point"][:, None]
+    residual = surface.heights(points.places, surface.tree.query(points.places)[1])[near]
+    # Points of another face or of the far side say nothing about this one.
+    known = np.abs(residual) < 5 * np.sqrt(noise.sigma**2 + height[:, None])
+    # The squared mean [m²] and slope [rad²] of the residuals around each patch, less their noise.
+    variance, others = noise.sigma**2 * noise.together, np.maximum(known.sum(axis=1), 1)
+    mean = np.where(known, residual, 0.0).sum(axis=1) / others
+    by_height, by_slope = np.maximum(mean**2 - variance / others, 0.0), np.zeros(len(patches))
+    for k in range(2):
+        u = np.where(known, np.einsum("mki,mi->mk", offset, patches["along"][:, k]), 0.0)
+        square = np.maximum((u * u).sum(axis=1), 1e-300)
+        by_slope += ((u * residual).sum(axis=1) / square) ** 2 / 2 - variance / square / 2
     # Residuals beyond the noise are detail of the object that is as fine as the spacing of the points.
     count = np.minimum(np.pi * (patches["window"] / points.spacing) ** 2, NOISE.thinned)
     many = count * ROUGHNESS.effective - ROUGHNESS.fitted
     chance = 1 + ROUGHNESS.chance * np.sqrt(2 * noise.together / np.maximum(many, 1.0))
     detail = np.maximum(patches["spread"] - (0.0 if noise.is_shape else noise.sigma**2 * chance), 0.0)
-    slope = normal + by_slope
+    slope = normal + np.maximum(by_slope, 0.0)
     # Such detail is missing in the surface's normals, but adds no bumps and no spurious information.
     missing = 2 * detail / points.spacing**2
-    variances = np.stack(
-        [height + by_height + detail, slope + missing, CHI2_95 * slope, CHI2_95 * bend], axis=1
-    )
+    values = height + by_height + detail, slope + missing, CHI2_95 * slope, CHI2_95 * bend
+    variances = np.stack(values, axis=1)
     return Roughness(patches["point"], variances, patches["trust"] ** ROUGHNESS.shared)
-
-
-def _oversmoothing(surface: ScannedSurface, points: Points, noise: Noise) -> tuple[Array, Array]:
-    """Returns the squared mean (m,) [m²] and slope (m,) [rad²] of the residuals around each patch, less their noise."""
-    share = ROUGHNESS.per_patch * len(points.places) / len(surface.patches)
-    count = int(np.clip(share, ROUGHNESS.min_points, ROUGHNESS.max_points))
-    count = min(count, len(points.places))
-    centres = surface.patches["point"]
-    near = cKDTree(points.places).query(centres, k=count)[1].reshape(-1, count)
-    offset = points.places[near] - centres[:, None]
-    residual = surface.heights(points.places, surface.tree.query(points.places)[1])[near]
-    variance = noise.sigma**2 * noise.together
-    # Points of another face or of the far side say nothing about this one.
-    known = np.abs(residual) < 5 * np.sqrt(noise.sigma**2 + surface.variances[:, :1])
-    many = np.maximum(known.sum(axis=1), 1)
-    mean = np.where(known, residual, 0.0).sum(axis=1) / many
-    slopes = np.zeros(len(near))
-    for along in (surface.patches["along"][:, 0], surface.patches["along"][:, 1]):
-        u = np.where(known, np.einsum("mki,mi->mk", offset, along), 0.0)
-        square = np.maximum((u * u).sum(axis=1), 1e-300)
-        slopes += ((u * residual).sum(axis=1) / square) ** 2 / 2 - variance / square / 2
-    return np.maximum(mean**2 - variance / many, 0.0), np.maximum(slopes, 0.0)
 
 
 def unseen_variances(gap: Array, winding: Array, spacing: float) -> Array:
@@ -98,10 +89,8 @@ def unseen_variances(gap: Array, winding: Array, spacing: float) -> Array:
     is_open = (np.minimum(winding, 1 - winding) - ROUGHNESS.clear) / (ROUGHNESS.open - ROUGHNESS.clear)
     is_far = (gap / spacing - ROUGHNESS.covered_gap) / (ROUGHNESS.open_gap - ROUGHNESS.covered_gap)
     share = np.clip(is_open, 0.0, 1.0) * np.clip(is_far, 0.0, 1.0)
-    return share[:, None] * np.stack(
-        [gap**2, np.ones_like(gap), np.full_like(gap, CHI2_95), np.full_like(gap, CHI2_95 / spacing**2)],
-        axis=1,
-    )
+    constant = np.tile([1.0, CHI2_95, CHI2_95 / spacing**2], (len(gap), 1))
+    return np.asarray(share[:, None] * np.column_stack([gap**2, constant]))
 
 
 def with_declared_noise(geometry: Geometry, points: Array, sigmas: Array) -> Geometry:

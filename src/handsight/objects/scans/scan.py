@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import coo_array, diags_array
 
-from handsight.checks import Array, Indices
+from handsight.checks import Array
 from handsight.objects.geometry import Roughness
 from handsight.objects.scans.noise import NOISE, Noise, Points, estimated_noise, spacing_of
 from handsight.objects.scans.patches import ScannedSurface, fitted
@@ -23,8 +23,7 @@ class ScanOptions(NamedTuple):
     min_vertices: int = 1000  # a mesh with fewer was drawn, not scanned
     flat_angle: float = 1e-3  # angle below which two triangles are in one plane [rad]
     flat_share: float = 0.1
-    """A mesh with more than this share of its edges between triangles in one plane was drawn: noise leaves no flat
-    edges."""
+    """A mesh with more than this share of its edges between triangles in one plane was drawn: noise bends all edges."""
     outlying: float = 5.0  # standard deviations of noise beyond which a vertex is an outlier
     own_noise: float = 0.7  # least share of a scan's noise that neighbouring vertices do not have in common
     gaussian_quarter: float = 0.3186  # standard deviations within which a quarter of a Gaussian's draws are
@@ -62,18 +61,14 @@ def scanned(points: Array, normals: Array | None, diameter: float) -> Scan | Non
 
 
 def smoothed(mesh: Triangles, diameter: float) -> tuple[Triangles, Roughness | None]:
-    """Returns a mesh with its vertices moved onto the surface behind their noise, and the error of that surface.
-
-    A mesh that is no noisy scan is returned as it is, with None.
-    """
+    """Returns a mesh with its vertices moved onto the surface behind their noise, and the error of that surface. A mesh
+    that is no noisy scan is returned as it is, with None."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     if len(used) < SCAN.min_vertices:
         return mesh, None
-    edges = mesh.edges
-    order = np.argsort(edges.of_face.reshape(-1), kind="stable") // 3
-    first = (np.cumsum(edges.counts) - edges.counts)[edges.counts == 2]
+    i, j = mesh.shared
     face_normals = mesh.doubled_normals / np.maximum(2 * mesh.areas, 1e-300)[:, None]
-    differences = np.linalg.norm(face_normals[order[first]] - face_normals[order[first + 1]], axis=1)
+    differences = np.linalg.norm(face_normals[i // 3] - face_normals[j // 3], axis=1)
     if not len(differences) or (differences < SCAN.flat_angle).mean() > SCAN.flat_share:
         return mesh, None
     vertices, faces = mesh.vertices[used], faces.reshape(mesh.faces.shape)
@@ -81,7 +76,17 @@ def smoothed(mesh: Triangles, diameter: float) -> tuple[Triangles, Roughness | N
     for k in range(3):
         np.add.at(normals, faces[:, k], mesh.doubled_normals)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    own = _independent_noise(vertices, faces, normals)
+    # The noise that vertices do not share with their neighbours, from second differences to these, where the surface is
+    # smoothest. Detail as fine as the triangles leaves the same residuals of quadrics as noise does, but it is smooth
+    # from vertex to vertex.
+    start, end, count = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1), len(vertices)
+    both = np.r_[start, end], np.r_[end, start]
+    adjacent = coo_array((np.ones(2 * len(start)), both), (count, count)).tocsr()
+    adjacent.data[:] = 1.0
+    difference = diags_array(np.ones(count)) - diags_array(1 / adjacent.sum(axis=1)) @ adjacent
+    twice = (difference @ difference).tocsr()
+    residual = np.abs(((twice @ vertices) * normals).sum(axis=1)) / np.sqrt(twice.multiply(twice).sum(axis=1))
+    own = float(np.quantile(residual, NOISE.smoothest) / SCAN.gaussian_quarter)
     scan = scanned(vertices, normals, diameter) if own > SCAN.own_noise * SCAN.clean * diameter else None
     if scan is None or own < SCAN.own_noise * scan.noise.sigma:
         return mesh, None
@@ -91,23 +96,3 @@ def smoothed(mesh: Triangles, diameter: float) -> tuple[Triangles, Roughness | N
     # A vertex farther from the surface is no noise: it is at a corner that no quadric reaches, and stays where it is.
     vertices = np.where(np.abs(off) < SCAN.outlying * scan.noise.sigma, vertices - off * way, vertices)
     return Triangles(vertices, faces), scan.roughness
-
-
-def _independent_noise(vertices: Array, faces: Indices, normals: Array) -> float:
-    """Returns the noise [m] that vertices do not share with their neighbours, from second differences to these.
-
-    It is that of the smoothest part of the surface. Detail as fine as the triangles leaves the same residuals of
-    quadrics as noise does, but it is smooth from vertex to vertex.
-    """
-    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
-    count = len(vertices)
-    linked = coo_array(
-        (np.ones(2 * len(start)), (np.r_[start, end], np.r_[end, start])), (count, count)
-    ).tocsr()
-    linked.data[:] = 1.0
-    mean = diags_array(1 / linked.sum(axis=1)) @ linked
-    difference = diags_array(np.ones(count)) - mean
-    twice = (difference @ difference).tocsr()
-    off = np.abs(((twice @ vertices) * normals).sum(axis=1))
-    scale = np.sqrt(twice.multiply(twice).sum(axis=1))
-    return float(np.quantile(off / scale, NOISE.smoothest) / SCAN.gaussian_quarter)

@@ -42,20 +42,15 @@ def appearance_of(model: ObjectModel) -> Appearance:
         f"visible 1 {type(model.fine).__name__}", places, facing, surface.vertices, surface.faces
     )
 
-    def visible_sets() -> NDArray[np.bool_]:
+    def visible_sets() -> NDArray[np.uint8]:
         visible = np.empty((DIRECTIONS, SAMPLES), dtype=np.bool_)
         pose_score.visible_sets(*model.record[:2], places, facing, directions, visible)
-        return visible
+        return np.packbits(visible)
 
-    visible = cache.remembered_bits(name, (DIRECTIONS, SAMPLES), visible_sets)
+    packed = cache.remembered_numbers("bits", name, np.uint8, visible_sets)
+    visible = np.unpackbits(packed).reshape(DIRECTIONS, SAMPLES).astype(np.bool_)
     sides = np.stack([places, facing]), directions, visible, float(model.area / SAMPLES)
-    return Appearance(_pairs(voters, model.diameter), voters, sides)
-
-
-def _pairs(voters: Array, diameter: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Returns the pairs of points with normals (2, m, 3) by cells, as `votes.vote` takes them; they are kept on
-    disk."""
-    count = voters.shape[1]
+    count, diameter = voters.shape[1], model.diameter
 
     def table() -> NDArray[np.int32]:
         cells, spins = np.empty((count, count), dtype=np.int64), np.empty((count, count))
@@ -67,13 +62,7 @@ def _pairs(voters: Array, diameter: float) -> tuple[NDArray[np.int32], NDArray[n
         turns = np.floor(spin[order] * (votes.TURN / (2 * np.pi))).astype(np.int64) % votes.TURN
         return np.concatenate([starts, (order // count << votes.POINT_BITS) + turns]).astype(np.int32)
 
-    def fits(numbers: NDArray[np.int32]) -> bool:
-        starts, pairs = np.split(numbers, [votes.CELLS + 1])
-        points = pairs >> votes.POINT_BITS
-        complete = len(starts) > votes.CELLS and starts[0] == 0 and starts[-1] == len(pairs)
-        return bool(complete and (np.diff(starts) >= 0).all() and ((points >= 0) & (points < count)).all())
-
     steps = f"{votes.DISTANCES} {votes.ANGLES} {votes.POINT_BITS}"
     name = cache.key(f"pairs 1 {steps}", voters, np.array(diameter))
-    starts, pairs = np.split(cache.remembered_numbers(name, fits, table), [votes.CELLS + 1])
-    return starts, pairs
+    starts, pairs = np.split(cache.remembered_numbers("numbers", name, np.int32, table), [votes.CELLS + 1])
+    return Appearance((starts, pairs), voters, sides)

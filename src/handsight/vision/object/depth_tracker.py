@@ -19,11 +19,10 @@ from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import candidates_at
+from handsight.vision.candidates import UNKNOWN, candidates_at
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.locate import locate
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
-from handsight.vision.pose_covariance import UNKNOWN
 
 State = Literal["tracking", "uncertain", "lost"]
 
@@ -31,8 +30,7 @@ State = Literal["tracking", "uncertain", "lost"]
 class DepthTrackerOptions(NamedTuple):
     """`DepthTrackerOptions` say how an object is followed from image to image."""
 
-    velocity_share: float = 0.8
-    """Share of its velocity that an object outside a grip is expected to keep until the next image."""
+    velocity_share: float = 0.8  # of its velocity, that an object outside a grip keeps until the next image
     max_gap: float = 0.5  # between images, for a velocity to be used [s]
     drift: tuple[float, float] = (0.15, 1.0)  # sigma of its other motion [m/s, rad/s]
     drift_in_palm: tuple[float, float] = (0.02, 0.15)  # and of its motion in a grip [m/s, rad/s]
@@ -201,12 +199,9 @@ class DepthTracker:
         if against > max(candidate["explained"], DEPTH_TRACKER.min_against):
             share = candidate["explained"] / (candidate["explained"] + against)
             return f"it explains {100 * share:.0f} % of what is seen there"
-        if _is_enough(refined):
-            return ""
-        far_off = (
-            surface_shift(self.model, predicted.pose_camera_object) > DEPTH_TRACKER.lost * self.model.diameter
-        )
-        return HIDDEN if predicted.lost or far_off else ""
+        limit, pose = DEPTH_TRACKER.lost * self.model.diameter, predicted.pose_camera_object
+        hidden = not _is_enough(refined) and (predicted.lost or surface_shift(self.model, pose) > limit)
+        return HIDDEN if hidden else ""
 
     def _found(self, image: _Image) -> tuple[_Belief, RefinedPose] | None:
         """Returns the object somewhere in the image, if it is time to search and it is there."""
@@ -258,8 +253,7 @@ def _is_enough(refined: RefinedPose) -> bool:
     return bool(refined.points >= options.min_points and explained >= options.min_pixels)
 
 
-def surface_shift(model: ObjectModel, pose_camera_object: GaussianPose) -> float:
+def surface_shift(model: ObjectModel, pose: GaussianPose) -> float:
     """Returns the most that one sigma along any of the three least known directions moves the object's surface [m]. A
     turn that the object looks the same after does not move it."""
-    pose = pose_camera_object
     return depth_covariance.largest_shift(*model.record[:2], pose.T_a_b, pose.covariance)

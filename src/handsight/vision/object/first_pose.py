@@ -11,11 +11,10 @@ from handsight._kernels.image.vision_records import CANDIDATE, STAGE
 from handsight._kernels.solve import distinct_poses
 from handsight.checks import Array
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import NOTHING_KNOWN, Candidates, center_depths, poses_of
+from handsight.vision.candidates import NOTHING_KNOWN, Candidates, center_depths, pose_covariances, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.region import Scene, observed_points
-from handsight.vision.pose_covariance import pose_covariances
 
 
 class FirstPoseOptions(NamedTuple):
@@ -36,8 +35,7 @@ class FirstPoseOptions(NamedTuple):
     close_exponent: float = 1 - pose_score.POSE_SCORE.size_exponent  # makes pixels a score
     score_weights: tuple[float, float] = (1.2, 22.0)
     """Of the score, and of the close pixels to that power, in the logarithm of a mode's weight. They were chosen by
-    hand between fits to two sets of drawn pictures, which differ (`experiments/sight_fit.py` prints the likeliest of
-    the one that it draws)."""
+    hand between fits to two sets of drawn pictures, which differ (`experiments/sight_fit.py` prints one of them)."""
 
 
 FIRST_POSE = FirstPoseOptions()
@@ -111,15 +109,13 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
     close = FIRST_POSE.close_sigmas * np.hypot(noise.sigma(z), noise.bias(z))
     depth_term.closeness(*model.record[:2], observed, close, found)
     found["close"] *= scene.sizes.sum() / max(len(observed), 1)
-    log_weights = np.stack([found["score"], found["close"] ** FIRST_POSE.close_exponent], axis=1)
-    log_weights = log_weights @ FIRST_POSE.score_weights
+    evidence = np.stack([found["score"], found["close"] ** FIRST_POSE.close_exponent], axis=1)
+    log_weights = evidence @ FIRST_POSE.score_weights
     order = np.argsort(-log_weights, kind="stable")
     found, weights = found[order], np.exp(log_weights[order] - log_weights.max(initial=-np.inf))
     covariances = pose_covariances(model, camera, observed, found, noise)
-    probability = float(probabilities(log_odds(found[:1])).sum())
-    return ObjectDetection(
-        poses_of(found), covariances, weights / max(weights.sum(), 1.0), found, probability
-    )
+    probability, weights = float(probabilities(log_odds(found[:1])).sum()), weights / max(weights.sum(), 1.0)
+    return ObjectDetection(poses_of(found), covariances, weights, found, probability)
 
 
 def explained_within(noise: DepthNoise, z: Array) -> Array:
@@ -128,8 +124,7 @@ def explained_within(noise: DepthNoise, z: Array) -> Array:
 
 
 def evidence_of(candidates: Candidates) -> Array:
-    """Returns (k, 5) of CANDIDATE (k,): 1, and the shares of the expected pixels that are explained, passed, hidden and
-    unexplained."""
+    """Returns (k, 5) of CANDIDATE (k,): 1, and its explained, passed, hidden and unexplained pixels by the expected."""
     size = np.maximum(candidates["expected"], pose_score.POSE_SCORE.min_expected)
     shares = [candidates[name] / size for name in ("explained", "passed", "hidden")]
     left = np.minimum(candidates["unexplained"] / size, pose_score.POSE_SCORE.max_unexplained)
@@ -155,8 +150,6 @@ def distinct(
     axes, kept = model.symmetries.axes, np.empty(most, dtype=np.int64)
     about = axes[0][0] if axes else model.center_object
     group = model.symmetries.rotations, np.array([axis for _, axis in axes]).reshape(-1, 3)
-    limits, order = (
-        np.array([*about, model.radius, spacing * model.diameter]),
-        np.argsort(-score, kind="stable"),
-    )
+    limits = np.array([*about, model.radius, spacing * model.diameter])
+    order = np.argsort(-score, kind="stable")
     return candidates[kept[: distinct_poses.distinct_candidates(group, limits, candidates, order, kept)]]

@@ -11,12 +11,11 @@ from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import Candidates, candidates_at, center_depths, poses_of
+from handsight.vision.candidates import Candidates, candidates_at, center_depths, pose_covariances, poses_of
 from handsight.vision.depth_noise import DepthNoise
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.first_pose import explained_within
 from handsight.vision.object.region import REGION
-from handsight.vision.pose_covariance import pose_covariances
 
 
 class RefinerOptions(NamedTuple):
@@ -67,7 +66,7 @@ class PoseRefiner:
         it holds directions that hardly any point observes.
         """
         candidate, record = candidates_at(T_expected[None]), self.model.record[:2]
-        self._take(self._around(T_expected), depth, hand, table)
+        self._take(T_expected, depth, hand, table)
         image = self.camera.rays, self._depth, self._labels
         count = depth_image.near_points(record, image, self._window, candidate, self._points)
         points, z = self._points[:count], center_depths(self.model, candidate)
@@ -80,31 +79,27 @@ class PoseRefiner:
         covariance = pose_covariances(self.model, self.camera, some, candidate, self.noise)[0]
         return RefinedPose(GaussianPose(poses_of(candidate)[0], covariance), candidate, count)
 
-    def _around(self, T: Array) -> tuple[slice, slice]:
-        """Returns rows and columns around the object's silhouette; both are empty where it is out of the image."""
-        points = se3.apply(T, self.model.points_object)
-        pixels = np.empty((len(points), 2))
-        pinhole.pixels_of(self.camera.record, points, pixels)
-        low, high = np.fmin.reduce(pixels), np.fmax.reduce(pixels)  # NaN: none
-        if np.isnan(low[0]):
-            return slice(0, 0), slice(0, 0)
-        focal = self.camera.matrix[0, 0]
-        margin = 1 + REFINER.margin * self.model.diameter * focal / max(points[:, 2].min(), REFINER.margin)
-        (left, top), (right, bottom) = (low - margin).tolist(), (high + margin + 1).tolist()
-        width, height = self.camera.size
-        rows = slice(int(min(max(top, 0), height)), int(min(max(bottom, 0), height)))
-        return rows, slice(int(min(max(left, 0), width)), int(min(max(right, 0), width)))
-
-    def _take(self, box: tuple[slice, slice], depth: Depth, hand: Mask | None, table: Array | None) -> None:
-        """Copies a box of the image, and clears the last one."""
+    def _take(self, T: Array, depth: Depth, hand: Mask | None, table: Array | None) -> None:
+        """Copies the box of the image around the object's silhouette at a pose, and clears the last one."""
         window = self._window[0]
         last = slice(*window["rows"]), slice(*window["columns"])
         self._depth[last], self._labels[last] = 0, OUT
+        points = se3.apply(T, self.model.points_object)
+        pixels = np.empty((len(points), 2))
+        pinhole.pixels_of(self.camera.record, points, pixels)
+        low, high = np.fmin.reduce(pixels), np.fmax.reduce(pixels)
+        focal, box = self.camera.matrix[0, 0], (slice(0, 0), slice(0, 0))
+        if not np.isnan(low[0]):  # NaN where it is out of the image
+            margin = 1 + REFINER.margin * self.model.diameter * focal / max(
+                points[:, 2].min(), REFINER.margin
+            )
+            ends = np.stack([low - margin, high + margin + 1]).clip(0, self.camera.size)
+            (left, top), (right, bottom) = ends.astype(int).tolist()
+            box = slice(top, bottom), slice(left, right)
         copied = self._depth[box]
         copied[:] = depth[box]
-        if not np.isfinite(
-            copied.sum()
-        ):  # many cameras have 0 for no depth, and one sum is quicker than a mask
+        # Many cameras have 0 for no depth, and one sum is quicker than a mask.
+        if not np.isfinite(copied.sum()):
             copied[~np.isfinite(copied)] = 0
         self._labels[box] = 0 if hand is None else np.where(hand[box], np.int32(HAND), np.int32(0))
         rows, columns = box

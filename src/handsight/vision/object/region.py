@@ -116,8 +116,7 @@ def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float) ->
 
 
 def observed_points(scene: Scene, spacing: float, most: int) -> NDArray[np.void]:
-    """Returns DEPTH_POINT (n,): at most so many points of the scene's segments, `spacing` [m] apart, in random
-    order."""
+    """Returns DEPTH_POINT (n,): at most so many points of the segments, `spacing` [m] apart, in random order."""
     order = np.flatnonzero(scene.labels >= 0)
     np.random.default_rng(0).shuffle(order)
     chosen = np.empty(most, dtype=np.int64)

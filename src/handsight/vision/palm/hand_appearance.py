@@ -15,7 +15,8 @@ from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.hand.chains import Chains, transform_points
-from handsight.hand.surface import HandShape, sample_by_area
+from handsight.hand.surface import sample_by_area
+from handsight.objects import Triangles
 
 
 class AppearanceOptions(NamedTuple):
@@ -27,8 +28,7 @@ class AppearanceOptions(NamedTuple):
     max_depth: float = 0.006  # how far a visible point may lie behind what is drawn [m]
     min_facing: float = 0.1  # the least cosine of its normal with the direction to the camera
     beside: float = 0.02  # distance from the hand's outline at which there is air, in steps of a search [m]
-    continued_depth: float = 0.015
-    """A surface beside the outline continues it where it is no farther behind the hand than this [m]."""
+    continued_depth: float = 0.015  # how far behind the hand a surface beside the outline continues it [m]
 
 
 APPEARANCE = AppearanceOptions()
@@ -48,21 +48,27 @@ class HandAppearance:
 
     @classmethod
     def of(cls, hand: Hand) -> "HandAppearance":
-        """Returns the appearance of the links that move with the palm or hang on it; raises InvalidInput where its
-        file has no shapes."""
+        """Returns the appearance of the links that the palm carries; raises InvalidInput for a file without shapes."""
         shape, (points, normals, body) = hand.shape(), skin_points(hand, APPEARANCE.points)
         order = np.random.default_rng(0).permutation(len(points))
-        corners = shape.vertices_body[shape.faces]
-        crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = float(np.linalg.norm(crosses, axis=1).sum() / 2)
+        area = Triangles(shape.vertices_body, shape.faces).area
         skin = points[order], normals[order], body[order]
-        return cls(shape.chains, skin, _coarser(shape), area / len(points))
+        # The coarse hand: the vertices of a link in one cell are merged to their mean.
+        cells = np.c_[shape.body_of, np.floor(shape.vertices_body / APPEARANCE.merge_distance)]
+        _, where = np.unique(cells, axis=0, return_inverse=True)
+        where = where.reshape(-1)
+        middles = [np.bincount(where, column) / np.bincount(where) for column in shape.vertices_body.T]
+        body = np.zeros(len(middles[0]), dtype=np.int64)
+        body[where] = shape.body_of
+        faces = where[shape.faces]
+        faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+        _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+        coarse = np.stack(middles, axis=1), body, faces[first].astype(np.int64)
+        return cls(shape.chains, skin, coarse, area / len(points))
 
     def placed(self, joint_positions: Mapping[str, float], *, sigma_joint: float = 0.0) -> "PlacedHand":
-        """Returns the hand with its joints there, each off by a constant `sigma_joint` [rad, for slides m].
-
-        Raises InvalidInput as `Hand.Ts_palm_tip` does.
-        """
+        """Returns the hand with its joints there, each off by a constant `sigma_joint` [rad, for slides m]. Raises
+        InvalidInput as `Hand.Ts_palm_tip` does."""
         Ts, axes = self.chains.poses(joint_positions)
         turns = Ts.copy()
         turns[:, :3, 3] = 0
@@ -133,8 +139,7 @@ class PlacedHand:
         return se3.apply(se3.inverse(T_camera_palm), points)
 
     def visible_from(self, camera: Camera, T_camera_palm: Array) -> Mask:
-        """Returns (m,) which points of the hand alone are visible at a pose; out of the image, all that face the
-        camera."""
+        """Returns (m,) which points of the hand alone are visible at a pose; out of the image, all that face it."""
         small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
         points, normals = se3.apply(T_camera_palm, self.skin[0]), self.skin[1] @ T_camera_palm[:3, :3].T
         way = np.linalg.norm(points, axis=1)
@@ -175,18 +180,3 @@ def _drawn(hand: PlacedHand, camera: Camera, T_camera_palm: bytes) -> Depth:
     """Returns the depth of the coarse triangles [m] in the smaller camera; inf beside them."""
     T = np.frombuffer(T_camera_palm).reshape(4, 4)
     return _smaller(camera).draw(se3.apply(T, hand.vertices), hand.appearance.coarse[2]).depth
-
-
-def _coarser(shape: HandShape) -> tuple[Array, Indices, Indices]:
-    """Returns vertices, their links and faces, with the vertices of a link in one cell merged to their mean."""
-    cells = np.c_[shape.body_of, np.floor(shape.vertices_body / APPEARANCE.merge_distance)]
-    _, where = np.unique(cells, axis=0, return_inverse=True)
-    where = where.reshape(-1)
-    count = np.bincount(where)
-    middles = [np.bincount(where, shape.vertices_body[:, i]) / count for i in range(3)]
-    body = np.zeros(len(count), dtype=np.int64)
-    body[where] = shape.body_of
-    faces = where[shape.faces]
-    proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    _, first = np.unique(np.sort(faces[proper], axis=1), axis=0, return_index=True)
-    return np.stack(middles, axis=1), body, faces[proper][first].astype(np.int64)

@@ -2,14 +2,19 @@
 
 from collections.abc import Mapping
 
+import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from handsight import se3
 from handsight.camera import Camera, Depth
-from handsight.checks import Array, Mask
+from handsight.checks import Array, Indices, Mask
 from handsight.rig import Rig
 from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 from handsight.vision.palm.hand_appearance import HandAppearance, PlacedHand
-from handsight.vision.palm.hand_mask import hand_mask
 from handsight.vision.palm.palm_detector import PalmDetection, PalmNotFound, detect_palm, follow_palm
 
+AROUND, SLACK = 3, 0.012
+"""Margins for joints that are off by a degree: around the drawn links [pixels], in front and behind [m]."""
 Joints = Mapping[str, float] | None
 
 
@@ -46,16 +51,8 @@ class HandInImage:
         if hand is None:
             return None
         found = follow_palm(camera, depth, hand, T_camera_palm, noise=self._noise) if follow else None
-        position, rotation = sigmas
-        return found or detect_palm(
-            camera,
-            depth,
-            hand,
-            T_camera_palm,
-            sigma_position=position,
-            sigma_rotation=rotation,
-            noise=self._noise,
-        )
+        known = {"sigma_position": sigmas[0], "sigma_rotation": sigmas[1]}
+        return found or detect_palm(camera, depth, hand, T_camera_palm, noise=self._noise, **known)
 
     def mask(
         self, camera: Camera, depth: Depth, joint_positions: Joints, T_camera_palm: Array
@@ -66,3 +63,30 @@ class HandInImage:
             return None
         vertices = self._shape.vertices_palm(joints)
         return hand_mask(camera, depth, vertices, self._shape.faces, T_camera_palm)
+
+
+def hand_mask(
+    camera: Camera,
+    depth: Depth,
+    vertices_palm: Array,
+    faces: Indices,
+    T_camera_palm: Array,
+    slack: float = SLACK,
+) -> Mask:
+    """Returns (h, w) whether a pixel of a depth image (h, w) [m] is the hand's.
+
+    The hand is triangles `faces` (m, 3) of vertices (k, 3) [m]. What is in front of it is not masked: it may be the
+    object.
+    """
+    drawn = camera.draw(se3.apply(T_camera_palm, vertices_palm), faces).depth
+    rows, columns = np.nonzero(np.isfinite(drawn))
+    mask = np.zeros(depth.shape, dtype=bool)
+    if not len(rows):
+        return mask
+    box = tuple(slice(max(r.min() - AROUND, 0), r.max() + AROUND + 1) for r in (rows, columns))
+    size, near = 2 * AROUND + 1, drawn[box]
+    far = np.where(np.isfinite(near), near, -np.inf)
+    nearest = minimum_filter(near, size=size, mode="constant", cval=np.inf)
+    farthest = maximum_filter(far, size=size, mode="constant", cval=-np.inf)
+    mask[box] = (nearest - slack < depth[box]) & (depth[box] < farthest + slack)
+    return mask

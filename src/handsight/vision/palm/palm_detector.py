@@ -14,15 +14,14 @@ from numpy.typing import NDArray
 
 from handsight import checks, se3
 from handsight._deprecated import renamed_members
-from handsight._kernels.image import hand_term
+from handsight._kernels.image import depth_covariance, hand_term
 from handsight._kernels.image.vision_records import STAGE
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices
-from handsight.errors import InvalidInput
-from handsight.vision.candidates import Candidates, candidates_at, poses_of
+from handsight.gaussian_pose import GaussianPose
+from handsight.vision.candidates import Candidates, candidates_at, depth_errors, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.palm.hand_appearance import PlacedHand
-from handsight.vision.palm.palm_covariance import palm_covariance
 from handsight.vision.palm.palm_search import Belief, Picture, distinct, picture_of, searched
 
 
@@ -53,8 +52,7 @@ class DetectorOptions(NamedTuple):
     continued_weight: float = 0.3
     """Cost of a surface that continues beside the hand's entire outline, as a share of the pixels that the hand should
     fill."""
-    max_continued: float = 0.55
-    """Share of the outline above which no answer is taken: the hand was found in a table or a wall."""
+    max_continued: float = 0.55  # share of the outline above which the hand was found in a table or a wall
     candidate_spacing: float = 0.025  # poses farther than this from each other are different [m]
     as_good: float = 0.85  # another pose with so much of the best score makes the answer ambiguous
     # A wide bound lets an object in the hand pull the hand away.
@@ -115,8 +113,12 @@ def detect_palm(
     T_camera_palm: as predicted, with sigmas `sigma_position` [m] of the hand's middle and `sigma_rotation` [rad] per
     axis; the time of the search grows with these. `noise`: of the depth, for the covariance. Raises InvalidInput.
     """
-    T = _checked(camera, depth, T_camera_palm)
-    sigmas = _positive(sigma_position, "sigma_position"), _positive(sigma_rotation, "sigma_rotation")
+    T = se3.check(T_camera_palm, "T_camera_palm")
+    camera.check_size(depth, "depth")
+    sigmas = (
+        checks.positive(sigma_position, "sigma_position"),
+        checks.positive(sigma_rotation, "sigma_rotation"),
+    )
     belief = Belief(hand, T, sigmas)
     picture = picture_of(camera, depth, hand, T, sigmas[0])
     if picture is None:
@@ -148,7 +150,8 @@ def follow_palm(
 
     T_camera_palm: off by about 10 mm and 3° per axis. The answer is `no_fit` where too little of the hand is there.
     """
-    T, sigmas = _checked(camera, depth, T_camera_palm), DETECTOR.followed_sigmas
+    T, sigmas = se3.check(T_camera_palm, "T_camera_palm"), DETECTOR.followed_sigmas
+    camera.check_size(depth, "depth")
     picture = picture_of(camera, depth, hand, T, sigmas[0])
     if picture is None:
         return PalmNotFound("outside")
@@ -160,19 +163,6 @@ def follow_palm(
         if not (fits & (candidate["passed"] < DETECTOR.max_passed * free)).all():
             return PalmNotFound("no_fit")
     return _answer(picture, candidate, noise)
-
-
-def _checked(camera: Camera, depth: Depth, T_camera_palm: Array) -> Array:
-    T = se3.check(T_camera_palm, "T_camera_palm")
-    camera.check_size(depth, "depth")
-    return T
-
-
-def _positive(value: float, name: str) -> float:
-    number = float(checks.finite(value, name, ()))
-    if not number > 0:
-        raise InvalidInput(f"{name}: expected a number above 0, got {number:g}")
-    return number
 
 
 def _align(picture: Picture, rows: Indices, stage: AlignStage, candidates: Candidates) -> None:
@@ -220,5 +210,37 @@ def _answer(picture: Picture, candidates: Candidates, noise: DepthNoise) -> Palm
     if picture.hand.outline_continued(picture.camera, picture.depth, T) > DETECTOR.max_continued:
         return PalmNotFound("no_fit")
     rows = np.flatnonzero(picture.hand.visible_from(picture.camera, T))
-    covariance = palm_covariance(picture, best, rows, DETECTOR.last_stage.last_bound, noise)
+    covariance = _covariance(picture, best, rows, DETECTOR.last_stage.last_bound, noise)
     return PalmDetection(T, covariance, float(fits[0]), best)
+
+
+def _covariance(
+    picture: Picture, candidate: Candidates, rows: Indices, bound: float, noise: DepthNoise
+) -> Array:
+    """Returns (6, 6) of CANDIDATE (1,) by (δp, δθ) of the palm along the camera's axes.
+
+    rows (k,): the visible points; bound: Tukey's [m]. The errors of points are those of `noise`. Those of whole
+    pixels are added, and those of constant errors of the joints, to first order: a weighted fit follows a joint that is
+    off.
+    """
+    T, hand, camera, compared = poses_of(candidate)[0], picture.hand, picture.camera, 150
+    skin, fitted = np.ascontiguousarray(hand.skin[:, rows]), np.empty((len(rows), 8))
+    hand_term.rows_of(camera.record, picture.arrays, skin, candidate["pose"].copy(), bound, fitted)
+    used = fitted[:, 0] > 0
+    weights, normals = fitted[used, 0], np.ascontiguousarray(fitted[used, 2:5])
+    points, center = se3.apply(T, skin[0, used]), se3.apply(T, hand.middle[None])[0]
+    z = np.maximum(center[2:], 1e-3)
+    # Along a direction that no point observes: half the hand's size, and 1.8 rad.
+    errors = depth_errors(camera, noise, z, (hand.radius, 1.8 * hand.radius))
+    informed, covariance = np.empty((2, 6, 6)), np.empty((6, 6))
+    depth_covariance.inform_points(weights, points, normals, center, hand.radius, errors, compared, informed)
+    depth_covariance.covariance_of(informed, errors, covariance)
+    if hand.sigma_joint > 0:
+        lines = np.hstack([normals, np.cross(points - center, normals) / hand.radius])
+        by_joints = np.einsum("mi,ij,mjk->mk", normals, T[:3, :3], hand.by_joints(rows[used]))
+        information = informed[0] + (weights.sum() + 1e-9) * 1e-9 * np.eye(6)
+        follows = np.linalg.solve(information, np.einsum("m,mi,mk->ik", weights, lines, by_joints))
+        covariance = covariance + hand.sigma_joint**2 * follows @ follows.T
+    scale = np.repeat([1.0, hand.radius], 3)
+    covariance = GaussianPose(T, covariance / np.outer(scale, scale)).at_point(-hand.middle).covariance
+    return np.asarray((covariance + covariance.T) / 2)

@@ -87,55 +87,48 @@ class Belief:
         return off, se3.rotation_log(rotations @ self.T[:3, :3].T)
 
 
-class Scan(NamedTuple):
-    """A `Scan` says which poses around a given one are tried, and by which points of the hand."""
-
-    points: Array
-    """(2, k, 3) about the hand's middle [m], and their normals; points in the air beside it have none."""
-    bin_width: float
-    """Of the distances from the camera that are told apart [m]."""
-    turns: Array
-    """(r, 3, 3) rotations of the hand."""
-    shifts: Array
-    """(s, 3) shifts of its middle [m]."""
-    kept: int
-    """How many poses are kept."""
-
-
 def searched(picture: Picture, belief: Belief, visible: Mask) -> Candidates:
     """Returns CANDIDATE (k,) from which the hand is aligned: the best poses of all within the belief, and around them.
-
-    visible (m,): which points of the hand the camera sees at the belief.
-    """
+    visible (m,): which points of the hand the camera sees at the belief."""
     hand, rows, options = picture.hand, np.flatnonzero(visible), PALM_SEARCH
     air = hand.beside(picture.camera, belief.T, options.scanned)
     points = _about_middle(hand, rows[: options.scanned], air[: options.scanned // 2])
     turns = _turns(options.max_sigmas * belief.sigmas[1], options.rotation)
     shifts = _shifts(options.max_sigmas * belief.sigmas[0])
-    candidates = _best(picture, belief, Scan(points, options.bin, turns, shifts, options.best), belief.T)
+    candidates = _best(picture, belief, belief.T, points, options.bin, turns, shifts, options.best)
     candidates = distinct(hand, candidates, options.shift, options.refined)
     points = _about_middle(hand, rows[: 2 * options.scanned], air)
     turns = _turns(options.rotation / 2, options.rotation / 2)
-    finer = Scan(points, options.bin / 2, turns, np.zeros((1, 3)), options.best_around)
-    around = [_best(picture, belief, finer, T) for T in poses_of(candidates)]
+    finer = points, options.bin / 2, turns, np.zeros((1, 3)), options.best_around
+    around = [_best(picture, belief, T, *finer) for T in poses_of(candidates)]
     return distinct(hand, np.concatenate([candidates[:0], *around]), options.shift / 2, options.kept)
 
 
 def _about_middle(hand: PlacedHand, rows: Indices, air: Array) -> Array:
-    """Returns points of the skin and in the air, as a `Scan` has them."""
+    """Returns (2, k, 3): points of the skin and in the air, about the hand's middle [m]; their normals, or zeros."""
     points = np.concatenate([hand.skin[0, rows], air]) - hand.middle
     return np.stack([points, np.concatenate([hand.skin[1, rows], np.zeros_like(air)])])
 
 
-def _best(picture: Picture, belief: Belief, scan: Scan, T: Array) -> Candidates:
-    """Returns the best CANDIDATE (k,) of all turns and shifts of a scan around a pose T (4, 4).
+def _best(
+    picture: Picture,
+    belief: Belief,
+    T: Array,
+    points: Array,
+    bin_width: float,
+    turns: Array,
+    shifts: Array,
+    most: int,
+) -> Candidates:
+    """Returns the best CANDIDATE (k,), `most` at most, of all `turns` (r, 3, 3) and `shifts` (s, 3) [m] of the hand at
+    a pose T (4, 4), by `points` as of `_about_middle`.
 
-    For each of them one distance from the camera is taken, the one at which most points agree with the image.
+    For each of them one distance from the camera is taken, the one at which most points agree with the image, of those
+    that are `bin_width` [m] apart.
     """
-    rotations, most = scan.turns @ T[:3, :3], scan.kept
-    middles = se3.apply(T, belief.hand.middle[None])[0] + scan.shifts
+    rotations, middles = turns @ T[:3, :3], se3.apply(T, belief.hand.middle[None])[0] + shifts
     found = np.empty((len(rotations), len(middles), 2))
-    palm_scan.scan(picture.cells, picture.corner, scan.bin_width, scan.points, middles, rotations, found)
+    palm_scan.scan(picture.cells, picture.corner, bin_width, points, middles, rotations, found)
     places = middles * (1 + found[..., 1] / middles[:, 2])[..., None]
     off, turned = belief.differences(places, rotations[:, None])
     chi2 = (off**2).sum(axis=-1) / belief.sigmas[0] ** 2 + (turned**2).sum(axis=-1) / belief.sigmas[1] ** 2
@@ -172,21 +165,15 @@ def _shifts(reach: float) -> Array:
 
 
 def distinct(hand: PlacedHand, candidates: Candidates, spacing: float, most: int) -> Candidates:
-    """Returns the best candidates, the best first, each at least `spacing` from all better ones.
-
-    Their distance is the root mean square of that of a few points of the hand [m].
-    """
+    """Returns the best candidates, the best first, each at least `spacing` from all better ones. Their distance is the
+    root mean square of that of a few points of the hand [m]."""
     candidates = candidates[np.argsort(-candidates["score"], kind="stable")]
     points = hand.skin[0, : PALM_SEARCH.compared]
     places = se3.apply(poses_of(candidates), points).reshape(len(candidates), points.size)
-    taken = np.zeros(len(candidates), dtype=bool)
-    kept = list[int]()
+    taken, kept = np.zeros(len(candidates), dtype=bool), list[int]()
     for k in range(len(candidates)):
-        if taken[k]:
-            continue
-        kept.append(k)
-        if len(kept) == most:
-            break
-        away = places - places[k]
-        taken |= np.einsum("ki,ki->k", away, away) < PALM_SEARCH.compared * spacing**2
+        if not taken[k] and len(kept) < most:
+            kept.append(k)
+            away = places - places[k]
+            taken |= np.einsum("ki,ki->k", away, away) < PALM_SEARCH.compared * spacing**2
     return candidates[kept]

@@ -14,6 +14,7 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from handsight import se3
 from handsight.checks import Array, Mask
+from handsight.objects import about
 from handsight.vision.reconstruction.volume import SurfacePoints, Volume, thinned
 
 
@@ -36,8 +37,7 @@ class CompletionOptions(NamedTuple):
     open_share: float = 0.6  # an outline that fills less than this of its hull is open
     part_gap: int = 2  # half the gap that there may be between parts of one object [cells]
     sigma_measured: float = 5e-4
-    """Common error of the measured points [m]: mostly the constant one of the camera, which no number of views
-    lowers."""
+    """Common error of the measured points [m]: mostly the camera's constant one, which no number of views lowers."""
     sigma_guessed: float = 1.5e-3  # common error of the guessed points [m]
     guess_distance: float = 1.5  # from any measured point, beyond which a guess is added [cells]
 
@@ -92,9 +92,18 @@ def closed(surface: SurfacePoints, volume: Volume, table: bool) -> Reconstructed
     points, normals, guesses = surface.points, surface.normals, list[str]()
     count = len(points)
     for description, maps in _symmetries(surface, volume, table):
-        new = _filled(SurfacePoints(points, normals), maps, volume, table)
-        if len(new.points) > 0.01 * count:
-            points, normals = np.concatenate([points, new.points]), np.concatenate([normals, new.normals])
+        # The points under the symmetry, one a cell, where they come to unknown places.
+        places = se3.apply(maps, points).reshape(-1, 3)
+        facing = np.concatenate([normals @ T[:3, :3].T for T in maps])
+        (low, high), cell = volume.bounds_object, volume.grid.cell
+        new = ~volume.among(volume.known(1) | volume.clear(), places)
+        new &= ((places > low) & (places < high)).all(axis=1)
+        new &= cKDTree(points).query(places)[0] > COMPLETION.guess_distance * cell
+        if table:
+            new &= places[:, 2] > COMPLETION.table_margin * cell
+        cells, ways = thinned(places[new] / cell, facing[new]) if new.any() else (places[new], facing[new])
+        if len(cells) > 0.01 * count:
+            points, normals = np.concatenate([points, cells * cell]), np.concatenate([normals, ways])
             guesses.append(description)
     if table and count:
         lowest = _base(SurfacePoints(points, normals), volume.grid.cell)
@@ -109,7 +118,16 @@ def _symmetries(surface: SurfacePoints, volume: Volume, table: bool) -> list[tup
         return []
     some = np.random.default_rng(0).permutation(len(surface.points))[: COMPLETION.judged_points]
     judge = _Judge(volume, surface.points[some])
-    axis = _revolution(surface)
+    # Turns about the line that the surface's normals come nearest to meeting: a line of direction d and moment m meets
+    # that of a normal n at p where d·(p × n) + m·n = 0 (Pottmann 1999).
+    middle = surface.points.mean(axis=0)
+    p, n = surface.points - middle, surface.normals
+    moments = np.cross(p, n)
+    nn, nd, dd = n.T @ n, n.T @ moments, moments.T @ moments
+    lever = np.linalg.solve(nn + 1e-9 * np.trace(nn) * np.eye(3), nd)
+    d = np.linalg.eigh(dd - nd.T @ lever)[1][:, 0]
+    angles = 2 * np.pi / COMPLETION.turns * np.arange(1, COMPLETION.turns)
+    axis = about(middle - np.cross(d, lever @ d), angles[:, None] * d)
     if judge.allows(axis):
         return [("a body of revolution", axis)]
     found = list[tuple[str, Array]]()
@@ -173,18 +191,13 @@ class _Judge:
 
     def _refined(self, plane: Array, table: bool) -> Array:
         """Returns the mirror (4, 4) near a plane (4,) that fits best."""
-        free = [0, 1, 3] if table else [0, 1, 2, 3]
-
-        def moved(x: Array) -> Array:
-            turned = plane.copy()
-            turned[free] += x * np.where(np.array(free) == 3, 0.01, 0.1)
-            return turned
+        steps = np.diag([0.1, 0.1, 0.1, 0.01])[[0, 1, 3] if table else [0, 1, 2, 3]]
 
         def cost(x: Array) -> float:
-            return float(self.cost(_mirror(moved(x))[None])[0])
+            return float(self.cost(_mirror(plane + x @ steps)[None])[0])
 
-        best = minimize(cost, np.zeros(len(free)), method="Nelder-Mead")
-        return _mirror(moved(best.x))
+        best = minimize(cost, np.zeros(len(steps)), method="Nelder-Mead")
+        return _mirror(plane + best.x @ steps)
 
 
 def _mirror(plane: Array) -> Array:
@@ -194,39 +207,6 @@ def _mirror(plane: Array) -> Array:
     T[:3, :3] -= 2 * np.outer(n, n)
     T[:3, 3] = 2 * plane[3] * n
     return T
-
-
-def _revolution(surface: SurfacePoints) -> Array:
-    """Returns turns (turns - 1, 4, 4) about the line that the surface's normals come nearest to meeting.
-
-    A line of direction d and moment m meets that of a normal n at p where d·(p × n) + m·n = 0 (Pottmann 1999).
-    """
-    middle = surface.points.mean(axis=0)
-    p, n = surface.points - middle, surface.normals
-    moments = np.cross(p, n)
-    nn, nd, dd = n.T @ n, n.T @ moments, moments.T @ moments
-    lever = np.linalg.solve(nn + 1e-9 * np.trace(nn) * np.eye(3), nd)
-    d = np.linalg.eigh(dd - nd.T @ lever)[1][:, 0]
-    m = -lever @ d
-    through = middle + np.cross(d, m)
-    turns = se3.rotation_exp(2 * np.pi / COMPLETION.turns * np.arange(1, COMPLETION.turns)[:, None] * d)
-    return se3.compose(turns, through - turns @ through)
-
-
-def _filled(surface: SurfacePoints, maps: Array, volume: Volume, table: bool) -> SurfacePoints:
-    """Returns the points of a surface under maps (k, 4, 4), one a cell, where they come to unknown places."""
-    points = se3.apply(maps, surface.points).reshape(-1, 3)
-    normals = np.concatenate([surface.normals @ T[:3, :3].T for T in maps])
-    (low, high), cell = volume.bounds_object, volume.grid.cell
-    new = ~volume.among(volume.known(1) | volume.clear(), points)
-    new &= ((points > low) & (points < high)).all(axis=1)
-    new &= cKDTree(surface.points).query(points)[0] > COMPLETION.guess_distance * cell
-    if table:
-        new &= points[:, 2] > COMPLETION.table_margin * cell
-    if not new.any():
-        return SurfacePoints(points[new], normals[new])
-    at, facing = thinned(points[new] / cell, normals[new])
-    return SurfacePoints(at * cell, facing)
 
 
 def _base(surface: SurfacePoints, cell: float) -> SurfacePoints:
@@ -240,22 +220,17 @@ def _base(surface: SurfacePoints, cell: float) -> SurfacePoints:
     heights = cell * np.arange(0.5, COMPLETION.table_margin)
     wall = np.concatenate([np.column_stack([ring, np.full(len(ring), z)]) for z in heights])
     walls, ways = thinned(wall / cell, np.tile(outward, (len(heights), 1)))
-    inside = _filled_in(ring, cell)
-    base = np.column_stack([inside, np.zeros(len(inside))])
-    down = np.tile([0.0, 0, -1], (len(base), 1))
-    return SurfacePoints(np.concatenate([walls * cell, base]), np.concatenate([ways, down]))
-
-
-def _filled_in(ring: Array, cell: float) -> Array:
-    """Returns places (m, 2) a cell apart [m] inside a ring of points (n, 2); those of its hull, if the ring is open."""
-    low = ring.min(axis=0) - (COMPLETION.closed_gap + 1) * cell
-    at = np.rint((ring - low) / cell).astype(int)
+    # The base is inside the ring of lowest points; inside its hull, if the ring is open.
+    corner = ring.min(axis=0) - (COMPLETION.closed_gap + 1) * cell
+    at = np.rint((ring - corner) / cell).astype(int)
     image = np.zeros(tuple(at.max(axis=0) + COMPLETION.closed_gap + 2), dtype=bool)
     image[tuple(at.T)] = True
     solid = binary_fill_holes(binary_closing(image, np.ones((3, 3)), iterations=COMPLETION.closed_gap))
-    nodes = np.argwhere(np.ones_like(image))
+    filled, nodes = np.argwhere(solid), np.argwhere(np.ones_like(image))
     with contextlib.suppress(QhullError):  # all on one line
         hull = nodes[Delaunay(at).find_simplex(nodes) >= 0]
-        if solid.sum() < COMPLETION.open_share * len(hull):
-            return np.asarray(low + cell * hull)
-    return np.asarray(low + cell * np.argwhere(solid))
+        filled = hull if len(filled) < COMPLETION.open_share * len(hull) else filled
+    inside = corner + cell * filled
+    base = np.column_stack([inside, np.zeros(len(inside))])
+    down = np.tile([0.0, 0, -1], (len(base), 1))
+    return SurfacePoints(np.concatenate([walls * cell, base]), np.concatenate([ways, down]))

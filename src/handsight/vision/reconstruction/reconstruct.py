@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
 from handsight import se3
@@ -36,7 +35,7 @@ class ReconstructionOptions(NamedTuple):
 RECONSTRUCTION = ReconstructionOptions()
 
 STAGES = np.array([(0, 1.0, 0.5, 6, 1), (1, 1.0, 0.6, 8, 1)], dtype=STAGE)
-"""How a view is aligned with the coarse and the fine volume, with bounds in those of the volume."""
+"""How a view is aligned with the coarse and then the fine volume, with bounds in those of the volume."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,13 +94,14 @@ class Reconstruction:
         scene = Scene(self.camera, view.depth, labels, sizes)
         points = observed_points(scene, RECONSTRUCTION.spacing, RECONSTRUCTION.max_points)
         T = view.T_camera_object
-        for stage in STAGES:
-            fine = bool(stage["fine"])
-            bound = (self.volume if fine else self._coarse).bound
-            known = points[surface.is_known(fine, se3.apply(se3.inverse(T), points["point"]))]
-            T = surface.refined(known, T, np.atleast_1d(stage), bound)
-        off = np.abs(surface.distances(se3.apply(se3.inverse(T), known["point"])))
-        enough = max(RECONSTRUCTION.min_fit * len(known), RECONSTRUCTION.min_points)
+        for stage, volume, known in zip(STAGES, (self._coarse, self.volume), surface.known, strict=True):
+            # Places that no view has observed yet would be pulled onto known surfaces.
+            some = points[volume.among(known, se3.apply(se3.inverse(T), points["point"]))]
+            candidate, stages = candidates_at(T[None]), np.atleast_1d(stage)
+            depth_term.refine_poses(*surface.record, some, stages, volume.bound, NOTHING_KNOWN, candidate)
+            T = poses_of(candidate)[0]
+        off = np.abs(surface.fine.evaluate(se3.apply(se3.inverse(T), some["point"])).distance)
+        enough = max(RECONSTRUCTION.min_fit * len(some), RECONSTRUCTION.min_points)
         return View(view.depth, T) if (off < RECONSTRUCTION.near * self.volume.bound).sum() > enough else None
 
 
@@ -118,28 +118,12 @@ class _Surface:
     """A `_Surface` is the surface so far, as a model that views are aligned with."""
 
     def __init__(self, coarse: Volume, fine: Volume) -> None:
-        self._volumes = {False: coarse, True: fine}
-        self._known = {scale: binary_erosion(volume.observed()) for scale, volume in self._volumes.items()}
-        self._fine = fine.field()
-        fields = [field.record for field in (coarse.field(), self._fine)]
-        self._model, self._nodes = np.zeros(1, dtype=MODEL), np.concatenate([nodes for _, nodes in fields])
-        self._model["coarse"], self._model["fine"] = (record for record, _ in fields)
-        self._model["fine"]["nodes"] = len(fields[0][1])
-        low, high = fine.bounds_object
-        self._model["radius"], self._model["center"] = np.linalg.norm(high - low) / 2, (low + high) / 2
-
-    def is_known(self, fine: bool, points_object: Array) -> Mask:
-        """Returns (n,) whether any view has observed the places of points (n, 3) [m]; new ones would be pulled onto
-        known surfaces."""
-        return self._volumes[fine].among(self._known[fine], points_object)
-
-    def distances(self, points_object: Array) -> Array:
-        """Returns (n,) [m] from the surface."""
-        return self._fine.evaluate(points_object).distance
-
-    def refined(self, points: NDArray[np.void], T: Array, stages: NDArray[np.void], bound: float) -> Array:
-        """Returns T_camera_object (4, 4) near T where DEPTH_POINT (n,) lie on the surface, by STAGE (r,) in `bound`
-        [m]."""
-        candidate = candidates_at(T[None])
-        depth_term.refine_poses(self._model, self._nodes, points, stages, bound, NOTHING_KNOWN, candidate)
-        return np.asarray(poses_of(candidate)[0])
+        self.known, self.fine = [binary_erosion(volume.observed()) for volume in (coarse, fine)], fine.field()
+        """Which nodes of each volume any view has observed (nx, ny, nz); the field of the fine one."""
+        fields, (low, high) = [coarse.field().record, self.fine.record], fine.bounds_object
+        model = np.zeros(1, dtype=MODEL)
+        model["coarse"], model["fine"] = (record for record, _ in fields)
+        model["fine"]["nodes"] = len(fields[0][1])
+        model["radius"], model["center"] = np.linalg.norm(high - low) / 2, (low + high) / 2
+        self.record = model, np.concatenate([nodes for _, nodes in fields])
+        """MODEL (1,), and the nodes of both fields."""

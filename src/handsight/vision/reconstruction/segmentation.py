@@ -68,8 +68,7 @@ class InHandView:
     """An `InHandView` takes the hand out of depth images of it and the object that it holds."""
 
     def __init__(self, hand: Hand, sigma_joint: float) -> None:
-        """`sigma_joint`: constant error of each joint [rad, for slides m]. Raises InvalidInput for a hand without
-        shapes."""
+        """`sigma_joint`: constant error of a joint [rad, slides: m]. Raises InvalidInput for a hand without shapes."""
         self._hand, self._chains, self._sigma_joint = hand, hand.shape().chains, sigma_joint
         self._points, _, self._bodies = skin_points(hand, SEGMENTATION.skin_points)
 
@@ -82,11 +81,7 @@ class InHandView:
         return np.asarray(self._hand.Ts_palm_tip(joint_positions)[:, :3, 3].mean(axis=0))
 
     def without_hand(
-        self,
-        camera: Camera,
-        depth: Depth,
-        joint_positions: Mapping[str, float],
-        T_camera_palm: Array,
+        self, camera: Camera, depth: Depth, joint_positions: Mapping[str, float], T_camera_palm: Array
     ) -> Depth:
         """Returns a depth image (h, w) [m] with 0 for all points as near to the hand as the errors of its joints.
 

@@ -43,9 +43,7 @@ class Volume:
     @property
     def bounds_object(self) -> Array:
         """(2, 3) [m]."""
-        return np.stack(
-            [self.grid.origin, self.grid.origin + self.grid.cell * (np.array(self.grid.shape) - 1)]
-        )
+        return np.stack([low := self.grid.origin, low + self.grid.cell * (np.array(self.grid.shape) - 1)])
 
     def fuse(self, camera: Camera, depth: Depth, T_camera_object: Array) -> None:
         """Adds a depth image (h, w) [m], 0 where it has no depth."""
@@ -55,8 +53,7 @@ class Volume:
         self.views += 1
 
     def known(self, least: int = MIN_VIEWS) -> Mask:
-        """Returns (nx, ny, nz) whether the distance is known: so many views had the surface near, and no more of them
-        saw past the node."""
+        """Returns (nx, ny, nz) whether so many views had the surface near a node, and no more of them saw past it."""
         views = self.voxels["views"]
         return np.asarray((views >= least) & (self.voxels["passed"] <= views))
 
@@ -72,12 +69,28 @@ class Volume:
 
     def surface(self) -> SurfacePoints:
         """Returns the surface: where distances change their sign between neighbours."""
-        f = self.distances()
-        slopes = np.stack([_slope(f, axis) for axis in range(3)], axis=-1)
-        found = [_crossings(f, slopes, axis) for axis in range(3)]
-        points, normals = (np.concatenate(each) for each in zip(*found, strict=True))
-        at, facing = thinned(points, normals)
-        return SurfacePoints(self.grid.origin + self.grid.cell * at, facing)
+        f, slopes, points, normals = self.distances(), [], [], []
+        for axis, n in enumerate(f.shape):
+            # The mean change to the known neighbours, 0 where there is none: a surface seen aslant is a few nodes
+            # thick, and often has a neighbour on one side only.
+            change = np.diff(f, axis=axis, prepend=np.nan, append=np.nan)
+            both = np.stack([change.take(range(n), axis), change.take(range(1, n + 1), axis)])
+            known = np.isfinite(both)
+            slopes.append(np.where(known, both, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+        slope = np.stack(slopes, axis=-1)
+        with np.errstate(invalid="ignore"):
+            for axis, n in enumerate(f.shape):
+                at = np.argwhere(f.take(range(n - 1), axis) * f.take(range(1, n), axis) < 0)
+                here, next_ = tuple(at.T), tuple((at + np.eye(3, dtype=np.int64)[axis]).T)
+                share = (f[here] / (f[here] - f[next_]))[:, None]
+                way = (1 - share) * slope[here] + share * slope[next_]
+                length = np.linalg.norm(way, axis=1)
+                # Where the slope contradicts the change of sign, or is not known, there is no surface.
+                good = (length > 0) & (way[:, axis] * (f[next_] - f[here]) > 0)
+                points.append((at + share * np.eye(3)[axis])[good])
+                normals.append(way[good] / length[good, None])
+        cells, facing = thinned(np.concatenate(points), np.concatenate(normals))
+        return SurfacePoints(self.grid.origin + self.grid.cell * cells, facing)
 
     def among(self, nodes: Mask, points_object: Array) -> Mask:
         """Returns (n,) whether the nodes nearest to points (n, 3) [m] are among `nodes` (nx, ny, nz)."""
@@ -98,35 +111,6 @@ class Volume:
         """Returns (nx, ny, nz) whether a node is free space: more views saw past it than had a surface near."""
         views, passed = self.voxels["views"], self.voxels["passed"]
         return np.asarray((passed > views) & (passed >= min(MIN_VIEWS, self.views)))
-
-
-def _slope(f: Array, axis: int) -> Array:
-    """Returns (nx, ny, nz) the mean change of f to its known neighbours along an axis; 0 where there is none.
-
-    A surface seen aslant is a few nodes thick, and often has a neighbour on one side only.
-    """
-    change = np.diff(f, axis=axis, prepend=np.nan, append=np.nan)
-    n = f.shape[axis]
-    both = np.stack([change.take(range(n), axis), change.take(range(1, n + 1), axis)])
-    known = np.isfinite(both)
-    return np.asarray(np.where(known, both, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
-
-
-def _crossings(f: Array, slopes: Array, axis: int) -> tuple[Array, Array]:
-    """Returns places (n, 3) [cells] and unit normals (n, 3) where f (nx, ny, nz) changes its sign along an axis."""
-    n = f.shape[axis]
-    a, b = f.take(range(n - 1), axis), f.take(range(1, n), axis)
-    with np.errstate(invalid="ignore"):
-        at = np.argwhere(a * b < 0)
-    here, next_ = tuple(at.T), tuple((at + np.eye(3, dtype=np.int64)[axis]).T)
-    share = (f[here] / (f[here] - f[next_]))[:, None]
-    normals = (1 - share) * slopes[here] + share * slopes[next_]
-    length = np.linalg.norm(normals, axis=1)
-    # Where the slope contradicts the change of sign, or is not known, there is no surface.
-    with np.errstate(invalid="ignore"):
-        good = (length > 0) & (normals[:, axis] * (f[next_] - f[here]) > 0)
-    points = at + share * np.eye(3)[axis]
-    return points[good], np.asarray(normals[good] / length[good, None])
 
 
 def thinned(points: Array, normals: Array) -> SurfacePoints:
