@@ -16,8 +16,7 @@ from handsight.correction.mean import _merged
 from handsight.correction.modes import in_metres
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
-from handsight.errors import ObjectWarning
-from handsight.objects import Symmetries
+from handsight.objects import ObjectWarning, Symmetries
 from handsight.objects.symmetry import tangents
 from handsight.tracking import TrackerSettings
 from objects.object_shapes import data_file
