@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from scipy.special import chdtri
+from scipy.special import chdtrc, chdtri
 
 import handsight as hs
 from handsight import se3
@@ -16,7 +16,7 @@ from handsight.correction.mean import _merged
 from handsight.correction.modes import in_metres
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
-from handsight.objects import Symmetries
+from handsight.objects import ObjectWarning, Symmetries
 from handsight.objects.symmetry import tangents
 from handsight.tracking import TrackerSettings
 from objects.object_shapes import data_file
@@ -242,19 +242,50 @@ def test_an_unknown_answer_is_refused():
     assert answer == {"error": "answer: expected one of best, maximum, mean, got 'median'"}
 
 
+def marker():
+    """A pen of 12 cm with a step, a groove and a tip: a surface whose detail is as small as a contact's error."""
+    radius = np.array([0, 4, 4, 9, 9, 6.5, 6.5, 11, 11, 0]) / 1000
+    height = np.array([-60, -60, -50, -50, 0, 0, 12, 12, 60, 60]) / 1000
+    around = 2 * np.pi * np.arange(48) / 48
+    ring = np.stack([np.cos(around), np.sin(around)], axis=1)
+    vertices = [np.column_stack([r * ring, np.full(48, z)]) for r, z in zip(radius, height, strict=True)]
+    here = np.arange(48 * (len(radius) - 1))
+    after = here - here % 48 + (here + 1) % 48
+    faces = [np.stack([here, after, after + 48], axis=1), np.stack([here, after + 48, here + 48], axis=1)]
+    with pytest.warns(ObjectWarning, match="without area"):  # at both ends
+        return hs.ObjectModel.from_mesh(np.concatenate(vertices), np.concatenate(faces))
+
+
+def left_out(model, rng, contacts, count, error):
+    """Share of truths in less than a thousandth of the posterior, over all hypotheses by their weights."""
+    scenes, beyond = (
+        [random_scene(anywhere_on(model)(rng, contacts), rng, error=error) for _ in range(count)],
+        0,
+    )
+    found = hs.correct_poses(model, [(scene.contacts, scene.vision) for scene in scenes])
+    for scene, estimate in zip(scenes, found, strict=True):
+        probability = 0.0
+        for mode in estimate.hypotheses:
+            square, freedom = chi2(model, mode.T_palm_object, mode.information, scene.T_palm_object)
+            probability += mode.weight * chdtrc(freedom, square)
+        beyond += probability < 1e-3
+    return beyond / count
+
+
+def test_three_and_four_contacts_on_small_detail_seldom_leave_the_truth_out():
+    """Of 600 answers each 0.2 % and 0.3 % did when this was written, and 3 % with starts on the coarse field alone and
+    modes of its minima."""
+    model, near = marker(), (0.005, np.deg2rad(4))
+    for contacts in (3, 4):
+        assert left_out(model, np.random.default_rng([12, contacts]), contacts, 300, near) < 0.015
+
+
 @pytest.mark.slow
 def test_three_contacts_on_a_scan_seldom_leave_the_truth_out():
-    """Of 600 answers with vision 20 mm and 15° off, 3 % were beyond their 99.9 % region when this was written, and 9 %
-    with one start and one minimum."""
+    """Of 600 answers with vision 20 mm and 15° off, 0.7 % did when this was written, and 2.3 % with starts on the coarse
+    field alone and modes of its minima."""
     model = hs.ObjectModel.from_file(data_file("ycb_meshes/006_mustard_bottle.ply"))
-    rng = np.random.default_rng(11)
-    scenes = [random_scene(anywhere_on(model)(rng, 3), rng) for _ in range(600)]
-    found = hs.correct_poses(model, [(scene.contacts, scene.vision) for scene in scenes])
-    beyond = 0
-    for scene, estimate in zip(scenes, found, strict=True):
-        square, freedom = chi2(model, estimate.T_palm_object, estimate.information, scene.T_palm_object)
-        beyond += bool(square > chdtri(freedom, 1e-3))
-    assert beyond < 0.05 * len(scenes)
+    assert left_out(model, np.random.default_rng(11), 3, 600, ERROR) < 0.015
 
 
 @pytest.mark.parametrize("draw", [on_box_faces, on_can_side])

@@ -20,7 +20,7 @@ from handsight.correction.problem import Problem, Records
 class DrawOptions(NamedTuple):
     """`DrawOptions` say how a posterior by few contacts is drawn from."""
 
-    draws: int = 512
+    draws: int = 384
     draws_single: int = 192  # where there is one minimum
     least_departure: float = 3.0
     """One minimum is drawn about where the cost beside it rises by this factor more than a Gaussian's. Up to there the
