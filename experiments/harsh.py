@@ -181,6 +181,8 @@ def runs(name: str, seed: int, keys: tuple[str, ...], rate: float) -> Rows:
                 for samples, sample in zip(recorded, instant, strict=True):
                     if sample is not None:
                         samples.append(replace(sample, configuration=np.empty(0)))
+                if any(samples and samples[-1].dropped for samples in recorded):
+                    break  # such a run is left out, and what falls off a table falls for the rest of it
         except hs.InvalidObject:  # thrown away by the simulator
             continue
         for key, n in here.items():
