@@ -341,4 +341,4 @@ def test_a_hand_knows_its_joints_better_after_some_grips_and_says_how_well(tmp_p
     )
     assert column(learnt, "offsets").mean() < 0.9 * column(new, "offsets").mean()
     assert 0.7 < column(learnt, "offsets").mean() / column(learnt, "claimed").mean() < 1.4
-    assert column(learnt, "seen").mean() < 0.8 * column(new, "seen").mean()
+    assert column(learnt, "seen").mean() < 0.9 * column(new, "seen").mean()
