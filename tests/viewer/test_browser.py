@@ -77,16 +77,18 @@ def test_the_object_moves_as_the_recording_plays_and_the_slider_seeks(browser, p
 
         player.play(True)
         until(lambda: not player.playing)
+        # Vision's first pose is centimetres off. The browser draws what it was sent when it has time.
+        until(lambda: np.linalg.norm(amber(page) - began) > 3)
+        time.sleep(1.0)
         ended = amber(page)
-        assert np.linalg.norm(ended - began) > 3  # vision's first pose is centimetres off
 
         thumb = tab.get_by_role("slider").first
         thumb.press("Home")
         until(lambda: page.last is timeline.moments[0])
-        np.testing.assert_allclose(amber(page), began, atol=1.0)
+        until(lambda: np.abs(amber(page) - began).max() < 1.0)
         thumb.press("End")
         until(lambda: page.last is timeline.moments[-1])
-        np.testing.assert_allclose(amber(page), ended, atol=1.0)
+        until(lambda: np.abs(amber(page) - ended).max() < 1.0)
 
         # Whoever else looks sees the same moment, and may choose another for both.
         other = browser.new_page(viewport={"width": 480, "height": 320})
