@@ -109,13 +109,7 @@ def table_off(height: float, tilt_deg: float) -> Callable[[Problem], Problem]:
 
 def small_tips(problem: Problem) -> Problem:
     """Returns the problem with a rig whose tips are smaller than the true ones."""
-    fingers = {}
-    for name, finger in problem.rig.fingers.items():
-        tip = finger.tip
-        assert isinstance(tip, hs.Ellipsoid)
-        axes = np.asarray(tip.semi_axes) - TIP
-        small = hs.Ellipsoid(axes, tip.cap, tip.max_friction, tip.min_force, tip.T_surface_sensor)
-        fingers[name] = replace(finger, tip=small)
+    fingers = {name: replace(f, tip=f.tip.larger(-TIP)) for name, f in problem.rig.fingers.items()}
     return replace(problem, rig=replace(problem.rig, fingers=fingers))
 
 

@@ -258,10 +258,8 @@ def marker():
 
 def left_out(model, rng, contacts, count, error):
     """Share of truths in less than a thousandth of the posterior, over all hypotheses by their weights."""
-    scenes, beyond = (
-        [random_scene(anywhere_on(model)(rng, contacts), rng, error=error) for _ in range(count)],
-        0,
-    )
+    beyond = 0
+    scenes = [random_scene(anywhere_on(model)(rng, contacts), rng, error=error) for _ in range(count)]
     found = hs.correct_poses(model, [(scene.contacts, scene.vision) for scene in scenes])
     for scene, estimate in zip(scenes, found, strict=True):
         probability = 0.0

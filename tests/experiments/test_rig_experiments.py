@@ -333,12 +333,12 @@ def test_the_harsh_table_has_a_row_of_each_run_and_shows_what_a_wrong_table_cost
 @pytest.mark.slow
 @needs_simulator
 def test_a_hand_knows_its_joints_better_after_some_grips_and_says_how_well(tmp_path, monkeypatch):
-    """Hands differ: it takes four to show it."""
+    """Hands differ: it takes eight to show it."""
     monkeypatch.setattr("joint_offsets.GRASPS", 5)
-    rows = run("joint_offsets", tmp_path, "--quick", "--trials", "4")["joint_offsets"]
+    rows = run("joint_offsets", tmp_path, "--quick", "--trials", "8")["joint_offsets"]
     new, learnt = (
         [row for row in rows if row["way"] == way and int(row["grip"]) >= 4] for way in ("as new", "learnt")
     )
     assert column(learnt, "offsets").mean() < 0.9 * column(new, "offsets").mean()
     assert 0.7 < column(learnt, "offsets").mean() / column(learnt, "claimed").mean() < 1.4
-    assert column(learnt, "seen").mean() < 0.9 * column(new, "seen").mean()
+    assert column(learnt, "seen").mean() < 0.8 * column(new, "seen").mean()

@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-import handsight as hs
 from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.simulation import Nuisances, Scenario, model_of, rig_of, simulate
@@ -40,11 +39,7 @@ def declared(*, radius: float = 0.0, angle: float = 0.0) -> Rig:
     """
     rig = rig_of(Scenario(object="can"))
     fingers = {name: replace(finger, sigma_point=3e-4) for name, finger in rig.fingers.items()}
-    tip = fingers["mf"].tip
-    smaller = hs.Ellipsoid(
-        tip.semi_axes - radius, tip.cap, tip.max_friction, tip.min_force, tip.T_surface_sensor
-    )
-    fingers["mf"] = replace(fingers["mf"], tip=smaller)
+    fingers["mf"] = replace(fingers["mf"], tip=fingers["mf"].tip.larger(-radius))
     return replace(rig, fingers=fingers, sigma_joint_offset=float(np.deg2rad(0.1)))
 
 

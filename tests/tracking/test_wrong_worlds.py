@@ -3,9 +3,7 @@
 Each law is of simulated manipulations (18 s: grasp, move over the table, lift, turn), one thing wrong in each.
 """
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,9 +15,9 @@ from handsight.errors import InvalidInput
 from handsight.simulation import MOTION, Scenario, model_of, rig_of
 from handsight.tracking import Tracker
 from handsight.tracking.misfit import FINGER_OR_OBJECT, OTHER_OBJECT
+from objects.object_shapes import data_file
 from scenes import chi2, nearest_truth
 
-ROOT = Path(__file__).resolve().parents[2]
 AT_REST = 2.0
 """Instants from here on count [s]: the object is in the hand."""
 FAR = 0.015
@@ -44,12 +42,7 @@ def recorded(simulated):
     known = {}
 
     def find(name, seed):
-        path = name
-        if name not in ("can", "box"):
-            folder = Path(os.environ.get("HANDSIGHT_DATA", ROOT.parent / "shared" / "data")) / "ycb_meshes"
-            path = str(folder / f"{name}.ply")
-            if not Path(path).exists():
-                pytest.skip(f"{path} is not there: set HANDSIGHT_DATA to the folder with the test data")
+        path = name if name in ("can", "box") else str(data_file(f"ycb_meshes/{name}.ply"))
         if (name, seed) not in known:
             known[name, seed] = Recording(simulated, path, seed)
         return known[name, seed]
@@ -142,9 +135,8 @@ def test_a_start_that_contacts_contradict_by_ten_sigma_or_more_does_not_hold_the
     sideways = off * can.T_palm_object[:3, 0]
     wrong = se3.moved(can.T_palm_object, np.r_[sideways, np.zeros(3)])
     start = hs.PosePrior.from_sigmas(wrong, 0.002, float(np.deg2rad(2)))
-    settings = hs.TrackerSettings(
-        regrasp_position=0.0, regrasp_rotation=0.0
-    )  # no finger has pushed the object
+    # No finger has pushed the object.
+    settings = hs.TrackerSettings(regrasp_position=0.0, regrasp_rotation=0.0)
     tracker = Tracker(can.rig, can.model, start=start, settings=settings)
     estimate = tracker.update(replace(can.held[-1], vision=None))
     error = sideways @ se3.difference(estimate.T_palm_object, can.T_palm_object)[:3] / off
@@ -156,12 +148,7 @@ def test_a_start_that_contacts_contradict_by_ten_sigma_or_more_does_not_hold_the
 
 def smaller_tips(rig):
     """The rig with tips whose axes are half a millimetre smaller than the true ones."""
-    fingers = {}
-    for name, finger in rig.fingers.items():
-        tip = finger.tip
-        axes = np.asarray(tip.semi_axes) - 5e-4
-        small = hs.Ellipsoid(axes, tip.cap, tip.max_friction, tip.min_force, tip.T_surface_sensor)
-        fingers[name] = replace(finger, tip=small)
+    fingers = {name: replace(f, tip=f.tip.larger(-5e-4)) for name, f in rig.fingers.items()}
     return replace(rig, fingers=fingers)
 
 
@@ -297,9 +284,8 @@ def test_no_broken_message_makes_a_pose_wrong_in_silence(recorded, broken):
     if broken in (vision_in_millimetres, palm_in_millimetres):
         given = given[:400]  # nothing fits, so that the tracker searches for other poses all the time
     seen = list(broken(given, np.random.default_rng(0)))
-    truth = list(recording.truth.values())[
-        : len(given)
-    ]  # in the order of the observations, whose stamps may be wrong
+    # In the order of the observations, whose stamps may be wrong.
+    truth = list(recording.truth.values())[: len(given)]
     if broken is a_gap:
         truth = [recording.truth[o.stamp] for o in seen]
     track = Track(recording, seen, truth)

@@ -233,6 +233,7 @@ def search_report(
     beliefs, truths = list["Belief"](), list["Array"]()
 
     def watch(belief: "Belief", T_world_object: "Array") -> None:
+        """Keeps a belief with the truth, and tells of it."""
         beliefs.append(belief)
         truths.append(T_world_object)
         best, n = belief.modes[0], len(belief.touches)

@@ -78,6 +78,11 @@ class Ellipsoid:
         for name, value in zip(Ellipsoid.__slots__, values, strict=True):
             object.__setattr__(self, name, value)
 
+    def larger(self, by: float) -> "Ellipsoid":
+        """Returns this tip with semi-axes longer by so much [m], negative for a smaller one; raises InvalidInput."""
+        axes, T = self.semi_axes + by, self.T_surface_sensor
+        return Ellipsoid(axes, self.cap, self.max_friction, self.min_force, T)
+
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Sphere(Ellipsoid):

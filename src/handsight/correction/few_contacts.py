@@ -25,9 +25,7 @@ class DrawOptions(NamedTuple):
     least_departure: float = 3.0
     """One minimum is drawn about where the cost beside it rises by this factor more than a Gaussian's. Up to there the
     lattice of `_kernels/posterior/mean.py`, which is faster, leaves out as little."""
-    most_outside: int = (
-        8  # points of the hand and planes; with more, the cost of so many draws takes too long
-    )
+    most_outside: int = 8  # points of the hand and planes; with more, the draws' costs take too long
     most_minima: int = 12  # minima that draws are about, the likeliest
     widened: float = 1.3  # how much wider than a minimum the draws about it are
     tempered: float = 0.5  # power of a minimum's probability by which these are shared out
@@ -115,6 +113,7 @@ def with_draws(problem: Problem, rows: Records, used: Mask) -> Records:
     number = DRAWS.draws if len(rows) > 1 else DRAWS.draws_single
 
     def log_density(x: Array) -> Array:
+        """Returns the log density (n,) of the posterior at coordinates (n, 6), up to a constant."""
         half = np.linalg.norm(x[:, 3:], axis=1) / (2 * problem.model.radius)
         cost = solve.cost(problem, se3.moved(T, x @ across.T), used)
         # The volume of rotations shrinks with the turn; beyond half a turn they are reached the other way round.

@@ -57,9 +57,7 @@ class WeigherOptions(NamedTuple):
     """A mass that is farther off than so many sigmas contradicts the declared one: by chance in 2 %, whose share of the
     sigmas is mostly that of the declared mass, so that more directions are not more chances.
     """
-    right_mass: float = (
-        1.64  # a declared mass stays contradicted until it is nearer than so many (a level of 10 %)
-    )
+    right_mass: float = 1.64  # a declared mass stays contradicted until it is nearer (a level of 10 %)
     biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
     restart_after: float = 3.0
     """How long loads may contradict the kept instants before these are dropped [s]."""

@@ -66,6 +66,7 @@ def read_xml(path: Path) -> Element:
     parser = expat.ParserCreate(namespace_separator="}")
 
     def start(tag: str, attributes: dict[str, str]) -> None:
+        """Adds an element to the innermost open one."""
         nonlocal count
         count += 1
         check_count(count, 0, name)
@@ -110,6 +111,7 @@ def to_text(root: Element) -> tuple[str, list[Element]]:
     texts = ("name", "class", "childclass", "mesh", "file", "filename", "link", "prefix", "model")
 
     def write(element: Element) -> None:
+        """Writes an element with all in it."""
         for name, value in element.attributes.items():
             if name not in texts and re.search(r"(?i)(?<![^\s+-])(nan|inf|infinity)\b", value):
                 expected = "expected finite numbers for all links and joints"

@@ -191,6 +191,7 @@ class LiveTracker:
         done = Future[str]()
 
         def begin() -> None:
+            """Starts the track, and says so in the future."""
             try:
                 self._follow(model or self.tracker.model, start)
             except HandsightError as error:

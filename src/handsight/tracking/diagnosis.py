@@ -24,14 +24,14 @@ from scipy.special import chdtrc
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import Contacts, Ellipsoid
+from handsight.contact import Contacts
 from handsight.correction import PoseEstimate
 from handsight.correction.modes import chi2_limit
 from handsight.errors import InvalidInput
 from handsight.forces import WEIGHER, Carried, Unknowns, Weighing, common_equations, weigh
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
-from handsight.rig import Finger, Rig
+from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.joint_offsets import JointOffsets, contact_equations
 from handsight.tracking.table import TableEstimate
@@ -194,7 +194,7 @@ class Diagnoser:
         exact = {name: replace(finger, sigma_gain=0.0) for name, finger in rig.fingers.items()}
         self._offsets, self._sensors = JointOffsets.of(rig), FingertipSensors(replace(rig, fingers=exact))
         """The fingertips' sensors, without the errors of gains, which are values of their own."""
-        larger = {name: _enlarged(finger) for name, finger in exact.items()}
+        larger = {name: replace(f, tip=f.tip.larger(DIAGNOSIS.enlarged)) for name, f in exact.items()}
         self._larger = FingertipSensors(replace(rig, fingers=larger))
         """The same fingertips, larger by `DIAGNOSIS.enlarged`."""
         fingers, mass = rig.fingers.values(), tracker.track_state.weight.weigher.sigma_mass
@@ -288,17 +288,14 @@ class Diagnoser:
         K, alone = self._offsets.separated(contacts, touch.by_error)
         J = np.zeros((len(contacts), 6, len(self._sigmas)))
         J[:, :, self._at["joint"]] = -K  # a joint that reads too much is at a smaller angle
-        rig, (place, gain, radius) = (
-            self.tracker.rig,
-            (self._at[k].start for k in ("place", "gain", "radius")),
-        )
+        rig = self.tracker.rig
+        place, gain, radius = (self._at[kind].start for kind in ("place", "gain", "radius"))
         Ts = rig.hand.kinematics(dict(observation.joint_positions or {})).Ts_palm_tip
         for i, name in enumerate(touch.fingers):
             n, tip = list(rig.fingers).index(name), list(rig.hand.tips).index(name)
             R = Ts[tip, :3, :3] @ rig.fingers[name].T_frame_surface[:3, :3]
-            J[i, :3, place + 2 * n : place + 2 * n + 2] = R[
-                :, :2
-            ]  # along its axis it looks like another radius
+            # Along its axis a shift looks like another radius.
+            J[i, :3, place + 2 * n : place + 2 * n + 2] = R[:, :2]
             J[i, :, radius + n] = changed[0, i] / DIAGNOSIS.enlarged
             # A sensor that reads too much measures less.
             J[i, :, gain + 6 * n : gain + 6 * n + 6] = -changed[1:, i].T / DIAGNOSIS.louder
@@ -364,10 +361,8 @@ class Diagnoser:
         while True:
             S, values = np.linalg.inv(H), list[Diagnosed]()
             for k, (name, unit, declared, at) in enumerate(rows):
-                prior, sigma = (
-                    sigmas[at[0]] / math.sqrt(len(at)),
-                    math.sqrt(S[np.ix_(at, at)].sum()) / len(at),
-                )
+                prior = sigmas[at[0]] / math.sqrt(len(at))
+                sigma = math.sqrt(S[np.ix_(at, at)].sum()) / len(at)
                 value = diagnosed(name, unit, declared, float(prior), float(errors[at].mean()), sigma)
                 if k in wrong:
                     value = replace(
@@ -415,13 +410,9 @@ class Diagnoser:
                 eliminated = np.linalg.solve(A[:6, :6], np.column_stack([A[:6, 6:], b[:6]]))
                 own, pull = A[6:, 6:] - A[6:, :6] @ eliminated[:, :-1], b[6:] - A[6:, :6] @ eliminated[:, -1]
                 # The values explain any error of a contact, so this is all that is left: 3 numbers each, less a pose.
-                root = self._sigmas
-                left = (
-                    root
-                    * pull
-                    @ np.linalg.pinv(own * np.outer(root, root), 1e-9, hermitian=True)
-                    @ (root * pull)
-                )
+                scaled = own * np.outer(self._sigmas, self._sigmas)
+                left = (self._sigmas * pull) @ np.linalg.pinv(scaled, 1e-9, hermitian=True)
+                left = left @ (self._sigmas * pull)
                 limit = chi2_limit(max(3 * len(instant.fingers) - 6, 1), DIAGNOSIS.level / len(kept))
                 worst = max(worst, (float(left) / limit, len(parts)))
                 H, slope = H + own, slope + pull
@@ -441,11 +432,8 @@ class Diagnoser:
         H, slope = np.zeros((len(self._sigmas), len(self._sigmas))), np.zeros(len(self._sigmas))
         of = np.array([len(H) - 1, *range(self._at["gain"].stop)])
         scale, gains = np.append(1.0, self._sigmas[of[1:]]).astype(float), self._sigmas[self._at["gain"]]
-        rig, mass, joints = (
-            self.tracker.rig,
-            self.tracker.model.mass,
-            np.diag(self._sigmas[self._at["joint"]]),
-        )
+        rig, mass = self.tracker.rig, self.tracker.model.mass
+        joints = np.diag(self._sigmas[self._at["joint"]])
         for instants, start in self._grasps:
             # A tip that is elsewhere has another arm: its torque is off by about as much in all directions of gravity.
             forces = np.linalg.norm(instants[-1].load.forces, axis=1).tolist()
@@ -531,13 +519,4 @@ def diagnosed(name: str, unit: str, declared: float, prior: float, error: float,
         factor * estimated,
         factor * sigma_estimated,
         chi2,
-    )
-
-
-def _enlarged(finger: Finger) -> Finger:
-    """Returns a finger with a larger tip, by `DIAGNOSIS.enlarged`."""
-    tip = finger.tip
-    axes = tip.semi_axes + DIAGNOSIS.enlarged
-    return replace(
-        finger, tip=Ellipsoid(axes, tip.cap, tip.max_friction, tip.min_force, tip.T_surface_sensor)
     )

@@ -22,11 +22,7 @@ from handsight.rig import MountedCamera, Rig
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
 from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside
-from handsight.tracking.hypotheses import (
-    HYPOTHESES,
-    ambiguity,
-    with_others,
-)
+from handsight.tracking.hypotheses import HYPOTHESES, ambiguity, with_others
 from handsight.tracking.images import ImageVision
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate

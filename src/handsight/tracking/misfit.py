@@ -28,7 +28,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import fdtri
+from scipy.special import chdtri, fdtri
 
 from handsight import se3
 from handsight.checks import Array
@@ -51,8 +51,6 @@ class MisfitOptions(NamedTuple):
     usual choice for measurements with outliers (Lange, Little and Taylor 1989)."""
     rejected: float = 0.5
     """A finger whose contact is rejected for a larger share of the window contradicts the others."""
-    coverage: float = 6 * 6.163 / 12.592
-    """6 F(6, 4) / χ²(6), of 95 % quantiles: for six numbers of the pose and `noise_freedom`."""
     suspicious: float = 0.6
     """The object may be another one once contacts contradicted the model for a larger share of the window: that is for
     about a second, in which two searches from wider priors have failed."""
@@ -66,10 +64,14 @@ class MisfitOptions(NamedTuple):
 
 
 MISFIT = MisfitOptions()
+COVERAGE = float(6 * fdtri(6, MISFIT.noise_freedom, 0.95) / chdtri(6, 0.05))
+"""Coverage factor of a covariance: k F(k, ν) / χ²(k) of 95 % quantiles, for the k = 6 numbers of a pose."""
 OTHER_OBJECT = "this may be another object than the model"
 FINGER_OR_OBJECT = "a finger is calibrated badly, or this is another object"
 TOUCH, OBJECT = "touch", "object"
 """Names of the misfits of all contacts together: those that a finger may cause, and those that none can."""
+SUSPICIONS = {OBJECT: OTHER_OBJECT, TOUCH: FINGER_OR_OBJECT}
+"""What these suggest, the worse first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,20 +90,22 @@ class Misfit:
     @property
     def contradicts(self) -> bool:
         """Whether the evidence does not fit."""
-        if self.rejected or self.name in (TOUCH, OBJECT):
-            return self.rejected > (MISFIT.suspicious if self.name in (TOUCH, OBJECT) else MISFIT.rejected)
+        if self.name in SUSPICIONS:
+            return self.rejected > MISFIT.suspicious
+        if self.rejected:
+            return self.rejected > MISFIT.rejected
         return bool(self.nis > chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm))
 
     @property
     def factor(self) -> float:
         """By how much the answer's covariance is multiplied; 1 where the evidence fits."""
-        if self.name == TOUCH or self.nis <= chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm):
+        if self.name in SUSPICIONS or self.nis <= chi2_limit(max(math.ceil(self.expected), 1), MISFIT.alarm):
             return 1.0
         return (MISFIT.noise_freedom + self.nis) / (MISFIT.noise_freedom + self.expected)
 
     def __str__(self) -> str:
         """Returns a sentence such as "finger ff contradicts the others"."""
-        if self.name in (TOUCH, OBJECT):
+        if self.name in SUSPICIONS:
             return "contacts contradict the model"
         if self.name == "motion":
             return f"the answer has moved by {math.sqrt(self.nis):.0f} sigma at once"
@@ -123,7 +127,7 @@ class Innovations:
     """`Innovations` are how well all evidence has fitted the model, over a window."""
 
     misfits: dict[str, Misfit] = field(default_factory=dict)
-    """By what is compared: fingers, "vision", "weight", "motion"."""
+    """By what is compared: fingers, "vision", "weight", "motion", "touch", "object"."""
 
     @property
     def worst(self) -> Misfit | None:
@@ -133,7 +137,7 @@ class Innovations:
     @property
     def touch(self) -> str:
         """What contacts that have contradicted the model for a while suggest; empty where they have not."""
-        for name, reason in ((OBJECT, OTHER_OBJECT), (TOUCH, FINGER_OR_OBJECT)):
+        for name, reason in SUSPICIONS.items():
             if name in self.misfits and self.misfits[name].contradicts:
                 return reason
         return ""
@@ -195,7 +199,7 @@ class Innovations:
         that of the correction."""
         touch, unit = self.misfits[TOUCH], np.repeat([1.0, model.radius], 3)
         scale = (MISFIT.noise_freedom + touch.nis) / (MISFIT.noise_freedom + touch.expected)
-        lost = 1 - 1 / (MISFIT.coverage * max(scale, 1.0))
+        lost = 1 - 1 / (COVERAGE * max(scale, 1.0))
         # In coordinates y = U' x, the information U U' is the identity, and that of the prior is at most that.
         values, vectors = np.linalg.eigh(in_metres(estimate.information, model.radius))
         values = np.maximum(values, 1e-12 * values[-1])  # rounding

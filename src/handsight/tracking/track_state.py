@@ -101,11 +101,11 @@ class TrackState:
     learnt_from: Correction | None = None
     """The last correction from which the offsets were learnt."""
     innovations: Innovations = NO_INNOVATIONS
+    """How well evidence has fitted the model lately."""
     better_object: str = ""
     """Name of the alternative object that explains the touch better than the model; empty where none does."""
     objects_compared_at: float = -math.inf
     """When the object was last compared with the alternatives [s]."""
-    """How well evidence has fitted the model lately."""
     margins: LinkMargins = NO_MARGINS
     """How much smaller than their shapes links are."""
     measured_at: float = -math.inf
