@@ -104,11 +104,12 @@ def first_pose(
     noise: DepthNoise = STRUCTURED_LIGHT,
     given: Candidates | None = None,
     prior: float = 0.0,
+    modes: int = 0,
 ) -> ObjectDetection:
     """Returns the poses of the object that a depth image supports, modulo its symmetries; `noise`: of its depth.
 
     given CANDIDATE (k,): refined poses from elsewhere, which are compared with those that are found. prior: the log
-    odds that the object is there, before the image.
+    odds that the object is there, before the image. modes: least number of poses that go on from each stage.
 
     Pairs of points vote for candidates. These are moved to where more and more points lie on the surface, and those
     that the image supports best go on. In the end it also counts how many points are as close to the surface as the
@@ -128,17 +129,16 @@ def first_pose(
     votes.vote(appearance.pairs, appearance.voters, D, observed, references, FIRST_POSE.partners, voted)
     found = voted.reshape(-1)
     found = distinct(model, found, found["votes"], FIRST_POSE.max_voted, FIRST_POSE.voted_spacing)
-    image = scene.depth, scene.labels
     for stage, points, kept in zip(STAGES, POINTS, KEPT, strict=True):
         found["bound"] = explained_within(noise, center_depths(model, found))
         stages = np.atleast_1d(stage)
         depth_term.refine_poses(*model.record[:2], observed[:points], stages, D, NOTHING_KNOWN, found)
-        pose_score.score_all(camera.record, image, appearance.sides, scene.sizes, model.center_object, found)
-        found = distinct(model, found, found["score"], kept, FIRST_POSE.candidate_spacing)
+        score_candidates(model, scene, found)
+        found = distinct(model, found, found["score"], max(kept, modes), FIRST_POSE.candidate_spacing)
     if given is not None:
         given["bound"] = explained_within(noise, center_depths(model, given))
-        pose_score.score_all(camera.record, image, appearance.sides, scene.sizes, model.center_object, given)
-        found, most = np.concatenate([given, found]), KEPT[-1] + len(given)
+        score_candidates(model, scene, given)
+        found, most = np.concatenate([given, found]), max(KEPT[-1], modes) + len(given)
         found = distinct(model, found, found["score"], most, FIRST_POSE.candidate_spacing)
     z = center_depths(model, found)
     close = FIRST_POSE.close_sigmas * np.hypot(noise.sigma(z), noise.bias(z))
@@ -154,6 +154,12 @@ def first_pose(
         weights / max(weights.sum(), 1.0),
     )
     return ObjectDetection(poses_of(found), covariances, weights, found, probability)
+
+
+def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates) -> None:
+    """Fills in the score of CANDIDATE (k,), which have a bound, and the pixels that it is made of."""
+    image, sides = (scene.depth, scene.labels), appearance_of(model).sides
+    pose_score.score_all(scene.camera.record, image, sides, scene.sizes, model.center_object, candidates)
 
 
 def explained_within(noise: DepthNoise, z: Array) -> Array:
