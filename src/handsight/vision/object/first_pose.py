@@ -64,6 +64,23 @@ EVIDENCE = np.array([-9.53, 14.95, -7.72, 6.6, -18.67])
 Shares alone: sums, and how close points lie, say more of drawn pictures, and mislead with a real camera's."""
 
 
+@dataclass(frozen=True, eq=False)
+class JudgedStarts:
+    """`JudgedStarts` say what a depth image says of k poses that somebody else has estimated."""
+
+    Ts_camera_object: Array
+    """(k, 4, 4) refined on the image."""
+    moved: Array
+    """(k,) how far that moved the farthest point of the surface, modulo the object's symmetries [m]."""
+    probabilities: Array
+    """(k,) that the refined pose is right."""
+    better: NDArray[np.bool_]
+    """(k,) whether the search has found a likelier pose elsewhere, more than a tenth of the diameter away."""
+    right: NDArray[np.bool_]
+    """(k,) whether the pose as it was given is right: it was moved by at most a tenth of the diameter, its probability
+    is high enough to be answered, and no other pose is better."""
+
+
 @renamed_members(looks="candidates")
 @dataclass(frozen=True, eq=False)
 class ObjectDetection:
@@ -81,16 +98,28 @@ class ObjectDetection:
     """That the first is right, where as often as not the object is not there at all."""
     reason: str | None = None
     """Why there is none."""
+    starts: JudgedStarts | None = None
+    """Of the poses that were given: are they right? None: none was."""
 
     @classmethod
-    def nowhere(cls, reason: str) -> "ObjectDetection":
+    def nowhere(cls, reason: str, starts: JudgedStarts | None = None) -> "ObjectDetection":
         """Returns a detection without poses."""
         none, candidates = np.zeros(0), np.zeros(0, dtype=CANDIDATE)
-        return cls(none.reshape(0, 4, 4), none.reshape(0, 6, 6), none, candidates, 0.0, reason)
+        return cls(none.reshape(0, 4, 4), none.reshape(0, 6, 6), none, candidates, 0.0, reason, starts)
 
 
-def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTURED_LIGHT) -> ObjectDetection:
+def first_pose(
+    model: ObjectModel,
+    scene: Scene,
+    *,
+    noise: DepthNoise = STRUCTURED_LIGHT,
+    given: Candidates | None = None,
+    prior: float = 0.0,
+) -> ObjectDetection:
     """Returns the poses of the object that a depth image supports, modulo its symmetries; `noise`: of its depth.
+
+    given CANDIDATE (k,): refined poses from elsewhere, which are compared with those that are found. prior: the log
+    odds that the object is there, before the image.
 
     Pairs of points vote for candidates. These are moved to where more and more points lie on the surface, and those
     that the image supports best go on. In the end it also counts how many points are as close to the surface as the
@@ -128,6 +157,11 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
             found = distinct(model, found, found["score"], KEPT[1], FIRST_POSE.candidate_spacing)
         refine(found, STAGES[stage : stage + 1], points)
         found = distinct(model, found, found["score"], kept, FIRST_POSE.candidate_spacing)
+    if given is not None:
+        given["bound"] = explained_within(noise, center_depths(model, given))
+        pose_score.score_all(camera.record, image, appearance.sides, scene.sizes, model.center_object, given)
+        found, most = np.concatenate([given, found]), KEPT[-1] + len(given)
+        found = distinct(model, found, found["score"], most, FIRST_POSE.candidate_spacing)
     z = center_depths(model, found)
     close = FIRST_POSE.close_sigmas * np.hypot(noise.sigma(z), noise.bias(z))
     depth_term.closeness(*model.record[:2], observed, close, found)
@@ -137,7 +171,10 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
     order = np.argsort(-log_weights, kind="stable")
     found, weights = found[order], np.exp(log_weights[order] - log_weights.max(initial=-np.inf))
     covariances = pose_covariances(model, camera, observed, found, noise)
-    probability, weights = float(probabilities(log_odds(found[:1])).sum()), weights / max(weights.sum(), 1.0)
+    probability, weights = (
+        float(probabilities(log_odds(found[:1]) + prior).sum()),
+        weights / max(weights.sum(), 1.0),
+    )
     return ObjectDetection(poses_of(found), covariances, weights, found, probability)
 
 
