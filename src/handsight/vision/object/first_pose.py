@@ -152,7 +152,7 @@ def first_pose(
         if stage == TURNED and len(appearance.turns):
             best = poses_of(found[: FIRST_POSE.turned])
             turned = candidates_at((best[:, None] @ appearance.turns).reshape(-1, 4, 4))
-            refine(turned, STAGES[stage : stage + 1], POINTS[1])
+            refine(turned, STAGES[stage : stage + 1], POINTS[0])
             found = np.concatenate([found, turned])
             found = distinct(model, found, found["score"], KEPT[1], FIRST_POSE.candidate_spacing)
         refine(found, STAGES[stage : stage + 1], points)
