@@ -69,7 +69,7 @@ class JudgedStarts:
     """`JudgedStarts` say what a depth image says of k poses that somebody else has estimated."""
 
     Ts_camera_object: Array
-    """(k, 4, 4) refined on the image."""
+    """(k, 4, 4) refined on the image, where that makes them better."""
     moved: Array
     """(k,) how far that moved the farthest point of the surface, modulo the object's symmetries [m]."""
     probabilities: Array
@@ -118,8 +118,8 @@ def first_pose(
 ) -> ObjectDetection:
     """Returns the poses of the object that a depth image supports, modulo its symmetries; `noise`: of its depth.
 
-    given CANDIDATE (k,): refined poses from elsewhere, which are compared with those that are found. prior: the log
-    odds that the object is there, before the image.
+    given CANDIDATE (k,): poses from elsewhere, which are scored in place and compared with those that are found. prior:
+    the log odds that the object is there, before the image.
 
     Pairs of points vote for candidates. These are moved to where more and more points lie on the surface, and those
     that the image supports best go on. In the end it also counts how many points are as close to the surface as the

@@ -213,21 +213,25 @@ def _checked_starts(start: Start) -> list[GaussianPose]:
 
 
 def _refined(model: ObjectModel, scene: Scene, given: list[GaussianPose], noise: DepthNoise) -> Candidates:
-    """Returns CANDIDATE (k,): the given poses moved to the points near them, which are no table's and no hand's."""
+    """Returns CANDIDATE (2k,): the given poses, then these moved to the points near them that are no table's or hand's.
+
+    Both, because a neighbour's points may draw a pose away from where it was right.
+    """
     refiner, Ts = PoseRefiner(model, scene.camera, noise), list[Array]()
     for pose in given:
         known = NOTHING_KNOWN
         if np.isfinite(pose.covariance).all():
             known = np.asarray(np.linalg.pinv(pose.at_point(model.center_object).covariance, hermitian=True))
         Ts.append(refiner.at(pose.T_a_b, known, scene.depth, scene.labels < 0, None).pose_camera_object.T_a_b)
-    return candidates_at(np.array(Ts))
+    return candidates_at(np.array([*(pose.T_a_b for pose in given), *Ts]))
 
 
 def _judged(
     model: ObjectModel, given: list[GaussianPose], refined: Candidates, found: ObjectDetection
 ) -> JudgedStarts:
-    """Returns what an image says of poses, of which `refined` CANDIDATE (k,) took part in the search."""
-    Ts, limit, weights = poses_of(refined), LOCATE.max_moved * model.diameter, found.weights
+    """Returns what an image says of poses; `refined` CANDIDATE (2k,): of `_refined`, scored by `first_pose`."""
+    limit, weights, (as_given, after) = LOCATE.max_moved * model.diameter, found.weights, np.split(refined, 2)
+    Ts = poses_of(np.where(after["score"] > as_given["score"], after, as_given))
     moved = np.array([surface_distance(model, pose.T_a_b, T) for pose, T in zip(given, Ts, strict=True)])
     away = np.array([[surface_distance(model, T, other) for other in found.Ts_camera_object] for T in Ts])
     near = (away <= limit).reshape(len(Ts), -1)
