@@ -164,9 +164,9 @@ def locate(
             numbers = {name: opened.entry(entry).number for name, entry in entries}
     if box is not None:
         try:
-            left, top, right, bottom = (int(part) for part in box.split(","))
+            left, top, right, bottom = (float(part) for part in box.split(","))
         except ValueError:
-            expected = "expected 4 whole numbers u0,v0,u1,v1"
+            expected = "expected 4 numbers u0,v0,u1,v1"
             raise InvalidInput(f"--box: {expected}, got {box!r:.60}") from None
         area = (left, top, right, bottom)
         each = (within(frame, area) if isinstance(frame, Frame) else frame for frame in frames.each)
@@ -270,11 +270,11 @@ def locator(models: "Mapping[str, ObjectModel]", noise: "DepthNoise") -> "Callab
     def locate_in(frame: "Frame") -> "Located":
         """Returns the object's pose in an image, and how long the search took."""
         model, recognition, started = first, None, time.perf_counter()
-        camera, depth, wanted, hand = frame.camera, frame.depth, frame.wanted, frame.hand
+        camera, depth, mask, hand = frame.camera, frame.depth, frame.wanted, frame.hand
         if len(models) == 1:
-            found = locate(first, camera, depth, wanted=wanted, hand=hand, noise=noise)
+            found = locate(first, depth, camera, mask=mask, hand=hand, noise=noise)
         else:
-            recognition = recognise(models, camera, depth, wanted=wanted, hand=hand, noise=noise)
+            recognition = recognise(models, depth, camera, mask=mask, hand=hand, noise=noise)
             name = next(iter(recognition.scores))
             model, found = models[name], recognition.found[name]
         seconds = time.perf_counter() - started

@@ -25,10 +25,11 @@ from handsight.recording.open import open_recording
 from handsight.recording.robot_images import HandPixels
 from handsight.rig import Rig
 from handsight.vision import read_camera, read_color, read_depth
+from handsight.vision.object.locate import search_mask
 from handsight.vision.pixels import MILLIMETRE, Color
 
 CAMERAS = "scene_camera.json"
-Box = tuple[int, int, int, int]
+Box = tuple[float, float, float, float]
 """First column and row, last column and row, both included [pixels]."""
 
 
@@ -110,15 +111,12 @@ def color_beside(folder: Path, stem: str, folders: tuple[str, ...]) -> Path | No
 
 
 def within(frame: Frame, box: Box) -> Frame:
-    """Returns the frame, searched only inside a box; raises InvalidInput for a box beyond its pixels."""
-    left, top, right, bottom = box
-    width, height = frame.camera.size
-    if not (0 <= left <= right < width and 0 <= top <= bottom < height):
-        expected = f"expected u0,v0,u1,v1 from 0,0 to {width - 1},{height - 1}"
-        raise InvalidInput(f"box: {expected}, got {','.join(map(str, box))} ({frame.name})")
-    inside = np.zeros((height, width), dtype=bool)
-    inside[top : bottom + 1, left : right + 1] = True
-    return replace(frame, wanted=inside if frame.wanted is None else inside & frame.wanted)
+    """Returns the frame, searched only inside a box; raises InvalidInput for a box outside it."""
+    try:
+        inside = search_mask(frame.camera, box, frame.wanted)
+    except InvalidInput as error:
+        raise InvalidInput(f"{error} ({frame.name})") from None
+    return replace(frame, wanted=inside)
 
 
 def is_recording(path: Path) -> bool:

@@ -211,7 +211,7 @@ class DepthTracker:
             return None
         self._searched = image.stamp
         noise = self._refiner.noise
-        found = locate(self.model, self.camera, image.depth, hand=image.hand, table=image.table, noise=noise)
+        found = locate(self.model, image.depth, self.camera, hand=image.hand, table=image.table, noise=noise)
         fits = found.candidates["explained"] >= DEPTH_TRACKER.min_found * found.candidates["expected"]
         likely = found.weights >= DEPTH_TRACKER.min_twin * found.weights.max(initial=0.0)
         Ts = found.Ts_camera_object[fits & likely]
