@@ -9,10 +9,17 @@ from numpy.typing import NDArray
 from handsight._deprecated import renamed_members
 from handsight._kernels.image import depth_term, pose_score, votes
 from handsight._kernels.image.vision_records import CANDIDATE, STAGE
-from handsight._kernels.solve import distinct_poses
 from handsight.checks import Array
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import NOTHING_KNOWN, Candidates, center_depths, pose_covariances, poses_of
+from handsight.vision.candidates import (
+    NOTHING_KNOWN,
+    Candidates,
+    candidates_at,
+    center_depths,
+    distinct,
+    pose_covariances,
+    poses_of,
+)
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.region import Scene, observed_points
@@ -30,6 +37,7 @@ class FirstPoseOptions(NamedTuple):
     max_voted: int = 90  # candidates of the votes that are compared with the image
     voted_spacing: float = 0.05  # between these [diameters]
     candidate_spacing: float = 0.08  # between those that go on [diameters]
+    turned: int = 2  # candidates that are turned to where the surface is nearly the same
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
     close_sigmas: float = 1.25  # of the depth with its bias, within which a point is close to the surface
@@ -48,6 +56,9 @@ STAGES = np.array(
 POINTS, KEPT = (80, 160, 300, FIRST_POSE.max_points), (24, 12, 8, 8)
 """Observed points by which each stage moves them, and candidates that go on from each."""
 
+TURNED = 3
+"""Before this stage the best candidates are also turned to where the surface is nearly the same."""
+
 EVIDENCE = np.array([-9.53, 14.95, -7.72, 6.6, -18.67])
 """The weights of the columns of `evidence_of` in the log odds that the object is there (`experiments/sight_fit.py`).
 Shares alone: sums, and how close points lie, say more of drawn pictures, and mislead with a real camera's."""
@@ -58,7 +69,7 @@ class JudgedStarts:
     """`JudgedStarts` say what a depth image says of k poses that somebody else has estimated."""
 
     Ts_camera_object: Array
-    """(k, 4, 4) refined on the image."""
+    """(k, 4, 4) refined on the image, where that makes them better."""
     moved: Array
     """(k,) how far that moved the farthest point of the surface, modulo the object's symmetries [m]."""
     probabilities: Array
@@ -108,8 +119,8 @@ def first_pose(
 ) -> ObjectDetection:
     """Returns the poses of the object that a depth image supports, modulo its symmetries; `noise`: of its depth.
 
-    given CANDIDATE (k,): refined poses from elsewhere, which are compared with those that are found. prior: the log
-    odds that the object is there, before the image. modes: least number of poses that go on from each stage.
+    given CANDIDATE (k,): poses from elsewhere, which are scored in place and compared with those that are found. prior:
+    the log odds that the object is there, before the image. modes: least number of poses that go on from each stage.
 
     Pairs of points vote for candidates. These are moved to where more and more points lie on the surface, and those
     that the image supports best go on. In the end it also counts how many points are as close to the surface as the
@@ -129,11 +140,23 @@ def first_pose(
     votes.vote(appearance.pairs, appearance.voters, D, observed, references, FIRST_POSE.partners, voted)
     found = voted.reshape(-1)
     found = distinct(model, found, found["votes"], FIRST_POSE.max_voted, FIRST_POSE.voted_spacing)
-    for stage, points, kept in zip(STAGES, POINTS, KEPT, strict=True):
-        found["bound"] = explained_within(noise, center_depths(model, found))
-        stages = np.atleast_1d(stage)
-        depth_term.refine_poses(*model.record[:2], observed[:points], stages, D, NOTHING_KNOWN, found)
-        score_candidates(model, scene, found)
+    image = scene.depth, scene.labels
+
+    def refine(candidates: Candidates, stage: NDArray[np.void], points: int) -> None:
+        """Moves candidates to some of the points, and scores them."""
+        candidates["bound"] = explained_within(noise, center_depths(model, candidates))
+        depth_term.refine_poses(*model.record[:2], observed[:points], stage, D, NOTHING_KNOWN, candidates)
+        sides, sizes = appearance.few_sides if points < POINTS[-1] else appearance.sides, scene.sizes
+        pose_score.score_all(camera.record, image, sides, sizes, model.center_object, candidates)
+
+    for stage, points, kept in zip(range(len(STAGES)), POINTS, KEPT, strict=True):
+        if stage == TURNED and len(appearance.turns):
+            best = poses_of(found[: FIRST_POSE.turned])
+            turned = candidates_at((best[:, None] @ appearance.turns).reshape(-1, 4, 4))
+            refine(turned, STAGES[stage : stage + 1], POINTS[0])
+            found = np.concatenate([found, turned])
+            found = distinct(model, found, found["score"], KEPT[1], FIRST_POSE.candidate_spacing)
+        refine(found, STAGES[stage : stage + 1], points)
         found = distinct(model, found, found["score"], max(kept, modes), FIRST_POSE.candidate_spacing)
     if given is not None:
         given["bound"] = explained_within(noise, center_depths(model, given))
@@ -185,15 +208,3 @@ def probabilities(odds: Array) -> Array:
     most = max(float(odds.max(initial=0.0)), 0.0)
     here = np.exp(odds - most)
     return np.asarray(here / (here.sum() + np.exp(-most)))
-
-
-def distinct(
-    model: ObjectModel, candidates: Candidates, score: Array, most: int, spacing: float
-) -> Candidates:
-    """Returns the best candidates, each farther than `spacing` [diameters] from all better ones, modulo symmetry."""
-    axes, kept = model.symmetries.axes, np.empty(most, dtype=np.int64)
-    about = axes[0][0] if axes else model.center_object
-    group = model.symmetries.rotations, np.array([axis for _, axis in axes]).reshape(-1, 3)
-    limits = np.array([*about, model.radius, spacing * model.diameter])
-    order = np.argsort(-score, kind="stable")
-    return candidates[kept[: distinct_poses.distinct_candidates(group, limits, candidates, order, kept)]]

@@ -22,7 +22,6 @@ from handsight.vision.object.first_pose import (
     JudgedStarts,
     ObjectDetection,
     first_pose,
-    log_odds,
     probabilities,
 )
 from handsight.vision.object.pose_refiner import PoseRefiner
@@ -142,14 +141,19 @@ def recognise(
     wanted = search_mask(camera, box, mask)
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
     found = {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
+    return recognition_of(found, None if len(scene.sizes) else scene.reason)
+
+
+def recognition_of(found: Mapping[str, ObjectDetection], reason: str | None = None) -> Recognition:
+    """Returns which of several objects an image shows, by where each would be; `reason`: why it can be none."""
     detected = [name for name, one in found.items() if len(one.candidates)]
-    odds = np.array([log_odds(found[name].candidates[:1])[0] for name in detected])
-    scores = dict.fromkeys(models, 0.0) | dict(zip(detected, probabilities(odds).tolist(), strict=True))
+    odds = np.log(
+        [p / (1 - p) for p in (np.clip(found[name].probability, 1e-300, 1 - 1e-16) for name in detected)]
+    )
+    scores = dict.fromkeys(found, 0.0) | dict(zip(detected, probabilities(odds).tolist(), strict=True))
     order = sorted(scores, key=lambda name: -scores[name])
-    none, reason = 1 - sum(scores.values()), None
-    if not len(scene.sizes):
-        reason = scene.reason
-    elif none >= scores[order[0]]:
+    none = 1 - sum(scores.values())
+    if reason is None and none >= scores[order[0]]:
         best = f"{order[0]} is the likeliest, with a probability of {scores[order[0]]:.2f}"
         reason = f"nothing there looks like one of them; {best}"
     return Recognition({n: scores[n] for n in order}, max(none, 0.0), {n: found[n] for n in order}, reason)
@@ -213,21 +217,25 @@ def _checked_starts(start: Start) -> list[GaussianPose]:
 
 
 def _refined(model: ObjectModel, scene: Scene, given: list[GaussianPose], noise: DepthNoise) -> Candidates:
-    """Returns CANDIDATE (k,): the given poses moved to the points near them, which are no table's and no hand's."""
+    """Returns CANDIDATE (2k,): the given poses, then these moved to the points near them that are no table's or hand's.
+
+    Both, because a neighbour's points may draw a pose away from where it was right.
+    """
     refiner, Ts = PoseRefiner(model, scene.camera, noise), list[Array]()
     for pose in given:
         known = NOTHING_KNOWN
         if np.isfinite(pose.covariance).all():
             known = np.asarray(np.linalg.pinv(pose.at_point(model.center_object).covariance, hermitian=True))
         Ts.append(refiner.at(pose.T_a_b, known, scene.depth, scene.labels < 0, None).pose_camera_object.T_a_b)
-    return candidates_at(np.array(Ts))
+    return candidates_at(np.array([*(pose.T_a_b for pose in given), *Ts]))
 
 
 def _judged(
     model: ObjectModel, given: list[GaussianPose], refined: Candidates, found: ObjectDetection
 ) -> JudgedStarts:
-    """Returns what an image says of poses, of which `refined` CANDIDATE (k,) took part in the search."""
-    Ts, limit, weights = poses_of(refined), LOCATE.max_moved * model.diameter, found.weights
+    """Returns what an image says of poses; `refined` CANDIDATE (2k,): of `_refined`, scored by `first_pose`."""
+    limit, weights, (as_given, after) = LOCATE.max_moved * model.diameter, found.weights, np.split(refined, 2)
+    Ts = poses_of(np.where(after["score"] > as_given["score"], after, as_given))
     moved = np.array([surface_distance(model, pose.T_a_b, T) for pose, T in zip(given, Ts, strict=True)])
     away = np.array([[surface_distance(model, T, other) for other in found.Ts_camera_object] for T in Ts])
     near = (away <= limit).reshape(len(Ts), -1)
