@@ -171,7 +171,8 @@ class _Pool:
         """It has no candidates yet."""
         self.scene, self.models, self.noise = scene, models, noise
         step = max(1, round(np.sqrt((scene.labels >= 0).sum() / LOCATE_ALL.pixels)))
-        depth, labels = (np.ascontiguousarray(image[::step, ::step]) for image in (scene.depth, scene.labels))
+        depth = np.ascontiguousarray(scene.depth[::step, ::step])
+        labels = np.ascontiguousarray(scene.labels[::step, ::step])
         matrix = np.diag([1 / step, 1 / step, 1]) @ scene.camera.matrix
         camera = Camera(matrix, depth.shape[::-1], scene.camera.lens)
         self.coarse = replace(scene, camera=camera, depth=depth, labels=labels)
@@ -196,7 +197,10 @@ class _Pool:
             distances = surface_distances(model, self.points, within, some)
             explained = np.maximum(1 - (distances / some["bound"][:, None].astype(np.float32)) ** 2, 0)
             around = (np.isfinite(distances) & (explained == 0)).astype(np.float32)
-            hidden = np.array([self.hidden_pixels(model, one) for one in some]).reshape(-1, 2, FEW)
+            places = zip(poses_of(some), some["bound"], strict=True)
+            hidden = np.array([self.hidden_pixels(model, T, bound) for T, bound in places]).reshape(
+                -1, 2, FEW
+            )
             self.searches.append(each)
             self.names += [each.name] * len(some)
             self.source += [each] * len(some)
@@ -206,10 +210,10 @@ class _Pool:
             self.around = np.concatenate([self.around, around])
         self.total = self.explained.sum(axis=1)
 
-    def hidden_pixels(self, model: ObjectModel, candidate: np.void) -> Array:
+    def hidden_pixels(self, model: ObjectModel, T: Array, bound: float) -> Array:
         """Returns for each sample of the surface, (2, m), the point of the grid that hides it, and its pixels."""
         (samples, normals), directions, packed, area = appearance_of(model).few_sides
-        T, camera, image = poses_of(candidate), self.coarse.camera, self.coarse.depth
+        camera, image = self.coarse.camera, self.coarse.depth
         P, n, pixels = se3.apply(T, samples), normals @ T[:3, :3].T, np.zeros((2, len(samples)))
         way = -T[:3, :3].T @ se3.apply(T, model.center_object[None])[0]
         uv, cosine = camera.project(P).round(), -(n * P).sum(axis=1) / np.linalg.norm(P, axis=1)
@@ -218,15 +222,11 @@ class _Pool:
         there &= (uv >= 0).all(axis=1) & (uv < camera.size).all(axis=1)  # NaN is neither
         columns, rows = uv[there].astype(int).T
         z, observed = P[there, 2], image[rows, columns]
-        behind = (observed > 0) & (observed < z - candidate["bound"]) & self.inside[rows, columns]
+        behind = (observed > 0) & (observed < z - bound) & self.inside[rows, columns]
         pixels[0, there] = np.where(behind, self.index[rows, columns], 0)
         seen = area * camera.matrix[0, 0] * camera.matrix[1, 1] * cosine[there] / z**2
         pixels[1, there] = np.where(behind, seen, 0.0)
         return pixels
-
-    def extended(self, searches: list[_Search]) -> _Pool:
-        """Returns a pool with the candidates of more searches after those of this one."""
-        return _Pool(self.scene, self.models, self.noise, [*self.searches, *searches]) if searches else self
 
     def costs(self, owned: Mask) -> Array:
         """Returns what candidates (k,) cost by pixels that they should explain, where others own some points (n,)."""
@@ -237,7 +237,7 @@ class _Pool:
         """Returns how well candidates explain the image together [pixels of the grid]."""
         explained, value = self.explained[chosen], 0.0
         for k, n in enumerate(chosen):
-            others = np.delete(explained, k, axis=0).any(axis=0)
+            others = np.asarray(np.delete(explained, k, axis=0).any(axis=0))
             value -= float(self.costs(others)[n])
         best = explained.max(axis=0, initial=0.0)
         value += float(best.sum() - LOCATE_ALL.twice * (explained.sum(axis=0) - best).sum())
@@ -326,7 +326,8 @@ class _Pool:
         there = np.minimum(self.explained, self.explained[n]).sum(axis=1) > LOCATE_ALL.rival * self.total[n]
         there &= [counted[name] < limits.get(name, np.inf) for name in self.names]
         there &= names != self.names[n]
-        for which in ([n], *(np.flatnonzero(there & (names == name)) for name in sorted({*names[there]}))):
+        others = [np.flatnonzero(there & (names == name)) for name in sorted({*names[there]})]
+        for which in (np.array([n]), *others):
             candidates = self.candidates[which]
             score_candidates(self.models[self.names[which[0]]], scene, candidates)
             each = log_odds(candidates)
@@ -442,8 +443,10 @@ def owners(scene: Scene, bodies: Sequence[tuple[ObjectModel, Candidates]]) -> Pi
     return owner
 
 
-def surface_distances(model: ObjectModel, points: Array, within: float, candidates: Candidates) -> Array:
-    """Returns the distances (k, n) of points (n, 3) from the surface at CANDIDATE (k,); infinity where they are not
+def surface_distances(
+    model: ObjectModel, points: Array, within: float, candidates: Candidates
+) -> NDArray[np.float32]:
+    """Returns the distances (k, n) [m] of points (n, 3) from the surface at CANDIDATE (k,); infinity where they are not
     `within` it [m]."""
     distances = np.empty((len(candidates), len(points)), dtype=np.float32)
     depth_term.surface_distances(*model.record[:2], points, within, candidates, distances)
