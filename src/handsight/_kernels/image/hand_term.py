@@ -33,7 +33,7 @@ class HandTermOptions(NamedTuple):
 
 
 HAND_TERM = HandTermOptions()
-HAND_SCORE = ScoreWeights(passed=1.5, hidden=0.1, unexplained=0.2, max_unexplained=np.inf, min_expected=100.0)
+HAND_SCORE = ScoreWeights(passed=1.5, hidden=0.1, unexplained=0.2, min_expected=100.0)
 
 
 @inner

@@ -74,7 +74,7 @@ class PoseRefiner:
         one_point = self.noise.sigma(z) ** 2 + self.noise.bias(z) ** 2
         depth_term.refine_poses(*record, points, STAGES, self.model.diameter, one_point * known, candidate)
         sides, center = appearance_of(self.model).sides, self.model.center_object
-        pose_score.score_all(self.camera.record, image[1:], sides, np.zeros(1), center, candidate)
+        pose_score.score_all(self.camera.record, image[1:], sides, center, candidate)
         some = np.ascontiguousarray(points[:: max(count // REFINER.covariance_points, 1)])
         covariance = pose_covariances(self.model, self.camera, some, candidate, self.noise)[0]
         return RefinedPose(GaussianPose(poses_of(candidate)[0], covariance), candidate, count)
