@@ -52,10 +52,12 @@ STAGES = np.array(
 """How candidates are moved to the image, with bounds in diameters."""
 POINTS, KEPT = (80, 160, 300, FIRST_POSE.max_points), (24, 12, 8, 8)
 """Observed points by which each stage moves them, and candidates that go on from each."""
+BESIDE = (300, 500, 1000, 1500)
+"""Pixels around each candidate that show whether the surface goes on beyond its outline."""
 TURNED = 3
 """Before this stage the best candidates are also turned to where the surface is nearly the same."""
 
-EVIDENCE = np.array([-4.31, 6.81, -3.62, -8.57])
+EVIDENCE = np.array([-4.30, 6.83, -3.64, -8.68])
 """The weights of the columns of `evidence_of` in the log odds that the object is there (`experiments/sight_fit.py`)."""
 
 
@@ -110,11 +112,12 @@ def first_pose(
     noise: DepthNoise = STRUCTURED_LIGHT,
     given: Candidates | None = None,
     prior: float = 0.0,
+    modes: int = 0,
 ) -> ObjectDetection:
     """Returns the poses of the object that a depth image supports, modulo its symmetries; `noise`: of its depth.
 
     given CANDIDATE (k,): poses from elsewhere, which are scored in place and compared with those that are found. prior:
-    the log odds that the object is there, before the image.
+    the log odds that the object is there, before the image. modes: least number of poses that go on from each stage.
 
     Pairs of points vote for candidates. These are moved to where more and more points lie on the surface, and those
     that the image supports best go on. In the end their log odds rank them and say how probable the first one is.
@@ -134,41 +137,45 @@ def first_pose(
     found = voted.reshape(-1)
     found = distinct(model, found, found["votes"], FIRST_POSE.max_voted, FIRST_POSE.voted_spacing)
 
-    def score(candidates: Candidates, *, outlines: bool = True) -> None:
-        """Counts the pixels for and against candidates."""
-        image, record = (scene.depth, scene.labels), model.record[:2]
-        pose_score.score_all(camera.record, image, appearance.sides, model.center_object, candidates)
-        if outlines:
-            outline.follow_outlines(camera.record, (camera.rays, *image), *record, D, candidates)
-
     def refine(candidates: Candidates, stage: int, points: int) -> None:
         """Moves candidates to some of the points, and scores them."""
         candidates["bound"], now = explained_within(noise, center_depths(model, candidates)), STAGES[stage]
         depth_term.refine_poses(
             *model.record[:2], observed[:points], np.atleast_1d(now), D, NOTHING_KNOWN, candidates
         )
-        score(candidates, outlines=stage > 0)
+        score_candidates(model, scene, candidates, stage=stage)
 
     for stage, points, kept in zip(range(len(STAGES)), POINTS, KEPT, strict=True):
         if stage == TURNED and len(appearance.turns):
             best = poses_of(found[: FIRST_POSE.turned])
             turned = candidates_at((best[:, None] @ appearance.turns).reshape(-1, 4, 4))
-            refine(turned, stage, POINTS[1])
+            refine(turned, stage, POINTS[0])
             found = np.concatenate([found, turned])
             found = distinct(model, found, found["score"], KEPT[1], FIRST_POSE.candidate_spacing)
         refine(found, stage, points)
-        found = distinct(model, found, found["score"], kept, FIRST_POSE.candidate_spacing)
+        found = distinct(model, found, found["score"], max(kept, modes), FIRST_POSE.candidate_spacing)
     if given is not None:
         given["bound"] = explained_within(noise, center_depths(model, given))
-        score(given)
-        found, most = np.concatenate([given, found]), KEPT[-1] + len(given)
+        score_candidates(model, scene, given)
+        found, most = np.concatenate([given, found]), max(KEPT[-1], modes) + len(given)
         found = distinct(model, found, found["score"], most, FIRST_POSE.candidate_spacing)
     order = np.argsort(-log_odds(found), kind="stable")
     found, odds = found[order], log_odds(found)[order] + prior
     covariances = pose_covariances(model, camera, observed, found, noise)
     weights = np.exp(odds - odds.max(initial=-np.inf))
     probability = first_probability(model, found, odds)
-    return ObjectDetection(poses_of(found), covariances, weights / max(weights.sum(), 1.0), found, probability)
+    return ObjectDetection(
+        poses_of(found), covariances, weights / max(weights.sum(), 1.0), found, probability
+    )
+
+
+def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *, stage: int = -1) -> None:
+    """Fills in the score of CANDIDATE (k,), which have a bound, and the pixels that it is made of, as a stage does."""
+    appearance, camera, image = appearance_of(model), scene.camera, (scene.depth, scene.labels)
+    sides = appearance.sides if BESIDE[stage] == BESIDE[-1] else appearance.few_sides
+    pose_score.score_all(camera.record, image, sides, model.center_object, candidates)
+    around = camera.rays, *image
+    outline.follow_outlines(camera.record, model.record[:2], around, BESIDE[stage], candidates)
 
 
 def explained_within(noise: DepthNoise, z: Array) -> Array:
