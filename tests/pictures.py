@@ -85,3 +85,16 @@ def off_mm(T, T_true):
     """How far the letter's points are off at most [mm]."""
     points, _ = letter()
     return 1e3 * np.linalg.norm(se3.apply(T, points) - se3.apply(T_true, points), axis=1).max()
+
+
+def bop_with_truths(folder):
+    """A scene of a BOP data set with two images, and the true poses T_camera_object in them: a letter, a brick."""
+    (first, T), (second, other) = picture(1), picture(2, shape=brick)
+    bop_of(folder, [first, second], {3: letter, 7: brick})
+    scene = folder / "test/000048"
+    truths = {
+        str(k): [{"obj_id": number, "cam_R_m2c": at[:3, :3].ravel().round(8).tolist(), "cam_t_m2c": (1e3 * at[:3, 3]).tolist()}]
+        for k, (number, at) in enumerate(((3, T), (7, other)))
+    }  # fmt: skip
+    (scene / "scene_gt.json").write_text(json.dumps(truths))
+    return scene, (T, other)
