@@ -11,7 +11,7 @@ from handsight.camera import Camera, Depth
 from handsight.checks import Array
 from handsight.hand import Hand
 from handsight.hand.chains import transform_points
-from handsight.vision.object.region import scene_of, table_plane
+from handsight.vision.object.region import REGION, scene_of, table_plane
 from handsight.vision.palm.hand_appearance import skin_points
 
 
@@ -62,6 +62,20 @@ def on_table(camera: Camera, depth: Depth) -> tuple[Array, Array] | None:
     side = min(1.5 * reach + SEGMENTATION.margin, SEGMENTATION.max_extent / 2)
     top = min(float(there[:, 2].max()) + SEGMENTATION.margin, SEGMENTATION.max_extent)
     return T, np.array([[-side, -side, -SEGMENTATION.below], [side, side, top]])
+
+
+def without_table(camera: Camera, depth: Depth) -> Depth:
+    """Returns a depth image (h, w) [m] in which what lies on or behind its widest plane is far away.
+
+    What a hand holds is in front of it. Planes that are no wider than an object may be its own.
+    """
+    plane = table_plane(camera, depth, depth > 0, extent=SEGMENTATION.max_extent)
+    if plane is None:
+        return depth
+    points = camera.points(depth)
+    with np.errstate(invalid="ignore"):
+        behind = points @ plane[:3] + plane[3] < REGION.table_within * np.maximum(points[..., 2] ** 2, 1)
+    return np.where(behind, np.float32(REGION.max_range), depth).astype(np.float32)
 
 
 class InHandView:
