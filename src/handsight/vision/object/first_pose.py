@@ -145,14 +145,14 @@ def first_pose(
         """Moves candidates to some of the points, and scores them."""
         candidates["bound"] = explained_within(noise, center_depths(model, candidates))
         depth_term.refine_poses(*model.record[:2], observed[:points], stage, D, NOTHING_KNOWN, candidates)
-        sides, sizes = appearance.sides, scene.sizes
+        sides, sizes = appearance.few_sides if points < POINTS[-1] else appearance.sides, scene.sizes
         pose_score.score_all(camera.record, image, sides, sizes, model.center_object, candidates)
 
     for stage, points, kept in zip(range(len(STAGES)), POINTS, KEPT, strict=True):
         if stage == TURNED and len(appearance.turns):
             best = poses_of(found[: FIRST_POSE.turned])
             turned = candidates_at((best[:, None] @ appearance.turns).reshape(-1, 4, 4))
-            refine(turned, STAGES[stage : stage + 1], POINTS[1])
+            refine(turned, STAGES[stage : stage + 1], POINTS[0])
             found = np.concatenate([found, turned])
             found = distinct(model, found, found["score"], KEPT[1], FIRST_POSE.candidate_spacing)
         refine(found, STAGES[stage : stage + 1], points)
