@@ -25,7 +25,7 @@ T_camera_palm = se3.from_position_quaternion(**known["T_camera_palm"])
 shape = rig.hand.shape()
 vertices_palm = shape.vertices_palm(known["joint_positions"])
 hand = hand_mask(camera, np.nan_to_num(depth), vertices_palm, shape.faces, T_camera_palm)
-found = locate(model, camera, depth, hand=hand)
+found = locate(model, depth, camera, hand=hand)
 print(f"found with probability {found.probability:.2f}, in {len(found.weights)} poses")
 
 # In the palm's frame it is the prior of a correction.

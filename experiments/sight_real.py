@@ -106,10 +106,10 @@ def main() -> None:
     model = hs.ObjectModel.from_file(folder / "_body" / "schauma.obj")
     rows, seen = list[Row](), list[Located]()
     depths = [read_depth(folder / "_sequence" / f"depth_camera_image_{k}.png", camera=CAMERA) for k in FRAMES]
-    locate(model, CAMERA, depths[0], noise=STRUCTURED_LIGHT)  # what is compiled once is no image's time
+    locate(model, depths[0], CAMERA, noise=STRUCTURED_LIGHT)  # what is compiled once is no image's time
     for frame, depth in zip(FRAMES, depths, strict=True):
         begin = time.perf_counter()
-        found = locate(model, CAMERA, depth, noise=STRUCTURED_LIGHT)
+        found = locate(model, depth, CAMERA, noise=STRUCTURED_LIGHT)
         seconds = time.perf_counter() - begin
         image = Frame(name=f"M3T frame {frame}", camera=CAMERA, depth=depth)
         seen.append(Located(frame=image, model=model, found=found, seconds=seconds))

@@ -24,7 +24,7 @@ THRESHOLDS = (0.01, 0.02, 0.03, 0.1, 0.3, 0.5, 0.9)
 def trial(name: str, k: int, seed: int) -> report.Row:
     """Returns the evidence for each of ten objects in one picture."""
     of, picture = sight.picture(name, k, seed)
-    answer = recognise(sight.objects(), scenes.WIDE, picture.depth, wanted=picture.wanted, hand=picture.hand)
+    answer = recognise(sight.objects(), picture.depth, scenes.WIDE, mask=picture.wanted, hand=picture.hand)
     odds = {
         each: float(log_odds(found.candidates[:1])[0]) if len(found.candidates) else -99.0
         for each, found in answer.found.items()

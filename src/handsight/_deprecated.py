@@ -70,6 +70,30 @@ def renamed_keywords(**names: str) -> Callable[[F], F]:
     return decorate
 
 
+def reordered(*old: str, former: Callable[[tuple[object, ...]], bool]) -> Callable[[F], F]:
+    """Returns a decorator under which a function's first arguments may still come in a former order.
+
+    `old`: their names in that order; `former`: whether positional arguments are in it. Each use issues a
+    DeprecationWarning.
+    """
+
+    def decorate(function: F) -> F:
+        code = function.__code__
+        new = ", ".join(code.co_varnames[: len(old)])
+
+        @functools.wraps(function)
+        def call(*args: object, **keywords: object) -> object:
+            if former(args):
+                name = function.__qualname__
+                _warn(f"{name}({', '.join(old)})", f"{name}({new})", stacklevel=3)
+                args, keywords = (), dict(zip(old, args, strict=False)) | keywords
+            return function(*args, **keywords)
+
+        return cast(F, call)
+
+    return decorate
+
+
 def _warn(old: str, new: str, *, stacklevel: int) -> None:
     """Issues the warning about a former name; `stacklevel` 2 is the caller of this function."""
     message = f"{old} is now {new}; the old name goes with the next release"

@@ -38,6 +38,19 @@ def check(T: ArrayLike, name: str) -> Array:
     return array
 
 
+def rounded(T: ArrayLike, name: str) -> Array:
+    """Returns the rigid transform nearest to a matrix (4, 4) with rounded numbers, as other programs write them.
+
+    Raises InvalidTransform as `check` does, where the rotation is off by more than a thousandth.
+    """
+    matrix = np.array(T, dtype=np.float64)
+    if matrix.shape == (4, 4) and np.isfinite(matrix).all() and np.abs(matrix[:3, :3]).max() < 2:
+        U, values, V = np.linalg.svd(matrix[:3, :3])
+        if np.abs(values - 1).max() <= 1e-3:
+            matrix[:3, :3] = U @ V
+    return check(matrix, name)
+
+
 def _is_clearly_rigid(T: object) -> bool:
     """Returns True only where `check` would accept `T`; in plain floats, this takes a tenth of the time of `check`."""
     if type(T) is not np.ndarray or T.shape != (4, 4) or T.dtype != np.float64:

@@ -212,7 +212,7 @@ depth = np.full((48, 64), 0.6, dtype=np.float32)
 depth[14:34, 20:44] = 0.5
 hand_mask(camera, depth, model.sample(3)[0], np.array([[0, 1, 2]]), T)
 camera.project([[0, 0, 1.0]])
-hs.locate(model, camera, depth, table=np.array([0, 0, -1.0, 0.6]))
+hs.locate(model, depth, camera, table=np.array([0, 0, -1.0, 0.6]))
 T[2, 3] = 0.5
 DepthTracker(model, camera, start=T).update(0.0, depth, hand=depth < 0, table=np.array([0, 0, -1.0, 0.6]))
 later = {key: set(found) - set(warmed[key]) for key, found in signatures().items()}

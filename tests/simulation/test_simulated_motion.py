@@ -7,6 +7,7 @@ import trimesh
 from handsight import se3
 from handsight.simulation import Nuisances, Scenario, model_of, simulate
 from handsight.simulation.motion import CAN
+from handsight.simulation.world import World
 from simulation.simulated import NONE, only, samples
 
 
@@ -128,6 +129,19 @@ def test_an_object_that_slips_out_of_the_hand_counts_as_dropped(slipping):
     assert run[-1].dropped
     assert not run[0].dropped
     assert not run[-1].forces_object
+
+
+def test_an_object_that_falls_off_the_table_comes_to_rest_on_a_floor():
+    world = World(Scenario(motion="manipulate", nuisances=Nuisances.none()), CAN)
+    while world.phase == "close":
+        world.step()
+    fallen = world.data.joint("object")
+    fallen.qpos[:3], fallen.qvel[:] = [-2.0, 0.0, -0.5], 0.0
+    for _ in range(500):
+        world.step()
+    assert fallen.qpos[2] == -1.0
+    assert not fallen.qvel.any()
+    assert world.dropped()
 
 
 def test_tips_that_touch_push_each_other_as_hard(slipping):

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
-from handsight.vision import locate, recognise
+from handsight.gaussian_pose import GaussianPose
+from handsight.vision import FirstPoseSource, locate, recognise
 from handsight.vision.object.first_pose import probabilities
-from handsight.vision.object.locate import LOCATE
+from handsight.vision.object.locate import LOCATE, score_log_odds, search_mask, surface_distance
 from sight_scenes import CAMERA, drawn, letter, looking, mssd, noisy, on_table
 
 
@@ -42,11 +43,11 @@ def picture(name, seed=0):
 @pytest.mark.parametrize("name", ["letter", "tin", "brick"])
 def test_what_is_there_is_found_and_named(name):
     T, depth = picture(name)
-    found = locate(models()[name], CAMERA, depth)
+    found = locate(models()[name], depth, CAMERA)
     assert found.reason is None
     assert mssd(models()[name], T, found.Ts_camera_object)[0] < 0.1
     assert LOCATE.min_probability <= found.probability <= 1
-    answer = recognise(models(), CAMERA, depth)
+    answer = recognise(models(), depth, CAMERA)
     assert answer.name == name == next(iter(answer.scores))
     assert answer.none + sum(answer.scores.values()) == pytest.approx(1)
     assert min(answer.scores.values()) >= 0
@@ -73,8 +74,8 @@ EMPTY = {
 @pytest.mark.parametrize("case", EMPTY)
 def test_where_nothing_is_it_is_nowhere(case):
     depth, reason = EMPTY[case]
-    assert nowhere(locate(models()["letter"], CAMERA, depth), reason)
-    answer = recognise(models(), CAMERA, depth)
+    assert nowhere(locate(models()["letter"], depth, CAMERA), reason)
+    answer = recognise(models(), depth, CAMERA)
     assert answer.name is None
     assert answer.none == 1
     assert reason in answer.reason
@@ -82,7 +83,7 @@ def test_where_nothing_is_it_is_nowhere(case):
 
 def test_on_an_empty_table_it_is_nowhere():
     _, depth = picture(None)
-    found = locate(models()["letter"], CAMERA, depth)
+    found = locate(models()["letter"], depth, CAMERA)
     assert len(found.weights) == 0
     assert found.reason
 
@@ -91,12 +92,12 @@ def test_on_an_empty_table_it_is_nowhere():
 def test_another_object_is_not_it(there, wanted):
     """Rather none than another of the same height, and nowhere if it is of another one."""
     _, depth = picture(there)
-    found = locate(models()[wanted], CAMERA, depth)
+    found = locate(models()[wanted], depth, CAMERA)
     assert found.probability < 0.5
     if "letter" in (there, wanted):
         assert nowhere(found, "is right with a probability of 0.0")
     others = {name: model for name, model in models().items() if name != there}
-    answer = recognise(others, CAMERA, depth)
+    answer = recognise(others, depth, CAMERA)
     assert answer.name is None
     assert "nothing there looks like one of them" in answer.reason
 
@@ -105,11 +106,11 @@ def test_one_pixel_and_things_of_other_sizes_have_an_answer():
     _, depth = picture("letter")
     pixel = np.zeros(depth.shape, bool)
     pixel[120, 160] = True
-    assert nowhere(locate(models()["letter"], CAMERA, depth, wanted=pixel), "nothing is seen there")
+    assert nowhere(locate(models()["letter"], depth, CAMERA, mask=pixel), "nothing is seen there")
     huge, tiny = hs.ObjectModel.box((1.5, 1.2, 0.9)), hs.ObjectModel.box((0.006, 0.005, 0.004))
     for model in (huge, tiny):
         found = locate(
-            model, CAMERA, depth
+            model, depth, CAMERA
         )  # the table may be a side of the huge one: more of it is not in the picture
         assert (found.reason is None) == (len(found.weights) > 0)
         assert np.isfinite(found.Ts_camera_object).all()
@@ -126,7 +127,7 @@ def test_one_pixel_and_things_of_other_sizes_have_an_answer():
         ),
         ("depth", lambda d: d[:100], "depth: expected 320 x 240 pixels, got 320 x 100"),
         ("depth", lambda d: d[None], "depth: expected 320 x 240 pixels, got 320 x 240 x 1"),
-        ("wanted", lambda d: d[:, 1:] > 0, "wanted: expected 320 x 240 pixels, got 319 x 240"),
+        ("mask", lambda d: d[:, 1:] > 0, "mask: expected 320 x 240 pixels, got 319 x 240"),
         ("hand", lambda d: d[1:] > 0, "hand: expected 320 x 240 pixels, got 320 x 239"),
     ],
 )
@@ -134,12 +135,12 @@ def test_what_is_no_such_image_is_said(name, change, message):
     _, depth = picture("letter")
     arguments = {"depth": depth} | {name: change(depth)}
     with pytest.raises(InvalidInput, match=message):
-        locate(models()["letter"], CAMERA, arguments.pop("depth"), **arguments)
+        locate(models()["letter"], arguments.pop("depth"), CAMERA, **arguments)
 
 
 def test_recognition_wants_models():
     with pytest.raises(InvalidInput, match="models: expected at least one, got none"):
-        recognise({}, CAMERA, BLANK)
+        recognise({}, BLANK, CAMERA)
 
 
 @settings(max_examples=50, deadline=None)
@@ -152,3 +153,144 @@ def test_probabilities_leave_room_for_none(odds):
     for one, share in zip(odds, p, strict=True):
         if abs(one) < 20 and none > 1e-6:
             assert np.log(share / none) == pytest.approx(one, abs=1e-6)
+
+
+def around(T, by=60):
+    """A box about the object's origin [pixels]."""
+    u, v = CAMERA.project(T[None, :3, 3])[0]
+    return u - by, v - by, u + by, v + by
+
+
+def test_a_box_is_the_mask_of_its_pixels_and_what_is_outside_the_image_is_cut_off():
+    mask = search_mask(CAMERA, (-7.3, 10.2, 4.1, 12.0), None)
+    rows, columns = np.nonzero(mask)
+    assert (columns.min(), columns.max(), rows.min(), rows.max()) == (0, 5, 10, 12)
+    assert mask.sum() == 6 * 3
+    half = np.zeros(mask.shape, np.uint8)
+    half[:, :3] = 255
+    assert search_mask(CAMERA, (-7.3, 10.2, 4.1, 12.0), half).sum() == 3 * 3
+    assert search_mask(CAMERA, None, None) is None
+    T, depth = picture("letter")
+    boxed = locate(models()["letter"], depth, CAMERA, box=around(T))
+    masked = locate(models()["letter"], depth, CAMERA, mask=search_mask(CAMERA, around(T), None))
+    np.testing.assert_array_equal(boxed.Ts_camera_object, masked.Ts_camera_object)
+    assert mssd(models()["letter"], T, boxed.Ts_camera_object)[0] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            {"box": (320, 0, 400, 50)},
+            r"box: expected u0,v0,u1,v1 that meets the image, 0,0 to 319,239, got \[320",
+        ),
+        ({"box": (-9, -9, -1, -1)}, "box: expected u0,v0,u1,v1 that meets the image"),
+        (
+            {"box": (200, 100, 50, 60)},
+            r"box: expected u0,v0,u1,v1 with u0 <= u1 .* \(u0, v0, width, height\?\)",
+        ),
+        ({"box": (0, 0, np.nan, 50)}, "box: expected 4 finite numbers"),
+        ({"box": (0, 0, 50)}, "box: expected 4"),
+        ({"score": 0}, "score: expected a number above 0"),
+        ({"score": 97.0}, "score: expected a number above 0 and at most 1, got 97"),
+        ({"start": np.eye(3)}, r"start: expected finite numbers of shape \(4, 4\), got shape \(3, 3\)"),
+        ({"start": np.zeros((0, 4, 4))}, "start: expected 1 to 100 poses, got 0"),
+        ({"start": 2 * np.eye(4)}, "start: rotation is not orthonormal"),
+        ({"start": [np.eye(4), np.full((4, 4), np.nan)]}, "start"),
+    ],
+)
+def test_what_no_detector_says_is_said(arguments, message):
+    with pytest.raises(InvalidInput, match=message):
+        locate(models()["letter"], BLANK, CAMERA, **arguments)
+
+
+@pytest.mark.parametrize("name", ["letter", "brick"])
+def test_of_poses_from_elsewhere_it_is_said_which_are_right(name):
+    """One that is nearly right, the same in single precision; one 15 cm beside it, one upside down."""
+    T, depth = picture(name)
+    model = models()[name]
+    near = se3.moved(T, np.array([3e-3, -2e-3, 4e-3, 0.05, -0.04, 0.06]))
+    beside, over = (
+        se3.moved(T, np.array([0.15, 0, 0, 0, 0, 0])),
+        T @ se3.compose(se3.rotation_exp(np.array([1.1, 0.7, 0])), np.zeros(3)),
+    )
+    starts = np.array([near, near.astype(np.float32), beside, over])
+    found = locate(model, depth, CAMERA, start=starts)
+    assert mssd(model, T, found.Ts_camera_object)[0] < 0.1
+    judged = found.starts
+    assert judged.right.tolist() == [True, True, False, False]
+    assert judged.better.tolist()[:3] == [False, False, True]
+    assert judged.moved[0] == pytest.approx(surface_distance(model, near, judged.Ts_camera_object[0]))
+    assert judged.moved[0] < 0.1 * model.diameter
+    np.testing.assert_allclose(judged.probabilities[:2], found.probability)
+    assert judged.probabilities[2] < 0.02
+    (alone,) = locate(model, depth, CAMERA, start=near).starts.right
+    assert alone
+
+
+@pytest.mark.parametrize("case", ["no depth", "a wall"])
+def test_where_nothing_is_a_given_pose_is_wrong(case):
+    judged = locate(models()["letter"], EMPTY[case][0], CAMERA, start=np.eye(4)).starts
+    assert (judged.right.tolist(), judged.probabilities.tolist()) == ([False], [0.0])
+
+
+def test_a_start_where_another_object_is_is_wrong():
+    T, depth = picture("tin")
+    found = locate(models()["letter"], depth, CAMERA, start=T)
+    assert not len(found.weights)
+    assert not found.starts.right[0]
+    assert found.starts.probabilities[0] < LOCATE.min_probability
+
+
+def test_a_covariance_of_a_start_holds_what_the_image_does_not_show():
+    """The spin of a tin whose symmetry is not declared."""
+    tin = models()["tin"].with_symmetries(hs.ObjectModel.box((1, 1, 1)).symmetries.__class__())
+    T, depth = picture("tin")
+    turned = T @ se3.compose(se3.rotation_exp(np.array([0, 0, 0.5])), np.zeros(3))
+    start = GaussianPose(turned, np.diag([1e-5] * 3 + [1e-4] * 3))
+    held = locate(tin, depth, CAMERA, start=start).starts.Ts_camera_object[0]
+    spin = se3.rotation_log((turned[:3, :3].T @ held[:3, :3])[None])[0]
+    assert np.abs(spin).max() < 0.05
+
+
+def test_a_score_changes_the_odds_by_bayes_rule():
+    T, depth = picture("letter")
+    plain = locate(models()["letter"], depth, CAMERA)
+
+    def odds(p):
+        return np.log(p / (1 - p))
+
+    for score in (0.1, 0.5, 0.9):
+        found = locate(models()["letter"], depth, CAMERA, score=score)
+        assert odds(found.probability) - odds(plain.probability) == pytest.approx(
+            score_log_odds(score), abs=1e-6
+        )
+        np.testing.assert_array_equal(found.Ts_camera_object, plain.Ts_camera_object)
+    assert score_log_odds(0.5) == pytest.approx(0)
+    assert score_log_odds(1.0) == pytest.approx(np.log(2 / LOCATE.meaningless - 1))
+    assert score_log_odds(1.0) == pytest.approx(-score_log_odds(1e-12))
+
+
+def test_the_former_order_and_name_still_work():
+    T, depth = picture("letter")
+    everywhere = np.ones(depth.shape, bool)
+    new = locate(models()["letter"], depth, CAMERA, mask=everywhere)
+    for arguments, keywords in (((CAMERA, depth), {}), ((CAMERA,), {"depth": depth})):
+        with pytest.warns(
+            DeprecationWarning, match=r"locate\(model, camera, depth\) is now locate\(model, depth, camera\)"
+        ):
+            old = locate(models()["letter"], *arguments, **keywords)
+        np.testing.assert_array_equal(old.Ts_camera_object, new.Ts_camera_object)
+    with pytest.warns(DeprecationWarning, match=r"locate\(wanted=\) is now locate\(mask=\)"):
+        locate(models()["letter"], depth, CAMERA, wanted=everywhere)
+    with pytest.warns(
+        DeprecationWarning,
+        match=r"recognise\(models, camera, depth\) is now recognise\(models, depth, camera\)",
+    ):
+        recognise(models(), CAMERA, depth)
+
+
+def test_locate_is_a_source_of_first_poses():
+    source: FirstPoseSource = locate
+    _, depth = picture("letter")
+    assert len(source(models()["letter"], depth, CAMERA, hand=depth < 0).weights)

@@ -174,7 +174,7 @@ def test_a_reconstructed_model_is_located_in_an_image():
     rec, _ = grown(Ts, images, estimate=False)
     found = closed(one_object(rec.volume.surface(), rec.volume, table=True), rec.volume, table=True)
     model = hs.ObjectModel.from_points(found.points[::3])
-    answer = locate(model, CAMERA, images[3])
+    answer = locate(model, images[3], CAMERA)
     assert answer.reason is None
     T_table_letter = se3.compose(np.eye(3), standing(LETTER)[0][0] - np.array(LETTER.vertices)[0])
     assert mssd(LETTER, Ts[3] @ T_table_letter, answer.Ts_camera_object)[0] < 0.1

@@ -17,12 +17,13 @@ if TYPE_CHECKING:
 
 
 class WorldOptions(NamedTuple):
-    """`WorldOptions` say when a simulated grasp has failed."""
+    """`WorldOptions` say when a simulated grasp has failed, and what then becomes of the object."""
 
     servo_time: float = 0.15  # before time 0, in which the servos reach the open hand [s]
     max_shift: float = 0.03  # shift of the object in the palm above which it is dropped [m]
     max_rotation: float = 0.5  # rotation above which it is dropped [rad]
     flying_speed: float = 3.0  # sideways or upwards [m/s]: no hand of this strength throws an object as fast
+    floor: float = -1.0  # height on which a dropped object comes to rest [m]
     max_overlap: float = 0.003  # of the open hand and the object; with more, the object does not fit in [m]
 
 
@@ -117,6 +118,9 @@ class World:
         elif self.phase == "move":
             self._load.press(self.data)
         self._mujoco.mj_step(self.scene.model, self.data)
+        fallen = self.data.joint("object")
+        if fallen.qpos[2] < WORLD.floor:
+            fallen.qpos[2], fallen.qvel[:] = WORLD.floor, 0.0
         self.steps += 1
 
     def refresh(self) -> None:

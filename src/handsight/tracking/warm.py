@@ -110,7 +110,7 @@ def find_object() -> None:
     model, camera = _new_box(), _camera(64, 48)
     T = se3.compose(se3.rotation_exp(np.array([0.5, 0.4, 0])), np.array([0, 0, 0.3]))
     depth = _drawn(camera, se3.apply(T, model.vertices), model.faces)
-    locate(model, camera, depth)
+    locate(model, depth, camera)
     DepthTracker(model, camera, start=T).update(0.0, depth, hand=depth < 0, table=np.array([0, 0, -1, 0.6]))
     surface = Reconstruction(camera, np.array([[-0.1] * 3, [0.1] * 3]))
     surface.grow(View(depth, T))

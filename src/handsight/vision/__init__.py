@@ -4,7 +4,8 @@ from handsight._deprecated import renamed
 from handsight.vision.depth_noise import PRESETS, STEREO, STRUCTURED_LIGHT, TIME_OF_FLIGHT, DepthNoise
 from handsight.vision.object.depth_points import depth_points
 from handsight.vision.object.depth_tracker import DepthTracker, Sighting
-from handsight.vision.object.first_pose import ObjectDetection
+from handsight.vision.object.first_pose import JudgedStarts, ObjectDetection
+from handsight.vision.object.first_pose_source import FirstPoseSource, locate_detected
 from handsight.vision.object.locate import Recognition, locate, recognise
 from handsight.vision.palm.hand_appearance import HandAppearance, PlacedHand
 from handsight.vision.palm.hand_in_image import hand_mask
@@ -19,7 +20,9 @@ __all__ = [
     "TIME_OF_FLIGHT",
     "DepthNoise",
     "DepthTracker",
+    "FirstPoseSource",
     "HandAppearance",
+    "JudgedStarts",
     "ObjectDetection",
     "PalmDetection",
     "PalmNotFound",
@@ -31,6 +34,7 @@ __all__ = [
     "follow_palm",
     "hand_mask",
     "locate",
+    "locate_detected",
     "read_camera",
     "read_color",
     "read_depth",

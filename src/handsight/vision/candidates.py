@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from handsight import se3
 from handsight._kernels.image import depth_term
 from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_ERROR
+from handsight._kernels.solve import distinct_poses
 from handsight.camera import Camera
 from handsight.checks import Array
 from handsight.objects import ObjectModel
@@ -72,3 +73,15 @@ def pose_covariances(
     informed, covariances = np.empty((len(candidates), 2, 6, 6)), np.empty((len(candidates), 6, 6))
     depth_term.pose_covariances(*model.record[:2], points, errors, candidates, informed, covariances)
     return covariances
+
+
+def distinct(
+    model: ObjectModel, candidates: Candidates, score: Array, most: int, spacing: float
+) -> Candidates:
+    """Returns the best candidates, each farther than `spacing` [diameters] from all better ones, modulo symmetry."""
+    axes, kept = model.symmetries.axes, np.empty(most, dtype=np.int64)
+    about = axes[0][0] if axes else model.center_object
+    group = model.symmetries.rotations, np.array([axis for _, axis in axes]).reshape(-1, 3)
+    limits = np.array([*about, model.radius, spacing * model.diameter])
+    order = np.argsort(-score, kind="stable")
+    return candidates[kept[: distinct_poses.distinct_candidates(group, limits, candidates, order, kept)]]

@@ -15,14 +15,29 @@ from handsight._kernels.image.depth_covariance import congruence, inform, pose_c
 from handsight._kernels.math.simd import accumulate, local
 from handsight._kernels.math.so3 import IDENTITY
 from handsight._kernels.math.symmetry import pose_of, store_pose
-from handsight._kernels.math.vec3 import Vec3, apply, apply_inverse, dot, mul, neg, store, store33, vector
+from handsight._kernels.math.vec3 import (
+    Vec3,
+    apply,
+    apply_inverse,
+    dot,
+    mul,
+    neg,
+    norm,
+    scale,
+    store,
+    store33,
+    sub,
+    vector,
+)
 from handsight._kernels.mesh.field import field_at
-from handsight._kernels.records import NO_PRIOR, PRIOR_TERM, VISION_PRIOR, WORKSPACE
+from handsight._kernels.records import NO_PRIOR, PRIOR_TERM, SHEET, VISION_PRIOR, WORKSPACE
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.levenberg import IMAGE_DAMPING, damped_step, retract
 
 MIN_COSINE = 0.3
 """The least cosine of a point's normal with the surface's."""
+MAX_WALL = 0.05
+"""A wall that is thinner than this has points on both of its sides [diameters]."""
 MAX_SHIFT, MAX_TURN = 0.15, 0.5
 """The most that one step moves the object [diameters, rad]."""
 COMPARED = 100
@@ -47,12 +62,36 @@ def stepped(
 
 
 @inner
-def _point(surface: Any, points: Any, pose: Pose, bound: float) -> tuple[float, float, Vec3, Vec3]:
-    """Returns the weight and the residual of a DEPTH_POINT, its place, and the surface's normal there in the camera."""
-    P = vector(points.point)
-    distance, gradient, _ = field_at(surface[0], surface[1], apply_inverse(pose, P))
-    ratio, g, normal = distance / bound, mul(pose[0], gradient), vector(points.normal)
-    if not ratio * ratio < 1 or (dot(normal, g) < MIN_COSINE and normal != (0.0, 0.0, 0.0)):
+def _point(
+    surface: Any, points: Any, pose: Pose, bound: float, wall: float
+) -> tuple[float, float, Vec3, Vec3]:
+    """Returns the weight and the residual of a DEPTH_POINT, its place, and the surface's normal there in the camera.
+
+    A point whose normal is opposite to that of the nearest surface lies on the other side of a sheet, or of a wall
+    that is thinner than `wall` [m]: its residual is the distance to that side.
+    """
+    nodes, field = surface
+    P, normal, across = vector(points.point), vector(points.normal), 0.0
+    place, has_normal = apply_inverse(pose, P), normal != (0.0, 0.0, 0.0)
+    for side in range(2):
+        distance, gradient, _ = field_at(nodes, field, place)
+        ratio, g = (distance - across) / bound, mul(pose[0], gradient)
+        if has_normal:
+            length = norm(g)
+            cosine = dot(normal, g)
+            if cosine < MIN_COSINE * length:
+                if side == 0 and cosine < -MIN_COSINE * length and ratio * ratio < 1:
+                    if field.kind == SHEET:
+                        distance, g = -distance, neg(g)
+                        break
+                    across = distance + wall
+                    place = sub(place, scale(gradient, across / length))
+                    continue
+                return 0.0, distance, P, g
+        break
+    distance -= across
+    ratio = distance / bound
+    if not ratio * ratio < 1:
         return 0.0, distance, P, g
     return (1 - ratio * ratio) ** 2, distance, P, g
 
@@ -82,6 +121,7 @@ def refine_poses(
     workspace, prior = local(WORKSPACE), local(PRIOR_TERM)
     center, radius = vector(model[0].center), model[0].radius
     equations, longest = workspace.now, (MAX_SHIFT * 2 * radius, MAX_TURN)
+    wall = MAX_WALL * 2 * radius
     for k in range(len(candidates)):
         pose = pose_of(candidates[k].pose)
         _expect(model[0], known, pose, prior)
@@ -93,7 +133,7 @@ def refine_poses(
                 frame, total = (apply(pose, center), radius), 0.0
                 equations[:] = 0.0
                 for n in range(0, len(points), stage.stride):
-                    weight, distance, P, g = _point(surface, points[n], pose, bound)
+                    weight, distance, P, g = _point(surface, points[n], pose, bound, wall)
                     if weight > 0:
                         accumulate((weight,), (distance_row(P, neg(g), distance, frame),), equations)
                         total += weight
@@ -120,6 +160,21 @@ def closeness(model: Any, nodes: Any, points: Any, within: Any, candidates: Any)
 
 
 @entry
+def surface_distances(model: Any, nodes: Any, points: Any, within: float, candidates: Any, out: Any) -> None:
+    """Fills `out` (k, n) with the distances [m] of points (n, 3) from the surface at CANDIDATE (k,); infinity where
+    they are not `within` it."""
+    for k in range(len(candidates)):
+        pose = pose_of(candidates[k].pose)
+        center, reach = apply(pose, vector(model[0].center)), 1.2 * model[0].radius + within
+        for n in range(len(points)):
+            P, out[k, n] = vector(points[n]), np.inf
+            if max(abs(P[0] - center[0]), abs(P[1] - center[1]), abs(P[2] - center[2])) < reach:
+                distance = abs(field_at(nodes, model[0].fine, apply_inverse(pose, P))[0])
+                if distance < within:
+                    out[k, n] = distance
+
+
+@entry
 def pose_covariances(
     model: Any, nodes: Any, points: Any, errors: Any, candidates: Any, informed: Any, out: Any
 ) -> None:
@@ -130,12 +185,13 @@ def pose_covariances(
     object's centre.
     """
     weights, places, normals = np.empty(len(points)), np.empty((len(points), 3)), np.empty((len(points), 3))
-    J, radius = np.empty((6, 6)), model[0].radius
+    J, radius, surface = np.empty((6, 6)), model[0].radius, (nodes, model[0].fine)
+    wall = MAX_WALL * 2 * radius
     for k in range(len(candidates)):
         pose = pose_of(candidates[k].pose)
         count, total = 0, 0.0
         for n in range(len(points)):
-            weight, _, P, g = _point((nodes, model[0].fine), points[n], pose, candidates[k].bound)
+            weight, _, P, g = _point(surface, points[n], pose, candidates[k].bound, wall)
             if weight > 0:
                 weights[count] = weight
                 store(P, places[count])

@@ -11,8 +11,7 @@ import numpy as np
 from handsight._kernels.image.pinhole import project
 from handsight._kernels.image.vision_records import HAND, TABLE
 from handsight._kernels.math.symmetry import pose_of
-from handsight._kernels.math.vec3 import Vec3, add, apply, dot, mul, norm, scale, tmul, vector
-from handsight._kernels.mesh.field import field_at
+from handsight._kernels.math.vec3 import Vec3, apply, dot, mul, norm, scale, tmul, vector
 from handsight._kernels.runtime.compilation import entry, inner
 
 
@@ -32,31 +31,6 @@ class ScoreWeights(NamedTuple):
 POSE_SCORE = ScoreWeights(passed=2.0, hidden=0.3, unexplained=0.5, max_unexplained=2.0, min_expected=30.0)
 MIN_FACING = 0.12
 """Least cosine between a sample's normal and the direction to the camera for the sample to be visible."""
-
-
-@entry
-def visible_sets(model: Any, nodes: Any, points: Any, normals: Any, directions: Any, visible: Any) -> None:
-    """Fills in which samples (m,) are visible from far away along each direction (k, 3): `visible` (k, m).
-
-    The ray to there is followed through the fine field in steps of the distance that it gives, up to 2.2 radii.
-    """
-    radius, field = model[0].radius, model[0].fine
-    for k in range(len(directions)):
-        way = vector(directions[k])
-        for m in range(len(points)):
-            place, normal = vector(points[m]), vector(normals[m])
-            visible[k, m] = dot(normal, way) > MIN_FACING
-            if not visible[k, m]:
-                continue
-            along, start = 0.0, add(place, scale(normal, 0.02 * radius))
-            for _ in range(60):
-                distance, _, _ = field_at(nodes, field, add(start, scale(way, along)))
-                if distance < -0.01 * radius:
-                    visible[k, m] = False
-                    break
-                along += max(distance, 0.03 * radius)
-                if along > 2.2 * radius:
-                    break
 
 
 @inner
@@ -83,6 +57,9 @@ def _add(
         return
     off = observed - z
     if off < -bound and label == HAND:
+        return
+    if label == TABLE and abs(off) <= bound:  # what is thin and lies on the table is left out with it
+        candidate.expected += POSE_SCORE.unknown * pixels
         return
     candidate.expected += pixels
     if off > bound or (off < -bound and label == TABLE):  # nothing is under the table
@@ -111,8 +88,8 @@ def score_all(camera: Any, image: Any, sides: Any, sizes: Any, center: Any, cand
     """Fills in the score of CANDIDATE (k,) and the pixels that it is made of.
 
     image: depth (h, w) [m] and labels (h, w) of segments, `TABLE`, `HAND` or `OUT`. sides: samples and normals
-    (2, m, 3), directions (d, 3), visible (d, m), area of a sample [m²]. sizes: pixels of each segment (p,). center: the
-    object's (3,).
+    (2, m, 3), directions (d, 3), visible (d, m / 8) in bits, area of a sample [m²]. sizes: pixels of each segment (p,).
+    center: the object's (3,).
     """
     samples, directions, visible, area = sides
     height, width = image[0].shape
@@ -126,7 +103,7 @@ def score_all(camera: Any, image: Any, sides: Any, sizes: Any, center: Any, cand
         explained[:] = 0.0
         candidate.expected = candidate.explained = candidate.passed = candidate.hidden = candidate.rms = 0.0
         for m in range(samples.shape[1]):
-            if visible[side, m]:
+            if visible[side, m >> 3] >> (m & 7) & 1:
                 P = apply(pose, vector(samples[0, m]))
                 u, v = project(camera[0], P)
                 cosine = -dot(mul(pose[0], vector(samples[1, m])), P) / norm(P)

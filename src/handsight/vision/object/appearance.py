@@ -2,19 +2,54 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handsight import se3
-from handsight._kernels.image import pose_score, votes
+from handsight._kernels.image import depth_term, pose_score, votes
+from handsight._kernels.image.vision_records import DEPTH_POINT, STAGE
+from handsight.camera import Camera
 from handsight.checks import Array
 from handsight.objects import ObjectModel, cache
+from handsight.objects.surface import Cloud
+from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, distinct, poses_of
 
-SAMPLES = 600
-"""Surface points by which a pose is scored; the model's own 256 vote."""
-DIRECTIONS = 200
+SAMPLES, FEW = 2400, 600
+"""Surface points by which a pose is scored, and by which many are compared; the model's own 256 vote."""
+DIRECTIONS = 800
 """Directions from which it is computed which of them are visible."""
+
+
+class TurnsOptions(NamedTuple):
+    """`TurnsOptions` say which motions bring most of an object's surface onto itself."""
+
+    starts: int = 1500  # rotations that they are searched from
+    points: int = 150  # of the surface
+    within: float = 0.03  # of the surface, where a point counts as on it [diameters]
+    least: float = 0.75  # share of the points
+    spacing: float = 0.08  # between two of them [diameters]
+    most: int = 48
+
+
+TURNS = TurnsOptions()
+PIXELS, AWAY, BEHIND = 200, 5.0, 0.02
+"""The object is drawn by so many pixels a diameter and from so many diameters; points that are so little behind what is
+drawn are visible [diameters]."""
+
+
+class Sides(NamedTuple):
+    """`Sides` are points of an object's surface, and which of them are visible from where."""
+
+    samples: Array
+    """(2, m, 3) points and normals."""
+    directions: Array
+    """(k, 3) unit, from the object's centre."""
+    visible: NDArray[np.uint8]
+    """(k, m / 8) which points are visible along each, in bits, the lowest first."""
+    area: float
+    """The area that each point stands for [m²]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,31 +60,31 @@ class Appearance:
     """Where the pairs of each cell begin, and the pairs: first point and spin of each in one number."""
     voters: Array
     """(2, 256, 3) points and normals of the pairs."""
-    sides: tuple[Array, Array, NDArray[np.bool_], float]
-    """(2, SAMPLES, 3) points and normals by which a pose is scored; (DIRECTIONS, 3) unit, from the object's centre;
-    (DIRECTIONS, SAMPLES) which points are visible from far along each; the area that each point stands for [m²]."""
+    sides: Sides
+    """By which a pose is scored."""
+    few_sides: Sides
+    """By which many poses are compared."""
+    turns: Array
+    """(t, 4, 4) motions of the object that bring most of its surface onto itself, without its symmetries."""
 
 
 @lru_cache(maxsize=128)  # of a library's objects, which recognition goes through again and again
 def appearance_of(model: ObjectModel) -> Appearance:
     """Returns the appearance of an object; pairs and visible points are kept on disk beside its fields."""
-    voters = np.stack([model.points_object, model.normals_object])
-    places, facing = model.sample(SAMPLES)
+    voters, samples = np.stack([model.points_object, model.normals_object]), np.stack(model.sample(SAMPLES))
+    samples = np.concatenate([samples[:, k :: SAMPLES // FEW] for k in range(SAMPLES // FEW)], axis=1)
+    area = model.area / SAMPLES
+    if not model.closed:  # a sheet has two sides
+        voters[1, ::2] *= -1
+        samples[1, ::2] *= -1
+        area *= 2
     directions = se3.directions(DIRECTIONS)
-    surface = model.surface
-    # Sheets and exact fields differ where vertices and faces do not.
-    name = cache.key(
-        f"visible 1 {type(model.fine).__name__}", places, facing, surface.vertices, surface.faces
-    )
-
-    def visible_sets() -> NDArray[np.uint8]:
-        visible = np.empty((DIRECTIONS, SAMPLES), dtype=np.bool_)
-        pose_score.visible_sets(*model.record[:2], places, facing, directions, visible)
-        return np.packbits(visible)
-
-    packed = cache.remembered_numbers("bits", name, np.uint8, visible_sets)
-    visible = np.unpackbits(packed).reshape(DIRECTIONS, SAMPLES).astype(np.bool_)
-    sides = np.stack([places, facing]), directions, visible, float(model.area / SAMPLES)
+    name = cache.key("visible 2", samples, directions, model.vertices, model.faces)
+    packed = cache.remembered_numbers(
+        "bits", name, np.uint8, lambda: visible_sets(model, samples, directions).reshape(-1)
+    ).reshape(DIRECTIONS, -1)
+    sides = Sides(samples, directions, packed, area)
+    few = Sides(samples[:, :FEW].copy(), directions, packed[:, : FEW // 8].copy(), area * (SAMPLES // FEW))
     count, diameter = voters.shape[1], model.diameter
 
     def table() -> NDArray[np.int32]:
@@ -65,4 +100,67 @@ def appearance_of(model: ObjectModel) -> Appearance:
     steps = f"{votes.DISTANCES} {votes.ANGLES} {votes.POINT_BITS}"
     name = cache.key(f"pairs 1 {steps}", voters, np.array(diameter))
     starts, pairs = np.split(cache.remembered_numbers("numbers", name, np.int32, table), [votes.CELLS + 1])
-    return Appearance((starts, pairs), voters, sides)
+    symmetries = model.symmetries
+    axes = np.array(symmetries.axes).reshape(-1, 3)
+    name = cache.key(f"turns 1 {TURNS}", *voters, symmetries.rotations, axes)
+    turns = cache.remembered_numbers("turns", name, np.float64, lambda: near_symmetries(model).reshape(-1))
+    return Appearance((starts, pairs), voters, sides, few, turns.reshape(-1, 4, 4))
+
+
+def visible_sets(model: ObjectModel, samples: Array, directions: Array) -> NDArray[np.uint8]:
+    """Returns (k, m / 8) which of the samples (2, m, 3) are visible along each direction (k, 3), in bits.
+
+    The object is drawn from a few diameters off, which is as far as cameras are.
+    """
+    surface, center, away = model.surface, model.center_object, AWAY * model.diameter
+    vertices, faces = surface.vertices, surface.faces
+    if isinstance(surface, Cloud):  # a triangle for each point
+        across = se3.perpendicular(surface.normals)
+        up = np.cross(surface.normals, across)
+        angles = 2 * np.pi / 3 * np.arange(3)[:, None, None]
+        reach = 1.5 * np.sqrt(surface.areas)[:, None]
+        corners = surface.vertices + reach * (np.cos(angles) * across + np.sin(angles) * up)
+        vertices, faces = corners.swapaxes(0, 1).reshape(-1, 3), np.arange(3 * len(across)).reshape(-1, 3)
+    focal, middle = PIXELS * AWAY, 0.6 * PIXELS
+    matrix = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1]])
+    camera, visible = Camera(matrix, (int(2 * middle), int(2 * middle))), []
+    for way in directions:
+        x = se3.perpendicular(way)
+        R = np.stack([x, np.cross(-way, x), -way])
+        depth = camera.draw((vertices - center) @ R.T + [0, 0, away], faces).depth
+        at = (samples[0] - center) @ R.T + [0, 0, away]
+        column, row = np.rint(focal * at[:, :2] / at[:, 2:] + middle).astype(int).T
+        facing = -((samples[1] @ R.T) * at).sum(axis=1) / np.linalg.norm(at, axis=1)
+        behind = at[:, 2] - depth[row, column]
+        clear = (facing > pose_score.MIN_FACING) & (behind < BEHIND * model.diameter)
+        visible.append(np.packbits(clear, bitorder="little"))
+    return np.stack(visible)
+
+
+def near_symmetries(model: ObjectModel) -> Array:
+    """Returns (t, 4, 4) motions, without symmetries, that bring most of the surface onto itself, such as the turns of a
+    mug about its axis, which only the handle shows.
+
+    Points of the surface are laid onto it from many rotations, as those of an image are.
+    """
+    points, normals = model.sample(TURNS.points)
+    rows = np.zeros(len(points), dtype=DEPTH_POINT)
+    rows["point"], rows["normal"] = points, normals
+    R = se3.random(np.random.default_rng(0), TURNS.starts)[:, :3, :3]
+    starts = np.stack([np.eye(4), *se3.compose(R, model.center_object - R @ model.center_object)])
+    candidates, stages = (
+        candidates_at(starts),
+        np.array([(0, 0.12, 0.06, 6, 1), (1, 0.06, 0.03, 6, 1)], dtype=STAGE),
+    )
+    candidates["bound"] = 0.01 * model.diameter
+    depth_term.refine_poses(*model.record[:2], rows, stages, model.diameter, NOTHING_KNOWN, candidates)
+    Ts = np.concatenate([np.eye(4)[None], poses_of(candidates)[1:]])
+    distance, gradient, _ = model.fine.evaluate(se3.apply(se3.inverse(Ts), points).reshape(-1, 3))
+    g = gradient.reshape(len(Ts), -1, 3) @ Ts[:, :3, :3].swapaxes(1, 2)
+    same = np.abs(distance).reshape(len(Ts), -1) < TURNS.within * model.diameter
+    same &= np.abs((g * normals).sum(axis=2)) > 0.5 * np.linalg.norm(g, axis=2)
+    share = same.mean(axis=1)
+    likely = share > TURNS.least * share[0]
+    share[0] = 2  # what is a symmetry is near the identity
+    candidates = candidates_at(Ts[likely])
+    return poses_of(distinct(model, candidates, share[likely], TURNS.most + 1, TURNS.spacing))[1:]

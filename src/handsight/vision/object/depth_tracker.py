@@ -37,6 +37,8 @@ class DepthTrackerOptions(NamedTuple):
     min_points: int = 15  # near the surface that an image must have to give a pose
     min_pixels: float = 20.0  # explained pixels that an image must have to give a pose
     min_against: float = 30.0  # pixels against a pose that an image must have to contradict it
+    min_fit: float = 0.6  # share of explained pixels among them and those against a pose
+    continued: float = 3.0  # pixels against a pose that one counts for where the surface goes on beside it
     uncertain: float = 0.08  # shift of its surface beyond which a pose is uncertain [diameters]
     lost: float = 0.12  # and beyond which a hidden object is lost [diameters]
     min_twin: float = 0.05
@@ -195,9 +197,9 @@ class DepthTracker:
     def _misfit(self, predicted: _Belief, refined: RefinedPose) -> str:
         """Returns why the object is lost; empty if it is not."""
         candidate = refined.candidate[0]
-        against = candidate["passed"] + candidate["hidden"]
-        if against > max(candidate["explained"], DEPTH_TRACKER.min_against):
-            share = candidate["explained"] / (candidate["explained"] + against)
+        against = candidate["passed"] + DEPTH_TRACKER.continued * candidate["unexplained"]
+        share = candidate["explained"] / max(candidate["explained"] + against, 1.0)
+        if against > DEPTH_TRACKER.min_against and share < DEPTH_TRACKER.min_fit:
             return f"it explains {100 * share:.0f} % of what is seen there"
         limit, pose = DEPTH_TRACKER.lost * self.model.diameter, predicted.pose_camera_object
         hidden = not _is_enough(refined) and (predicted.lost or surface_shift(self.model, pose) > limit)
@@ -209,7 +211,7 @@ class DepthTracker:
             return None
         self._searched = image.stamp
         noise = self._refiner.noise
-        found = locate(self.model, self.camera, image.depth, hand=image.hand, table=image.table, noise=noise)
+        found = locate(self.model, image.depth, self.camera, hand=image.hand, table=image.table, noise=noise)
         fits = found.candidates["explained"] >= DEPTH_TRACKER.min_found * found.candidates["expected"]
         likely = found.weights >= DEPTH_TRACKER.min_twin * found.weights.max(initial=0.0)
         Ts = found.Ts_camera_object[fits & likely]

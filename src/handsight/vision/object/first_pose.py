@@ -4,14 +4,22 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from handsight._deprecated import renamed_members
 from handsight._kernels.image import depth_term, pose_score, votes
 from handsight._kernels.image.vision_records import CANDIDATE, STAGE
-from handsight._kernels.solve import distinct_poses
 from handsight.checks import Array
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import NOTHING_KNOWN, Candidates, center_depths, pose_covariances, poses_of
+from handsight.vision.candidates import (
+    NOTHING_KNOWN,
+    Candidates,
+    candidates_at,
+    center_depths,
+    distinct,
+    pose_covariances,
+    poses_of,
+)
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.region import Scene, observed_points
@@ -29,6 +37,7 @@ class FirstPoseOptions(NamedTuple):
     max_voted: int = 90  # candidates of the votes that are compared with the image
     voted_spacing: float = 0.05  # between these [diameters]
     candidate_spacing: float = 0.08  # between those that go on [diameters]
+    turned: int = 2  # candidates that are turned to where the surface is nearly the same
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
     close_sigmas: float = 1.25  # of the depth with its bias, within which a point is close to the surface
@@ -47,9 +56,29 @@ STAGES = np.array(
 POINTS, KEPT = (80, 160, 300, FIRST_POSE.max_points), (24, 12, 8, 8)
 """Observed points by which each stage moves them, and candidates that go on from each."""
 
+TURNED = 3
+"""Before this stage the best candidates are also turned to where the surface is nearly the same."""
+
 EVIDENCE = np.array([-9.53, 14.95, -7.72, 6.6, -18.67])
 """The weights of the columns of `evidence_of` in the log odds that the object is there (`experiments/sight_fit.py`).
 Shares alone: sums, and how close points lie, say more of drawn pictures, and mislead with a real camera's."""
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedStarts:
+    """`JudgedStarts` say what a depth image says of k poses that somebody else has estimated."""
+
+    Ts_camera_object: Array
+    """(k, 4, 4) refined on the image, where that makes them better."""
+    moved: Array
+    """(k,) how far that moved the farthest point of the surface, modulo the object's symmetries [m]."""
+    probabilities: Array
+    """(k,) that the refined pose is right."""
+    better: NDArray[np.bool_]
+    """(k,) whether the search has found a likelier pose elsewhere, more than a tenth of the diameter away."""
+    right: NDArray[np.bool_]
+    """(k,) whether the pose as it was given is right: it was moved by at most a tenth of the diameter, its probability
+    is high enough to be answered, and no other pose is better."""
 
 
 @renamed_members(looks="candidates")
@@ -69,16 +98,29 @@ class ObjectDetection:
     """That the first is right, where as often as not the object is not there at all."""
     reason: str | None = None
     """Why there is none."""
+    starts: JudgedStarts | None = None
+    """Of the poses that were given: are they right? None: none was."""
 
     @classmethod
-    def nowhere(cls, reason: str) -> "ObjectDetection":
+    def nowhere(cls, reason: str, starts: JudgedStarts | None = None) -> "ObjectDetection":
         """Returns a detection without poses."""
         none, candidates = np.zeros(0), np.zeros(0, dtype=CANDIDATE)
-        return cls(none.reshape(0, 4, 4), none.reshape(0, 6, 6), none, candidates, 0.0, reason)
+        return cls(none.reshape(0, 4, 4), none.reshape(0, 6, 6), none, candidates, 0.0, reason, starts)
 
 
-def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTURED_LIGHT) -> ObjectDetection:
+def first_pose(
+    model: ObjectModel,
+    scene: Scene,
+    *,
+    noise: DepthNoise = STRUCTURED_LIGHT,
+    given: Candidates | None = None,
+    prior: float = 0.0,
+    modes: int = 0,
+) -> ObjectDetection:
     """Returns the poses of the object that a depth image supports, modulo its symmetries; `noise`: of its depth.
+
+    given CANDIDATE (k,): poses from elsewhere, which are scored in place and compared with those that are found. prior:
+    the log odds that the object is there, before the image. modes: least number of poses that go on from each stage.
 
     Pairs of points vote for candidates. These are moved to where more and more points lie on the surface, and those
     that the image supports best go on. In the end it also counts how many points are as close to the surface as the
@@ -99,12 +141,28 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
     found = voted.reshape(-1)
     found = distinct(model, found, found["votes"], FIRST_POSE.max_voted, FIRST_POSE.voted_spacing)
     image = scene.depth, scene.labels
-    for stage, points, kept in zip(STAGES, POINTS, KEPT, strict=True):
-        found["bound"] = explained_within(noise, center_depths(model, found))
-        stages = np.atleast_1d(stage)
-        depth_term.refine_poses(*model.record[:2], observed[:points], stages, D, NOTHING_KNOWN, found)
-        pose_score.score_all(camera.record, image, appearance.sides, scene.sizes, model.center_object, found)
-        found = distinct(model, found, found["score"], kept, FIRST_POSE.candidate_spacing)
+
+    def refine(candidates: Candidates, stage: NDArray[np.void], points: int) -> None:
+        """Moves candidates to some of the points, and scores them."""
+        candidates["bound"] = explained_within(noise, center_depths(model, candidates))
+        depth_term.refine_poses(*model.record[:2], observed[:points], stage, D, NOTHING_KNOWN, candidates)
+        sides, sizes = appearance.few_sides if points < POINTS[-1] else appearance.sides, scene.sizes
+        pose_score.score_all(camera.record, image, sides, sizes, model.center_object, candidates)
+
+    for stage, points, kept in zip(range(len(STAGES)), POINTS, KEPT, strict=True):
+        if stage == TURNED and len(appearance.turns):
+            best = poses_of(found[: FIRST_POSE.turned])
+            turned = candidates_at((best[:, None] @ appearance.turns).reshape(-1, 4, 4))
+            refine(turned, STAGES[stage : stage + 1], POINTS[0])
+            found = np.concatenate([found, turned])
+            found = distinct(model, found, found["score"], KEPT[1], FIRST_POSE.candidate_spacing)
+        refine(found, STAGES[stage : stage + 1], points)
+        found = distinct(model, found, found["score"], max(kept, modes), FIRST_POSE.candidate_spacing)
+    if given is not None:
+        given["bound"] = explained_within(noise, center_depths(model, given))
+        score_candidates(model, scene, given)
+        found, most = np.concatenate([given, found]), max(KEPT[-1], modes) + len(given)
+        found = distinct(model, found, found["score"], most, FIRST_POSE.candidate_spacing)
     z = center_depths(model, found)
     close = FIRST_POSE.close_sigmas * np.hypot(noise.sigma(z), noise.bias(z))
     depth_term.closeness(*model.record[:2], observed, close, found)
@@ -114,8 +172,17 @@ def first_pose(model: ObjectModel, scene: Scene, *, noise: DepthNoise = STRUCTUR
     order = np.argsort(-log_weights, kind="stable")
     found, weights = found[order], np.exp(log_weights[order] - log_weights.max(initial=-np.inf))
     covariances = pose_covariances(model, camera, observed, found, noise)
-    probability, weights = float(probabilities(log_odds(found[:1])).sum()), weights / max(weights.sum(), 1.0)
+    probability, weights = (
+        float(probabilities(log_odds(found[:1]) + prior).sum()),
+        weights / max(weights.sum(), 1.0),
+    )
     return ObjectDetection(poses_of(found), covariances, weights, found, probability)
+
+
+def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates) -> None:
+    """Fills in the score of CANDIDATE (k,), which have a bound, and the pixels that it is made of."""
+    image, sides = (scene.depth, scene.labels), appearance_of(model).sides
+    pose_score.score_all(scene.camera.record, image, sides, scene.sizes, model.center_object, candidates)
 
 
 def explained_within(noise: DepthNoise, z: Array) -> Array:
@@ -141,15 +208,3 @@ def probabilities(odds: Array) -> Array:
     most = max(float(odds.max(initial=0.0)), 0.0)
     here = np.exp(odds - most)
     return np.asarray(here / (here.sum() + np.exp(-most)))
-
-
-def distinct(
-    model: ObjectModel, candidates: Candidates, score: Array, most: int, spacing: float
-) -> Candidates:
-    """Returns the best candidates, each farther than `spacing` [diameters] from all better ones, modulo symmetry."""
-    axes, kept = model.symmetries.axes, np.empty(most, dtype=np.int64)
-    about = axes[0][0] if axes else model.center_object
-    group = model.symmetries.rotations, np.array([axis for _, axis in axes]).reshape(-1, 3)
-    limits = np.array([*about, model.radius, spacing * model.diameter])
-    order = np.argsort(-score, kind="stable")
-    return candidates[kept[: distinct_poses.distinct_candidates(group, limits, candidates, order, kept)]]

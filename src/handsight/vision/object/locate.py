@@ -2,40 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from handsight import checks, se3
+from handsight._deprecated import renamed_keywords, reordered
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
+from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
+from handsight.vision.candidates import NOTHING_KNOWN, Candidates, candidates_at, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
-from handsight.vision.object.first_pose import ObjectDetection, first_pose, log_odds, probabilities
-from handsight.vision.object.region import scene_of
+from handsight.vision.object.first_pose import (
+    JudgedStarts,
+    ObjectDetection,
+    first_pose,
+    probabilities,
+)
+from handsight.vision.object.pose_refiner import PoseRefiner
+from handsight.vision.object.region import Scene, scene_of
+
+Box = Sequence[float] | Array
+"""u0, v0, u1, v1: the first column and row, and the last, all included [pixels]."""
+Start = GaussianPose | Sequence[GaussianPose] | ArrayLike
+"""Poses of the object in the camera: (4, 4), (k, 4, 4), or with their covariances."""
 
 
 class LocateOptions(NamedTuple):
-    """`LocateOptions` say when an object is found in an image."""
+    """`LocateOptions` say when an object is found in an image, and when a pose that was given is right."""
 
     max_plane: float = 1.5  # a plane wider than this is no part of the object [diameters]
     min_probability: float = 0.02
     """Least probability of the best pose at which the object counts as found. It is low because the probability was
     fitted to drawn images, from which those of real cameras differ
     (`experiments/sight_recognition.py` prints what it accepts and claims)."""
+    meaningless: float = 0.1
+    """Probability that the score of a detector says nothing; `score_log_odds` derives what follows from it."""
+    max_moved: float = 0.1  # a pose that is right is moved by at most that on the image [diameters]
+    max_starts: int = 100
 
 
 LOCATE = LocateOptions()
 
 
+@renamed_keywords(wanted="mask")
+@reordered("model", "camera", "depth", former=lambda args: len(args) > 1 and isinstance(args[1], Camera))
 def locate(
     model: ObjectModel,
-    camera: Camera,
     depth: Depth,
+    camera: Camera,
     *,
-    wanted: Mask | None = None,
+    box: Box | None = None,
+    mask: Mask | None = None,
+    start: Start | None = None,
+    score: float | None = None,
     hand: Mask | None = None,
     table: Array | None = None,
     noise: DepthNoise = STRUCTURED_LIGHT,
@@ -43,21 +68,34 @@ def locate(
     """Returns the poses that the object may have in a depth image (h, w) [m], 0 or NaN where there is no depth; none,
     with the reason, if the object is not in it.
 
-    wanted (h, w): pixels that the object may be in; None: all. hand (h, w): those of the hand. table (4,):
-    `n·P + offset = 0` in the camera, n towards it; None: the widest plane. noise: of the depth. Raises InvalidInput
-    for images of another size than the camera's, and for depth that is not in metres.
+    box, mask, start and score are what another detector says of the object. box (u0, v0, u1, v1): the first and the
+    last column and row that it may be in, rounded outwards; what lies outside the image is cut off. mask (h, w): pixels
+    that it may be in, not 0. None: all pixels. start: T_camera_object (4, 4) of another estimator, or several (k, 4,
+    4), or GaussianPoses, whose covariances hold directions of which the image says nothing. Each is refined and
+    compared with what is found without it; `ObjectDetection.starts` says which are right. score: the detector's
+    confidence in (0, 1], by which the probability changes (`score_log_odds`).
+
+    hand (h, w): pixels of the hand. table (4,): `n·P + offset = 0` in the camera, n towards it; None: the widest plane.
+    noise: of the depth. Raises InvalidInput for images of another size than the camera's, for depth that is not in
+    metres, and for a box that is outside the image; InvalidTransform for a start that is no pose.
     """
-    extent = LOCATE.max_plane * model.diameter
+    wanted, extent = search_mask(camera, box, mask), LOCATE.max_plane * model.diameter
+    prior = 0.0 if score is None else score_log_odds(score)
+    given = None if start is None else _checked_starts(start)
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
     if not len(scene.sizes):
-        return ObjectDetection.nowhere(scene.reason)
-    found = first_pose(model, scene, noise=noise)
+        return ObjectDetection.nowhere(scene.reason, None if given is None else _nowhere(given))
+    refined = None if given is None else _refined(model, scene, given, noise)
+    found = first_pose(model, scene, noise=noise, given=refined, prior=prior)
+    if given is not None and refined is not None:
+        found = replace(found, starts=_judged(model, given, refined, found))
     if found.probability >= LOCATE.min_probability:
         return found
     if not len(found.candidates):
-        return ObjectDetection.nowhere("no surface there is large enough to tell its shape")
+        return ObjectDetection.nowhere("no surface there is large enough to tell its shape", found.starts)
     name, probability = model.name or "the object", f"with a probability of {found.probability:.2f} only"
-    return ObjectDetection.nowhere(f"the likeliest pose of {name} is right {probability}")
+    reason = f"the likeliest pose of {name} is right {probability}"
+    return ObjectDetection.nowhere(reason, found.starts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,33 +118,144 @@ class Recognition:
         return best if best is not None and self.scores[best] > self.none else None
 
 
+@renamed_keywords(wanted="mask")
+@reordered("models", "camera", "depth", former=lambda args: len(args) > 1 and isinstance(args[1], Camera))
 def recognise(
     models: Mapping[str, ObjectModel],
-    camera: Camera,
     depth: Depth,
+    camera: Camera,
     *,
-    wanted: Mask | None = None,
+    box: Box | None = None,
+    mask: Mask | None = None,
     hand: Mask | None = None,
     table: Array | None = None,
     noise: DepthNoise = STRUCTURED_LIGHT,
 ) -> Recognition:
-    """Returns which of the models (by name) the wanted pixels of a depth image show; images are as `locate` takes them.
+    """Returns which of the models (by name) a depth image shows in a box or a mask; arguments are as `locate`'s.
 
     Each is searched in the same segments of the image. Raises InvalidInput as `locate` does, and for no models.
     """
     if not models:
         raise InvalidInput("models: expected at least one, got none")
     extent = LOCATE.max_plane * max(model.diameter for model in models.values())
+    wanted = search_mask(camera, box, mask)
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
     found = {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
+    return recognition_of(found, None if len(scene.sizes) else scene.reason)
+
+
+def recognition_of(found: Mapping[str, ObjectDetection], reason: str | None = None) -> Recognition:
+    """Returns which of several objects an image shows, by where each would be; `reason`: why it can be none."""
     detected = [name for name, one in found.items() if len(one.candidates)]
-    odds = np.array([log_odds(found[name].candidates[:1])[0] for name in detected])
-    scores = dict.fromkeys(models, 0.0) | dict(zip(detected, probabilities(odds).tolist(), strict=True))
+    odds = np.log(
+        [p / (1 - p) for p in (np.clip(found[name].probability, 1e-300, 1 - 1e-16) for name in detected)]
+    )
+    scores = dict.fromkeys(found, 0.0) | dict(zip(detected, probabilities(odds).tolist(), strict=True))
     order = sorted(scores, key=lambda name: -scores[name])
-    none, reason = 1 - sum(scores.values()), None
-    if not len(scene.sizes):
-        reason = scene.reason
-    elif none >= scores[order[0]]:
+    none = 1 - sum(scores.values())
+    if reason is None and none >= scores[order[0]]:
         best = f"{order[0]} is the likeliest, with a probability of {scores[order[0]]:.2f}"
         reason = f"nothing there looks like one of them; {best}"
     return Recognition({n: scores[n] for n in order}, max(none, 0.0), {n: found[n] for n in order}, reason)
+
+
+def search_mask(camera: Camera, box: Box | None, mask: Mask | None) -> Mask | None:
+    """Returns the pixels (h, w) of an image that are in a box and in a mask; None: all. Raises InvalidInput."""
+    if mask is not None:
+        camera.check_size(mask, "mask")
+        mask = np.asarray(mask).astype(bool)
+    if box is None:
+        return mask
+    corners = checks.finite(box, "box", (4,))
+    if (corners[2:] < corners[:2]).any():
+        expected = "expected u0,v0,u1,v1 with u0 <= u1 and v0 <= v1"
+        raise InvalidInput(f"box: {expected}, got {checks.brief(corners)} (u0, v0, width, height?)")
+    last = np.array(camera.size) - 1
+    if (corners[:2] > last).any() or (corners[2:] < 0).any():
+        expected = f"expected u0,v0,u1,v1 that meets the image, 0,0 to {last[0]},{last[1]}"
+        raise InvalidInput(f"box: {expected}, got {checks.brief(corners)}")
+    left, top = np.floor(corners[:2]).clip(0).astype(int)
+    right, bottom = np.minimum(np.ceil(corners[2:]), last).astype(int)
+    inside = np.zeros(camera.size[::-1], dtype=bool)
+    inside[top : bottom + 1, left : right + 1] = True
+    return inside if mask is None else inside & mask
+
+
+def score_log_odds(score: float) -> float:
+    """Returns the log odds that an object is there, by the score in (0, 1] of a detector that reported it.
+
+    The score is taken as the probability that the detection is right, but may be meaningless with a probability m
+    (`LocateOptions.meaningless`): the networks that give it are overconfident, and some give similarities. The
+    probability is then m/2 + (1 - m)·score, whose log odds are 0 for a score of ½ and within ± log(2/m - 1), about 3.
+    They are added to those of the depth image (Bayes' rule), which are for even odds. Raises InvalidInput.
+    """
+    value = checks.positive(score, "score")
+    if value > 1:
+        raise InvalidInput(f"score: expected a number above 0 and at most 1, got {value:g}")
+    p = LOCATE.meaningless / 2 + (1 - LOCATE.meaningless) * value
+    return float(np.log(p / (1 - p)))
+
+
+def _checked_starts(start: Start) -> list[GaussianPose]:
+    """Returns the poses that were given, with a covariance of infinity where none was; raises InvalidInput."""
+    several, poses = [start] if isinstance(start, GaussianPose) else start, list[GaussianPose]()
+    if isinstance(several, Sequence) and any(isinstance(each, GaussianPose) for each in several):
+        for k, each in enumerate(several):
+            if not isinstance(each, GaussianPose):
+                came = type(each).__name__
+                raise InvalidInput(f"start[{k}]: expected a GaussianPose as the others are, got {came}")
+            poses.append(GaussianPose.checked(each.T_a_b, each.covariance, f"start[{k}]"))
+    else:
+        alone = checks.ndim(several) != 3
+        Ts = checks.finite(cast(ArrayLike, several), "start", (4, 4) if alone else (None, 4, 4))
+        unknown = np.full((6, 6), np.inf)
+        for k, T in enumerate(Ts.reshape(-1, 4, 4)):
+            poses.append(GaussianPose(se3.rounded(T, "start" if alone else f"start[{k}]"), unknown))
+    if not 0 < len(poses) <= LOCATE.max_starts:
+        raise InvalidInput(f"start: expected 1 to {LOCATE.max_starts} poses, got {len(poses)}")
+    return poses
+
+
+def _refined(model: ObjectModel, scene: Scene, given: list[GaussianPose], noise: DepthNoise) -> Candidates:
+    """Returns CANDIDATE (2k,): the given poses, then these moved to the points near them that are no table's or hand's.
+
+    Both, because a neighbour's points may draw a pose away from where it was right.
+    """
+    refiner, Ts = PoseRefiner(model, scene.camera, noise), list[Array]()
+    for pose in given:
+        known = NOTHING_KNOWN
+        if np.isfinite(pose.covariance).all():
+            known = np.asarray(np.linalg.pinv(pose.at_point(model.center_object).covariance, hermitian=True))
+        Ts.append(refiner.at(pose.T_a_b, known, scene.depth, scene.labels < 0, None).pose_camera_object.T_a_b)
+    return candidates_at(np.array([*(pose.T_a_b for pose in given), *Ts]))
+
+
+def _judged(
+    model: ObjectModel, given: list[GaussianPose], refined: Candidates, found: ObjectDetection
+) -> JudgedStarts:
+    """Returns what an image says of poses; `refined` CANDIDATE (2k,): of `_refined`, scored by `first_pose`."""
+    limit, weights, (as_given, after) = LOCATE.max_moved * model.diameter, found.weights, np.split(refined, 2)
+    Ts = poses_of(np.where(after["score"] > as_given["score"], after, as_given))
+    moved = np.array([surface_distance(model, pose.T_a_b, T) for pose, T in zip(given, Ts, strict=True)])
+    away = np.array([[surface_distance(model, T, other) for other in found.Ts_camera_object] for T in Ts])
+    near = (away <= limit).reshape(len(Ts), -1)
+    weight = np.where(near, weights, 0).max(axis=1, initial=0)
+    better = weight < np.where(near, 0, weights).max(axis=1, initial=0)
+    odds_of_first = weight / max(weights.max(initial=0), np.finfo(float).tiny)
+    probabilities = found.probability * odds_of_first
+    right = (probabilities >= LOCATE.min_probability) & (moved <= limit) & ~better
+    return JudgedStarts(Ts, moved, probabilities, better, right)
+
+
+def _nowhere(given: list[GaussianPose]) -> JudgedStarts:
+    """Returns that poses are wrong, as the image has nothing that may be the object."""
+    zeros, no = np.zeros(len(given)), np.zeros(len(given), dtype=bool)
+    return JudgedStarts(np.array([pose.T_a_b for pose in given]), zeros, zeros, no, no)
+
+
+def surface_distance(model: ObjectModel, T: Array, T_reference: Array) -> float:
+    """Returns the largest distance of a point of the surface at a pose (4, 4) from the same at another, modulo symmetry
+    [m]."""
+    points = model.points_object
+    off = se3.apply(model.nearest(T, T_reference), points) - se3.apply(T_reference, points)
+    return float(np.linalg.norm(off, axis=1).max())

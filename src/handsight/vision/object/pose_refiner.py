@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight import se3
-from handsight._kernels.image import depth_image, depth_term, pinhole, pose_score
+from handsight._kernels.image import depth_image, depth_term, outline, pinhole, pose_score
 from handsight._kernels.image.vision_records import DEPTH_POINT, HAND, OUT, STAGE, WINDOW
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
@@ -73,8 +73,9 @@ class PoseRefiner:
         candidate["bound"] = explained_within(self.noise, z)
         one_point = self.noise.sigma(z) ** 2 + self.noise.bias(z) ** 2
         depth_term.refine_poses(*record, points, STAGES, self.model.diameter, one_point * known, candidate)
-        sides, center = appearance_of(self.model).sides, self.model.center_object
+        sides, center = appearance_of(self.model).few_sides, self.model.center_object
         pose_score.score_all(self.camera.record, image[1:], sides, np.zeros(1), center, candidate)
+        outline.find_continued(self.camera.record, record, image, self._window, candidate)
         some = np.ascontiguousarray(points[:: max(count // REFINER.covariance_points, 1)])
         covariance = pose_covariances(self.model, self.camera, some, candidate, self.noise)[0]
         return RefinedPose(GaussianPose(poses_of(candidate)[0], covariance), candidate, count)
