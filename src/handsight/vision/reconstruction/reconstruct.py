@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion
 
 from handsight import se3
 from handsight._kernels.image import depth_term
@@ -144,8 +144,9 @@ class Surface:
     """A `Surface` is the surface so far, as a model that views are aligned with."""
 
     def __init__(self, coarse: Volume, fine: Volume) -> None:
-        self.known, self.fine = [binary_erosion(volume.observed()) for volume in (coarse, fine)], fine.field()
-        """Which nodes of each volume any view has observed (nx, ny, nz); the field of the fine one."""
+        self.known = [scipy.ndimage.binary_erosion(volume.observed()) for volume in (coarse, fine)]
+        """Which nodes of each volume any view has observed (nx, ny, nz)."""
+        self.fine = fine.field()
         fields, (low, high) = [coarse.field().record, self.fine.record], fine.bounds_object
         model = np.zeros(1, dtype=MODEL)
         model["coarse"], model["fine"] = (record for record, _ in fields)

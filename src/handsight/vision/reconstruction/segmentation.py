@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy  # loads its parts when they are used
 
 from handsight import se3
 from handsight.camera import Camera, Depth
@@ -109,7 +109,7 @@ class InHandView:
         low, high = skin.min(axis=0) - slack.max(), skin.max(axis=0) + slack.max()
         with np.errstate(invalid="ignore"):
             around = np.flatnonzero((depth.reshape(-1) > 0) & ((points > low) & (points < high)).all(axis=1))
-        gap, which = cKDTree(skin).query(points[around], k=SEGMENTATION.neighbours)
+        gap, which = scipy.spatial.cKDTree(skin).query(points[around], k=SEGMENTATION.neighbours)
         alone = depth.copy()
         alone.reshape(-1)[around[(gap < slack[which]).any(axis=1)]] = 0
         return alone
