@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from handsight import checks, se3
 from handsight._kernels.image import depth_term
 from handsight._kernels.image.pose_score import POSE_SCORE
-from handsight._kernels.image.vision_records import HAND
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
@@ -49,11 +48,19 @@ class LocateAllOptions(NamedTuple):
     around: float = 0.1  # so close is close [diameters]
     hopeless: float = 0.8  # a candidate explains less than so much of what it costs
     expected: float = 0.3  # and each pixel that a candidate should fill, unless another chosen one hides it
-    exchanged: int = 12  # candidates that are put in the place of all chosen ones that explain the same pixels
-    overlap: float = 0.25  # share of the pixels of one of two candidates that both explain, to be put in its place
+    exchanged: int = (
+        12  # candidates that are put in the place of all chosen ones that explain the same pixels
+    )
+    overlap: float = (
+        0.25  # share of the pixels of one of two candidates that both explain, to be put in its place
+    )
     max_left_out: int = 10  # unlikely candidates in whose place others are searched
-    rival: float = 0.5  # share of an object's pixels that another candidate explains, to be there instead of it
-    changed: float = 0.02  # share of its pixels by which its surroundings change before an object is searched again
+    rival: float = (
+        0.5  # share of an object's pixels that another candidate explains, to be there instead of it
+    )
+    changed: float = (
+        0.02  # share of its pixels by which its surroundings change before an object is searched again
+    )
     max_rounds: int = 6  # of the search for one more of each
     min_another: float = 0.5  # least probability of one more of an object of which the number is not given
 
@@ -108,7 +115,9 @@ def locate_all(
     if not len(scene.sizes):
         return SceneDetection((), dict.fromkeys(models, scene.reason))
     # In the order of their names, so that the order in which models are given changes nothing.
-    found = {name: first_pose(models[name], scene, noise=noise, modes=LOCATE_ALL.modes) for name in sorted(models)}
+    found = {
+        name: first_pose(models[name], scene, noise=noise, modes=LOCATE_ALL.modes) for name in sorted(models)
+    }
     pool = _Pool(scene, models, noise, [_Search(name, one, None) for name, one in found.items()])
     chosen, more = pool.best(limits, []), set(models)
     for k in range(LOCATE_ALL.max_rounds):
@@ -236,9 +245,7 @@ class _Pool:
         gains[chosen] = -np.inf
         return np.asarray(gains)
 
-    def best(
-        self, limits: Mapping[str, int], start: list[int], banned: Collection[int] = ()
-    ) -> list[int]:
+    def best(self, limits: Mapping[str, int], start: list[int], banned: Collection[int] = ()) -> list[int]:
         """Returns the candidates that explain the image best together, at most so many of a name, none that is banned.
 
         From the start on one is added, or put in the place of another, as long as that raises the value.
@@ -267,7 +274,11 @@ class _Pool:
             for n in [n for n in order.tolist() if alone[n] > 0 and n not in banned]:
                 same = np.minimum(self.explained[n], self.explained[chosen]).sum(axis=1)
                 least = LOCATE_ALL.overlap * np.minimum(self.total[n], self.total[chosen])
-                rest = [m for m, k, most in zip(chosen, same, least, strict=True) if k < most and names[m] != names[n]]
+                rest = [
+                    m
+                    for m, k, most in zip(chosen, same, least, strict=True)
+                    if k < most and names[m] != names[n]
+                ]
                 if n not in chosen and len(rest) < len(chosen):
                     option = [*rest, n]
                     for _ in range(len(chosen) - len(rest)):
@@ -344,7 +355,9 @@ def _least_odds(limits: Mapping[str, int], names: Sequence[str], odds: Array) ->
     """Returns the log odds (k,) that instances must have: more for one more of an object that is counted."""
     p = np.full(len(names), LOCATE.min_probability)
     for k, name in enumerate(names):
-        if name not in limits and k != max((j for j, other in enumerate(names) if other == name), key=odds.__getitem__):
+        if name not in limits and k != max(
+            (j for j, other in enumerate(names) if other == name), key=odds.__getitem__
+        ):
             p[k] = LOCATE_ALL.min_another
     return np.asarray(np.log(p / (1 - p)))
 
@@ -362,7 +375,9 @@ def _answer(
     for k in np.flatnonzero(stays):
         odds = pool.odds(limits, chosen, k, owner)
         rivals = [value for n, value in odds.items() if n != chosen[k]]
-        probability = float(probabilities(np.array([own[k], *rivals]))[0]) if rivals else detections[k].probability
+        probability = (
+            float(probabilities(np.array([own[k], *rivals]))[0]) if rivals else detections[k].probability
+        )
         instances.append(ObjectInstance(names[k], detections[k], probability, pixels == k))
     missing = dict[str, str]()
     for name in pool.models:
@@ -382,7 +397,10 @@ def owners(scene: Scene, bodies: Sequence[tuple[ObjectModel, Candidates]]) -> Pi
     nearest = np.full(scene.depth.shape, np.inf, dtype=np.float32)
     owner = np.full(nearest.shape, -1, dtype=np.int32)
     for k, (model, candidate) in enumerate(bodies):
-        bound, middle = float(candidate["bound"][0]), se3.apply(poses_of(candidate)[0], model.center_object[None])
+        bound, middle = (
+            float(candidate["bound"][0]),
+            se3.apply(poses_of(candidate)[0], model.center_object[None]),
+        )
         reach, z = 1.2 * model.radius + bound, float(middle[0, 2])
         focal = np.diag(scene.camera.matrix)[:2] / max(z - reach, 0.05)
         corners = scene.camera.project(middle) + np.outer((-reach, reach), focal) + [[0], [1]]
