@@ -34,6 +34,7 @@ class DepthTrackerOptions(NamedTuple):
     max_gap: float = 0.5  # between images, for a velocity to be used [s]
     drift: tuple[float, float] = (0.15, 1.0)  # sigma of its other motion [m/s, rad/s]
     drift_in_palm: tuple[float, float] = (0.02, 0.15)  # and of its motion in a grip [m/s, rad/s]
+    steady: float = 2.0  # squared error of the expected pose up to which its motion has not changed
     min_points: int = 15  # near the surface that an image must have to give a pose
     min_pixels: float = 20.0  # explained pixels that an image must have to give a pose
     min_against: float = 30.0  # pixels against a pose that an image must have to contradict it
@@ -91,6 +92,8 @@ class _Belief:
     """(6,) of the object's centre [m/s, rad/s]."""
     T_camera_palm: Array | None
     lost: bool
+    steady: Array | None = None
+    """(6, 6) covariance of the pose if it moves on about as it did; None: nothing is known of that."""
 
 
 class DepthTracker:
@@ -183,13 +186,19 @@ class DepthTracker:
         else:
             T_camera_center = se3.moved(pose.T_a_b @ self._T_object_center, velocity * dt)
             T = T_camera_center @ se3.inverse(self._T_object_center)
-        drifted = self._covariance_of_origin(T, np.repeat([(dt * sigma) ** 2 for sigma in drift], 3))
-        pose = GaussianPose(T if hint is None else hint, pose.covariance + drifted)
-        return _Belief(image.stamp, pose, velocity, image.T_camera_palm, last.lost)
+        little, much = (
+            pose.covariance + self._covariance_of_origin(T, np.repeat([(dt * s) ** 2 for s in sigmas], 3))
+            for sigmas in (DEPTH_TRACKER.drift_in_palm, drift)
+        )
+        pose = GaussianPose(T if hint is None else hint, much)
+        steady = None if last.lost or hint is not None else little
+        return _Belief(image.stamp, pose, velocity, image.T_camera_palm, last.lost, steady)
 
     def _refined(self, image: _Image, predicted: _Belief) -> RefinedPose:
         """Returns what an image says near where the object is expected."""
         pose = predicted.pose_camera_object
+        if predicted.steady is not None:
+            pose = GaussianPose(pose.T_a_b, predicted.steady)
         known = np.asarray(np.linalg.inv(pose.at_point(self.model.center_object).covariance))
         return self._refiner.at(pose.T_a_b, known, image.depth, image.hand, image.table, near=True)
 
@@ -225,7 +234,12 @@ class DepthTracker:
     def _fused(self, predicted: _Belief, refined: RefinedPose) -> _Belief:
         """Returns the belief after an image that shows enough of the object."""
         last, velocity = self._belief, predicted.velocity
-        pose = predicted.pose_camera_object.fused(refined.pose_camera_object)
+        pose, measured = predicted.pose_camera_object, refined.pose_camera_object
+        if predicted.steady is not None:
+            off = se3.difference(measured.T_a_b, pose.T_a_b)
+            if off @ np.linalg.solve(predicted.steady + measured.covariance, off) < DEPTH_TRACKER.steady:
+                pose = GaussianPose(pose.T_a_b, predicted.steady)
+        pose = pose.fused(measured)
         if last is None or predicted.lost:
             velocity = np.zeros(6)
         elif 0 < predicted.stamp - last.stamp <= DEPTH_TRACKER.max_gap:
