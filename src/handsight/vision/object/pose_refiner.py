@@ -63,7 +63,14 @@ class PoseRefiner:
         self._points = np.zeros(REFINER.max_points, dtype=DEPTH_POINT)
 
     def at(
-        self, T_expected: Array, known: Array, depth: Depth, hand: Mask | None, table: Array | None, *, near: bool = False,
+        self,
+        T_expected: Array,
+        known: Array,
+        depth: Depth,
+        hand: Mask | None,
+        table: Array | None,
+        *,
+        near: bool = False,
     ) -> RefinedPose:
         """Returns the pose that depth (h, w) gives from the expected one on, without the pixels of hand and table.
 
