@@ -38,7 +38,7 @@ class DepthTrackerOptions(NamedTuple):
     min_points: int = 15  # near the surface that an image must have to give a pose
     min_pixels: float = 20.0  # explained pixels that an image must have to give a pose
     min_against: float = 30.0  # pixels against a pose that an image must have to contradict it
-    min_fit: float = 0.6  # share of explained pixels among them and those against a pose
+    min_fit: float = 0.7  # share of explained pixels among them and those against a pose
     uncertain: float = 0.08  # shift of its surface beyond which a pose is uncertain [diameters]
     lost: float = 0.12  # and beyond which a hidden object is lost [diameters]
     min_twin: float = 0.05
