@@ -15,7 +15,14 @@ from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_ERROR, DEPT
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects.symmetry import nearest
 from handsight.vision import STRUCTURED_LIGHT
-from handsight.vision.candidates import NOTHING_KNOWN, UNKNOWN, candidates_at, distinct, pose_covariances, poses_of
+from handsight.vision.candidates import (
+    NOTHING_KNOWN,
+    UNKNOWN,
+    candidates_at,
+    distinct,
+    pose_covariances,
+    poses_of,
+)
 from handsight.vision.object import appearance
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.first_pose import first_pose

@@ -58,6 +58,9 @@ def _add(
     off = observed - z
     if off < -bound and label == HAND:
         return
+    if label == TABLE and abs(off) <= bound:  # what is thin and lies on the table is left out with it
+        candidate.expected += POSE_SCORE.unknown * pixels
+        return
     candidate.expected += pixels
     if off > bound or (off < -bound and label == TABLE):  # nothing is under the table
         candidate.passed += pixels
@@ -85,8 +88,8 @@ def score_all(camera: Any, image: Any, sides: Any, sizes: Any, center: Any, cand
     """Fills in the score of CANDIDATE (k,) and the pixels that it is made of.
 
     image: depth (h, w) [m] and labels (h, w) of segments, `TABLE`, `HAND` or `OUT`. sides: samples and normals
-    (2, m, 3), directions (d, 3), visible (d, m), area of a sample [m²]. sizes: pixels of each segment (p,). center: the
-    object's (3,).
+    (2, m, 3), directions (d, 3), visible (d, m / 8) in bits, area of a sample [m²]. sizes: pixels of each segment (p,).
+    center: the object's (3,).
     """
     samples, directions, visible, area = sides
     height, width = image[0].shape
@@ -100,7 +103,7 @@ def score_all(camera: Any, image: Any, sides: Any, sizes: Any, center: Any, cand
         explained[:] = 0.0
         candidate.expected = candidate.explained = candidate.passed = candidate.hidden = candidate.rms = 0.0
         for m in range(samples.shape[1]):
-            if visible[side, m]:
+            if visible[side, m >> 3] >> (m & 7) & 1:
                 P = apply(pose, vector(samples[0, m]))
                 u, v = project(camera[0], P)
                 cosine = -dot(mul(pose[0], vector(samples[1, m])), P) / norm(P)

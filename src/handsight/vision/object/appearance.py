@@ -16,9 +16,9 @@ from handsight.objects import ObjectModel, cache
 from handsight.objects.surface import Cloud
 from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, distinct, poses_of
 
-SAMPLES = 600
-"""Surface points by which a pose is scored; the model's own 256 vote."""
-DIRECTIONS = 200
+SAMPLES, FEW = 2400, 600
+"""Surface points by which a pose is scored, and by which many are compared; the model's own 256 vote."""
+DIRECTIONS = 800
 """Directions from which it is computed which of them are visible."""
 
 
@@ -39,6 +39,19 @@ PIXELS, AWAY, BEHIND = 200, 5.0, 0.02
 drawn are visible [diameters]."""
 
 
+class Sides(NamedTuple):
+    """`Sides` are points of an object's surface, and which of them are visible from where."""
+
+    samples: Array
+    """(2, m, 3) points and normals."""
+    directions: Array
+    """(k, 3) unit, from the object's centre."""
+    visible: NDArray[np.uint8]
+    """(k, m / 8) which points are visible along each, in bits, the lowest first."""
+    area: float
+    """The area that each point stands for [m²]."""
+
+
 @dataclass(frozen=True, eq=False)
 class Appearance:
     """An `Appearance` is computed of an object once, for all depth images."""
@@ -47,9 +60,10 @@ class Appearance:
     """Where the pairs of each cell begin, and the pairs: first point and spin of each in one number."""
     voters: Array
     """(2, 256, 3) points and normals of the pairs."""
-    sides: tuple[Array, Array, NDArray[np.bool_], float]
-    """(2, SAMPLES, 3) points and normals by which a pose is scored; (DIRECTIONS, 3) unit, from the object's centre;
-    (DIRECTIONS, SAMPLES) which points are visible from along each; the area that each point stands for [m²]."""
+    sides: Sides
+    """By which a pose is scored."""
+    few_sides: Sides
+    """By which many poses are compared."""
     turns: Array
     """(t, 4, 4) motions of the object that bring most of its surface onto itself, without its symmetries."""
 
@@ -57,20 +71,20 @@ class Appearance:
 @lru_cache(maxsize=128)  # of a library's objects, which recognition goes through again and again
 def appearance_of(model: ObjectModel) -> Appearance:
     """Returns the appearance of an object; pairs and visible points are kept on disk beside its fields."""
-    voters, places, facing = np.stack([model.points_object, model.normals_object]), *model.sample(SAMPLES)
+    voters, samples = np.stack([model.points_object, model.normals_object]), np.stack(model.sample(SAMPLES))
+    samples = np.concatenate([samples[:, k :: SAMPLES // FEW] for k in range(SAMPLES // FEW)], axis=1)
     area = model.area / SAMPLES
     if not model.closed:  # a sheet has two sides
-        voters = np.concatenate([voters, voters * [[[1]], [[-1]]]], axis=1)
-        facing[1::2] *= -1
+        voters[1, ::2] *= -1
+        samples[1, ::2] *= -1
         area *= 2
     directions = se3.directions(DIRECTIONS)
-    surface = model.surface
-    name = cache.key("visible 2", places, facing, surface.vertices, surface.faces)
+    name = cache.key("visible 2", samples, directions, model.vertices, model.faces)
     packed = cache.remembered_numbers(
-        "bits", name, np.uint8, lambda: np.packbits(visible_sets(model, places, facing, directions))
-    )
-    visible = np.unpackbits(packed)[: DIRECTIONS * SAMPLES].reshape(DIRECTIONS, SAMPLES).astype(np.bool_)
-    sides = np.stack([places, facing]), directions, visible, float(area)
+        "bits", name, np.uint8, lambda: visible_sets(model, samples, directions).reshape(-1)
+    ).reshape(DIRECTIONS, -1)
+    sides = Sides(samples, directions, packed, area)
+    few = Sides(samples[:, :FEW].copy(), directions, packed[:, : FEW // 8].copy(), area * (SAMPLES // FEW))
     count, diameter = voters.shape[1], model.diameter
 
     def table() -> NDArray[np.int32]:
@@ -90,38 +104,37 @@ def appearance_of(model: ObjectModel) -> Appearance:
     axes = np.array(symmetries.axes).reshape(-1, 3)
     name = cache.key(f"turns 1 {TURNS}", *voters, symmetries.rotations, axes)
     turns = cache.remembered_numbers("turns", name, np.float64, lambda: near_symmetries(model).reshape(-1))
-    return Appearance((starts, pairs), voters, sides, turns.reshape(-1, 4, 4))
+    return Appearance((starts, pairs), voters, sides, few, turns.reshape(-1, 4, 4))
 
 
-def visible_sets(model: ObjectModel, places: Array, facing: Array, directions: Array) -> NDArray[np.bool_]:
-    """Returns (k, m) which surface points (m, 3) with normals (m, 3) are visible along each direction (k, 3).
+def visible_sets(model: ObjectModel, samples: Array, directions: Array) -> NDArray[np.uint8]:
+    """Returns (k, m / 8) which of the samples (2, m, 3) are visible along each direction (k, 3), in bits.
 
     The object is drawn from a few diameters off, which is as far as cameras are.
     """
-    surface, D, away = model.surface, model.diameter, AWAY * model.diameter
+    surface, center, away = model.surface, model.center_object, AWAY * model.diameter
     vertices, faces = surface.vertices, surface.faces
     if isinstance(surface, Cloud):  # a triangle for each point
         across = se3.perpendicular(surface.normals)
         up = np.cross(surface.normals, across)
-        turns = 2 * np.pi / 3 * np.arange(3)[:, None, None]
+        angles = 2 * np.pi / 3 * np.arange(3)[:, None, None]
         reach = 1.5 * np.sqrt(surface.areas)[:, None]
-        vertices = (surface.vertices + reach * (np.cos(turns) * across + np.sin(turns) * up)).swapaxes(0, 1)
-        vertices, faces = vertices.reshape(-1, 3), np.arange(3 * len(surface.vertices)).reshape(-1, 3)
-    focal, middle = PIXELS * AWAY, PIXELS * 0.6
-    camera = Camera(
-        np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1]]), (int(2 * middle), int(2 * middle))
-    )
-    visible = np.empty((len(directions), len(places)), dtype=np.bool_)
-    for k, way in enumerate(directions):
+        corners = surface.vertices + reach * (np.cos(angles) * across + np.sin(angles) * up)
+        vertices, faces = corners.swapaxes(0, 1).reshape(-1, 3), np.arange(3 * len(across)).reshape(-1, 3)
+    focal, middle = PIXELS * AWAY, 0.6 * PIXELS
+    matrix = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1]])
+    camera, visible = Camera(matrix, (int(2 * middle), int(2 * middle))), []
+    for way in directions:
         x = se3.perpendicular(way)
         R = np.stack([x, np.cross(-way, x), -way])
-        depth = camera.draw((vertices - model.center_object) @ R.T + [0, 0, away], faces).depth
-        at = (places - model.center_object) @ R.T + [0, 0, away]
-        column, row = (np.round(focal * at[:, i] / at[:, 2] + middle).astype(int) for i in (0, 1))
-        ray = at / np.linalg.norm(at, axis=1, keepdims=True)
-        visible[k] = -((facing @ R.T) * ray).sum(axis=1) > pose_score.MIN_FACING
-        visible[k] &= at[:, 2] < depth[row, column] + BEHIND * D
-    return visible
+        depth = camera.draw((vertices - center) @ R.T + [0, 0, away], faces).depth
+        at = (samples[0] - center) @ R.T + [0, 0, away]
+        column, row = np.rint(focal * at[:, :2] / at[:, 2:] + middle).astype(int).T
+        facing = -((samples[1] @ R.T) * at).sum(axis=1) / np.linalg.norm(at, axis=1)
+        behind = at[:, 2] - depth[row, column]
+        clear = (facing > pose_score.MIN_FACING) & (behind < BEHIND * model.diameter)
+        visible.append(np.packbits(clear, bitorder="little"))
+    return np.stack(visible)
 
 
 def near_symmetries(model: ObjectModel) -> Array:
