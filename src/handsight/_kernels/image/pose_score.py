@@ -88,8 +88,8 @@ def score_all(camera: Any, image: Any, sides: Any, sizes: Any, center: Any, cand
     """Fills in the score of CANDIDATE (k,) and the pixels that it is made of.
 
     image: depth (h, w) [m] and labels (h, w) of segments, `TABLE`, `HAND` or `OUT`. sides: samples and normals
-    (2, m, 3), directions (d, 3), visible (d, m / 8) in bits, area of a sample [m²]. sizes: pixels of each segment (p,). center: the
-    object's (3,).
+    (2, m, 3), directions (d, 3), visible (d, m / 8) in bits, area of a sample [m²]. sizes: pixels of each segment (p,).
+    center: the object's (3,).
     """
     samples, directions, visible, area = sides
     height, width = image[0].shape
