@@ -122,7 +122,7 @@ def of_frame(models: dict[str, hs.ObjectModel], frame: RealFrame, *, recognition
                 rows.append(judged(model, frame, group, found, told) | {"ms": ms})
                 if recognition and told != "whole image":
                     begin = time.perf_counter()
-                    answer = recognise(models, frame.camera, frame.depth, wanted=wanted)
+                    answer = recognise(models, frame.depth, frame.camera, mask=wanted)
                     likeliest = next(iter(answer.scores))
                     rows[-1] |= {"likeliest": likeliest, "named": answer.name or "none"}
                     rows[-1]["recognition_ms"] = 1e3 * (time.perf_counter() - begin)

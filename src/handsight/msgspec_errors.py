@@ -27,7 +27,7 @@ def field_name(path: FieldPath) -> str:
 
 def decode(data: bytes, form: type[Form], where: str) -> Form:
     """Returns a JSON document converted to a form; raises an InvalidFile that begins with `where`."""
-    raw = decode_object(data, where)
+    raw = _decode_json(data, where) if get_origin(form) is list else decode_object(data, where)
     try:
         return msgspec.convert(raw, form)
     except msgspec.ValidationError as error:
@@ -37,13 +37,18 @@ def decode(data: bytes, form: type[Form], where: str) -> Form:
 
 def decode_object(data: bytes, where: str) -> JsonObject:
     """Returns a JSON document that is an object; raises an InvalidFile that begins with `where`."""
-    try:
-        raw = msgspec.json.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InvalidFile(f"{where}: expected JSON, got other text ({error})") from None
+    raw = _decode_json(data, where)
     if not isinstance(raw, dict):
         raise InvalidFile(f"{where}: expected an object {{...}}, got {brief(raw)}")
     return raw
+
+
+def _decode_json(data: bytes, where: str) -> object:
+    """Returns a JSON document; raises an InvalidFile that begins with `where`."""
+    try:
+        return msgspec.json.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InvalidFile(f"{where}: expected JSON, got other text ({error})") from None
 
 
 def explain(error: msgspec.ValidationError, form: object, value: object) -> tuple[FieldPath, str]:

@@ -22,6 +22,8 @@ MAX_STAMP = 1e11
 """Largest stamp [s], some 3000 years; a larger one is in milliseconds or nanoseconds."""
 MAX_JUMP = 1.0
 """A stamp that differs by more from the one before it is a jump of the clock, which later stamps must confirm [s]."""
+MAX_PIXEL = 1e6
+"""Largest column or row of a detection."""
 VISION_FRAMES: tuple[VisionFrame, ...] = ("camera", "world", "palm")
 
 
@@ -87,6 +89,32 @@ class ContactMeasurement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Detection2D:
+    """A `Detection2D` is where another detector has an object in an image; no pose belongs to it."""
+
+    label: str = ""
+    """The name of the object, or its number as text; empty: it may be any."""
+    score: float | None = None
+    """The detector's confidence in (0, 1]; None: unknown."""
+    box: tuple[float, float, float, float] | None = None
+    """u0, v0, u1, v1: first column and row, last column and row [pixels]; None: unknown."""
+    mask: NDArray[np.bool_] | None = None
+    """(h, w) the object's pixels; None: all in the box."""
+
+    __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        if self.box is not None:
+            corners = checks.finite(self.box, "detection.box", (4,))
+            if (corners[2:] < corners[:2]).any() or np.abs(corners).max() > MAX_PIXEL:
+                expected = f"expected u0 <= u1, v0 <= v1 within {MAX_PIXEL:g} pixels"
+                raise InvalidInput(f"detection.box: {expected}, got {checks.brief(corners)}")
+        if self.score is not None and checks.positive(self.score, "detection.score") > 1:
+            expected = "expected a number above 0 and at most 1"
+            raise InvalidInput(f"detection.score: {expected}, got {self.score:g}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Observation:
     """An `Observation` holds joints, wrenches, vision and the palm's pose at one instant, those that were measured.
 
@@ -116,6 +144,10 @@ class Observation:
     gets no contact from its wrench."""
     skin: Mapping[str, Array] = field(default_factory=dict)
     """By tactile array: (rows, columns) readings of its taxels, NaN where a taxel has no reading."""
+    detections: tuple[Detection2D, ...] | None = None
+    """Where another detector has objects in an image, if its answer has arrived since the last observation."""
+    mask: NDArray[np.integer] | None = None
+    """(h, w) which object each pixel of an image is of, by label, 0: none, if such an image has arrived."""
 
     __repr__ = short_repr
 
@@ -142,7 +174,8 @@ def check_observation(observation: Observation) -> Observation:
     # By position: `dataclasses.replace` takes several times as long.
     joints_wrenches = observation.joint_positions, observation.wrenches
     images, touch = (observation.color, observation.depth), (observation.contacts, observation.skin)
-    return Observation(stamp, *joints_wrenches, vision, T, *images, image_stamp, *touch)
+    elsewhere = observation.detections, observation.mask
+    return Observation(stamp, *joints_wrenches, vision, T, *images, image_stamp, *touch, *elsewhere)
 
 
 def _seconds(stamp: float, name: str) -> float:

@@ -3,14 +3,18 @@
 import csv
 import json
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from PIL import Image
 
+import handsight as hs
 import handsight.vision
 from cli.commands import called, run
 from handsight import se3
+from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.locate import LOCATE
 from pictures import (
     INTRINSICS,
@@ -205,6 +209,116 @@ def test_an_object_is_searched_for_only_in_a_box_or_a_mask(frames, pictures, ask
         assert found == [name == "around"] * 2
 
 
+def box_of(truth, by=60):
+    u, v = CAMERA.project(truth[None, :3, 3])[0].tolist()
+    return [u - by, v - by, 2 * by, 2 * by]
+
+
+def test_detections_and_poses_of_others_are_searched_and_judged(scene, pictures, asked, tmp_path):
+    """The first image has a wrong detection and a right one; the second a pose that is right and one beside it."""
+    (_, first), (_, second) = pictures[:2]
+    far = [0, 0, 20, 20]
+    entries = [
+        {"scene_id": 48, "image_id": image, "category_id": 3, "bbox": box, "score": score, "time": 0.1}
+        for image, box, score in ((0, far, 0.9), (0, box_of(first), 0.4), (1, far, 0.5))
+    ]
+    (tmp_path / "found.json").write_text(json.dumps(entries))
+    rows = answers(asked("locate", scene, "--object", "3", "--detections", "found.json")[0])
+    assert [row["found"] for row in rows] == [True, False, False]
+    assert off_mm(pose_of(rows[0]), first) < NEAR_MM
+    assert rows[2]["reason"].startswith("obj_000003 was not detected in the image")
+
+    beside = se3.moved(second, np.array([0.2, 0, 0, 0, 0, 0.3]))
+    lines = [
+        f"48,1,3,{score},"
+        + ",".join(" ".join(map(str, part.ravel())) for part in (T[:3, :3], 1e3 * T[:3, 3]))
+        + ",-1"
+        for score, T in ((0.5, second), (0.9, beside))
+    ]
+    (tmp_path / "poses.csv").write_text("\n".join(["scene_id,im_id,obj_id,score,R,t,time", *lines]))
+    rows = answers(asked("locate", scene, "--object", "3", "--start", "poses.csv")[0])
+    assert [each["right"] for each in rows[1]["starts"]] == [False, True]  # the highest score first
+    assert rows[1]["starts"][1]["moved"] < 0.01
+    assert off_mm(pose_of(rows[1]), second) < NEAR_MM
+    assert "starts" not in rows[0]
+
+    targets = [{"scene_id": 48, "im_id": 1, "obj_id": 3, "inst_count": 1}]
+    (tmp_path / "targets.json").write_text(json.dumps(targets))
+    (row,) = answers(asked("locate", scene, "--object", "3", "--targets", "targets.json")[0])
+    assert (row["im_id"], row["found"]) == (1, True)
+
+
+def test_several_objects_are_named_by_their_detections(two_known, pictures, asked, tmp_path):
+    entries = [
+        {"scene_id": 48, "image_id": image, "category_id": number, "bbox": [0, 0, 319, 239], "score": 0.5}
+        for image, number in ((0, 3), (1, 3), (1, 7))
+    ]
+    (tmp_path / "found.json").write_text(json.dumps(entries))
+    rows = answers(asked("locate", two_known, "--detections", "found.json")[0])
+    assert [row["object"] for row in rows] == SHOWN
+    assert rows[0]["scores"]["obj_000007"] == 0
+
+
+def test_masks_of_instances_are_those_of_their_objects(scene, pictures, asked, tmp_path):
+    """mask_visib/IMAGE_INSTANCE.png: the first instance is of another object."""
+    (scene / "mask_visib").mkdir()
+    u, v, w, h = map(int, box_of(pictures[0][1]))
+    around, other = np.zeros((240, 320), np.uint8), np.zeros((240, 320), np.uint8)
+    around[max(v, 0) : v + h, max(u, 0) : u + w], other[:30, :30] = 255, 255
+    for image in range(3):
+        Image.fromarray(other).save(scene / f"mask_visib/{image:06d}_000000.png")
+    Image.fromarray(around).save(scene / "mask_visib/000000_000001.png")
+    (scene / "scene_gt.json").write_text(
+        json.dumps({"0": [{"obj_id": 7}, {"obj_id": 3}], "1": [{"obj_id": 3}]})
+    )
+    for place in ("mask_visib", scene / "mask_visib"):
+        rows = answers(asked("locate", scene, "--object", "3", "--mask", place)[0])
+        assert [row["found"] for row in rows] == [True, False, False]
+        assert off_mm(pose_of(rows[0]), pictures[0][1]) < NEAR_MM
+
+
+def test_images_of_a_folder_are_those_of_a_file_by_the_number_in_their_names(
+    frames, pictures, asked, tmp_path
+):
+    entry = {"scene_id": 0, "image_id": 1, "category_id": 1, "bbox": box_of(pictures[1][1]), "score": 1}
+    (tmp_path / "found.json").write_text(json.dumps([entry]))
+    rows = answers(asked("locate", frames, "--object", "letter.ply", "--detections", "found.json")[0])
+    assert [row["found"] for row in rows] == [False, True, False]
+
+
+def test_depth_in_tenths_of_millimetres_is_suspected(frames, pictures, asked):
+    for k, (depth, _) in enumerate(pictures):
+        write_depth(frames / f"depth/{k:04d}.png", depth, 1e-4)
+    out, _ = asked("locate", frames, "--object", "letter.ply")
+    for answer in answers(out):
+        assert answer["reason"].endswith(" m; in tenths of millimetres? then --depth-scale 0.0001)")
+
+
+WRONG_HINTS = {
+    "a csv with other columns": ("--start", "a.csv", "frame,x,y,z\n1,2,3,4\n", r"a.csv: line 1: expected the columns scene_id,im_id,obj_id,score,R,t,time, got frame,x,y,z"),
+    "a row that was cut": ("--start", "a.csv", "48,1,3,0.5,1 0 0", r"a.csv: line 1: expected 7 columns"),
+    "unknown classes": ("--detections", "a.json", '[{"scene_id": 48, "image_id": 0, "category_id": 90, "bbox": [0, 0, 9, 9], "score": 1}]', r"a.json: category_id: expected numbers of objects, 3, got 90"),
+    "a target that nobody knows": ("--targets", "a.json", '[{"scene_id": 48, "im_id": 0, "obj_id": 90}]', r"a.json: obj_id: expected numbers of objects, 3, got 90"),
+    "truncated": ("--targets", "a.json", '[{"scene_id": 48', r"a.json: expected JSON, got other text"),
+    "no file": ("--detections", "b.json", "", r"b.json: cannot be read: No such file"),
+    "a box outside": ("--detections", "a.json", '[{"scene_id": 48, "image_id": 0, "category_id": 3, "bbox": [320, 0, 9, 9], "score": 1}]', r"a.json: \[0\].bbox: expected a box that meets the image of 320 x 240 pixels, got"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", WRONG_HINTS)
+def test_what_is_wrong_with_a_file_of_detections_or_poses_is_one_sentence(scene, asked, tmp_path, kind):
+    option, name, content, said = WRONG_HINTS[kind]
+    (tmp_path / "a.csv").write_text(content)
+    (tmp_path / "a.json").write_text(content)
+    for number in (1, 2):
+        (scene / f"depth/00000{number}.png").unlink()
+    cameras = json.loads((scene / "scene_camera.json").read_text())
+    (scene / "scene_camera.json").write_text(json.dumps({"0": cameras["0"]}))
+    _, err = asked("locate", scene, "--object", "3", option, name, expect=2)
+    assert re.match(rf"handsight: .*({said})", err), err
+    assert err.count("\n") == 1
+
+
 def test_a_picture_that_cannot_be_read_is_said_in_its_place(frames, scene, asked):
     (frames / "depth/0001.png").write_bytes(b"no picture")
     out, said = asked("locate", frames, "--object", "letter.ply", expect=1)
@@ -239,7 +353,7 @@ def camera(**changed):
 
 WRONG = {
     "depth in metres": (lambda f: spoil_depth(f, step=0.5), (), r"depth/0000.png: expected depth in millimetres .* got a median of"),
-    "depth in micrometres": (lambda f: spoil_depth(f, step=1e-5), (), r"depth/0000.png: expected depth in millimetres .* \(another unit\?\)"),
+    "depth in micrometres": (lambda f: spoil_depth(f, step=1e-5), (), r"depth/0000.png: expected depth in millimetres .* \(another unit\? --depth-scale 0.0001 is for tenths"),
     "8 bits": (eight_bits, (), r"depth/0000.png: expected a PNG of 16 bits for depth, got mode L"),
     "no depth": (no_depth, (), r"depth/0000.png: expected depth, got none at any pixel"),
     "camera of another size": (camera(width=640, height=480), (), r"depth/0000.png: expected 640 x 480 pixels as the camera's, got 320 x 240"),
@@ -428,3 +542,20 @@ def test_the_hand_is_masked_where_it_is_though_the_camera_is_elsewhere(held, tmp
     bare = np.abs(measured - seen[:, 2]) < 0.01
     assert bare.sum() > 20
     assert frame.hand[pixels[bare, 1], pixels[bare, 0]].mean() > 0.95
+
+
+def test_an_image_is_answered_before_what_it_does_not_need_is_loaded(frames):
+    """A second of imports for 30 ms of work: no slow part of SciPy, no mesh library, no tracker."""
+    image, mesh = frames / "depth/0000.png", frames.parent / "letter.ply"
+    appearance_of(hs.ObjectModel.from_file(mesh))  # into the cache
+    program = (
+        "import sys\n"
+        f"sys.argv = ['handsight', 'locate', {str(image)!r}, '--camera', {str(frames / 'camera.json')!r}, '--object', {str(mesh)!r}]\n"
+        "from handsight.cli import main\n"
+        "main()\n"
+        "heavy = {'scipy.signal', 'scipy.stats', 'scipy.ndimage', 'scipy.spatial', 'trimesh', 'matplotlib', 'handsight.tracking'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=300)
+    assert done.returncode == 0, done.stderr.decode()
+    assert json.loads(done.stdout)["found"]

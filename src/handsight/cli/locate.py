@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from handsight.recording.detections import Located
     from handsight.recording.frames import Frame, Frames, Unread
     from handsight.rig import DepthCamera
-    from handsight.vision import DepthNoise
+    from handsight.vision import DepthNoise, ObjectDetection
 
 MOST_PANELS = 6
 """Number of images in the picture."""
@@ -76,7 +76,31 @@ def locate(
     mask: Annotated[
         Path | None,
         Option(
-            help="Search only where this image is not 0; or a folder of such images with the names of the depth images."
+            help="Search only where this image is not 0; or a folder of such images, with the names of the depth "
+            "images or BOP's names of instances, as mask_visib in each scene."
+        ),
+    ] = None,
+    detections: Annotated[
+        Path | None,
+        Option(
+            metavar="FILE",
+            help="Search only in the boxes and masks of a detector: JSON as CNOS writes it, by BOP's numbers of scene, "
+            "image, object. In a folder, the last number in an image's name is its number.",
+        ),
+    ] = None,
+    start: Annotated[
+        Path | None,
+        Option(
+            metavar="FILE",
+            help="Poses of another estimator, as BOP results (.csv): refined, compared with what is found without "
+            "them, and judged: `starts` in the answer says which are right.",
+        ),
+    ] = None,
+    targets: Annotated[
+        Path | None,
+        Option(
+            metavar="FILE",
+            help="Which objects to find in which images of a BOP scene or split: test_targets_bop19.json.",
         ),
     ] = None,
     depth_camera: Annotated[
@@ -109,6 +133,8 @@ def locate(
     handsight locate depth.png --camera d435.json --object mustard --plot found.png
     handsight locate frames/ --object mustard.ply --box 200,120,420,400 -o poses.jsonl
     handsight locate ycbv/test/000048 --object 5 -o handsight_ycbv-test.csv
+    handsight locate ycbv/test/000048 --object 5 --detections cnos_ycbv-test.json
+    handsight locate ycbv/test/000048 --object 5 --start megapose_ycbv-test.csv
     handsight locate can.mcap --plot found.png
     handsight locate depth.png --object mug --object mustard
     handsight locate depth.png --library lab/
@@ -125,13 +151,14 @@ def locate(
     then are kept.
     """
     from handsight.checks import suggestion
-    from handsight.objects import Library
+    from handsight.objects.library import Library, NoLibrary
+    from handsight.recording.bop import Hints
     from handsight.recording.frames import Beside, Frame, is_recording, open_frames, within
     from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 
     announce_compiling()
     for place, what in ((output, "the answers"), (plot, "the picture")):
-        for source in (images, camera, color, mask, rig):
+        for source in (images, camera, color, mask, rig, detections, start, targets):
             check_not_overwritten(place, what, source, "what is read")
     check_not_overwritten(plot, "the picture", output, "the answers")
     terminal.check_plots(plot)
@@ -142,6 +169,9 @@ def locate(
             raise InvalidInput("--output: expected JSON lines of a recording, got BOP's .csv")
         if depth_camera is not None:
             raise InvalidInput(f"--depth-camera: expected beside depth images, got it beside {images}")
+        for option, given in (("detections", detections), ("start", start), ("targets", targets)):
+            if given is not None:
+                raise InvalidInput(f"--{option}: expected beside depth images, got it beside {images}")
         robot, rig_path = find_rig(images, rig)
         models = find_models(names, robot, rig_path)
         noise = STRUCTURED_LIGHT if robot.camera is None else PRESETS[robot.camera.depth_camera]
@@ -162,6 +192,19 @@ def locate(
         if csv:  # BOP's results name objects by the library's numbers
             entries, opened = zip(models, names or models, strict=True), Library(library)
             numbers = {name: opened.entry(entry).number for name, entry in entries}
+        if any((mask, detections, start, targets)):
+            try:
+                known = {entry.name: entry.number for entry in Library(library).entries()}
+            except NoLibrary:
+                known = {}
+            asked = {name: known[name] for name in models if name in known}
+            files = {"detections": detections, "start": start, "targets": targets}
+            hints = Hints(list(models), asked, known.values(), **files)
+            for sentence in hints.sentences:
+                terminal.say(f"handsight: {sentence}")
+            frames = frames._replace(
+                total=None if targets else frames.total, each=hints.beside_each(frames.each)
+            )
     if box is not None:
         try:
             left, top, right, bottom = (float(part) for part in box.split(","))
@@ -189,7 +232,8 @@ def _locate_all(
     until then. An error before the first answer is raised. `numbers`: BOP's numbers of the objects, by name, for BOP's
     results; None: the answers are lines of JSON.
     """
-    from handsight.recording.detections import BOP_COLUMNS, bop_line, json_line
+    from handsight.recording.bop import BOP_COLUMNS
+    from handsight.recording.detections import bop_line, json_line
     from handsight.recording.frames import Unread
 
     done, found, locate_in, several = 0, 0, None, len(models) > 1
@@ -257,30 +301,67 @@ def locator(models: "Mapping[str, ObjectModel]", noise: "DepthNoise") -> "Callab
 
     Everything that is compiled or computed once is done here, so that the seconds of an image do not contain it.
     """
-    from handsight.recording.detections import Located
-    from handsight.tracking.warm import find_object
-    from handsight.vision import locate, recognise
-    from handsight.vision.object.appearance import appearance_of
+    import numpy as np
 
-    first = next(iter(models.values()))
-    find_object()
+    from handsight.camera import Camera
+    from handsight.recording.detections import Located
+    from handsight.vision import locate, recognise
+    from handsight.vision.object.first_pose import first_pose
+    from handsight.vision.object.locate import recognition_of
+    from handsight.vision.object.region import scene_of
+
+    first, matrix = next(iter(models.values())), np.array([[64, 0, 32], [0, 64, 24], [0, 0, 1.0]])
+    camera = Camera(matrix, (64, 48))
     for model in models.values():
-        appearance_of(model)
+        in_front = model.vertices - model.center_object + [0, 0, min(2 * model.diameter, 5.0)]
+        drawn = camera.draw(in_front, model.faces).depth
+        first_pose(model, scene_of(camera, drawn, extent=model.diameter), noise=noise)
 
     def locate_in(frame: "Frame") -> "Located":
         """Returns the object's pose in an image, and how long the search took."""
-        model, recognition, started = first, None, time.perf_counter()
+        recognition, started = None, time.perf_counter()
         camera, depth, mask, hand = frame.camera, frame.depth, frame.wanted, frame.hand
-        if len(models) == 1:
-            found = locate(first, depth, camera, mask=mask, hand=hand, noise=noise)
+        asked = models
+        if frame.targets is not None:
+            asked = {name: models[name] for name in frame.targets}
+        if frame.detections is not None or frame.starts is not None:
+            found_of = {name: _found_beside(frame, each, name, noise) for name, each in asked.items()}
+            recognition = None if len(models) == 1 else recognition_of(found_of)
+        elif len(models) == 1:
+            found_of = {
+                name: locate(first, depth, camera, mask=mask, hand=hand, noise=noise) for name in models
+            }
         else:
-            recognition = recognise(models, depth, camera, mask=mask, hand=hand, noise=noise)
-            name = next(iter(recognition.scores))
-            model, found = models[name], recognition.found[name]
+            recognition = recognise(asked, depth, camera, mask=mask, hand=hand, noise=noise)
+            found_of = recognition.found
+        name = next(iter(recognition.scores)) if recognition else next(iter(found_of))
+        model, found = models[name], found_of[name]
         seconds = time.perf_counter() - started
         return Located(frame=frame, model=model, found=found, seconds=seconds, recognition=recognition)
 
     return locate_in
+
+
+def _found_beside(frame: "Frame", model: "ObjectModel", name: str, noise: "DepthNoise") -> "ObjectDetection":
+    """Returns where an object is in an image, by what other programs say of it."""
+    from handsight.vision import locate, locate_detected
+
+    start = None if frame.starts is None else frame.starts.get(name)
+    if frame.detections is None:
+        return locate(
+            model, frame.depth, frame.camera, mask=frame.wanted, start=start, hand=frame.hand, noise=noise
+        )
+    mine = [each for each in frame.detections if each.label in ("", name)]
+    return locate_detected(
+        model,
+        frame.depth,
+        frame.camera,
+        detections=mine,
+        mask=frame.wanted,
+        start=start,
+        hand=frame.hand,
+        noise=noise,
+    )
 
 
 def draw(panels: "list[Located]", path: Path) -> str:

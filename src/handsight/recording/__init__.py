@@ -4,7 +4,7 @@
 readable of a damaged file is read; `report.truncated` and `report.sentences()` say what was lost.
 """
 
-from handsight.recording.detections import BopResult, read_bop_results
+from handsight.recording.bop import BopResult, read_bop_results
 from handsight.recording.open import Recording, RecordingReport, open_recording
 from handsight.recording.write import (
     RecordingWriter,

@@ -1,94 +1,19 @@
-"""Detections of objects in images: written as JSON or BOP results, and read from other detectors' BOP results."""
+"""Detections of objects in images, written as JSON or BOP results."""
 
-import csv
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from handsight import se3
-from handsight.checks import Array
-from handsight.errors import HandsightError, InvalidFile
-from handsight.files import read_bytes
 from handsight.objects import ObjectModel
 from handsight.recording.frames import Frame, Unread
 from handsight.vision import ObjectDetection
 from handsight.vision.object.locate import Recognition
 
-BOP_COLUMNS = "scene_id,im_id,obj_id,score,R,t,time"
-"""The columns of a file of BOP results; t is in millimetres."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BopResult:
-    """A `BopResult` is a detector's pose of an object in an image.
-
-    `PoseMeasurement(result.T_camera_object)` is the form that a tracker takes.
-    """
-
-    scene: int
-    image: int
-    object: int
-    """BOP's number of the object."""
-    score: float
-    T_camera_object: Array
-    """(4, 4) pose in the camera's optical frame [m]."""
-    seconds: float | None
-    """Duration of the detection; None: the file does not state it."""
-
-
-def read_bop_results(path: str | os.PathLike[str]) -> list[BopResult]:
-    """Returns the rows of a CSV file of BOP results, `scene_id,im_id,obj_id,score,R,t,time`.
-
-    R has nine numbers, row by row; t has three, in millimetres; time is -1 if unknown [s]. Raises InvalidFile with the
-    line of the first wrong row.
-    """
-    try:
-        text = read_bytes(path, 256 * 1024**2).decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise InvalidFile(f"{path}: expected text in UTF-8, got bytes that are none") from None
-    rows, head = csv.reader(text.splitlines(), strict=True), BOP_COLUMNS.split(",")
-    try:
-        return [
-            _result(row)
-            for row in rows
-            if row and not (rows.line_num == 1 and [cell.strip() for cell in row] == head)
-        ]
-    except (ValueError, OverflowError, csv.Error, HandsightError) as error:
-        raise InvalidFile(f"{path}: line {rows.line_num}: {error}") from None
-
-
-def _result(row: list[str]) -> BopResult:
-    """Returns the result of one row; raises ValueError or InvalidInput."""
-    names = BOP_COLUMNS.split(",")
-    if len(row) != len(names):
-        raise ValueError(f"expected {len(names)} columns, {BOP_COLUMNS}, got {len(row)}")
-    keys = list[int]()
-    for name, cell in zip(names[:3], row, strict=False):
-        try:
-            keys.append(int(cell))
-        except ValueError:
-            raise ValueError(f"{name}: expected a whole number, got {cell[:40]!r}") from None
-    numbers = dict[str, Array]()
-    for name, k, count in (("score", 3, 1), ("time", 6, 1), ("R", 4, 9), ("t", 5, 3)):
-        try:
-            numbers[name] = np.array([float(word) for word in row[k].split()])
-        except ValueError:
-            numbers[name] = np.zeros(0)
-        if len(numbers[name]) != count or not np.isfinite(numbers[name]).all():
-            plural = "s" if count > 1 else ""
-            raise ValueError(f"{name}: expected {count} finite number{plural}, got {row[k][:60]!r}")
-    if np.abs(numbers["R"]).max() > 2:
-        raise ValueError(f"R: expected a rotation, got {row[4][:60]!r}")
-    U, values, V = np.linalg.svd(numbers["R"].reshape(3, 3))
-    if np.abs(values - 1).max() > 1e-3 or np.linalg.det(U @ V) < 0:  # the numbers are rounded
-        raise ValueError(f"R: expected a rotation, got one off by {np.abs(values - 1).max():.2g}")
-    T = se3.check(se3.compose(U @ V, 1e-3 * numbers["t"]), "t")
-    score, seconds = float(numbers["score"][0]), float(numbers["time"][0])
-    scene, image, number = keys
-    return BopResult(scene, image, number, score, T, seconds if seconds >= 0 else None)
+FAR = 3.0
+"""A median depth beyond which an object that was not found may be in an image of another unit [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -111,7 +36,9 @@ class Located:
         reason, depth = (self.recognition or self.found).reason, self.frame.depth
         if reason is None or not (known := depth[np.isfinite(depth) & (depth > 0)]).size:
             return reason
-        return f"{reason} (median depth {np.median(known):.2f} m)"
+        median = float(np.median(known))
+        hint = "; in tenths of millimetres? then --depth-scale 0.0001" if median > FAR else ""
+        return f"{reason} (median depth {median:.2f} m{hint})"
 
     @property
     def name(self) -> str | None:
@@ -154,6 +81,11 @@ def json_line(row: Located | Unread) -> str:
         fields |= {"probability": found.probability, "explained": row.explained, "hypotheses": poses}
     else:
         fields["reason"] = reason
+    if (starts := found.starts) is not None:
+        judged = starts.right, starts.probabilities, starts.moved, starts.better
+        names = "right", "probability", "moved", "better"
+        each = zip(*(column.tolist() for column in judged), strict=True)
+        fields["starts"] = [dict(zip(names, values, strict=True)) for values in each]
     return json.dumps(fields | {"seconds": row.seconds}, allow_nan=False)
 
 

@@ -5,7 +5,8 @@ the same names in `rgb/` or `color/`; or in the folder itself, with `depth` in t
 scenes in it, is as in https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md
 """
 
-from collections.abc import Callable, Iterator
+import glob
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -16,11 +17,12 @@ import numpy as np
 from msgspec import Meta
 
 from handsight.camera import Camera, Depth
-from handsight.checks import Mask
+from handsight.checks import Array, Mask
 from handsight.errors import HandsightError, InvalidFile, InvalidInput
 from handsight.files import read_bytes
 from handsight.msgspec_errors import decode
 from handsight.objects.library.documents import INFO
+from handsight.observation import Detection2D
 from handsight.recording.open import open_recording
 from handsight.recording.robot_images import HandPixels
 from handsight.rig import Rig
@@ -50,6 +52,12 @@ class Frame:
     """(h, w) pixels of the hand; None: unknown."""
     number: tuple[int, int] | None = None
     """BOP's numbers of the scene and of the image."""
+    detections: tuple[Detection2D, ...] | None = None
+    """Where another detector has objects; None: none was asked."""
+    starts: Mapping[str, Array] | None = None
+    """Poses (k, 4, 4) in the camera from another estimator, by the object's name; None: none was asked."""
+    targets: Mapping[str, int] | None = None
+    """How often each object to find is in the image, by name; None: unknown."""
 
 
 class Unread(NamedTuple):
@@ -81,17 +89,35 @@ class Beside:
     color: Path | None = None
     """The colour image of a single depth image."""
     mask: Path | None = None
-    """An image that is not 0 where the object may be, for all depth images; or a folder with one for each by name."""
+    """An image that is not 0 where the object may be, for all depth images; or a folder with one for each by
+    name, or with one for each instance by BOP's names."""
 
-    def wanted(self, stem: str, camera: Camera) -> Mask | None:
-        """Returns the mask (h, w) of where the object may be in the image of that name; None: anywhere.
+    def where(
+        self, folder: Path, stem: str, camera: Camera
+    ) -> tuple[Mask | None, tuple[Detection2D, ...] | None]:
+        """Returns where the object may be in the image of that name: pixels (h, w), None: anywhere; and instances.
 
-        Raises InvalidFile, MissingExtra.
+        folder: of the images, in which the folder of masks may be. With BOP's names (`mask_visib/000000_000001.png`) it
+        has the pixels of each instance, whose object `scene_gt.json` beside it names. Raises InvalidFile, MissingExtra.
         """
         if self.mask is None:
-            return None
-        path = self.mask / f"{stem}.png" if self.mask.is_dir() else self.mask
-        return np.asarray(read_color(path, camera=camera).any(axis=2))
+            return None, None
+        place = folder / self.mask if not self.mask.exists() else self.mask
+        one = place / f"{stem}.png" if place.is_dir() else place
+        several = sorted(place.glob(f"{glob.escape(stem)}_[0-9]*.png")) if not one.exists() else []
+        if not several:
+            return np.asarray(read_color(one, camera=camera).any(axis=2)), None
+        found, truth = list[Detection2D](), place.parent / "scene_gt.json"
+        objects = _objects(truth).get(str(int(stem)), []) if stem.isdecimal() and truth.is_file() else []
+        for path in several:
+            pixels, index = (
+                np.asarray(read_color(path, camera=camera).any(axis=2)),
+                path.stem.rpartition("_")[2],
+            )
+            number = objects[int(index)] if index.isdecimal() and int(index) < len(objects) else ""
+            if pixels.any():  # else it is hidden
+                found.append(Detection2D(number, mask=pixels))
+        return None, tuple(found)
 
 
 def read_each(files: list[Path], read: Callable[[Path], Frame]) -> Iterator[Frame | Unread]:
@@ -163,12 +189,14 @@ def _depth_images(path: Path, beside: Beside) -> Frames:
 
     def read(file: Path) -> Frame:
         color = color_beside(folder, file.stem, ("rgb", "color")) if in_folders else beside.color
+        wanted, detections = beside.where(folder, file.stem, camera)
         return Frame(
             name=file.name,
             camera=camera,
             depth=read_depth(file, beside.depth_scale, camera=camera),
             color=None if color is None else read_color(color, camera=camera),
-            wanted=beside.wanted(file.stem, camera),
+            wanted=wanted,
+            detections=detections,
         )
 
     return Frames(len(files), read_each(files, read) if folder is path else iter([read(path)]))
@@ -211,12 +239,14 @@ def _bop_frames(path: Path, scenes: list[Path], beside: Beside) -> Frames:
             message = str(error).removeprefix("matrix: ")
             raise InvalidFile(f"{scene / CAMERAS}: {image}.cam_K: {message}") from None
         color = color_beside(scene, file.stem, ("rgb", "gray"))
+        wanted, detections = beside.where(scene, file.stem, camera)
         return Frame(
             name=f"{scene.name}/{file.stem}",
             camera=camera,
             depth=depth,
             color=None if color is None else read_color(color, camera=camera),
-            wanted=beside.wanted(file.stem, camera),
+            wanted=wanted,
+            detections=detections,
             number=(int(scene.name) if _is_number(scene.name) else 0, image),
         )
 
@@ -224,6 +254,19 @@ def _bop_frames(path: Path, scenes: list[Path], beside: Beside) -> Frames:
     above = scenes[0].resolve().parents[1:2]
     library = next((folder for folder in above if (folder / "models" / INFO).is_file()), None)
     return Frames(len(images), read_each(list(images), read), library)
+
+
+class InstanceForm(msgspec.Struct):
+    """An `InstanceForm` is an entry of `scene_gt.json`, of which only the object's number is used."""
+
+    obj_id: int
+
+
+@lru_cache(maxsize=8)
+def _objects(path: Path) -> dict[str, list[str]]:
+    """Returns the numbers of the objects in each image of a `scene_gt.json`, as text; raises InvalidFile."""
+    document = decode(read_bytes(path, 1 << 28), dict[str, list[InstanceForm]], str(path))
+    return {key: [str(each.obj_id) for each in instances] for key, instances in document.items()}
 
 
 def _is_number(key: str) -> bool:

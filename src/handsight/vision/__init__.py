@@ -5,7 +5,7 @@ from handsight.vision.depth_noise import PRESETS, STEREO, STRUCTURED_LIGHT, TIME
 from handsight.vision.object.depth_points import depth_points
 from handsight.vision.object.depth_tracker import DepthTracker, Sighting
 from handsight.vision.object.first_pose import JudgedStarts, ObjectDetection
-from handsight.vision.object.first_pose_source import FirstPoseSource
+from handsight.vision.object.first_pose_source import FirstPoseSource, locate_detected
 from handsight.vision.object.locate import Recognition, locate, recognise
 from handsight.vision.palm.hand_appearance import HandAppearance, PlacedHand
 from handsight.vision.palm.hand_in_image import hand_mask
@@ -34,6 +34,7 @@ __all__ = [
     "follow_palm",
     "hand_mask",
     "locate",
+    "locate_detected",
     "read_camera",
     "read_color",
     "read_depth",

@@ -116,6 +116,8 @@ def metres(pixels: NDArray[np.generic], scale: float = MILLIMETRE) -> Depth:
     median = float(np.median(known)) if known.size else np.nan
     if unit * median < LIMITS.min_median or unit * median > LIMITS.max_median:
         guess = "another unit?" if is_integer or median < LIMITS.min_median else "millimetres?"
+        if is_integer and unit == MILLIMETRE and median > LIMITS.max_median:
+            guess += " --depth-scale 0.0001 is for tenths of millimetres"
         names = {1.0: "metres (32FC1)", MILLIMETRE: "millimetres (16UC1)"}
         expected = names.get(unit, f"units of {1e3 * unit:g} mm")
         raise InvalidInput(f"expected depth in {expected}, got a median of {median:.4g} ({guess})")

@@ -27,7 +27,7 @@ def step_at(z: float) -> float:
 
 
 @inner
-def _point(rays: Any, depth: Any, v: int, u: int) -> Vec3:
+def point_at(rays: Any, depth: Any, v: int, u: int) -> Vec3:
     """Returns the point of the pixel in row v and column u [m]."""
     z = depth[v, u]
     return rays[v, u, 0] * z, rays[v, u, 1] * z, z
@@ -151,7 +151,7 @@ def normals_at(rays: Any, depth: Any, labels: Any, pixels: Any, out: Any) -> Non
     """Fills in the DEPTH_POINT `out` (n,) of pixels (n,), given by row and column in one."""
     for n in range(len(pixels)):
         v, u = pixels[n] // depth.shape[1], pixels[n] % depth.shape[1]
-        store(_point(rays, depth, v, u), out[n].point)
+        store(point_at(rays, depth, v, u), out[n].point)
         store(normal_at(rays, depth, v, u), out[n].normal)
         out[n].part = labels[v, u]
 
@@ -166,7 +166,7 @@ def leave_out_plane(image: Any, window: Any) -> None:
     for v in range(here.rows[0], here.rows[1]):
         for u in range(here.columns[0], here.columns[1]):
             z = depth[v, u]
-            height = dot(normal, _point(rays, depth, v, u)) + offset
+            height = dot(normal, point_at(rays, depth, v, u)) + offset
             if height <= within * max(z * z, 1.0):
                 labels[v, u] = OUT
 
@@ -188,7 +188,7 @@ def _gathered(surface: Any, image: Any, window: Any, at: Any, found: Any) -> int
         for u in range(here.columns[0], here.columns[1], step):
             if labels[v, u] < 0 or not depth[v, u] > 0:
                 continue
-            P = _point(rays, depth, v, u)
+            P = point_at(rays, depth, v, u)
             way = sub(P, center)
             if (
                 dot(way, way) < reach2
@@ -219,5 +219,5 @@ def near_points(surface: Any, image: Any, window: Any, candidate: Any, out: Any)
     kept = min(count, len(out))
     for n in range(kept):
         place = found[n * count // kept]
-        store(_point(rays, depth, place // depth.shape[1], place % depth.shape[1]), out[n].point)
+        store(point_at(rays, depth, place // depth.shape[1], place % depth.shape[1]), out[n].point)
     return kept

@@ -160,6 +160,21 @@ def closeness(model: Any, nodes: Any, points: Any, within: Any, candidates: Any)
 
 
 @entry
+def surface_distances(model: Any, nodes: Any, points: Any, within: float, candidates: Any, out: Any) -> None:
+    """Fills `out` (k, n) with the distances [m] of points (n, 3) from the surface at CANDIDATE (k,); infinity where
+    they are not `within` it."""
+    for k in range(len(candidates)):
+        pose = pose_of(candidates[k].pose)
+        center, reach = apply(pose, vector(model[0].center)), 1.2 * model[0].radius + within
+        for n in range(len(points)):
+            P, out[k, n] = vector(points[n]), np.inf
+            if max(abs(P[0] - center[0]), abs(P[1] - center[1]), abs(P[2] - center[2])) < reach:
+                distance = abs(field_at(nodes, model[0].fine, apply_inverse(pose, P))[0])
+                if distance < within:
+                    out[k, n] = distance
+
+
+@entry
 def pose_covariances(
     model: Any, nodes: Any, points: Any, errors: Any, candidates: Any, informed: Any, out: Any
 ) -> None:

@@ -115,11 +115,12 @@ def first_pose(
     noise: DepthNoise = STRUCTURED_LIGHT,
     given: Candidates | None = None,
     prior: float = 0.0,
+    modes: int = 0,
 ) -> ObjectDetection:
     """Returns the poses of the object that a depth image supports, modulo its symmetries; `noise`: of its depth.
 
     given CANDIDATE (k,): poses from elsewhere, which are scored in place and compared with those that are found. prior:
-    the log odds that the object is there, before the image.
+    the log odds that the object is there, before the image. modes: least number of poses that go on from each stage.
 
     Pairs of points vote for candidates. These are moved to where more and more points lie on the surface, and those
     that the image supports best go on. In the end it also counts how many points are as close to the surface as the
@@ -156,11 +157,11 @@ def first_pose(
             found = np.concatenate([found, turned])
             found = distinct(model, found, found["score"], KEPT[1], FIRST_POSE.candidate_spacing)
         refine(found, STAGES[stage : stage + 1], points)
-        found = distinct(model, found, found["score"], kept, FIRST_POSE.candidate_spacing)
+        found = distinct(model, found, found["score"], max(kept, modes), FIRST_POSE.candidate_spacing)
     if given is not None:
         given["bound"] = explained_within(noise, center_depths(model, given))
-        pose_score.score_all(camera.record, image, appearance.sides, scene.sizes, model.center_object, given)
-        found, most = np.concatenate([given, found]), KEPT[-1] + len(given)
+        score_candidates(model, scene, given)
+        found, most = np.concatenate([given, found]), max(KEPT[-1], modes) + len(given)
         found = distinct(model, found, found["score"], most, FIRST_POSE.candidate_spacing)
     z = center_depths(model, found)
     close = FIRST_POSE.close_sigmas * np.hypot(noise.sigma(z), noise.bias(z))
@@ -176,6 +177,12 @@ def first_pose(
         weights / max(weights.sum(), 1.0),
     )
     return ObjectDetection(poses_of(found), covariances, weights, found, probability)
+
+
+def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates) -> None:
+    """Fills in the score of CANDIDATE (k,), which have a bound, and the pixels that it is made of."""
+    image, sides = (scene.depth, scene.labels), appearance_of(model).sides
+    pose_score.score_all(scene.camera.record, image, sides, scene.sizes, model.center_object, candidates)
 
 
 def explained_within(noise: DepthNoise, z: Array) -> Array:

@@ -22,7 +22,6 @@ from handsight.vision.object.first_pose import (
     JudgedStarts,
     ObjectDetection,
     first_pose,
-    log_odds,
     probabilities,
 )
 from handsight.vision.object.pose_refiner import PoseRefiner
@@ -142,14 +141,19 @@ def recognise(
     wanted = search_mask(camera, box, mask)
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
     found = {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
+    return recognition_of(found, None if len(scene.sizes) else scene.reason)
+
+
+def recognition_of(found: Mapping[str, ObjectDetection], reason: str | None = None) -> Recognition:
+    """Returns which of several objects an image shows, by where each would be; `reason`: why it can be none."""
     detected = [name for name, one in found.items() if len(one.candidates)]
-    odds = np.array([log_odds(found[name].candidates[:1])[0] for name in detected])
-    scores = dict.fromkeys(models, 0.0) | dict(zip(detected, probabilities(odds).tolist(), strict=True))
+    odds = np.log(
+        [p / (1 - p) for p in (np.clip(found[name].probability, 1e-300, 1 - 1e-16) for name in detected)]
+    )
+    scores = dict.fromkeys(found, 0.0) | dict(zip(detected, probabilities(odds).tolist(), strict=True))
     order = sorted(scores, key=lambda name: -scores[name])
-    none, reason = 1 - sum(scores.values()), None
-    if not len(scene.sizes):
-        reason = scene.reason
-    elif none >= scores[order[0]]:
+    none = 1 - sum(scores.values())
+    if reason is None and none >= scores[order[0]]:
         best = f"{order[0]} is the likeliest, with a probability of {scores[order[0]]:.2f}"
         reason = f"nothing there looks like one of them; {best}"
     return Recognition({n: scores[n] for n in order}, max(none, 0.0), {n: found[n] for n in order}, reason)

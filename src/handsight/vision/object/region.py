@@ -1,13 +1,13 @@
 """Where in a depth image an object may be: its wanted pixels without hand and table, in connected segments."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handsight._kernels.image import depth_image
-from handsight._kernels.image.vision_records import DEPTH_POINT
+from handsight._kernels.image.vision_records import DEPTH_POINT, HAND
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
@@ -44,6 +44,17 @@ class Scene:
         """Why it has no segments, if it has none."""
         known = (self.depth > 0).any()
         return "nothing is seen there but the table and the hand" if known else "no pixel has a depth"
+
+    def without(self, excluded: Mask) -> "Scene":
+        """Returns the scene with some pixels (h, w) excluded as the hand's are: what is behind them is hidden by them.
+
+        What is left is divided into segments again.
+        """
+        labels = np.where(self.labels >= 0, np.int32(depth_image.OPEN), self.labels)
+        labels[excluded & (self.labels >= 0)] = HAND
+        sizes = np.empty(labels.size // REGION.min_segment + 1)
+        count = depth_image.label_parts(self.depth, labels, REGION.min_segment, sizes)
+        return replace(self, labels=labels, sizes=sizes[:count].copy())
 
 
 def scene_of(

@@ -1,0 +1,424 @@
+"""All objects that a depth image shows, explained together: each of its pixels by one of them at most.
+
+Each object is first searched by itself. Of all candidates those are chosen that explain most of the image together, as
+by Aldoma and others (A Global Hypotheses Verification Method for 3D Object Recognition, ECCV 2012). Each object is then
+searched once more without the pixels of the others, which therefore do not count against it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handsight import checks, se3
+from handsight._kernels.image import depth_term
+from handsight._kernels.image.pose_score import POSE_SCORE
+from handsight.camera import Camera, Depth
+from handsight.checks import Array, Mask
+from handsight.errors import InvalidInput
+from handsight.objects import ObjectModel
+from handsight.vision.candidates import Candidates, poses_of
+from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from handsight.vision.object.appearance import appearance_of
+from handsight.vision.object.first_pose import (
+    ObjectDetection,
+    first_pose,
+    log_odds,
+    probabilities,
+    score_candidates,
+)
+from handsight.vision.object.locate import LOCATE, Box, search_mask
+from handsight.vision.object.region import Scene, scene_of
+
+Pixels = NDArray[np.int32]
+
+
+class LocateAllOptions(NamedTuple):
+    """`LocateAllOptions` say which candidates explain an image together, in pixels that one of them explains."""
+
+    modes: int = 12  # poses of each object in the complete image that are compared
+    pixels: int = 3000  # of the image by which candidates are compared
+    twice: float = 1.0  # what a pixel costs that two explain
+    unexplained: float = 0.5  # and one close to a chosen surface that nobody explains
+    around: float = 0.1  # so close is close [diameters]
+    hopeless: float = 0.8  # a candidate explains less than so much of what it costs
+    expected: float = 0.3  # and each pixel that a candidate should fill, unless another chosen one hides it
+    exchanged: int = (
+        12  # candidates that are put in the place of all chosen ones that explain the same pixels
+    )
+    overlap: float = (
+        0.25  # share of the pixels of one of two candidates that both explain, to be put in its place
+    )
+    max_left_out: int = 10  # unlikely candidates in whose place others are searched
+    rival: float = (
+        0.5  # share of an object's pixels that another candidate explains, to be there instead of it
+    )
+    changed: float = (
+        0.02  # share of its pixels by which its surroundings change before an object is searched again
+    )
+    max_rounds: int = 6  # of the search for one more of each
+    min_another: float = 0.5  # least probability of one more of an object of which the number is not given
+
+
+LOCATE_ALL = LocateAllOptions()
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectInstance:
+    """An `ObjectInstance` is one of the objects in an image, given the others."""
+
+    name: str
+    detection: ObjectDetection
+    """Its poses, covariances and weights, the likeliest first."""
+    probability: float
+    """That the first pose is right, and that no other object is there instead."""
+    pixels: Mask
+    """(h, w) those that it explains, and no other instance."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneDetection:
+    """A `SceneDetection` has all instances of objects that an image shows."""
+
+    instances: tuple[ObjectInstance, ...]
+    """The most probable first."""
+    missing: dict[str, str]
+    """Why none is there, of each object of which the image shows no instance."""
+
+
+def locate_all(
+    models: Mapping[str, ObjectModel],
+    depth: Depth,
+    camera: Camera,
+    *,
+    counts: Mapping[str, int] | None = None,
+    box: Box | None = None,
+    mask: Mask | None = None,
+    hand: Mask | None = None,
+    table: Array | None = None,
+    noise: DepthNoise = STRUCTURED_LIGHT,
+) -> SceneDetection:
+    """Returns every instance of the models (by name) that a depth image shows; images are as `locate` takes them.
+
+    counts: how many there are at most, by name; those without one, or all if it is None, are counted. No two instances
+    explain the same pixels. Raises InvalidInput as `locate` does, for no models, and for counts of other objects.
+    """
+    limits = _checked_counts(models, counts)
+    extent = LOCATE.max_plane * max(model.diameter for model in models.values())
+    wanted = search_mask(camera, box, mask)
+    scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
+    if not len(scene.sizes):
+        return SceneDetection((), dict.fromkeys(models, scene.reason))
+    # In the order of their names, so that the order in which models are given changes nothing.
+    found = {
+        name: first_pose(models[name], scene, noise=noise, modes=LOCATE_ALL.modes) for name in sorted(models)
+    }
+    pool = _Pool(scene, models, noise, [_Search(name, one, None) for name, one in found.items()])
+    chosen, more = pool.best(limits, []), set(models)
+    for k in range(LOCATE_ALL.max_rounds):
+        owner = pool.owners(chosen)
+        again = [pool.searched(chosen, n, owner) for n in range(len(chosen))] if k == 0 else []
+        left, counted = scene.without(owner >= 0), Counter(pool.names[n] for n in chosen)
+        for name in sorted(more):
+            if len(left.sizes) and len(chosen) and counted[name] < limits.get(name, np.inf):
+                again.append(_Search(name, first_pose(models[name], left, noise=noise), owner >= 0))
+        pool = pool.extended(again)
+        chosen = pool.best(limits, chosen)
+        more = {name for name, n in Counter(pool.names[n] for n in chosen).items() if n > counted[name]}
+        if not more:
+            break
+    return _answer(pool, limits, pool.present(limits, chosen), found)
+
+
+def _checked_counts(models: Mapping[str, ObjectModel], counts: Mapping[str, int] | None) -> dict[str, int]:
+    """Returns the most instances of each model whose number is given; raises InvalidInput."""
+    if not models:
+        raise InvalidInput("models: expected at least one, got none")
+    limits = {name: checks.integer(n, f"counts[{name!r}]", 10_000) for name, n in (counts or {}).items()}
+    if wrong := next((name for name in limits if name not in models), None):
+        raise InvalidInput(f"counts: expected names of models, got {wrong!r:.80}")
+    if wrong := next((name for name, n in limits.items() if n < 0), None):
+        raise InvalidInput(f"counts[{wrong!r}]: expected a number of at least 0, got {limits[wrong]}")
+    return limits
+
+
+class _Search(NamedTuple):
+    """A `_Search` is what was found of an object without the pixels (h, w) of others; None: in the complete image."""
+
+    name: str
+    detection: ObjectDetection
+    excluded: Mask | None
+
+
+class _Pool:
+    """A `_Pool` has candidates of all objects, and how they explain an image together, by a grid of its pixels."""
+
+    def __init__(
+        self, scene: Scene, models: Mapping[str, ObjectModel], noise: DepthNoise, searches: list[_Search]
+    ) -> None:
+        """Its candidates are those of the searches, one search after another."""
+        self.scene, self.models, self.noise, self.searches = scene, models, noise, searches
+        step = max(1, round(np.sqrt((scene.labels >= 0).sum() / LOCATE_ALL.pixels)))
+        depth, labels = (np.ascontiguousarray(image[::step, ::step]) for image in (scene.depth, scene.labels))
+        height, width = depth.shape
+        matrix = np.diag([1 / step, 1 / step, 1]) @ scene.camera.matrix
+        camera = Camera(matrix, (width, height), scene.camera.lens)
+        self.coarse = Scene(camera, depth, labels, np.zeros(len(scene.sizes)))
+        self.inside = labels >= 0
+        self.index = np.cumsum(self.inside).reshape(self.inside.shape) - 1
+        rays, z = camera.rays[self.inside].astype(np.float64), depth[self.inside].astype(np.float64)
+        self.points = np.c_[rays * z[:, None], z]
+        self.names, self.source, kept = list[str](), list[_Search](), list[Candidates]()
+        explained, around, hidden, costs = list[Array](), list[Array](), list[Array](), list[Array]()
+        for each in searches:
+            model, some = models[each.name], each.detection.candidates.copy()
+            score_candidates(model, self.coarse, some)
+            cost = POSE_SCORE.passed * some["passed"] + LOCATE_ALL.expected * some["expected"]
+            # Others cannot gain, whatever hides them.
+            few = some["explained"] > LOCATE_ALL.hopeless * (cost - LOCATE_ALL.expected * some["hidden"])
+            some = some[few]
+            costs.append(cost[few] + POSE_SCORE.hidden * some["hidden"])
+            kept.append(each.detection.candidates[few])
+            self.names += [each.name] * len(some)
+            self.source += [each] * len(some)
+            within = some["bound"].max(initial=0.0) + LOCATE_ALL.around * model.diameter
+            distances = surface_distances(model, self.points, within, some)
+            explained.append(np.maximum(1 - (distances / some["bound"][:, None]) ** 2, 0))
+            around.append(np.isfinite(distances) & (explained[-1] == 0))
+            hidden += [self.hidden_pixels(model, one) for one in some]
+        self.candidates, self.cost = np.concatenate(kept), np.concatenate(costs)
+        self.explained, self.around = np.concatenate(explained), np.concatenate(around).astype(np.float32)
+        self.hidden = np.array(hidden).reshape(len(self.names), 2, -1)
+        self.total = self.explained.sum(axis=1)
+
+    def hidden_pixels(self, model: ObjectModel, candidate: np.void) -> Array:
+        """Returns for each sample of the surface, (2, m), the point of the grid that hides it, and its pixels."""
+        (samples, normals), directions, visible, area = appearance_of(model).sides
+        T, camera, image = poses_of(candidate), self.coarse.camera, self.coarse.depth
+        P, n, pixels = se3.apply(T, samples), normals @ T[:3, :3].T, np.zeros((2, len(samples)))
+        way = -T[:3, :3].T @ se3.apply(T, model.center_object[None])[0]
+        uv, cosine = camera.project(P).round(), -(n * P).sum(axis=1) / np.linalg.norm(P, axis=1)
+        there = visible[int((directions @ way).argmax())] & (cosine > 0)
+        there &= (uv >= 0).all(axis=1) & (uv < camera.size).all(axis=1)  # NaN is neither
+        columns, rows = uv[there].astype(int).T
+        z, observed = P[there, 2], image[rows, columns]
+        behind = (observed > 0) & (observed < z - candidate["bound"]) & self.inside[rows, columns]
+        pixels[0, there] = np.where(behind, self.index[rows, columns], 0)
+        seen = area * camera.matrix[0, 0] * camera.matrix[1, 1] * cosine[there] / z**2
+        pixels[1, there] = np.where(behind, seen, 0.0)
+        return pixels
+
+    def extended(self, searches: list[_Search]) -> _Pool:
+        """Returns a pool with the candidates of more searches after those of this one."""
+        return _Pool(self.scene, self.models, self.noise, [*self.searches, *searches]) if searches else self
+
+    def costs(self, owned: Mask) -> Array:
+        """Returns what candidates (k,) cost by pixels that they should explain, where others own some points (n,)."""
+        excused = (self.hidden[:, 1] * owned[self.hidden[:, 0].astype(int)]).sum(axis=1)
+        return np.asarray(self.cost - (POSE_SCORE.hidden + LOCATE_ALL.expected) * excused)
+
+    def value(self, chosen: list[int]) -> float:
+        """Returns how well candidates explain the image together [pixels of the grid]."""
+        explained, value = self.explained[chosen], 0.0
+        for k, n in enumerate(chosen):
+            others = np.delete(explained, k, axis=0).any(axis=0)
+            value -= float(self.costs(others)[n])
+        best = explained.max(axis=0, initial=0.0)
+        value += float(best.sum() - LOCATE_ALL.twice * (explained.sum(axis=0) - best).sum())
+        left = self.around[chosen].any(axis=0) & (best == 0)
+        return value - LOCATE_ALL.unexplained * float(left.sum())
+
+    def gains(self, chosen: list[int]) -> Array:
+        """Returns by how much the value rises with each candidate more, but for pixels of others that it hides."""
+        best = self.explained[chosen].max(axis=0, initial=0.0)
+        near = (self.around[chosen].any(axis=0) & (best == 0)).astype(np.float32)
+        free = ((best == 0) & (near == 0)).astype(np.float32)
+        twice = np.minimum(self.explained, best).sum(axis=1)
+        left = self.around @ free - (self.explained > 0) @ near
+        costs = self.costs(best > 0)
+        gains = self.total - (1 + LOCATE_ALL.twice) * twice - costs - LOCATE_ALL.unexplained * left
+        gains[chosen] = -np.inf
+        return np.asarray(gains)
+
+    def best(self, limits: Mapping[str, int], start: list[int], banned: Collection[int] = ()) -> list[int]:
+        """Returns the candidates that explain the image best together, at most so many of a name, none that is banned.
+
+        From the start on one is added, or put in the place of another, as long as that raises the value.
+        """
+        chosen, value, names = list(start), self.value(start), np.array(self.names)
+
+        def one_more(rest: list[int]) -> list[int]:
+            """Returns the candidates and the one that the value gains most by."""
+            gains, counted = self.gains(rest), Counter(names[rest].tolist())
+            for name in {name for name, most in limits.items() if counted[name] >= most}:
+                gains[names == name] = -np.inf
+            gains[list(banned)] = -np.inf
+            return [*rest, int(gains.argmax())] if gains.max(initial=-np.inf) > -np.inf else rest
+
+        alone = self.total - self.costs(np.ones(len(self.points), dtype=bool))
+        while True:
+            before = value
+            while (now := self.value(option := one_more(chosen))) > value + 1e-6:
+                chosen, value = option, now
+            for n in chosen:
+                rest = [other for other in chosen if other != n]
+                for option in (rest, one_more(rest)):
+                    if (now := self.value(option)) > value + 1e-6:
+                        chosen, value = option, now
+            order = np.argsort(-alone)[: LOCATE_ALL.exchanged]
+            for n in [n for n in order.tolist() if alone[n] > 0 and n not in banned]:
+                same = np.minimum(self.explained[n], self.explained[chosen]).sum(axis=1)
+                least = LOCATE_ALL.overlap * np.minimum(self.total[n], self.total[chosen])
+                rest = [
+                    m
+                    for m, k, most in zip(chosen, same, least, strict=True)
+                    if k < most and names[m] != names[n]
+                ]
+                if n not in chosen and len(rest) < len(chosen):
+                    option = [*rest, n]
+                    for _ in range(len(chosen) - len(rest)):
+                        option = one_more(option)
+                        if (now := self.value(option)) > value + 1e-6:
+                            chosen, value = option, now
+            if value <= before:
+                return chosen
+
+    def owners(self, chosen: Sequence[int]) -> Pixels:
+        """Returns which of the candidates (in their order) explains each pixel (h, w): the one with the nearest
+        surface; -1 where none does."""
+        return owners(self.scene, [(self.models[self.names[n]], self.candidates[n : n + 1]) for n in chosen])
+
+    def searched(self, chosen: list[int], k: int, owner: Pixels) -> _Search:
+        """Returns the search for the k-th of the chosen candidates without the pixels (h, w) of the others."""
+        n, others = chosen[k], (owner >= 0) & (owner != k)
+        name, source = self.names[n], self.source[n]
+        if source.excluded is not None:
+            changed = np.count_nonzero(source.excluded != others)
+            if changed < LOCATE_ALL.changed * self.candidates["expected"][n]:
+                return source
+        if not others.any():  # as `locate` has it
+            return _Search(name, first_pose(self.models[name], self.scene, noise=self.noise), others)
+        given = self.candidates[n : n + 1].copy()
+        found = first_pose(self.models[name], self.scene.without(others), noise=self.noise, given=given)
+        return _Search(name, found, others)
+
+    def odds(self, limits: Mapping[str, int], chosen: list[int], k: int, owner: Pixels) -> dict[int, float]:
+        """Returns the log odds that the k-th of the chosen candidates is there, given the others, and of the likeliest
+        candidate of each object that could be there instead, by their indices."""
+        n, counted = chosen[k], Counter(self.names[other] for other in chosen)
+        scene, names, odds = self.scene.without((owner >= 0) & (owner != k)), np.array(self.names), {}
+        there = np.minimum(self.explained, self.explained[n]).sum(axis=1) > LOCATE_ALL.rival * self.total[n]
+        there &= [counted[name] < limits.get(name, np.inf) for name in self.names]
+        there &= names != self.names[n]
+        for which in ([n], *(np.flatnonzero(there & (names == name)) for name in sorted({*names[there]}))):
+            candidates = self.candidates[which]
+            score_candidates(self.models[self.names[which[0]]], scene, candidates)
+            each = log_odds(candidates)
+            odds[int(which[each.argmax()])] = float(each.max())
+        return odds
+
+    def present(self, limits: Mapping[str, int], chosen: list[int]) -> list[int]:
+        """Returns those of the candidates that are likely enough, given the others.
+
+        One by one the least likely is left out, or a likelier one of another object is put in a candidate's place.
+        """
+        chosen, tried, banned = list(chosen), set(chosen), list[int]()
+        while chosen:
+            owner = self.owners(chosen)
+            odds = [self.odds(limits, chosen, k, owner) for k in range(len(chosen))]
+            own = np.array([one[n] for one, n in zip(odds, chosen, strict=True)])
+            better = [
+                (value - own[k], k, n)
+                for k, one in enumerate(odds)
+                for n, value in one.items()
+                if value > own[k] and n not in tried and n not in banned
+            ]
+            if better:
+                _, k, chosen[k] = max(better)
+                tried.add(chosen[k])
+                continue
+            short = own - _least_odds(limits, [self.names[n] for n in chosen], own)
+            if (short >= 0).all():
+                break
+            banned.append(chosen.pop(int(short.argmin())))
+            if len(banned) <= LOCATE_ALL.max_left_out:
+                chosen = self.best(limits, chosen, banned)
+        return chosen
+
+
+def _least_odds(limits: Mapping[str, int], names: Sequence[str], odds: Array) -> Array:
+    """Returns the log odds (k,) that instances must have: more for one more of an object that is counted."""
+    p = np.full(len(names), LOCATE.min_probability)
+    for k, name in enumerate(names):
+        if name not in limits and k != max(
+            (j for j, other in enumerate(names) if other == name), key=odds.__getitem__
+        ):
+            p[k] = LOCATE_ALL.min_another
+    return np.asarray(np.log(p / (1 - p)))
+
+
+def _answer(
+    pool: _Pool, limits: Mapping[str, int], chosen: list[int], found: Mapping[str, ObjectDetection]
+) -> SceneDetection:
+    """Returns the chosen candidates as instances, each searched without the pixels of the others."""
+    owner, names = pool.owners(chosen), [pool.names[n] for n in chosen]
+    detections = [pool.searched(chosen, k, owner).detection for k in range(len(chosen))]
+    own = np.array([_log_odds(each.probability) for each in detections])
+    stays = own >= _least_odds(limits, names, own)
+    bodies = [(pool.models[name], each.candidates[:1]) for name, each in zip(names, detections, strict=True)]
+    pixels, instances = owners(pool.scene, bodies), list[ObjectInstance]()
+    for k in np.flatnonzero(stays):
+        odds = pool.odds(limits, chosen, k, owner)
+        rivals = [value for n, value in odds.items() if n != chosen[k]]
+        probability = (
+            float(probabilities(np.array([own[k], *rivals]))[0]) if rivals else detections[k].probability
+        )
+        instances.append(ObjectInstance(names[k], detections[k], probability, pixels == k))
+    missing = dict[str, str]()
+    for name in pool.models:
+        if not any(each.name == name for each in instances):
+            p = found[name].probability
+            missing[name] = f"the likeliest pose of {name} is right with a probability of {p:.2f} only"
+    return SceneDetection(tuple(sorted(instances, key=lambda each: -each.probability)), missing)
+
+
+def _log_odds(p: float) -> float:
+    return float(np.log(max(p, 1e-300) / max(1 - p, 1e-16)))
+
+
+def owners(scene: Scene, bodies: Sequence[tuple[ObjectModel, Candidates]]) -> Pixels:
+    """Returns which object with its CANDIDATE (1,) explains each pixel (h, w) of a scene: the one with the nearest
+    surface; -1: none."""
+    nearest = np.full(scene.depth.shape, np.inf, dtype=np.float32)
+    owner = np.full(nearest.shape, -1, dtype=np.int32)
+    for k, (model, candidate) in enumerate(bodies):
+        bound, middle = (
+            float(candidate["bound"][0]),
+            se3.apply(poses_of(candidate)[0], model.center_object[None]),
+        )
+        reach, z = 1.2 * model.radius + bound, float(middle[0, 2])
+        focal = np.diag(scene.camera.matrix)[:2] / max(z - reach, 0.05)
+        corners = scene.camera.project(middle) + np.outer((-reach, reach), focal) + [[0], [1]]
+        (left, top), (right, below) = np.nan_to_num(corners).clip(0, scene.camera.size).astype(int)
+        box = slice(top, below), slice(left, right)
+        inside = (scene.labels[box] >= 0) & (abs(scene.depth[box] - z) < reach)
+        depth = scene.depth[box][inside].astype(np.float64)
+        points = np.c_[scene.camera.rays[box][inside] * depth[:, None], depth]
+        distance = np.full(inside.shape, np.inf, dtype=np.float32)
+        distance[inside] = surface_distances(model, points, bound, candidate)[0]
+        near = distance < nearest[box]
+        nearest[box][near], owner[box][near] = distance[near], k
+    return owner
+
+
+def surface_distances(model: ObjectModel, points: Array, within: float, candidates: Candidates) -> Array:
+    """Returns the distances (k, n) of points (n, 3) from the surface at CANDIDATE (k,); infinity where they are not
+    `within` it [m]."""
+    distances = np.empty((len(candidates), len(points)), dtype=np.float32)
+    depth_term.surface_distances(*model.record[:2], points, within, candidates, distances)
+    return distances
