@@ -162,8 +162,14 @@ def recognition_of(found: Mapping[str, ObjectDetection], reason: str | None = No
 def search_mask(camera: Camera, box: Box | None, mask: Mask | None) -> Mask | None:
     """Returns the pixels (h, w) of an image that are in a box and in a mask; None: all. Raises InvalidInput."""
     if mask is not None:
-        camera.check_size(mask, "mask")
-        mask = np.asarray(mask).astype(bool)
+        try:
+            pixels = np.asarray(mask)
+        except ValueError:
+            raise InvalidInput("mask: expected an image (h, w), got rows of several lengths") from None
+        camera.check_size(pixels, "mask")
+        if pixels.dtype.kind not in "biuf":
+            raise InvalidInput(f"mask: expected booleans or numbers, got {pixels.dtype}")
+        mask = np.nan_to_num(pixels) != 0
     if box is None:
         return mask
     corners = checks.finite(box, "box", (4,))
