@@ -11,7 +11,7 @@ from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Detection2D, Observation
-from handsight.vision import ObjectDetection, locate, locate_detected
+from handsight.vision import FirstPoseSource, ObjectDetection, locate, locate_detected
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.locate import search_mask
 
@@ -34,6 +34,8 @@ class SearchHints:
 
     label: str
     """What the detector calls the object."""
+    elsewhere: FirstPoseSource = locate
+    """Finds the object where they say nothing, or nothing that is right."""
     detections: tuple[Detection2D, ...] = ()
     detected_at: float = -np.inf
     """Stamp of the detections [s]."""
@@ -41,15 +43,15 @@ class SearchHints:
     estimated_at: float = -np.inf
     """Stamp of the pose [s]."""
 
-    def after(self, observation: Observation, camera: Camera) -> "SearchHints":
-        """Returns the hints with those of an observation, and without those that are too old or fit no image."""
+    def after(self, observation: Observation) -> "SearchHints":
+        """Returns the hints with those of an observation, and without those that are too old."""
         now, hints, found = observation.stamp, self, list[Detection2D]()
         if observation.detections is not None:
             found += (each for each in observation.detections if each.label in ("", self.label))
         if observation.mask is not None:
             found += mask_of(observation.mask, self.label)
         if observation.detections is not None or observation.mask is not None:
-            hints = replace(hints, detections=tuple(d for d in found if _fits(d, camera)), detected_at=now)
+            hints = replace(hints, detections=tuple(found), detected_at=now)
         vision = observation.vision
         if vision is not None and vision.frame == "camera":
             hints = replace(hints, T_camera_object=vision.T_frame_object, estimated_at=now)
@@ -71,13 +73,13 @@ class SearchHints:
         noise: DepthNoise = STRUCTURED_LIGHT,
     ) -> ObjectDetection:
         """Returns where the object is in a depth image, as a `FirstPoseSource` does."""
-        start = self.T_camera_object
-        if self.detections:
+        start, detections = self.T_camera_object, [each for each in self.detections if _fits(each, camera)]
+        if detections:
             found = locate_detected(
                 model,
                 depth,
                 camera,
-                detections=self.detections,
+                detections=detections,
                 start=start,
                 hand=hand,
                 table=table,
@@ -85,7 +87,11 @@ class SearchHints:
             )
             if found.reason is None:
                 return found
-        return locate(model, depth, camera, start=start, hand=hand, table=table, noise=noise)
+        if start is not None:
+            found = locate(model, depth, camera, start=start, hand=hand, table=table, noise=noise)
+            if found.reason is None or self.elsewhere is locate:
+                return found
+        return self.elsewhere(model, depth, camera, hand=hand, table=table, noise=noise)
 
 
 def mask_of(labels: NDArray[np.integer], label: str) -> list[Detection2D]:
