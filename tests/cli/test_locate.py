@@ -3,14 +3,18 @@
 import csv
 import json
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from PIL import Image
 
+import handsight as hs
 import handsight.vision
 from cli.commands import called, run
 from handsight import se3
+from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.locate import LOCATE
 from pictures import (
     INTRINSICS,
@@ -538,3 +542,20 @@ def test_the_hand_is_masked_where_it_is_though_the_camera_is_elsewhere(held, tmp
     bare = np.abs(measured - seen[:, 2]) < 0.01
     assert bare.sum() > 20
     assert frame.hand[pixels[bare, 1], pixels[bare, 0]].mean() > 0.95
+
+
+def test_an_image_is_answered_before_what_it_does_not_need_is_loaded(frames):
+    """A second of imports for 30 ms of work: no slow part of SciPy, no mesh library, no tracker."""
+    image, mesh = frames / "depth/0000.png", frames.parent / "letter.ply"
+    appearance_of(hs.ObjectModel.from_file(mesh))  # into the cache
+    program = (
+        "import sys\n"
+        f"sys.argv = ['handsight', 'locate', {str(image)!r}, '--camera', {str(frames / 'camera.json')!r}, '--object', {str(mesh)!r}]\n"
+        "from handsight.cli import main\n"
+        "main()\n"
+        "heavy = {'scipy.signal', 'scipy.stats', 'scipy.ndimage', 'scipy.spatial', 'trimesh', 'matplotlib', 'handsight.tracking'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=300)
+    assert done.returncode == 0, done.stderr.decode()
+    assert json.loads(done.stdout)["found"]

@@ -301,16 +301,21 @@ def locator(models: "Mapping[str, ObjectModel]", noise: "DepthNoise") -> "Callab
 
     Everything that is compiled or computed once is done here, so that the seconds of an image do not contain it.
     """
-    from handsight.recording.detections import Located
-    from handsight.tracking.warm import find_object
-    from handsight.vision import locate, recognise
-    from handsight.vision.object.appearance import appearance_of
-    from handsight.vision.object.locate import recognition_of
+    import numpy as np
 
-    first = next(iter(models.values()))
-    find_object()
+    from handsight.camera import Camera
+    from handsight.recording.detections import Located
+    from handsight.vision import locate, recognise
+    from handsight.vision.object.first_pose import first_pose
+    from handsight.vision.object.locate import recognition_of
+    from handsight.vision.object.region import scene_of
+
+    first, matrix = next(iter(models.values())), np.array([[64, 0, 32], [0, 64, 24], [0, 0, 1.0]])
+    camera = Camera(matrix, (64, 48))
     for model in models.values():
-        appearance_of(model)
+        in_front = model.vertices - model.center_object + [0, 0, min(2 * model.diameter, 5.0)]
+        drawn = camera.draw(in_front, model.faces).depth
+        first_pose(model, scene_of(camera, drawn, extent=model.diameter), noise=noise)
 
     def locate_in(frame: "Frame") -> "Located":
         """Returns the object's pose in an image, and how long the search took."""

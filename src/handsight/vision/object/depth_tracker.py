@@ -23,7 +23,7 @@ from handsight.vision.candidates import UNKNOWN, candidates_at
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose_source import FirstPoseSource
 from handsight.vision.object.locate import locate
-from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose
+from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose, against, support_share
 
 State = Literal["tracking", "uncertain", "lost"]
 
@@ -39,7 +39,6 @@ class DepthTrackerOptions(NamedTuple):
     min_pixels: float = 20.0  # explained pixels that an image must have to give a pose
     min_against: float = 30.0  # pixels against a pose that an image must have to contradict it
     min_fit: float = 0.6  # share of explained pixels among them and those against a pose
-    continued: float = 3.0  # pixels against a pose that one counts for where the surface goes on beside it
     uncertain: float = 0.08  # shift of its surface beyond which a pose is uncertain [diameters]
     lost: float = 0.12  # and beyond which a hidden object is lost [diameters]
     min_twin: float = 0.05
@@ -196,14 +195,12 @@ class DepthTracker:
         """Returns what an image says near where the object is expected."""
         pose = predicted.pose_camera_object
         known = np.asarray(np.linalg.inv(pose.at_point(self.model.center_object).covariance))
-        return self._refiner.at(pose.T_a_b, known, image.depth, image.hand, image.table)
+        return self._refiner.at(pose.T_a_b, known, image.depth, image.hand, image.table, near=True)
 
     def _misfit(self, predicted: _Belief, refined: RefinedPose) -> str:
         """Returns why the object is lost; empty if it is not."""
-        candidate = refined.candidate[0]
-        against = candidate["passed"] + DEPTH_TRACKER.continued * candidate["unexplained"]
-        share = candidate["explained"] / max(candidate["explained"] + against, 1.0)
-        if against > DEPTH_TRACKER.min_against and share < DEPTH_TRACKER.min_fit:
+        share = support_share(refined.candidate)
+        if against(refined.candidate) > DEPTH_TRACKER.min_against and share < DEPTH_TRACKER.min_fit:
             return f"it explains {100 * share:.0f} % of what is seen there"
         limit, pose = DEPTH_TRACKER.lost * self.model.diameter, predicted.pose_camera_object
         hidden = not _is_enough(refined) and (predicted.lost or surface_shift(self.model, pose) > limit)

@@ -8,8 +8,8 @@ searched once more without the pixels of the others, which therefore do not coun
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from handsight import checks, se3
 from handsight._kernels.image import depth_term
 from handsight._kernels.image.pose_score import POSE_SCORE
-from handsight._kernels.image.vision_records import HAND
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import Candidates, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.first_pose import (
     ObjectDetection,
     first_pose,
@@ -46,7 +46,15 @@ class LocateAllOptions(NamedTuple):
     twice: float = 1.0  # what a pixel costs that two explain
     unexplained: float = 0.5  # and one close to a chosen surface that nobody explains
     around: float = 0.1  # so close is close [diameters]
+    hopeless: float = 0.8  # a candidate explains less than so much of what it costs
     expected: float = 0.3  # and each pixel that a candidate should fill, unless another chosen one hides it
+    exchanged: int = (
+        12  # candidates that are put in the place of all chosen ones that explain the same pixels
+    )
+    overlap: float = (
+        0.25  # share of the pixels of one of two candidates that both explain, to be put in its place
+    )
+    max_left_out: int = 10  # unlikely candidates in whose place others are searched
     rival: float = (
         0.5  # share of an object's pixels that another candidate explains, to be there instead of it
     )
@@ -155,50 +163,71 @@ class _Pool:
     ) -> None:
         """Its candidates are those of the searches, one search after another."""
         self.scene, self.models, self.noise, self.searches = scene, models, noise, searches
-        step = max(1, int(np.sqrt((scene.labels >= 0).sum() / LOCATE_ALL.pixels)))
+        step = max(1, round(np.sqrt((scene.labels >= 0).sum() / LOCATE_ALL.pixels)))
         depth, labels = (np.ascontiguousarray(image[::step, ::step]) for image in (scene.depth, scene.labels))
         height, width = depth.shape
         matrix = np.diag([1 / step, 1 / step, 1]) @ scene.camera.matrix
         camera = Camera(matrix, (width, height), scene.camera.lens)
         self.coarse = Scene(camera, depth, labels, np.zeros(len(scene.sizes)))
         self.inside = labels >= 0
+        self.index = np.cumsum(self.inside).reshape(self.inside.shape) - 1
         rays, z = camera.rays[self.inside].astype(np.float64), depth[self.inside].astype(np.float64)
         self.points = np.c_[rays * z[:, None], z]
-        self.names = [each.name for each in searches for _ in each.detection.candidates]
-        self.source = [each for each in searches for _ in each.detection.candidates]
-        self.candidates = np.concatenate([each.detection.candidates for each in searches])
-        explained, around = list[Array](), list[Array]()
+        self.names, self.source, kept = list[str](), list[_Search](), list[Candidates]()
+        explained, around, hidden, costs = list[Array](), list[Array](), list[Array](), list[Array]()
         for each in searches:
-            model, some = models[each.name], each.detection.candidates
+            model, some = models[each.name], each.detection.candidates.copy()
+            score_candidates(model, self.coarse, some)
+            cost = POSE_SCORE.passed * some["passed"] + LOCATE_ALL.expected * some["expected"]
+            # Others cannot gain, whatever hides them.
+            few = some["explained"] > LOCATE_ALL.hopeless * (cost - LOCATE_ALL.expected * some["hidden"])
+            some = some[few]
+            costs.append(cost[few] + POSE_SCORE.hidden * some["hidden"])
+            kept.append(each.detection.candidates[few])
+            self.names += [each.name] * len(some)
+            self.source += [each] * len(some)
             within = some["bound"].max(initial=0.0) + LOCATE_ALL.around * model.diameter
             distances = surface_distances(model, self.points, within, some)
             explained.append(np.maximum(1 - (distances / some["bound"][:, None]) ** 2, 0))
             around.append(np.isfinite(distances) & (explained[-1] == 0))
+            hidden += [self.hidden_pixels(model, one) for one in some]
+        self.candidates, self.cost = np.concatenate(kept), np.concatenate(costs)
         self.explained, self.around = np.concatenate(explained), np.concatenate(around).astype(np.float32)
+        self.hidden = np.array(hidden).reshape(len(self.names), 2, -1)
         self.total = self.explained.sum(axis=1)
+
+    def hidden_pixels(self, model: ObjectModel, candidate: np.void) -> Array:
+        """Returns for each sample of the surface, (2, m), the point of the grid that hides it, and its pixels."""
+        (samples, normals), directions, visible, area = appearance_of(model).sides
+        T, camera, image = poses_of(candidate), self.coarse.camera, self.coarse.depth
+        P, n, pixels = se3.apply(T, samples), normals @ T[:3, :3].T, np.zeros((2, len(samples)))
+        way = -T[:3, :3].T @ se3.apply(T, model.center_object[None])[0]
+        uv, cosine = camera.project(P).round(), -(n * P).sum(axis=1) / np.linalg.norm(P, axis=1)
+        there = visible[int((directions @ way).argmax())] & (cosine > 0)
+        there &= (uv >= 0).all(axis=1) & (uv < camera.size).all(axis=1)  # NaN is neither
+        columns, rows = uv[there].astype(int).T
+        z, observed = P[there, 2], image[rows, columns]
+        behind = (observed > 0) & (observed < z - candidate["bound"]) & self.inside[rows, columns]
+        pixels[0, there] = np.where(behind, self.index[rows, columns], 0)
+        seen = area * camera.matrix[0, 0] * camera.matrix[1, 1] * cosine[there] / z**2
+        pixels[1, there] = np.where(behind, seen, 0.0)
+        return pixels
 
     def extended(self, searches: list[_Search]) -> _Pool:
         """Returns a pool with the candidates of more searches after those of this one."""
         return _Pool(self.scene, self.models, self.noise, [*self.searches, *searches]) if searches else self
 
-    def costs(self, owned: Mask, which: NDArray[np.int64]) -> Array:
+    def costs(self, owned: Mask) -> Array:
         """Returns what candidates (k,) cost by pixels that they should explain, where others own some points (n,)."""
-        labels, costs = self.coarse.labels.copy(), np.empty(len(which))
-        labels[self.inside] = np.where(owned, HAND, labels[self.inside])
-        scene, names = replace(self.coarse, labels=labels), np.array(self.names)[which]
-        for name in set(names):
-            candidates = self.candidates[which[names == name]]
-            score_candidates(self.models[name], scene, candidates)
-            cost = POSE_SCORE.passed * candidates["passed"] + POSE_SCORE.hidden * candidates["hidden"]
-            costs[names == name] = cost + LOCATE_ALL.expected * candidates["expected"]
-        return costs
+        excused = (self.hidden[:, 1] * owned[self.hidden[:, 0].astype(int)]).sum(axis=1)
+        return np.asarray(self.cost - (POSE_SCORE.hidden + LOCATE_ALL.expected) * excused)
 
     def value(self, chosen: list[int]) -> float:
         """Returns how well candidates explain the image together [pixels of the grid]."""
         explained, value = self.explained[chosen], 0.0
         for k, n in enumerate(chosen):
             others = np.delete(explained, k, axis=0).any(axis=0)
-            value -= float(self.costs(others, np.array([n]))[0])
+            value -= float(self.costs(others)[n])
         best = explained.max(axis=0, initial=0.0)
         value += float(best.sum() - LOCATE_ALL.twice * (explained.sum(axis=0) - best).sum())
         left = self.around[chosen].any(axis=0) & (best == 0)
@@ -211,13 +240,13 @@ class _Pool:
         free = ((best == 0) & (near == 0)).astype(np.float32)
         twice = np.minimum(self.explained, best).sum(axis=1)
         left = self.around @ free - (self.explained > 0) @ near
-        costs = self.costs(best > 0, np.arange(len(self.names)))
+        costs = self.costs(best > 0)
         gains = self.total - (1 + LOCATE_ALL.twice) * twice - costs - LOCATE_ALL.unexplained * left
         gains[chosen] = -np.inf
         return np.asarray(gains)
 
-    def best(self, limits: Mapping[str, int], start: list[int]) -> list[int]:
-        """Returns the candidates that explain the image best together, at most so many of a name.
+    def best(self, limits: Mapping[str, int], start: list[int], banned: Collection[int] = ()) -> list[int]:
+        """Returns the candidates that explain the image best together, at most so many of a name, none that is banned.
 
         From the start on one is added, or put in the place of another, as long as that raises the value.
         """
@@ -228,8 +257,10 @@ class _Pool:
             gains, counted = self.gains(rest), Counter(names[rest].tolist())
             for name in {name for name, most in limits.items() if counted[name] >= most}:
                 gains[names == name] = -np.inf
+            gains[list(banned)] = -np.inf
             return [*rest, int(gains.argmax())] if gains.max(initial=-np.inf) > -np.inf else rest
 
+        alone = self.total - self.costs(np.ones(len(self.points), dtype=bool))
         while True:
             before = value
             while (now := self.value(option := one_more(chosen))) > value + 1e-6:
@@ -239,6 +270,21 @@ class _Pool:
                 for option in (rest, one_more(rest)):
                     if (now := self.value(option)) > value + 1e-6:
                         chosen, value = option, now
+            order = np.argsort(-alone)[: LOCATE_ALL.exchanged]
+            for n in [n for n in order.tolist() if alone[n] > 0 and n not in banned]:
+                same = np.minimum(self.explained[n], self.explained[chosen]).sum(axis=1)
+                least = LOCATE_ALL.overlap * np.minimum(self.total[n], self.total[chosen])
+                rest = [
+                    m
+                    for m, k, most in zip(chosen, same, least, strict=True)
+                    if k < most and names[m] != names[n]
+                ]
+                if n not in chosen and len(rest) < len(chosen):
+                    option = [*rest, n]
+                    for _ in range(len(chosen) - len(rest)):
+                        option = one_more(option)
+                        if (now := self.value(option)) > value + 1e-6:
+                            chosen, value = option, now
             if value <= before:
                 return chosen
 
@@ -281,7 +327,7 @@ class _Pool:
 
         One by one the least likely is left out, or a likelier one of another object is put in a candidate's place.
         """
-        chosen, tried = list(chosen), set(chosen)
+        chosen, tried, banned = list(chosen), set(chosen), list[int]()
         while chosen:
             owner = self.owners(chosen)
             odds = [self.odds(limits, chosen, k, owner) for k in range(len(chosen))]
@@ -290,7 +336,7 @@ class _Pool:
                 (value - own[k], k, n)
                 for k, one in enumerate(odds)
                 for n, value in one.items()
-                if value > own[k] and n not in tried
+                if value > own[k] and n not in tried and n not in banned
             ]
             if better:
                 _, k, chosen[k] = max(better)
@@ -299,7 +345,9 @@ class _Pool:
             short = own - _least_odds(limits, [self.names[n] for n in chosen], own)
             if (short >= 0).all():
                 break
-            del chosen[int(short.argmin())]
+            banned.append(chosen.pop(int(short.argmin())))
+            if len(banned) <= LOCATE_ALL.max_left_out:
+                chosen = self.best(limits, chosen, banned)
         return chosen
 
 
