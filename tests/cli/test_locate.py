@@ -303,8 +303,8 @@ def test_depth_in_tenths_of_millimetres_is_suspected(frames, pictures, asked):
 WRONG_HINTS = {
     "a csv with other columns": ("--start", "a.csv", "frame,x,y,z\n1,2,3,4\n", r"a.csv: line 1: expected the columns scene_id,im_id,obj_id,score,R,t,time, got frame,x,y,z"),
     "a row that was cut": ("--start", "a.csv", "48,1,3,0.5,1 0 0", r"a.csv: line 1: expected 7 columns"),
-    "unknown classes": ("--detections", "a.json", '[{"scene_id": 48, "image_id": 0, "category_id": 90, "bbox": [0, 0, 9, 9], "score": 1}]', r"a.json: category_id: expected numbers of objects, 3, got 90"),
-    "a target that nobody knows": ("--targets", "a.json", '[{"scene_id": 48, "im_id": 0, "obj_id": 90}]', r"a.json: obj_id: expected numbers of objects, 3, got 90"),
+    "unknown classes": ("--detections", "a.json", '[{"scene_id": 48, "image_id": 0, "category_id": 90, "bbox": [0, 0, 9, 9], "score": 1}]', r"a.json: category_id: expected one of 3, got 90"),
+    "a target that nobody knows": ("--targets", "a.json", '[{"scene_id": 48, "im_id": 0, "obj_id": 90}]', r"a.json: obj_id: expected one of 3, got 90"),
     "truncated": ("--targets", "a.json", '[{"scene_id": 48', r"a.json: expected JSON, got other text"),
     "no file": ("--detections", "b.json", "", r"b.json: cannot be read: No such file"),
     "a box outside": ("--detections", "a.json", '[{"scene_id": 48, "image_id": 0, "category_id": 3, "bbox": [320, 0, 9, 9], "score": 1}]', r"a.json: \[0\].bbox: expected a box that meets the image of 320 x 240 pixels, got"),

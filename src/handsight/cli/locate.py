@@ -408,23 +408,15 @@ def _each_beside(
 
 def _found_beside(frame: "Frame", model: "ObjectModel", name: str, noise: "DepthNoise") -> "ObjectDetection":
     """Returns where an object is in an image, by what other programs say of it."""
-    from handsight.vision import locate, locate_detected
+    from handsight.observation import Detection2D
+    from handsight.vision import locate_detected
 
-    start = None if frame.starts is None else frame.starts.get(name)
-    if frame.detections is None:
-        return locate(
-            model, frame.depth, frame.camera, mask=frame.wanted, start=start, hand=frame.hand, noise=noise
-        )
-    mine = [each for each in frame.detections if each.label in ("", name)]
+    detections, start = frame.detections, (frame.starts or {}).get(name)
+    anywhere = (Detection2D(),)
+    mine = [each for each in (anywhere if detections is None else detections) if each.label in ("", name)]
+    camera, mask, hand = frame.camera, frame.wanted, frame.hand
     return locate_detected(
-        model,
-        frame.depth,
-        frame.camera,
-        detections=mine,
-        mask=frame.wanted,
-        start=start,
-        hand=frame.hand,
-        noise=noise,
+        model, frame.depth, camera, detections=mine, mask=mask, start=start, hand=hand, noise=noise
     )
 
 
