@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import ROOT, frontier, timing, workload
+from handsight.objects import ObjectModel, Shape, ply_bytes
 
 Row = dict[str, Any]
 IMPORT = "import handsight"
@@ -24,6 +25,13 @@ vision = hs.PosePrior.from_sigmas(np.eye(4), 0.012, 0.15)
 hs.correct_pose(model, hs.Contacts(points, normals, sigma_point=1e-3, sigma_normal=0.1), vision=vision)
 """
 HELP = "import sys; sys.argv = ['handsight', '--help']; import handsight.cli; handsight.cli.main()"
+LOCATES = "handsight locate of one image, warm"
+LOCATE = """
+import sys
+from handsight.cli import main
+sys.argv = ["handsight", "locate", {depth!r}, "--camera", {camera!r}, "--object", {mesh!r}]
+main()
+"""
 SOLVES = 20
 
 
@@ -48,7 +56,14 @@ def run(repeats: int, *, compile_too: bool) -> list[Row]:
         "handsight --help": HELP,
         "new process to first correction, warm": FIRST,
     }
-    rows = [started(name, code, repeats) for name, code in kinds.items()]
+    data = ROOT / "src/handsight/data"
+    with tempfile.TemporaryDirectory() as folder:
+        mesh = Path(folder) / "can.ply"
+        model = ObjectModel.cylinder(0.033, 0.122)
+        mesh.write_bytes(ply_bytes(Shape(model.vertices, model.faces), 1.0))
+        files = {"depth": data / "can.depth.png", "camera": data / "can.camera.json", "mesh": mesh}
+        kinds[LOCATES] = LOCATE.format(**{name: str(path) for name, path in files.items()})
+        rows = [started(name, code, repeats) for name, code in kinds.items()]
     if compile_too:
         with tempfile.TemporaryDirectory() as folder:
             took = process_seconds(FIRST, HANDSIGHT_CACHE=folder, NUMBA_CACHE_DIR=folder)

@@ -127,6 +127,7 @@ TARGETS = [
     Target("handsight --help", of("startup", "handsight --help"), 0.5, unit="s"),
     Target("new process to first correction, warm", of("startup", "new process to first correction, warm"), 1.5,
            unit="s"),
+    Target("handsight locate of one image, warm", of("startup", "handsight locate of one image, warm"), 1.5, unit="s"),
 ]  # fmt: skip
 
 

@@ -144,6 +144,10 @@ class Observation:
     gets no contact from its wrench."""
     skin: Mapping[str, Array] = field(default_factory=dict)
     """By tactile array: (rows, columns) readings of its taxels, NaN where a taxel has no reading."""
+    detections: tuple[Detection2D, ...] | None = None
+    """Where another detector has objects in an image, if its answer has arrived since the last observation."""
+    mask: NDArray[np.integer] | None = None
+    """(h, w) which object each pixel of an image is of, by label, 0: none, if such an image has arrived."""
 
     __repr__ = short_repr
 
@@ -170,7 +174,8 @@ def check_observation(observation: Observation) -> Observation:
     # By position: `dataclasses.replace` takes several times as long.
     joints_wrenches = observation.joint_positions, observation.wrenches
     images, touch = (observation.color, observation.depth), (observation.contacts, observation.skin)
-    return Observation(stamp, *joints_wrenches, vision, T, *images, image_stamp, *touch)
+    elsewhere = observation.detections, observation.mask
+    return Observation(stamp, *joints_wrenches, vision, T, *images, image_stamp, *touch, *elsewhere)
 
 
 def _seconds(stamp: float, name: str) -> float:

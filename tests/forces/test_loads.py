@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import savgol_filter
 
 from forces.hand_in_air import CENTER, MASS, TILTS, Held, rig
 from forces.test_weigher import weighed
 from handsight.errors import InvalidInput
 from handsight.forces import LOADS, Weigher, calibrate_sensors, read_in_air
+from handsight.forces.loads import _second_derivative
 
 
 def moving(held, bend=0.2, count=21):
@@ -90,3 +92,12 @@ def test_what_a_calibration_leaves_becomes_the_sensors_sigma():
 def test_a_sensor_that_was_not_turned_cannot_be_calibrated():
     with pytest.raises(InvalidInput, match="^finger ff: gravities: expected at least 3 orientations, got 2"):
         calibrate_sensors(rig(), in_the_air(0.0, ORIENTATIONS[:2]))
+
+
+def test_second_derivatives_are_those_of_savitzky_and_golay():
+    """And exactly those of a cubic, up to both ends."""
+    for n, length in ((5, 5), (8, 7), (25, 11)):
+        found = _second_derivative(n, length)
+        np.testing.assert_allclose(found, savgol_filter(np.eye(n), length, 3, deriv=2, axis=0), atol=1e-10)
+        t = np.arange(n)
+        np.testing.assert_allclose(found @ (t**3 - 2 * t**2 + 5), 6 * t - 4, atol=1e-7)

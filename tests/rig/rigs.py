@@ -102,6 +102,8 @@ def full(folder, seed=0, numbers=(0.1, 0.7, 0.004), world_from="joints"):
             camera_info="/i",
             truth="/t",
             skin={"the palm": "/skin"},
+            detections="/boxes",
+            mask="/labels",
         ),
         skin={
             "the palm": TaxelArray(
@@ -120,7 +122,7 @@ def full(folder, seed=0, numbers=(0.1, 0.7, 0.004), world_from="joints"):
         objects={
             "a box": ObjectSpec(box=(a, b, c)),
             "tin": ObjectSpec(cylinder=(a, b)),
-            "bottle": ObjectSpec(name="mustard"),
+            "bottle": ObjectSpec(name="mustard", label="12"),
             "mug": ObjectSpec(mesh=(Path(folder) / "mug.stl").absolute(), scale=c),
         },
     )

@@ -345,15 +345,21 @@ def locator(
     `counts` is None: only one object is there, and of several it is said which. Everything that is compiled or computed
     once is done here, so that the seconds of an image do not contain it.
     """
-    from handsight.recording.detections import Located, LocatedAll
-    from handsight.tracking.warm import find_object
-    from handsight.vision import locate_all
-    from handsight.vision.object.appearance import appearance_of
-    from handsight.vision.object.locate import recognise, recognition_of
+    import numpy as np
 
-    find_object()
+    from handsight.camera import Camera
+    from handsight.recording.detections import Located, LocatedAll
+    from handsight.vision import locate_all
+    from handsight.vision.object.first_pose import first_pose
+    from handsight.vision.object.locate import recognise, recognition_of
+    from handsight.vision.object.region import scene_of
+
+    matrix = np.array([[64, 0, 32], [0, 64, 24], [0, 0, 1.0]])
+    camera = Camera(matrix, (64, 48))
     for model in models.values():
-        appearance_of(model)
+        in_front = model.vertices - model.center_object + [0, 0, min(2 * model.diameter, 5.0)]
+        drawn = camera.draw(in_front, model.faces).depth
+        first_pose(model, scene_of(camera, drawn, extent=model.diameter), noise=noise)
 
     def locate_in(frame: "Frame") -> "Located | LocatedAll":
         """Returns the objects' poses in an image, and how long the search took."""
@@ -402,23 +408,15 @@ def _each_beside(
 
 def _found_beside(frame: "Frame", model: "ObjectModel", name: str, noise: "DepthNoise") -> "ObjectDetection":
     """Returns where an object is in an image, by what other programs say of it."""
-    from handsight.vision import locate, locate_detected
+    from handsight.observation import Detection2D
+    from handsight.vision import locate_detected
 
-    start = None if frame.starts is None else frame.starts.get(name)
-    if frame.detections is None:
-        return locate(
-            model, frame.depth, frame.camera, mask=frame.wanted, start=start, hand=frame.hand, noise=noise
-        )
-    mine = [each for each in frame.detections if each.label in ("", name)]
+    detections, start = frame.detections, (frame.starts or {}).get(name)
+    anywhere = (Detection2D(),)
+    mine = [each for each in (anywhere if detections is None else detections) if each.label in ("", name)]
+    camera, mask, hand = frame.camera, frame.wanted, frame.hand
     return locate_detected(
-        model,
-        frame.depth,
-        frame.camera,
-        detections=mine,
-        mask=frame.wanted,
-        start=start,
-        hand=frame.hand,
-        noise=noise,
+        model, frame.depth, camera, detections=mine, mask=mask, start=start, hand=hand, noise=noise
     )
 
 

@@ -1,7 +1,8 @@
 """`handsight reconstruct`: a model of an object from a recording's depth images."""
 
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,12 +13,13 @@ from typer import Option
 from handsight.cli.options import RecordingPath, RigPath, find_rig, renamed
 from handsight.cli.terminal import announce_compiling, kept_going, live_rows, say
 from handsight.errors import InvalidInput
-from handsight.files import write_errors
+from handsight.files import atomic_file, write_errors
 
 if TYPE_CHECKING:
     from handsight.recording import Recording
     from handsight.rig import Rig
     from handsight.vision.reconstruction.completion import ReconstructedModel
+    from handsight.vision.reconstruction.grips import InHandReconstruction
     from handsight.vision.reconstruction.reconstruct import Reconstruction
 
 
@@ -40,20 +42,28 @@ def reconstruct(
             help="The hand holds the object and turns it in front of the camera. Default: the object is on a table.",
         ),
     ] = False,
+    guesses: Annotated[
+        bool,
+        Option(
+            "--guesses",
+            help="Guess what no view has shown by symmetry: this can be off by centimetres. Default: the surface stays "
+            "open there.",
+        ),
+    ] = False,
     former_robot_poses: Annotated[bool, Option("--given", hidden=True)] = False,
     former_in_hand: Annotated[bool, Option("--held", hidden=True)] = False,
 ) -> None:
     """Reconstruct a model of an object from a recording with depth images of many of its sides.
 
     Either move the camera around an object on a table. The object must be the one nearest to the middle of the first
-    image; a hand in the image is left out. Or let the hand turn the object in front of the camera, away from everything
-    else (`--in-hand`). The object's pose then follows the hand in the images, so the grip must not change; the surface
-    near the hand, as under its fingers, stays unmeasured. Turn by a few degrees from view to view, and show as many
-    sides as possible.
+    image; a hand in the image is left out. Or let the hand turn the object in front of the camera (`--in-hand`). The
+    object's pose then follows the hand in the images. After a new grip the surface is aligned with that of the grip
+    before, if enough of it is seen in both; so what the fingers hid becomes visible. Turn by a few degrees from view to
+    view, and show as many sides as possible.
 
-    The sides that no view shows are guessed: by a symmetry that contradicts no measurement, and by extending the lowest
-    points straight down to the table, if there is one. In the file, `measured` is 1 for measured points and 0 for
-    guesses, and `sigma` is the standard deviation [m].
+    The sides that no view shows stay open, or are guessed by a symmetry that contradicts no measurement (`--guesses`).
+    On a table the lowest points are extended straight down to it. In the file, `measured` is 1 for measured points and
+    0 for guesses, and `sigma` is the standard deviation [m].
 
     ```
     handsight reconstruct around.mcap --rig robot.yaml --output mustard.ply
@@ -76,7 +86,7 @@ def reconstruct(
         raise InvalidInput("topics.depth: expected the topic of the depth images in the rig, got none")
     in_hand = renamed(in_hand, former_in_hand, ("--in-hand", "--held"))
     robot_poses = renamed(robot_poses, former_robot_poses, ("--robot-poses", "--given"))
-    fusion = Fusion(align=not robot_poses and not in_hand, in_hand=in_hand)
+    fusion = Fusion(align=not robot_poses and not in_hand, in_hand=in_hand, guesses=guesses)
     with open_recording(recording, found) as opened, live_rows(recording.name, Fusion.progress) as watch:
         with kept_going() as end:
             fusion.add_recording(opened, found, watch)
@@ -88,14 +98,13 @@ def reconstruct(
     try:
         model = fusion.model()
         content = ply_bytes(Shape(model.points, sigmas=model.sigmas), 1.0, model.measured)
-        with write_errors(output):
-            output.write_bytes(content)
-        misfits = fusion.images - fusion.skipped - fusion.fitted
+        with write_errors(output), atomic_file(output) as file:
+            file.write(content)
         size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(model.points, axis=0))
         guessed = "; ".join(model.guesses) or "nothing"
         messages += [
-            f"{fusion.views} views fused of {fusion.images} depth images, {misfits} did not fit",
-            f"{size} mm, {100 * model.share_measured:.0f} % of the surface measured; guessed: {guessed}",
+            *fusion.sentences(),
+            f"{size} mm, at most {100 * fusion.observed:.0f} % of the closed surface measured; guessed: {guessed}",
             f"wrote {output}: {len(model.points)} points",
         ]
     finally:
@@ -113,14 +122,20 @@ class Fusion:
     """Whether views are aligned to the surface, or placed at the robot's poses."""
     in_hand: bool
     """Whether the object is in the hand, or on a table."""
-    reconstruction: "Reconstruction | None" = None
+    guesses: bool = False
+    """Whether the model has what symmetries say of sides that no view has shown."""
+    reconstruction: "Reconstruction | InHandReconstruction | None" = None
     """None before the object was found."""
     images: int = 0
     """Number of depth images until now."""
-    skipped: int = 0
-    """Number of depth images before the object was found."""
+    skipped: "Counter[str]" = field(default_factory=Counter)
+    """Number of depth images that were left out, by reason."""
     fitted: int = 0
     """Number of depth images that fitted the surface."""
+    grips: "list[str]" = field(default_factory=list)
+    """Sentences on the grips."""
+    observed: float = 0.0
+    """At most which share of the closed surface is measured."""
 
     def add_recording(self, recording: "Recording", rig: "Rig", watch: "Callable[[Fusion], None]") -> None:
         """Fuses the depth images of a recording; raises InvalidInput where there are none."""
@@ -128,8 +143,9 @@ class Fusion:
 
         from handsight import se3
         from handsight.recording.robot_images import in_hand_views, views_of
-        from handsight.vision.reconstruction.reconstruct import Reconstruction, View
-        from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, on_table
+        from handsight.vision.reconstruction.grips import InHandReconstruction
+        from handsight.vision.reconstruction.reconstruct import Reconstruction
+        from handsight.vision.reconstruction.segmentation import on_table
 
         with_depth = (each for each in recording.observations() if each.depth is not None)
         first = next(with_depth, None)
@@ -138,48 +154,73 @@ class Fusion:
         camera = recording.camera()
         T_reference_object = np.eye(4)
         for view in (in_hand_views if self.in_hand else views_of)(chain([first], with_depth), rig, camera):
-            if self.reconstruction is None:
-                in_hand = (view.T_camera_object, IN_HAND_BOUNDS)
-                found = in_hand if self.in_hand else on_table(camera, view.depth)
-                if found is None:
-                    self.skipped = self.images = self.images + 1
-                    continue
-                T_camera_object, bounds = found
-                T_reference_object = se3.inverse(view.T_camera_object) @ T_camera_object
-                self.reconstruction = Reconstruction(camera, bounds)
-            placed = View(view.depth, view.T_camera_object @ T_reference_object)
-            self.fitted += self.reconstruction.grow(placed, estimate=self.align) is not None
+            if self.reconstruction is None and not isinstance(view, str):
+                if self.in_hand:
+                    self.reconstruction = InHandReconstruction(camera)
+                elif (found := on_table(camera, view.depth)) is None:
+                    view = "no object on a table"
+                else:
+                    T_reference_object = se3.inverse(view.T_camera_object) @ found[0]
+                    self.reconstruction = Reconstruction(camera, found[1])
+            if self.reconstruction is None or isinstance(view, str):
+                self.skipped[str(view)] += 1
+            else:
+                placed = replace(view, T_camera_object=view.T_camera_object @ T_reference_object)
+                self.fitted += self.reconstruction.grow(placed, estimate=self.align) is not None
             self.images += 1
             watch(self)
 
     def model(self) -> "ReconstructedModel":
         """Returns the object's model; raises InvalidInput where too little of it was measured."""
-        from handsight.vision.reconstruction.completion import closed, one_object
+        from handsight.vision.reconstruction.completion import (
+            closed,
+            one_object,
+            share_observed,
+        )
+        from handsight.vision.reconstruction.grips import InHandReconstruction
 
         min_views, min_points = 5, 100
         if self.reconstruction is None:
-            where = "in the hand" if self.in_hand else "on a table"
-            raise InvalidInput(
-                f"recording: expected an object {where}, got none in {self.images} depth images"
+            where = (
+                f"in the hand, got none in {self.images}"
+                if self.in_hand
+                else f"on a table, got none in {self.images}"
             )
-        volume = self.reconstruction.volume
+            raise InvalidInput(f"recording: expected an object {where} depth images{self.reasons}")
         if self.views < min_views:
             raise InvalidInput(
                 f"recording: expected at least {min_views} views of different sides, got {self.views} "
-                f"in {self.images} depth images, of which {self.fitted} fitted"
+                f"in {self.images} depth images, of which {self.fitted} fitted{self.reasons}"
             )
-        surface = one_object(volume.surface(), volume, table=not self.in_hand)
+        if isinstance(self.reconstruction, InHandReconstruction):
+            volume, surface, self.grips = self.reconstruction.merged()
+        else:
+            volume = self.reconstruction.volume
+            surface = one_object(volume.surface(), volume, table=True)
         if len(surface.points) < min_points:
             raise InvalidInput(
                 f"recording: expected a surface of at least {min_points} points, got {len(surface.points)} "
                 "(do depth, intrinsics and the camera's pose belong together?)"
             )
-        return closed(surface, volume, table=not self.in_hand)
+        self.observed = share_observed(surface, volume)
+        return closed(surface, volume, table=not self.in_hand, symmetries=self.guesses)
 
     @property
     def views(self) -> int:
         """Number of views in the surface."""
-        return self.reconstruction.volume.views if self.reconstruction else 0
+        return self.reconstruction.views if self.reconstruction else 0
+
+    @property
+    def reasons(self) -> str:
+        """Why images were left out, in brackets, or nothing."""
+        counted = ", ".join(f"{reason}: {count}" for reason, count in self.skipped.most_common())
+        return f" ({counted})" if counted else ""
+
+    def sentences(self) -> list[str]:
+        """Returns how many images were used, and why not the others."""
+        misfits = self.images - self.skipped.total() - self.fitted
+        used = f"{self.views} views fused of {self.images} depth images, {misfits} did not fit"
+        return [used + (f"; left out{self.reasons}" if self.skipped else ""), *self.grips]
 
     def progress(self) -> list[tuple[str, str]]:
         """Returns names and values that show the progress."""

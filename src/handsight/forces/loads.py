@@ -14,7 +14,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import savgol_filter
 from scipy.special import chdtri
 
 from handsight import se3
@@ -165,8 +164,17 @@ def accelerations(Ts_world_palm: Array, point_palm: Array, step: float) -> tuple
 
 @lru_cache(maxsize=32)
 def _second_derivative(n: int, length: int) -> Array:
-    """Returns (n, n) the map from n samples at unit steps to their second derivatives, over windows of `length`."""
-    return np.asarray(savgol_filter(np.eye(n), length, LOADS.order, deriv=2, axis=0))
+    """Returns (n, n) the map from n samples at unit steps to their second derivatives, over windows of `length`.
+
+    The windows at both ends are those of the samples there that are complete. It is what `scipy.signal.savgol_filter`
+    makes of the identity, without loading `scipy.signal`, which takes as long as all else together.
+    """
+    derivative = np.zeros((n, n))
+    for i in range(n):
+        first = min(max(i - length // 2, 0), n - length)
+        powers = np.vander(np.arange(first, first + length) - float(i), LOADS.order + 1, increasing=True)
+        derivative[i, first : first + length] = 2 * np.linalg.pinv(powers)[2]
+    return derivative
 
 
 def _summed(

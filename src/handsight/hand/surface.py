@@ -6,7 +6,6 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import trimesh
 
 from handsight import se3
 from handsight._deprecated import renamed_members
@@ -192,6 +191,8 @@ def _shape_triangles(model: "MjModel", g: int) -> Array:
         corners = vertices[model.mesh_face[first : first + count]]
         volume = np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
         return np.asarray(corners if volume > 0 else corners[:, ::-1])
+    import trimesh  # takes long to load, and many hands have meshes only
+
     if kind in (ShapeKind.SPHERE, ShapeKind.ELLIPSOID):
         radii = size if kind == ShapeKind.ELLIPSOID else size[:1]
         return np.asarray(trimesh.creation.icosphere(subdivisions=3).triangles * radii)

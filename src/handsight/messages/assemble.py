@@ -49,7 +49,7 @@ class ObservationAssembler:
         self._sensors: dict[str, WrenchSensor] = {}
         # The newest wrenches, contacts and readings with their stamps [s], by finger or array.
         self._touch: dict[Role, dict[str, tuple[float, Any]]] = {"wrench": {}, "contact": {}, "skin": {}}
-        # By role: vision, color and depth since the last observation.
+        # By role: vision, color, depth, detections and mask since the last observation.
         self._vision: dict[str, Measurement] = {}
         self.due: float | None = None
         """Stamp of the joint states whose observation was not returned yet [s]; None: there are none."""

@@ -117,7 +117,7 @@ class Clocks:
         if not self._joint_offsets:
             return
         topic.difference = offset - median(self._joint_offsets)
-        slow = topic.role in ("vision", "truth", "color", "depth")
+        slow = topic.role in ("vision", "truth", "color", "depth", "detections", "mask")
         latest = CLOCKS.max_latency if slow else CLOCKS.other_clock
         topic.shifted = not -CLOCKS.other_clock <= topic.difference <= latest
         if not topic.shifted:

@@ -13,6 +13,7 @@ import numpy as np
 from handsight.checks import MAX_DISTANCE, MAX_LOAD, Array
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.messages import images
+from handsight.messages.detections import DEFINITIONS, KINDS, detections
 from handsight.messages.fast import FastReader, StampedTransform
 from handsight.messages.topics import MessageRejected, RawMessage, Role, RosMessage, RosType, TopicReport
 from handsight.observation import VISION_FRAMES, ContactMeasurement, PoseMeasurement
@@ -44,15 +45,15 @@ class Measurement:
     """When it was recorded or received [s]."""
     value: Any
     """By the topic's role. joints: positions by name. wrench: (6,). contact: `ContactMeasurement` or None. skin:
-    (rows, columns). vision: `PoseMeasurement`. truth: (4, 4). color, depth: image. info: `Camera`. tf: parent, child,
-    `T_parent_child` (4, 4)."""
+    (rows, columns). vision: `PoseMeasurement`. truth: (4, 4). color, depth, mask: image. detections: `Detection2D`s.
+    info: `Camera`. tf: parent, child, `T_parent_child` (4, 4)."""
     restarts: bool = False
     """Whether it is the first measurement of all, or the first after the clock of the joint states was set back."""
 
     @property
     def size(self) -> int:
         """Its approximate size [bytes]."""
-        return 500 + (self.value.nbytes if self.topic.role in ("color", "depth") else 0)
+        return 500 + (self.value.nbytes if self.topic.role in ("color", "depth", "mask") else 0)
 
 
 def decode(
@@ -121,11 +122,16 @@ def _deserialized(raw: RawMessage) -> RosMessage:
     # The shortest message is a count. There may be many empty ones, and errors of rosbags are slow.
     if len(raw.data) < 4:
         raise MessageRejected(expected)
-    try:
-        message: RosMessage = getattr(store, f"deserialize_{raw.encoding}")(raw.data, kind)
-        return message
-    except Exception as error:  # code that rosbags generates raises anything: the bytes are no such message
-        raise MessageRejected(f"{expected} ({str(error)[:80]})") from None
+    reason = ""
+    for layout in KINDS[raw.encoding] if raw.type == RosType.DETECTIONS else (kind,):
+        try:
+            message: RosMessage = getattr(store, f"deserialize_{raw.encoding}")(raw.data, layout)
+            return message
+        except (
+            Exception
+        ) as error:  # code that rosbags generates raises anything: the bytes are no such message
+            reason = reason or str(error)[:80]
+    raise MessageRejected(f"{expected} ({reason})")
 
 
 @lru_cache
@@ -139,6 +145,8 @@ def typestore(encoding: str) -> "Typestore":
     if RosType.TF not in store.types:  # ROS 1's own messages have only its predecessor
         store.register(typesys.get_types_from_msg("geometry_msgs/TransformStamped[] transforms", RosType.TF))
     store.register(typesys.get_types_from_msg(SHADOW_CONTACT, RosType.CONTACT))
+    for kind, definition in DEFINITIONS[encoding].items():
+        store.register(typesys.get_types_from_msg(definition, kind))
     return store
 
 
@@ -287,6 +295,8 @@ READERS: dict[Role, Callable[[RosMessage, TopicReport, Mapping[str, str]], objec
     "truth": _pose,
     "color": lambda message, *_: images.color(message),
     "depth": lambda message, *_: images.depth(message),
+    "detections": lambda message, *_: detections(message),
+    "mask": lambda message, *_: images.labels(message),
     "info": lambda message, *_: images.camera(message),
 }
 """The function that reads a decoded message, by its topic's role; raises MessageRejected or InvalidInput."""

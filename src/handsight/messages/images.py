@@ -18,6 +18,7 @@ LAYOUTS = {
     **dict.fromkeys(("mono8", "8UC1"), ("u1", 1)),
     **dict.fromkeys(("mono16", "16UC1"), ("u2", 1)),
     "32FC1": ("f4", 1),
+    "32SC1": ("i4", 1),
 }
 """Type and number of channels of a pixel, by the encoding of an Image."""
 
@@ -49,6 +50,12 @@ def depth(message: RosMessage) -> Depth:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         inverse = (a / (numbers.astype(np.float64) - b)).astype(np.float32)
     return pixels.metres(np.where(numbers == 0, np.float32(np.nan), inverse))
+
+
+def labels(message: RosMessage) -> NDArray[np.integer]:
+    """Returns the numbers (h, w) of an Image that says of each pixel which object it is of, 0: of none."""
+    found = values(message, ("mono8", "8UC1", "mono16", "16UC1", "32SC1"))[..., 0]
+    return found.astype(np.int32)
 
 
 def values(message: RosMessage, expected: tuple[str, ...]) -> NDArray[np.generic]:

@@ -8,7 +8,19 @@ from typing import Any, Literal, NamedTuple, Protocol
 from handsight.rig import Rig
 
 Role = Literal[
-    "joints", "wrench", "contact", "skin", "vision", "truth", "color", "depth", "tf", "tf_static", "info"
+    "joints",
+    "wrench",
+    "contact",
+    "skin",
+    "vision",
+    "truth",
+    "color",
+    "depth",
+    "detections",
+    "mask",
+    "tf",
+    "tf_static",
+    "info",
 ]
 
 
@@ -25,6 +37,7 @@ class RosType:
     TF_ROS1 = "tf/msg/tfMessage"
     IMAGE = "sensor_msgs/msg/Image"
     COMPRESSED = "sensor_msgs/msg/CompressedImage"
+    DETECTIONS = "vision_msgs/msg/Detection2DArray"
     INFO = "sensor_msgs/msg/CameraInfo"
     DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
     MARKERS = "visualization_msgs/msg/MarkerArray"
@@ -185,6 +198,8 @@ def rig_topics(rig: Rig) -> dict[str, TopicReport]:
         ("truth", topics.truth, poses),
         ("color", topics.color, images),
         ("depth", topics.depth, images),
+        ("detections", topics.detections, (RosType.DETECTIONS,)),
+        ("mask", topics.mask, (RosType.IMAGE,)),
         ("info", topics.camera_info, (RosType.INFO,)),
     )
     found += [TopicReport(topic, role, types) for role, topic, types in others if topic is not None]

@@ -35,6 +35,8 @@ class ObjectSpec:
     """Coefficient of friction between fingertips and object."""
     sigma_friction: float | None = None
     """Standard deviation of that coefficient."""
+    label: str | None = None
+    """What a detector calls it (`class_id`), or its number in mask images; None: its name."""
 
     def model(self) -> ObjectModel:
         """Returns the object with its weight; raises a HandsightError."""

@@ -16,10 +16,17 @@ from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig import Rig
+from handsight.tracking.fingertips import FingertipSensors
 from handsight.vision import PalmDetection
+from handsight.vision.object.region import REGION
 from handsight.vision.palm.hand_in_image import HandInImage
 from handsight.vision.reconstruction.reconstruct import View, within
-from handsight.vision.reconstruction.segmentation import IN_HAND_BOUNDS, SEGMENTATION, InHandView
+from handsight.vision.reconstruction.segmentation import (
+    IN_HAND_BOUNDS,
+    SEGMENTATION,
+    InHandView,
+    without_table,
+)
 
 
 class HandPixels:
@@ -30,6 +37,8 @@ class HandPixels:
         self._rig, self._hand = rig, HandInImage(rig)
         # The constant error of the calibration: the palm's detected pose relative to the one by calibration.
         self._T_detected_calibrated: Array | None = None
+        self.found = False
+        """Whether the palm was detected in the last image, or is where a calibration without error puts it."""
 
     def mask(self, camera: Camera, depth: Depth, observation: Observation) -> Mask | None:
         """Returns the hand's pixels (h, w); None: the palm's pose is unknown."""
@@ -52,17 +61,18 @@ class HandPixels:
             near, sigma = last @ calibrated, (0.01, float(np.deg2rad(2)))
         given = camera, depth, observation.joint_positions, near, sigma
         found = self._hand.detected(*given, follow=last is not None) if min(sigma) > 0 else None
+        self.found = min(sigma) <= 0 or isinstance(found, PalmDetection)
         if isinstance(found, PalmDetection):
             near = found.T_camera_palm
             self._T_detected_calibrated = near @ se3.inverse(calibrated)
         return near
 
 
-def views_of(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View]:
+def views_of(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View | str]:
     """Yields the depth images of the observations, 0 at the hand's pixels, with the pose of the world.
 
-    Observations without the palm's pose are skipped if the camera's pose in the world depends on it. Raises
-    InvalidInput for images of another size than the camera's.
+    Instead of an image that has no pose, since the palm's is missing, that reason is yielded. Raises InvalidInput for
+    images of another size than the camera's, or in another unit.
     """
     pixels = HandPixels(rig)
     for observation in observations:
@@ -72,43 +82,64 @@ def views_of(observations: Iterable[Observation], rig: Rig, camera: Camera) -> I
         hand = pixels.mask(camera, depth, observation)
         T = _in_camera("world", rig, observation)
         if T is None and rig.camera is not None and rig.world_from is not None:
+            yield "no pose of the palm in the world"
             continue
         if hand is not None:
             depth[hand] = 0
         yield View(depth, np.eye(4) if T is None else T)
 
 
-def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View]:
+def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera) -> Iterator[View | str]:
     """Yields the depth images of the observations, 0 at pixels near the hand, with the pose of the object in the hand.
 
-    The object's frame has the palm's axes, and its origin in the middle of the fingertips of the first view.
-    Observations are skipped if they have no joint positions, if the palm's pose is unknown, or if they show nothing but
-    the hand around the origin. Raises InvalidInput for images of another size than the camera's, and for a rig without
-    a camera.
+    The object's frame has the palm's axes, and its origin in the middle of the fingertips of the first view. Instead of
+    an image in which nothing can be in the hand, or whose palm is not found, the reason is yielded. Raises InvalidInput
+    for images of another size than the camera's, or in another unit, and for a rig without a camera.
     """
     if rig.camera is None:
         raise InvalidInput("camera: expected one in the rig, to find the hand in the images, got none")
-    pixels, in_hand = HandPixels(rig), InHandView(rig.hand, rig.sigma_joint_offset)
+    pixels, in_hand, sensors = (
+        HandPixels(rig),
+        InHandView(rig.hand, rig.sigma_joint_offset),
+        FingertipSensors(rig),
+    )
     T_palm_object: Array | None = None
     for observation in observations:
         joints = observation.joint_positions
-        if observation.depth is None or joints is None or not in_hand.has_all_joints(joints):
+        if observation.depth is None:
             continue
         depth = _depth(observation.depth, camera)
+        if joints is None or not in_hand.has_all_joints(joints):
+            yield "no joint positions"
+            continue
+        touching = sensors.contacts(observation).fingers
+        if not touching and (observation.wrenches or observation.contacts):
+            yield "no finger touched"
+            continue
         T = pixels.palm(camera, depth, observation)
-        if T is None:
+        if T is None or not pixels.found:
+            yield "the palm was not found" if T is not None else "no pose of the palm in the world"
             continue
         at_middle = se3.compose(np.eye(3), in_hand.middle(joints)) if T_palm_object is None else T_palm_object
-        view = View(in_hand.without_hand(camera, depth, joints, T), T @ at_middle)
-        if within(camera, view, IN_HAND_BOUNDS).sum() >= SEGMENTATION.min_pixels:
-            T_palm_object = at_middle
-            yield view
+        tips = rig.hand.Ts_palm_tip(joints)[:, :3, 3]
+        if len(touching) > 1:
+            tips = tips[[list(rig.hand.tips).index(name) for name in touching]]
+        alone = without_table(camera, in_hand.without_hand(camera, depth, joints, T))
+        view = View(alone, T @ at_middle, tips - at_middle[:3, 3])
+        if within(camera, view, IN_HAND_BOUNDS).sum() < SEGMENTATION.min_pixels:
+            yield "nothing but the hand"
+            continue
+        T_palm_object = at_middle
+        yield view
 
 
 def _depth(depth: Depth, camera: Camera) -> Depth:
-    """Returns a copy of the depth (h, w) [m], 0 where unknown; raises InvalidInput for another size."""
+    """Returns a copy of the depth (h, w) [m], 0 where unknown; raises InvalidInput for another size or unit."""
     depth = camera.check_depth(depth)
-    return np.where(depth > 0, depth, 0).astype(np.float32)
+    depth = np.where((depth > 0) & (depth < np.inf), depth, 0).astype(np.float32)
+    if depth.any() and (middle := np.median(depth[depth > 0])) > REGION.max_range:
+        raise InvalidInput(f"depth: expected metres, got a median of {middle:.4g} (millimetres?)")
+    return depth
 
 
 def _in_camera(body: Literal["palm", "world"], rig: Rig, observation: Observation) -> Array | None:

@@ -333,6 +333,8 @@ class TopicsForm(Section):
     color: Text | None = None
     depth: Text | None = None
     camera_info: Text | None = None
+    detections: Annotated[Text | None, key("Detection2DArray")] = None
+    mask: Annotated[Text | None, key("Image that is not 0, or the object's label, where it is")] = None
     truth: Text | None = None
     wrenches: dict[str, Text] | None = None
     contacts: dict[str, Text] | None = None
@@ -359,6 +361,7 @@ class ObjectForm(Form):
     sigma_center_of_mass: Annotated[Positive | None, key(metres=5)] = None
     friction: Annotated[Friction | None, key("with the fingertips; without it, it is learnt")] = None
     sigma_friction: Friction | None = None
+    label: Annotated[Text | None, key("what a detector calls it; without it, the object's name")] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -187,6 +187,10 @@ class Topics:
     color: str | None = None
     depth: str | None = None
     camera_info: str | None = None
+    detections: str | None = None
+    """Detection2DArray of another detector: where a lost object is searched first."""
+    mask: str | None = None
+    """Image that is not 0, or the object's label, where it is."""
     truth: str | None = None
     """PoseStamped of the true pose in the palm, which is only compared with."""
 

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from handsight import se3
 from handsight._kernels.image import depth_image, depth_term, outline, pinhole, pose_score
@@ -25,6 +26,8 @@ class RefinerOptions(NamedTuple):
     margin: float = 0.15  # around the object's silhouette, in which points are gathered [diameters]
     max_points: int = 400  # points that refine a pose
     max_pixels: int = 2000  # pixels of the window that they are chosen from
+    good: float = 0.85  # fit of a pose, for points farther from the expected one not to be tried
+    continued: float = 3.0  # pixels against a pose that one counts for where the surface goes on beside it
     covariance_points: int = 50  # of these points, by which the covariance is computed
 
 
@@ -32,6 +35,8 @@ REFINER = RefinerOptions()
 
 STAGES = np.array([(0, 0.12, 0.05, 4, 4), (1, 0.05, 0.0, 3, 1)], dtype=STAGE)
 """How the pose is moved to the points, with bounds in diameters."""
+NEAR_STAGES = np.array([(1, 0.0, 0.0, 4, 1)], dtype=STAGE)
+"""The same where it is near: only to points that the expected pose explains."""
 
 
 class RefinedPose(NamedTuple):
@@ -58,27 +63,57 @@ class PoseRefiner:
         self._points = np.zeros(REFINER.max_points, dtype=DEPTH_POINT)
 
     def at(
-        self, T_expected: Array, known: Array, depth: Depth, hand: Mask | None, table: Array | None
+        self,
+        T_expected: Array,
+        known: Array,
+        depth: Depth,
+        hand: Mask | None,
+        table: Array | None,
+        *,
+        near: bool = False,
     ) -> RefinedPose:
         """Returns the pose that depth (h, w) gives from the expected one on, without the pixels of hand and table.
 
         known (6, 6): the information of the expected pose by (δp, δθ) of the object's centre along the camera's axes;
         it holds directions that hardly any point observes.
         """
-        candidate, record = candidates_at(T_expected[None]), self.model.record[:2]
         self._take(T_expected, depth, hand, table)
-        image = self.camera.rays, self._depth, self._labels
-        count = depth_image.near_points(record, image, self._window, candidate, self._points)
-        points, z = self._points[:count], center_depths(self.model, candidate)
-        candidate["bound"] = explained_within(self.noise, z)
-        one_point = self.noise.sigma(z) ** 2 + self.noise.bias(z) ** 2
-        depth_term.refine_poses(*record, points, STAGES, self.model.diameter, one_point * known, candidate)
-        sides, center = appearance_of(self.model).few_sides, self.model.center_object
-        pose_score.score_all(self.camera.record, image[1:], sides, np.zeros(1), center, candidate)
-        outline.find_continued(self.camera.record, record, image, self._window, candidate)
-        some = np.ascontiguousarray(points[:: max(count // REFINER.covariance_points, 1)])
+        bound = explained_within(self.noise, center_depths(self.model, candidates_at(T_expected[None])))
+        best = None
+        for within, stages in (2 * bound, NEAR_STAGES), (REFINER.within * self.model.diameter, STAGES):
+            if stages is NEAR_STAGES and not near:
+                continue
+            found = self._moved(T_expected, known, within, stages)
+            if best is None or support(found[0]) > support(best[0]):
+                best = found
+            if support_share(found[0]) > REFINER.good:
+                break
+        assert best is not None
+        candidate, points = best
+        some = np.ascontiguousarray(points[:: max(len(points) // REFINER.covariance_points, 1)])
         covariance = pose_covariances(self.model, self.camera, some, candidate, self.noise)[0]
-        return RefinedPose(GaussianPose(poses_of(candidate)[0], covariance), candidate, count)
+        return RefinedPose(GaussianPose(poses_of(candidate)[0], covariance), candidate, len(points))
+
+    def _moved(
+        self, T_expected: Array, known: Array, within: float, stages: NDArray[np.void]
+    ) -> tuple[Candidates, NDArray[np.void]]:
+        """Returns CANDIDATE (1,), scored, and the points of the window within so far of it [m], to which it was moved.
+
+        It was not moved if the image supports the expected pose better.
+        """
+        candidates, record = candidates_at(np.stack([T_expected, T_expected])), self.model.record[:2]
+        image, z = (self.camera.rays, self._depth, self._labels), center_depths(self.model, candidates)
+        candidate, self._window["within"] = candidates[:1], within
+        points = self._points[: depth_image.near_points(record, image, self._window, candidate, self._points)]
+        candidates["bound"] = explained_within(self.noise, z)
+        one_point = float(self.noise.sigma(z[:1])[0] ** 2 + self.noise.bias(z[:1])[0] ** 2)
+        depth_term.refine_poses(*record, points, stages, self.model.diameter, one_point * known, candidate)
+        sides, center = appearance_of(self.model).sides, self.model.center_object
+        pose_score.score_all(self.camera.record, image[1:], sides, center, candidates)
+        outline.find_continued(self.camera.record, record, image, self._window, candidates)
+        if stages is NEAR_STAGES and support(candidates[1:]) > support(candidate):
+            candidate = candidates[1:]
+        return candidate, points.copy()
 
     def _take(self, T: Array, depth: Depth, hand: Mask | None, table: Array | None) -> None:
         """Copies the box of the image around the object's silhouette at a pose, and clears the last one."""
@@ -110,3 +145,18 @@ class PoseRefiner:
         if table is not None:
             window["plane"] = table
             depth_image.leave_out_plane((self.camera.rays, self._depth, self._labels), self._window)
+
+
+def against(candidate: Candidates) -> float:
+    """Returns the pixels that contradict CANDIDATE (1,): the camera sees past it, or the surface goes on beside it."""
+    return float(candidate["passed"][0] + REFINER.continued * candidate["unexplained"][0])
+
+
+def support(candidate: Candidates) -> float:
+    return float(candidate["explained"][0] - 2 * against(candidate))
+
+
+def support_share(candidate: Candidates) -> float:
+    """Returns the share of the pixels that CANDIDATE (1,) explains among these and those against it."""
+    explained = float(candidate["explained"][0])
+    return explained / max(explained + against(candidate), 1.0)

@@ -6,7 +6,7 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import minimum_filter
+import scipy  # loads its parts when they are used
 
 from handsight import se3
 from handsight._deprecated import renamed_members
@@ -116,7 +116,7 @@ class PlacedHand:
         """
         drawn = _drawn(self, camera, T_camera_palm.tobytes())
         stride, within = APPEARANCE.pixel_stride, APPEARANCE.continued_depth
-        near = minimum_filter(drawn, size=3)
+        near = scipy.ndimage.minimum_filter(drawn, size=3)
         around = np.isfinite(near) & ~np.isfinite(drawn)
         rows, columns = (stride * k + stride // 2 for k in np.nonzero(around))
         inside = (rows < depth.shape[0]) & (columns < depth.shape[1])
@@ -130,7 +130,7 @@ class PlacedHand:
         small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
         distance = max(se3.apply(T_camera_palm, self.middle[None])[0, 2], APPEARANCE.beside)
         off = max(round(APPEARANCE.beside * small.matrix[0, 0] / distance), 1)
-        near, nearer = (minimum_filter(drawn, size=2 * k + 1) for k in (off, off - 1))
+        near, nearer = (scipy.ndimage.minimum_filter(drawn, size=2 * k + 1) for k in (off, off - 1))
         rows, columns = np.nonzero(np.isfinite(near) & ~np.isfinite(nearer))
         chosen = np.random.default_rng(0).permutation(len(rows))[:most]
         rows, columns = rows[chosen], columns[chosen]

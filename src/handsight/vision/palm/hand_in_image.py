@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter
+import scipy  # loads its parts when they are used
 
 from handsight import se3
 from handsight.camera import Camera, Depth
@@ -86,7 +86,7 @@ def hand_mask(
     box = tuple(slice(max(r.min() - AROUND, 0), r.max() + AROUND + 1) for r in (rows, columns))
     size, near = 2 * AROUND + 1, drawn[box]
     far = np.where(np.isfinite(near), near, -np.inf)
-    nearest = minimum_filter(near, size=size, mode="constant", cval=np.inf)
-    farthest = maximum_filter(far, size=size, mode="constant", cval=-np.inf)
+    nearest = scipy.ndimage.minimum_filter(near, size=size, mode="constant", cval=np.inf)
+    farthest = scipy.ndimage.maximum_filter(far, size=size, mode="constant", cval=-np.inf)
     mask[box] = (nearest - slack < depth[box]) & (depth[box] < farthest + slack)
     return mask

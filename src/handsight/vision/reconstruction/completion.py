@@ -4,16 +4,18 @@ Each point of the model says whether it was measured or guessed.
 """
 
 import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import binary_closing, binary_dilation, binary_fill_holes, label, map_coordinates
 from scipy.optimize import minimize
-from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
 from handsight import se3
 from handsight.checks import Array, Mask
+from handsight.hand.surface import sample_by_area
 from handsight.objects import about
 from handsight.vision.reconstruction.volume import SurfacePoints, Volume, thinned
 
@@ -40,6 +42,8 @@ class CompletionOptions(NamedTuple):
     """Common error of the measured points [m]: mostly the camera's constant one, which no number of views lowers."""
     sigma_guessed: float = 1.5e-3  # common error of the guessed points [m]
     guess_distance: float = 1.5  # from any measured point, beyond which a guess is added [cells]
+    hull_distance: float = 4.0  # from any measured point, beyond which the hull was not observed [cells]
+    hull_facing: float = 3.0  # two opposite normals are half so far from each other [cells]
 
 
 COMPLETION = CompletionOptions()
@@ -75,23 +79,50 @@ def one_object(surface: SurfacePoints, volume: Volume, table: bool) -> SurfacePo
     if table:
         above = points[:, 2] > COMPLETION.table_margin * volume.grid.cell
         points, normals = points[above], normals[above]
-    if not len(points):
-        return SurfacePoints(points, normals)
+    return next(parts_of(SurfacePoints(points, normals), volume), SurfacePoints(points, normals))
+
+
+def parts_of(surface: SurfacePoints, volume: Volume) -> Iterator[SurfacePoints]:
+    """Yields the connected parts of a surface, the largest first."""
     occupied = np.zeros(volume.grid.shape, dtype=bool)
-    place = tuple(volume.places(points).T)
+    place = tuple(volume.places(surface.points).T)
     occupied[place] = True
     # Few views show edges: faces may have gaps between them.
     joined = binary_dilation(occupied, np.ones((3, 3, 3)), iterations=COMPLETION.part_gap)
     parts = label(joined)[0][place]
-    mine = parts == np.bincount(parts).argmax()
-    return SurfacePoints(points[mine], normals[mine])
+    sizes = np.bincount(parts)
+    for part in np.argsort(-sizes, kind="stable")[: np.count_nonzero(sizes)]:
+        yield SurfacePoints(surface.points[parts == part], surface.normals[parts == part])
 
 
-def closed(surface: SurfacePoints, volume: Volume, table: bool) -> ReconstructedModel:
-    """Returns an object's surface with guesses where no view showed it; `table`: it stands at z = 0, with z up."""
+def share_observed(surface: SurfacePoints, volume: Volume) -> float:
+    """Returns at most which share of an object's closed surface is measured: the rest of its convex hull, where it is
+    not free space, was not observed. More than that may be hidden behind it.
+    """
+    points, normals, cell = *surface, volume.grid.cell
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):  # all in one plane, whose other side was not observed
+        return 0.5
+    count = int(4 * hull.area / cell**2)
+    which, places, _ = sample_by_area(list(points[hull.simplices][:, None]), count, 0)
+    places, facing = thinned(places / cell, hull.equations[which, :3])
+    tree = cKDTree(np.hstack([points / cell, COMPLETION.hull_facing * normals]))
+    open_ = tree.query(np.hstack([places, COMPLETION.hull_facing * facing]))[0] > COMPLETION.hull_distance
+    open_ &= ~volume.among(volume.clear(), places * cell)
+    return len(points) / float(len(points) + open_.sum())
+
+
+def closed(
+    surface: SurfacePoints, volume: Volume, table: bool, *, symmetries: bool = True
+) -> ReconstructedModel:
+    """Returns an object's surface with guesses where no view showed it; `table`: it stands at z = 0, with z up.
+
+    symmetries: whether its symmetries are guessed, which can be off by centimetres.
+    """
     points, normals, guesses = surface.points, surface.normals, list[str]()
     count = len(points)
-    for description, maps in _symmetries(surface, volume, table):
+    for description, maps in _symmetries(surface, volume, table) if symmetries else ():
         # The points under the symmetry, one a cell, where they come to unknown places.
         places = se3.apply(maps, points).reshape(-1, 3)
         facing = np.concatenate([normals @ T[:3, :3].T for T in maps])
@@ -117,7 +148,7 @@ def _symmetries(surface: SurfacePoints, volume: Volume, table: bool) -> list[tup
     if len(surface.points) < COMPLETION.judged_points:
         return []
     some = np.random.default_rng(0).permutation(len(surface.points))[: COMPLETION.judged_points]
-    judge = _Judge(volume, surface.points[some])
+    judge = MapJudge(volume, surface.points[some])
     # Turns about the line that the surface's normals come nearest to meeting: a line of direction d and moment m meets
     # that of a normal n at p where d·(p × n) + m·n = 0 (Pottmann 1999).
     middle = surface.points.mean(axis=0)
@@ -141,8 +172,8 @@ def _symmetries(surface: SurfacePoints, volume: Volume, table: bool) -> list[tup
     return found
 
 
-class _Judge:
-    """A `_Judge` says how well maps of an object onto itself agree with what the views show."""
+class MapJudge:
+    """A `MapJudge` says how well maps of an object onto itself agree with what the views show."""
 
     def __init__(self, volume: Volume, points: Array) -> None:
         self._volume, self._points = volume, points

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_erosion
+import scipy  # loads its parts when they are used
+from numpy.typing import NDArray
 
 from handsight import se3
 from handsight._kernels.image import depth_term
@@ -46,6 +47,8 @@ class View:
     """(h, w) along the optical axis [m]; 0 or NaN where there is none, or where it is the hand's."""
     T_camera_object: Array
     """(4, 4) as far as it is known; the object's frame is any that moves with the object."""
+    tips_object: Array | None = None
+    """(k, 3) centres of the fingertips that hold the object, in its frame [m]; None: it is not in a hand."""
 
 
 class Reconstruction:
@@ -58,7 +61,7 @@ class Reconstruction:
         cell = max(RECONSTRUCTION.cell, longest / RECONSTRUCTION.max_cells)
         self.volume = Volume(bounds_object, cell)
         self._coarse = Volume(bounds_object, RECONSTRUCTION.coarse_factor * cell)
-        self._surface: _Surface | None = None
+        self._surface: Surface | None = None
         self._fused: View | None = None
         self._last: tuple[View, View] | None = None
 
@@ -86,23 +89,46 @@ class Reconstruction:
             self._fused, self._surface = found, None
         return found
 
+    @property
+    def views(self) -> int:
+        """Number of views in the surface."""
+        return self.volume.views
+
+    def surface(self) -> "Surface":
+        """Returns the surface so far."""
+        self._surface = self._surface or Surface(self._coarse, self.volume)
+        return self._surface
+
+    def merge(self, other: "Reconstruction", T_other_self: Array) -> None:
+        """Adds what another one of the same object has fused, given the transform between the objects' frames."""
+        self.volume.add(other.volume, T_other_self)
+        self._coarse.add(other._coarse, T_other_self)
+        self._surface = None
+
     def aligned(self, view: View) -> View | None:
         """Returns the view at the pose where its points lie on the surface so far; None where they do not."""
-        surface = self._surface = self._surface or _Surface(self._coarse, self.volume)
         inside = within(self.camera, view, self.bounds_object)
         labels, sizes = np.where(inside, 0, OUT).astype(np.int32), np.array([float(inside.sum())])
         scene = Scene(self.camera, view.depth, labels, sizes)
         points = observed_points(scene, RECONSTRUCTION.spacing, RECONSTRUCTION.max_points)
-        T = view.T_camera_object
+        T, some = self.placed(points, view.T_camera_object)
+        off = np.abs(self.surface().fine.evaluate(se3.apply(se3.inverse(T), some["point"])).distance)
+        enough = max(RECONSTRUCTION.min_fit * len(some), RECONSTRUCTION.min_points)
+        return View(view.depth, T) if (off < RECONSTRUCTION.near * self.volume.bound).sum() > enough else None
+
+    def placed(self, points: NDArray[np.void], T: Array) -> tuple[Array, NDArray[np.void]]:
+        """Returns the pose near T_camera_object (4, 4) at which DEPTH_POINT (n,) lie on the surface so far.
+
+        And those of the points that were in places that have been observed.
+        """
+        surface = self.surface()
         for stage, volume, known in zip(STAGES, (self._coarse, self.volume), surface.known, strict=True):
             # Places that no view has observed yet would be pulled onto known surfaces.
             some = points[volume.among(known, se3.apply(se3.inverse(T), points["point"]))]
             candidate, stages = candidates_at(T[None]), np.atleast_1d(stage)
             depth_term.refine_poses(*surface.record, some, stages, volume.bound, NOTHING_KNOWN, candidate)
             T = poses_of(candidate)[0]
-        off = np.abs(surface.fine.evaluate(se3.apply(se3.inverse(T), some["point"])).distance)
-        enough = max(RECONSTRUCTION.min_fit * len(some), RECONSTRUCTION.min_points)
-        return View(view.depth, T) if (off < RECONSTRUCTION.near * self.volume.bound).sum() > enough else None
+        return T, some
 
 
 def within(camera: Camera, view: View, bounds_object: Array) -> Mask:
@@ -114,12 +140,13 @@ def within(camera: Camera, view: View, bounds_object: Array) -> Mask:
         return np.asarray(((points > low) & (points < high)).all(axis=-1) & (view.depth > 0))
 
 
-class _Surface:
-    """A `_Surface` is the surface so far, as a model that views are aligned with."""
+class Surface:
+    """A `Surface` is the surface so far, as a model that views are aligned with."""
 
     def __init__(self, coarse: Volume, fine: Volume) -> None:
-        self.known, self.fine = [binary_erosion(volume.observed()) for volume in (coarse, fine)], fine.field()
-        """Which nodes of each volume any view has observed (nx, ny, nz); the field of the fine one."""
+        self.known = [scipy.ndimage.binary_erosion(volume.observed()) for volume in (coarse, fine)]
+        """Which nodes of each volume any view has observed (nx, ny, nz)."""
+        self.fine = fine.field()
         fields, (low, high) = [coarse.field().record, self.fine.record], fine.bounds_object
         model = np.zeros(1, dtype=MODEL)
         model["coarse"], model["fine"] = (record for record, _ in fields)

@@ -4,14 +4,14 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy  # loads its parts when they are used
 
 from handsight import se3
 from handsight.camera import Camera, Depth
 from handsight.checks import Array
 from handsight.hand import Hand
 from handsight.hand.chains import transform_points
-from handsight.vision.object.region import scene_of, table_plane
+from handsight.vision.object.region import REGION, scene_of, table_plane
 from handsight.vision.palm.hand_appearance import skin_points
 
 
@@ -64,6 +64,20 @@ def on_table(camera: Camera, depth: Depth) -> tuple[Array, Array] | None:
     return T, np.array([[-side, -side, -SEGMENTATION.below], [side, side, top]])
 
 
+def without_table(camera: Camera, depth: Depth) -> Depth:
+    """Returns a depth image (h, w) [m] in which what lies on or behind its widest plane is far away.
+
+    What a hand holds is in front of it. Planes that are no wider than an object may be its own.
+    """
+    plane = table_plane(camera, depth, depth > 0, extent=SEGMENTATION.max_extent)
+    if plane is None:
+        return depth
+    points = camera.points(depth)
+    with np.errstate(invalid="ignore"):
+        behind = points @ plane[:3] + plane[3] < REGION.table_within * np.maximum(points[..., 2] ** 2, 1)
+    return np.where(behind, np.float32(REGION.max_range), depth).astype(np.float32)
+
+
 class InHandView:
     """An `InHandView` takes the hand out of depth images of it and the object that it holds."""
 
@@ -95,7 +109,7 @@ class InHandView:
         low, high = skin.min(axis=0) - slack.max(), skin.max(axis=0) + slack.max()
         with np.errstate(invalid="ignore"):
             around = np.flatnonzero((depth.reshape(-1) > 0) & ((points > low) & (points < high)).all(axis=1))
-        gap, which = cKDTree(skin).query(points[around], k=SEGMENTATION.neighbours)
+        gap, which = scipy.spatial.cKDTree(skin).query(points[around], k=SEGMENTATION.neighbours)
         alone = depth.copy()
         alone.reshape(-1)[around[(gap < slack[which]).any(axis=1)]] = 0
         return alone

@@ -3,7 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import affine_transform
 
+from handsight import se3
 from handsight._kernels.image import volume as kernel
 from handsight._kernels.image.vision_records import VOXEL
 from handsight.camera import Camera, Depth
@@ -51,6 +53,18 @@ class Volume:
         to_camera = np.column_stack([R * self.grid.cell, R @ self.grid.origin + p])
         kernel.fuse(camera.record, depth, to_camera, self.bound, self.voxels)
         self.views += 1
+
+    def add(self, other: "Volume", T_other_self: Array) -> None:
+        """Adds what another volume has fused, given the transform (4, 4) of the objects' frames, between its nodes."""
+        to_other = T_other_self[:3, :3] * (self.grid.cell / other.grid.cell)
+        first = (se3.apply(T_other_self, self.grid.origin[None])[0] - other.grid.origin) / other.grid.cell
+        for name, order in (("sum", 1), ("weight", 1), ("views", 0), ("passed", 0)):
+            values, at = (
+                np.ascontiguousarray(other.voxels[name]),
+                {"output_shape": self.grid.shape, "order": order},
+            )
+            self.voxels[name] += affine_transform(values, to_other, first, mode="constant", **at)
+        self.views += other.views
 
     def known(self, least: int = MIN_VIEWS) -> Mask:
         """Returns (nx, ny, nz) whether so many views had the surface near a node, and no more of them saw past it."""

@@ -1,0 +1,93 @@
+"""Where other programs have last had the object in a camera's images, as a source of first poses for its tracker."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handsight.camera import Camera, Depth
+from handsight.checks import Array, Mask
+from handsight.objects import ObjectModel
+from handsight.observation import Detection2D, Observation
+from handsight.vision import FirstPoseSource, ObjectDetection, locate, locate_detected
+from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
+
+
+class HintOptions(NamedTuple):
+    """`HintOptions` say how long hints count."""
+
+    max_age: float = 1.0  # after which they say nothing of an image, as object or camera may have moved [s]
+
+
+HINTS = HintOptions()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchHints:
+    """`SearchHints` are the last detections of an object and the last pose of it by another estimator.
+
+    They are a `FirstPoseSource`: the object is first searched where they have it, then in the entire image.
+    """
+
+    label: str
+    """What the detector calls the object."""
+    elsewhere: FirstPoseSource = locate
+    """Finds the object where they say nothing, or nothing that is right."""
+    detections: tuple[Detection2D, ...] = ()
+    T_camera_object: Array | None = None
+    stamps: tuple[float, float] = (-np.inf, -np.inf)
+    """Of the detections and of the pose [s]."""
+
+    def after(self, observation: Observation) -> "SearchHints":
+        """Returns the hints with those of an observation, and without those that are too old."""
+        now, vision, (detected, estimated) = observation.stamp, observation.vision, self.stamps
+        detections, T, new = self.detections, self.T_camera_object, observation.detections
+        if new is not None or observation.mask is not None:
+            found = [each for each in new or () if each.label in ("", self.label)]
+            found += [] if observation.mask is None else mask_of(observation.mask, self.label)
+            detections, detected = tuple(found), now
+        if vision is not None and vision.frame == "camera":
+            T, estimated = vision.T_frame_object, now
+        detections = detections if abs(now - detected) <= HINTS.max_age else ()
+        T = T if abs(now - estimated) <= HINTS.max_age else None
+        return SearchHints(self.label, self.elsewhere, detections, T, (detected, estimated))
+
+    def __call__(
+        self,
+        model: ObjectModel,
+        depth: Depth,
+        camera: Camera,
+        /,
+        *,
+        hand: Mask | None = None,
+        table: Array | None = None,
+        noise: DepthNoise = STRUCTURED_LIGHT,
+    ) -> ObjectDetection:
+        """Returns where the object is in a depth image, as a `FirstPoseSource` does."""
+        anywhere = () if self.T_camera_object is None else (Detection2D(),)
+        return locate_detected(
+            model,
+            depth,
+            camera,
+            detections=self.detections or anywhere,
+            elsewhere=self.elsewhere,
+            start=self.T_camera_object,
+            hand=hand,
+            table=table,
+            noise=noise,
+        )
+
+
+def mask_of(labels: NDArray[np.integer], label: str) -> list[Detection2D]:
+    """Returns where a mask image (h, w) has an object: where it has the object's number, or its only one but 0.
+
+    The list is empty where it does not have the object.
+    """
+    number = int(label) if label.isdecimal() and len(label) < 10 else None
+    mask = labels == number if number is not None and number > 0 else np.zeros(labels.shape, dtype=bool)
+    if not mask.any():
+        mask = labels != 0
+        if not mask.any() or (labels[mask] != labels[mask].flat[0]).any():
+            return []
+    return [Detection2D(label, mask=mask)]
