@@ -11,10 +11,10 @@ import pytest
 from PIL import Image
 
 import handsight as hs
-import handsight.vision
 from cli.commands import called, run
 from handsight import se3
 from handsight.cli.locate import MAX_INSTANCES
+from handsight.vision.object import first_pose_source
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.locate import LOCATE
 from pictures import (
@@ -444,14 +444,14 @@ def test_what_is_no_picture_is_said(asked, tmp_path, monkeypatch):
 
 
 def test_ctrl_c_keeps_what_was_found(frames, monkeypatch, capsys):
-    calls, locate = iter(range(9)), handsight.vision.locate
+    calls, locate = iter(range(9)), first_pose_source.locate
 
     def interrupted(*args, **options):
         if next(calls) == 1:
             raise KeyboardInterrupt
         return locate(*args, **options)
 
-    monkeypatch.setattr(handsight.vision, "locate", interrupted)
+    monkeypatch.setattr(first_pose_source, "locate", interrupted)
     folder = frames.parent
     assert called(monkeypatch, folder, "locate", "frames", "--object", "letter.ply", "-o", "a.jsonl") == 130
     assert len(answers((folder / "a.jsonl").read_text())) == 1
