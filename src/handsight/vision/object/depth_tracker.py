@@ -21,6 +21,7 @@ from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import UNKNOWN, candidates_at
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from handsight.vision.object.first_pose_source import FirstPoseSource
 from handsight.vision.object.locate import locate
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose, against, support_share
 
@@ -34,10 +35,11 @@ class DepthTrackerOptions(NamedTuple):
     max_gap: float = 0.5  # between images, for a velocity to be used [s]
     drift: tuple[float, float] = (0.15, 1.0)  # sigma of its other motion [m/s, rad/s]
     drift_in_palm: tuple[float, float] = (0.02, 0.15)  # and of its motion in a grip [m/s, rad/s]
+    steady: float = 2.0  # squared error of the expected pose up to which its motion has not changed
     min_points: int = 15  # near the surface that an image must have to give a pose
     min_pixels: float = 20.0  # explained pixels that an image must have to give a pose
     min_against: float = 30.0  # pixels against a pose that an image must have to contradict it
-    min_fit: float = 0.6  # share of explained pixels among them and those against a pose
+    min_fit: float = 0.7  # share of explained pixels among them and those against a pose
     uncertain: float = 0.08  # shift of its surface beyond which a pose is uncertain [diameters]
     lost: float = 0.12  # and beyond which a hidden object is lost [diameters]
     min_twin: float = 0.05
@@ -91,6 +93,12 @@ class _Belief:
     """(6,) of the object's centre [m/s, rad/s]."""
     T_camera_palm: Array | None
     lost: bool
+    independent: Array
+    """(6, 6) covariance that the pose would have if the errors of images were independent: it sets the filter's gain."""
+    shared: Array
+    """(6, 6) derivative of the pose by errors of unit variance that all images share."""
+    unsteady: Array
+    """(6, 6) part of both covariances that is due to a change of motion since the last image."""
 
 
 class DepthTracker:
@@ -103,8 +111,11 @@ class DepthTracker:
         *,
         noise: DepthNoise = STRUCTURED_LIGHT,
         start: Array | None = None,
+        source: FirstPoseSource = locate,
     ) -> None:
         """`noise`: of the camera's depth; `start`: T_camera_object to begin from; raises InvalidTransform."""
+        self.source = source
+        """Finds the object at first and when it was lost; it may be set anew between images."""
         self.model, self.camera = model, camera
         self._refiner, self._T_object_center = PoseRefiner(model, camera, noise), np.eye(4)
         self._T_object_center[:3, 3] = model.center_object
@@ -176,20 +187,39 @@ class DepthTracker:
             return None if hint is None else self._unknown(image, hint, lost=False)
         dt = max(image.stamp - last.stamp, 0.0)
         pose, drift = last.pose_camera_object, DEPTH_TRACKER.drift
+        covariance, independent, shared = pose.covariance, last.independent, last.shared
         velocity = DEPTH_TRACKER.velocity_share * last.velocity * (dt <= DEPTH_TRACKER.max_gap)
         if image.gripped and image.T_camera_palm is not None and last.T_camera_palm is not None:
-            pose = pose.transformed(image.T_camera_palm @ se3.inverse(last.T_camera_palm))
-            T, drift = pose.T_a_b, DEPTH_TRACKER.drift_in_palm
+            T_new_old = image.T_camera_palm @ se3.inverse(last.T_camera_palm)
+            T, drift = T_new_old @ pose.T_a_b, DEPTH_TRACKER.drift_in_palm
+            turn = np.kron(np.eye(2), T_new_old[:3, :3])
+            covariance, independent, shared = (
+                turn @ pose.covariance @ turn.T,
+                turn @ last.independent @ turn.T,
+                turn @ last.shared,
+            )
         else:
             T_camera_center = se3.moved(pose.T_a_b @ self._T_object_center, velocity * dt)
             T = T_camera_center @ se3.inverse(self._T_object_center)
-        drifted = self._covariance_of_origin(T, np.repeat([(dt * sigma) ** 2 for sigma in drift], 3))
-        pose = GaussianPose(T if hint is None else hint, pose.covariance + drifted)
-        return _Belief(image.stamp, pose, velocity, image.T_camera_palm, last.lost)
+        much, little = (
+            self._covariance_of_origin(T, np.repeat([(dt * sigma) ** 2 for sigma in sigmas], 3))
+            for sigmas in (drift, DEPTH_TRACKER.drift_in_palm)
+        )
+        steady = not last.lost and hint is None
+        return _Belief(
+            image.stamp,
+            GaussianPose(T if hint is None else hint, covariance + much),
+            velocity,
+            image.T_camera_palm,
+            last.lost,
+            independent + much,
+            shared,
+            much - little if steady else np.zeros((6, 6)),
+        )
 
     def _refined(self, image: _Image, predicted: _Belief) -> RefinedPose:
         """Returns what an image says near where the object is expected."""
-        pose = predicted.pose_camera_object
+        pose = GaussianPose(predicted.pose_camera_object.T_a_b, predicted.independent - predicted.unsteady)
         known = np.asarray(np.linalg.inv(pose.at_point(self.model.center_object).covariance))
         return self._refiner.at(pose.T_a_b, known, image.depth, image.hand, image.table, near=True)
 
@@ -208,7 +238,9 @@ class DepthTracker:
             return None
         self._searched = image.stamp
         noise = self._refiner.noise
-        found = locate(self.model, image.depth, self.camera, hand=image.hand, table=image.table, noise=noise)
+        found = self.source(
+            self.model, image.depth, self.camera, hand=image.hand, table=image.table, noise=noise
+        )
         fits = found.candidates["explained"] >= DEPTH_TRACKER.min_found * found.candidates["expected"]
         likely = found.weights >= DEPTH_TRACKER.min_twin * found.weights.max(initial=0.0)
         Ts = found.Ts_camera_object[fits & likely]
@@ -225,20 +257,40 @@ class DepthTracker:
     def _fused(self, predicted: _Belief, refined: RefinedPose) -> _Belief:
         """Returns the belief after an image that shows enough of the object."""
         last, velocity = self._belief, predicted.velocity
-        pose = predicted.pose_camera_object.fused(refined.pose_camera_object)
+        pose, measured = predicted.pose_camera_object, refined.pose_camera_object
+        off, P, R = se3.difference(measured.T_a_b, pose.T_a_b), predicted.independent, measured.covariance
+        own = pose.covariance - predicted.shared @ predicted.shared.T
+        if off @ np.linalg.solve(P - predicted.unsteady + R, off) < DEPTH_TRACKER.steady:
+            P, own = P - predicted.unsteady, own - predicted.unsteady
+        gain = np.linalg.solve(P + R, P).T
+        keep = np.eye(6) - gain
+        shared = keep @ predicted.shared + gain @ np.linalg.cholesky(R)
+        covariance = keep @ own @ keep.T + shared @ shared.T
+        independent = keep @ P @ keep.T + gain @ R @ gain.T
+        pose = GaussianPose(se3.moved(pose.T_a_b, gain @ off), (covariance + covariance.T) / 2)
         if last is None or predicted.lost:
             velocity = np.zeros(6)
         elif 0 < predicted.stamp - last.stamp <= DEPTH_TRACKER.max_gap:
             before, now = (T @ self._T_object_center for T in (last.pose_camera_object.T_a_b, pose.T_a_b))
             velocity = se3.difference(now, before) / (predicted.stamp - last.stamp)
-        return replace(predicted, pose_camera_object=pose, velocity=velocity, lost=False)
+        return replace(
+            predicted,
+            pose_camera_object=pose,
+            velocity=velocity,
+            lost=False,
+            independent=independent,
+            shared=shared,
+        )
 
     def _unknown(self, image: _Image, T_camera_object: Array, *, lost: bool) -> _Belief:
         """Returns the belief that the object is about there, and as good as unknown."""
         D = self.model.diameter
         variance = np.repeat([(UNKNOWN[0] * D) ** 2, (UNKNOWN[1] * D / self.model.radius) ** 2], 3)
         pose = GaussianPose(T_camera_object, self._covariance_of_origin(T_camera_object, variance))
-        return _Belief(image.stamp, pose, np.zeros(6), image.T_camera_palm, lost)
+        zeros = np.zeros((6, 6))
+        return _Belief(
+            image.stamp, pose, np.zeros(6), image.T_camera_palm, lost, pose.covariance, zeros, zeros
+        )
 
     def _covariance_of_origin(self, T_camera_object: Array, variance: Array) -> Array:
         """Returns the covariance (6, 6) of the object's origin that a variance (6,) of its centre makes."""

@@ -97,17 +97,22 @@ class PoseRefiner:
     def _moved(
         self, T_expected: Array, known: Array, within: float, stages: NDArray[np.void]
     ) -> tuple[Candidates, NDArray[np.void]]:
-        """Returns CANDIDATE (1,), moved to points of the window within so far of it [m] and scored, and these points."""
-        candidate, record = candidates_at(T_expected[None]), self.model.record[:2]
-        image, z = (self.camera.rays, self._depth, self._labels), center_depths(self.model, candidate)
-        self._window["within"] = within
+        """Returns CANDIDATE (1,), scored, and the points of the window within so far of it [m], to which it was moved.
+
+        It was not moved if the image supports the expected pose better.
+        """
+        candidates, record = candidates_at(np.stack([T_expected, T_expected])), self.model.record[:2]
+        image, z = (self.camera.rays, self._depth, self._labels), center_depths(self.model, candidates)
+        candidate, self._window["within"] = candidates[:1], within
         points = self._points[: depth_image.near_points(record, image, self._window, candidate, self._points)]
-        candidate["bound"] = explained_within(self.noise, z)
-        one_point = self.noise.sigma(z) ** 2 + self.noise.bias(z) ** 2
+        candidates["bound"] = explained_within(self.noise, z)
+        one_point = float(self.noise.sigma(z[:1])[0] ** 2 + self.noise.bias(z[:1])[0] ** 2)
         depth_term.refine_poses(*record, points, stages, self.model.diameter, one_point * known, candidate)
-        sides, center = appearance_of(self.model).few_sides, self.model.center_object
-        pose_score.score_all(self.camera.record, image[1:], sides, center, candidate)
-        outline.find_continued(self.camera.record, record, image, self._window, candidate)
+        sides, center = appearance_of(self.model).sides, self.model.center_object
+        pose_score.score_all(self.camera.record, image[1:], sides, center, candidates)
+        outline.find_continued(self.camera.record, record, image, self._window, candidates)
+        if stages is NEAR_STAGES and support(candidates[1:]) > support(candidate):
+            candidate = candidates[1:]
         return candidate, points.copy()
 
     def _take(self, T: Array, depth: Depth, hand: Mask | None, table: Array | None) -> None:
