@@ -48,7 +48,7 @@ class LocateAllOptions(NamedTuple):
     twice: float = 1.0  # what a pixel costs that two explain
     unexplained: float = 0.5  # and one close to a chosen surface that nobody explains
     around: float = 0.1  # so close is close [diameters]
-    hopeless: float = 0.8  # a candidate explains less than so much of what it costs
+    rejected: float = 0.8  # a candidate that explains less than so much of what it costs takes no part
     expected: float = 0.3  # and each pixel that a candidate should fill, unless another chosen one hides it
     exchanged: int = (
         12  # candidates that are put in the place of all chosen ones that explain the same pixels
@@ -190,7 +190,7 @@ class _Pool:
             model, some = self.models[each.name], each.detection.candidates.copy()
             score_candidates(model, self.coarse, some, effort=0)
             cost = POSE_SCORE.passed * some["passed"] + LOCATE_ALL.expected * some["expected"]
-            keep = some["explained"] > LOCATE_ALL.hopeless * (cost - LOCATE_ALL.expected * some["hidden"])
+            keep = some["explained"] > LOCATE_ALL.rejected * (cost - LOCATE_ALL.expected * some["hidden"])
             keep[:1] = True
             cost, some = (cost + POSE_SCORE.hidden * some["hidden"])[keep], some[keep]
             within = some["bound"].max(initial=0.0) + LOCATE_ALL.around * model.diameter
