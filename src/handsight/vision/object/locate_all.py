@@ -258,7 +258,8 @@ class _Pool:
     def best(self, limits: Mapping[str, int], start: list[int], banned: Collection[int] = ()) -> list[int]:
         """Returns the candidates that explain the image best together, at most so many of a name, none that is banned.
 
-        From the start on one is added, or put in the place of another, as long as that raises the value.
+        From the start on one is added, or put in the place of another, as long as that raises the value; where some
+        are banned, they are only added.
         """
         chosen, value, names = list(start), self.value(start), np.array(self.names)
 
@@ -275,6 +276,8 @@ class _Pool:
             before = value
             while (now := self.value(option := one_more(chosen))) > value + 1e-6:
                 chosen, value = option, now
+            if banned:
+                return chosen
             for n in chosen:
                 rest = [other for other in chosen if other != n]
                 for option in (rest, one_more(rest)):
@@ -282,7 +285,7 @@ class _Pool:
                         chosen, value = option, now
             alone[[limits.get(name, 1) == 0 for name in self.names]] = -np.inf
             order = np.argsort(-alone)[: LOCATE_ALL.exchanged]
-            for n in [n for n in order.tolist() if alone[n] > 0 and n not in banned]:
+            for n in order[alone[order] > 0].tolist():
                 same = np.minimum(self.explained[n], self.explained[chosen]).sum(axis=1)
                 least = LOCATE_ALL.overlap * np.minimum(self.total[n], self.total[chosen])
                 rest = [
