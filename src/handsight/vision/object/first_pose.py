@@ -205,13 +205,22 @@ def probabilities(odds: Array) -> Array:
     return np.asarray(here / (here.sum() + np.exp(-most)))
 
 
-def first_probability(model: ObjectModel, candidates: Candidates, odds: Array) -> float:
-    """Returns the probability that the object is where the first of CANDIDATE (k,) has it, of log odds (k,) that
-    decrease: there, at another of the places, or nowhere. Poses at one place may be turned differently."""
+def places_of(model: ObjectModel, candidates: Candidates) -> NDArray[np.int64]:
+    """Returns the number (k,) of the place at which each of CANDIDATE (k,) has the object; the first one's is 0. Poses
+    at one place may be turned differently."""
     centers = poses_of(candidates)[:, :3] @ np.append(model.center_object, 1.0)
-    best, left = [], np.ones(len(odds), dtype=bool)
-    while left.any():
-        first = int(left.argmax())
-        best.append(odds[first])
-        left &= np.linalg.norm(centers - centers[first], axis=1) > FIRST_POSE.place * model.diameter
-    return float(probabilities(np.array(best))[0]) if best else 0.0
+    numbers = np.full(len(candidates), -1)
+    for first in range(len(candidates)):
+        if numbers[first] < 0:
+            near = np.linalg.norm(centers - centers[first], axis=1) <= FIRST_POSE.place * model.diameter
+            numbers[near & (numbers < 0)] = numbers.max() + 1
+    return numbers
+
+
+def first_probability(model: ObjectModel, candidates: Candidates, odds: Array) -> float:
+    """Returns the probability that the object is where the first of CANDIDATE (k,), of log odds (k,), has it: there, at
+    another of the places, each of which counts by its best pose, or nowhere."""
+    places = places_of(model, candidates)
+    best = np.full(places.max(initial=-1) + 1, -np.inf)
+    np.maximum.at(best, places, odds)
+    return float(probabilities(best)[0]) if len(best) else 0.0
