@@ -42,6 +42,9 @@ class FirstPoseOptions(NamedTuple):
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
     place: float = 0.15
     """Poses whose centres are nearer to each other are of one place [diameters]."""
+    score_weight: float = 3.0
+    """Of the score in the logarithm of a mode's weight among those of its place: by the likelihood of right modes in
+    real frames and drawn ones."""
 
 
 FIRST_POSE = FirstPoseOptions()
@@ -57,7 +60,7 @@ BESIDE = (150, 300, 600, 1200)
 TURNED = 3
 """Before this stage the best candidates are also turned to where the surface is nearly the same."""
 
-EVIDENCE = np.array([-4.30, 6.83, -3.64, -8.68])
+EVIDENCE = np.array([-5.85, 9.44, -3.68, -11.80])
 """The weights of the columns of `evidence_of` in the log odds that the object is there (`experiments/sight_fit.py`)."""
 
 
@@ -92,7 +95,8 @@ class ObjectDetection:
     candidates: Candidates
     """(k,) CANDIDATE: what the image says of each."""
     probability: float = 0.0
-    """That the first is right, where as often as not the object is not there at all."""
+    """That the object is where the first has it, with a prior of one half; poses at one place, which may be turned
+    differently, share it by their weights."""
     reason: str | None = None
     """Why there is none."""
     starts: JudgedStarts | None = None
@@ -120,7 +124,8 @@ def first_pose(
     the log odds that the object is there, before the image. modes: least number of poses that go on from each stage.
 
     Pairs of points vote for candidates. These are moved to where more and more points lie on the surface, and those
-    that the image supports best go on. In the end their log odds rank them and say how probable the first one is.
+    that the image supports best go on. In the end the log odds rank the places that they have, and say how probable the
+    first of these is; at each place the scores rank the poses.
     """
     appearance, D, camera = appearance_of(model), model.diameter, scene.camera
     observed = observed_points(scene, FIRST_POSE.spacing * D, FIRST_POSE.max_points)
@@ -158,14 +163,20 @@ def first_pose(
         score_candidates(model, scene, given)
         found, most = np.concatenate([given, found]), max(KEPT[-1], modes) + len(given)
         found = distinct(model, found, found["score"], most, FIRST_POSE.candidate_spacing)
-    order = np.argsort(-log_odds(found), kind="stable")
-    found, odds = found[order], log_odds(found)[order] + prior
-    covariances = pose_covariances(model, camera, observed, found, noise)
-    weights = np.exp(odds - odds.max(initial=-np.inf))
-    probability = first_probability(model, found, odds)
-    return ObjectDetection(
-        poses_of(found), covariances, weights / max(weights.sum(), 1.0), found, probability
+    found = found[np.argsort(-log_odds(found), kind="stable")]
+    places, score = places_of(model, found), FIRST_POSE.score_weight * found["score"]
+    best, most = np.full((2, places.max(initial=-1) + 1), -np.inf)
+    np.maximum.at(best, places, log_odds(found) + prior)
+    np.maximum.at(most, places, score)
+    log_weights = best[places] + score - most[places]
+    order = np.argsort(-log_weights, kind="stable")
+    found, weights = found[order], np.exp(log_weights[order] - log_weights.max(initial=-np.inf))
+    covariances, weights = (
+        pose_covariances(model, camera, observed, found, noise),
+        weights / max(weights.sum(), 1.0),
     )
+    probability = float(probabilities(best)[0]) if len(best) else 0.0
+    return ObjectDetection(poses_of(found), covariances, weights, found, probability)
 
 
 def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *, effort: int = -1) -> None:
@@ -215,12 +226,3 @@ def places_of(model: ObjectModel, candidates: Candidates) -> NDArray[np.int64]:
             near = np.linalg.norm(centers - centers[first], axis=1) <= FIRST_POSE.place * model.diameter
             numbers[near & (numbers < 0)] = numbers.max() + 1
     return numbers
-
-
-def first_probability(model: ObjectModel, candidates: Candidates, odds: Array) -> float:
-    """Returns the probability that the object is where the first of CANDIDATE (k,), of log odds (k,), has it: there, at
-    another of the places, each of which counts by its best pose, or nowhere."""
-    places = places_of(model, candidates)
-    best = np.full(places.max(initial=-1) + 1, -np.inf)
-    np.maximum.at(best, places, odds)
-    return float(probabilities(best)[0]) if len(best) else 0.0
