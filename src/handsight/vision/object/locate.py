@@ -38,7 +38,7 @@ class LocateOptions(NamedTuple):
     """`LocateOptions` say when an object is found in an image, and when a pose that was given is right."""
 
     max_plane: float = 1.5  # a plane wider than this is no part of the object [diameters]
-    min_probability: float = 0.45
+    min_probability: float = 0.4
     """Least probability of the best pose at which the object counts as found (`experiments/sight_fit.py` prints what
     it accepts and claims)."""
     meaningless: float = 0.1
