@@ -151,8 +151,9 @@ def judged(
         weights = fitted([one for one in searches if not chosen(one)])
         for one in filter(chosen, searches):
             p, right = of_places(weights, one)
-            best = int(p[:-1].argmax()) if len(p) > 1 else 0
-            answers.append((one, float(p[best]) if len(p) > 1 else 0.0, len(p) > 1 and bool(right[best])))
+            best = int(p[:-1].argmax()) if len(p) > 1 else -1
+            against = float(p[best] / (p[best] + p[-1]))  # nowhere, whatever other places there are
+            answers.append((one, against if best >= 0 else 0.0, best >= 0 and bool(right[best])))
     return answers
 
 

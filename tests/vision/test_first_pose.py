@@ -395,4 +395,4 @@ def test_modes_are_in_order_of_their_places_and_these_of_their_odds():
     assert (np.diff(found.weights) <= 0).all()
     assert found.weights.sum() == pytest.approx(1)
     assert best.argmax() == 0
-    assert found.probability == pytest.approx(np.exp(best[0]) / (1 + np.exp(best).sum()))
+    assert found.probability == pytest.approx(1 / (1 + np.exp(-best[0])))

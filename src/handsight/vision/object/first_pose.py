@@ -95,8 +95,8 @@ class ObjectDetection:
     candidates: Candidates
     """(k,) CANDIDATE: what the image says of each."""
     probability: float = 0.0
-    """That the object is where the first has it, with a prior of one half; poses at one place, which may be turned
-    differently, share it by their weights."""
+    """That the object is where the first has it, against its absence, with a prior of one half; poses at one place,
+    which may be turned differently, share it by their weights."""
     reason: str | None = None
     """Why there is none."""
     starts: JudgedStarts | None = None
@@ -175,7 +175,9 @@ def first_pose(
         pose_covariances(model, camera, observed, found, noise),
         weights / max(weights.sum(), 1.0),
     )
-    probability = float(probabilities(best)[0]) if len(best) else 0.0
+    probability = float(
+        probabilities(best[:1]).sum()
+    )  # of several places all may be right: objects may be equal
     return ObjectDetection(poses_of(found), covariances, weights, found, probability)
 
 
