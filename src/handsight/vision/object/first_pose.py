@@ -40,8 +40,14 @@ class FirstPoseOptions(NamedTuple):
     turned: int = 2  # candidates that are turned to where the surface is nearly the same
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
-    place: float = 0.15
+    place: float = 0.25
     """Poses whose centres are nearer to each other are of one place [diameters]."""
+    passed: float = (
+        2.0  # cost of a pixel where the camera sees past, against an explained one, of poses at one place
+    )
+    support: tuple[float, float] = (20.0, 0.0125)
+    """Explained pixels by which the logarithms of two weights at one place differ by 1, and what is added to them per
+    expected pixel: neighbouring pixels have errors in common, and so has all of the surface."""
 
 
 FIRST_POSE = FirstPoseOptions()
@@ -161,8 +167,14 @@ def first_pose(
     order = np.argsort(-log_odds(found), kind="stable")
     found, odds = found[order], log_odds(found)[order] + prior
     covariances = pose_covariances(model, camera, observed, found, noise)
-    weights = np.exp(odds - odds.max(initial=-np.inf))
     probability = first_probability(model, found, odds)
+    logs = log_weights(model, found, odds, scene.sizes.sum() / max(len(observed), 1))
+    order = np.argsort(-logs, kind="stable")
+    found, covariances, weights = (
+        found[order],
+        covariances[order],
+        np.exp(logs - logs.max(initial=-np.inf))[order],
+    )
     return ObjectDetection(
         poses_of(found), covariances, weights / max(weights.sum(), 1.0), found, probability
     )
@@ -205,13 +217,38 @@ def probabilities(odds: Array) -> Array:
     return np.asarray(here / (here.sum() + np.exp(-most)))
 
 
-def first_probability(model: ObjectModel, candidates: Candidates, odds: Array) -> float:
-    """Returns the probability that the object is where the first of CANDIDATE (k,) has it, of log odds (k,) that
-    decrease: there, at another of the places, or nowhere. Poses at one place may be turned differently."""
+def places_of(model: ObjectModel, candidates: Candidates) -> NDArray[np.int64]:
+    """Returns the number (k,) of the place at which each of CANDIDATE (k,) has the object; the first one's is 0. Poses
+    at one place may be turned differently."""
     centers = poses_of(candidates)[:, :3] @ np.append(model.center_object, 1.0)
-    best, left = [], np.ones(len(odds), dtype=bool)
-    while left.any():
-        first = int(left.argmax())
-        best.append(odds[first])
-        left &= np.linalg.norm(centers - centers[first], axis=1) > FIRST_POSE.place * model.diameter
-    return float(probabilities(np.array(best))[0]) if best else 0.0
+    numbers = np.full(len(candidates), -1)
+    for first in range(len(candidates)):
+        if numbers[first] < 0:
+            near = np.linalg.norm(centers - centers[first], axis=1) <= FIRST_POSE.place * model.diameter
+            numbers[near & (numbers < 0)] = numbers.max() + 1
+    return numbers
+
+
+def first_probability(model: ObjectModel, candidates: Candidates, odds: Array) -> float:
+    """Returns the probability that the object is where the first of CANDIDATE (k,), of log odds (k,), has it: there, at
+    another of the places, each of which counts by its best pose, or nowhere."""
+    places = places_of(model, candidates)
+    best = np.full(places.max(initial=-1) + 1, -np.inf)
+    np.maximum.at(best, places, odds)
+    return float(probabilities(best)[0]) if len(best) else 0.0
+
+
+def log_weights(model: ObjectModel, candidates: Candidates, odds: Array, pixels: float) -> Array:
+    """Returns the logarithms of the weights (k,) of CANDIDATE (k,), whose log odds (k,) decrease, each with the weight
+    of the points that support it; pixels: of a point.
+
+    Each place has the log odds of its best pose. Poses at one place share most of the surface, as a mug's do that
+    differ by where the handle is: shares hardly differ, and the pixels that are explained or seen past decide.
+    """
+    places, size = places_of(model, candidates), candidates["expected"][:1].sum()
+    support = pixels * candidates["weight"] - FIRST_POSE.passed * candidates["passed"]
+    support /= FIRST_POSE.support[0] + FIRST_POSE.support[1] * size
+    best, most = np.full((2, len(candidates)), -np.inf)
+    np.maximum.at(best, places, odds)
+    np.maximum.at(most, places, support)
+    return np.asarray(best[places] + support - most[places])
