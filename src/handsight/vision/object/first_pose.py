@@ -6,10 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from handsight import se3
 from handsight._deprecated import renamed_members
 from handsight._kernels.image import depth_term, outline, pose_score, votes
 from handsight._kernels.image.vision_records import CANDIDATE, STAGE
 from handsight.checks import Array
+from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import (
     NOTHING_KNOWN,
@@ -38,6 +40,10 @@ class FirstPoseOptions(NamedTuple):
     voted_spacing: float = 0.05  # between these [diameters]
     candidate_spacing: float = 0.08  # between those that go on [diameters]
     turned: int = 2  # candidates that are turned to where the surface is nearly the same
+    passed_share: float = (
+        0.05  # of the expected pixels, from which on they slide along what points do not observe
+    )
+    slides: tuple[float, ...] = tuple(0.015 * k for k in range(-4, 5))  # by so much [diameters]
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
     place: float = 0.25
@@ -159,6 +165,9 @@ def first_pose(
             found = distinct(model, found, found["score"], KEPT[1], FIRST_POSE.candidate_spacing)
         refine(found, stage, stage)
         found = distinct(model, found, found["score"], max(kept, modes), FIRST_POSE.candidate_spacing)
+    for k in range(min(FIRST_POSE.turned, len(found))):
+        if found["passed"][k] > FIRST_POSE.passed_share * found["expected"][k]:
+            found[k : k + 1] = slid(model, scene, observed, found[k : k + 1], noise)
     if given is not None:
         given["bound"] = explained_within(noise, center_depths(model, given))
         score_candidates(model, scene, given)
@@ -178,6 +187,28 @@ def first_pose(
     return ObjectDetection(
         poses_of(found), covariances, weights / max(weights.sum(), 1.0), found, probability
     )
+
+
+def slid(
+    model: ObjectModel, scene: Scene, observed: NDArray[np.void], candidate: Candidates, noise: DepthNoise
+) -> Candidates:
+    """Returns CANDIDATE (1,) where the image supports it best along the direction that DEPTH_POINT (n,) observe least.
+
+    Points on walls do not tell where the walls end: pixels do that see past them, and those that are explained.
+    """
+    T, center = poses_of(candidate)[0], model.center_object
+    covariance = pose_covariances(model, scene.camera, observed, candidate, noise)[0]
+    units = np.repeat([1.0, model.radius], 3)  # radius times a turn is a shift
+    covariance = GaussianPose(T, covariance).at_point(center).covariance * np.outer(units, units)
+    least = np.linalg.eigh(covariance)[1][:, -1 - len(model.symmetries.axes)] / units
+    steps = model.diameter * np.array(FIRST_POSE.slides)[:, None] * least
+    R = se3.rotation_exp(steps[:, 3:]) @ T[:3, :3]
+    tried = np.repeat(candidate, len(steps))
+    tried["pose"]["rotation"] = R
+    tried["pose"]["position"] = T[:3, :3] @ center + T[:3, 3] + steps[:, :3] - R @ center
+    score_candidates(model, scene, tried)
+    best = int(tried["score"].argmax())
+    return tried[best : best + 1]
 
 
 def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *, effort: int = -1) -> None:
