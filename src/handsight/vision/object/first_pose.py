@@ -40,10 +40,8 @@ class FirstPoseOptions(NamedTuple):
     voted_spacing: float = 0.05  # between these [diameters]
     candidate_spacing: float = 0.08  # between those that go on [diameters]
     turned: int = 2  # candidates that are turned to where the surface is nearly the same
-    passed_share: float = (
-        0.05  # of the expected pixels, from which on they slide along what points do not observe
-    )
-    slides: tuple[float, ...] = tuple(0.015 * k for k in range(-4, 5))  # by so much [diameters]
+    passed_share: float = 0.05  # of the expected pixels, above which the best candidates slide
+    slides: tuple[float, ...] = (-0.06, -0.045, -0.03, -0.015, 0.0, 0.015, 0.03, 0.045, 0.06)  # [diameters]
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
     place: float = 0.25
