@@ -46,12 +46,13 @@ class FirstPoseOptions(NamedTuple):
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
     place: float = 0.25
     """Poses whose centres are nearer to each other are of one place [diameters]."""
+    score_weight: float = 1.5  # of the score in the logarithm of a mode's weight among those of its place
     passed: float = (
-        2.0  # cost of a pixel where the camera sees past, against an explained one, of poses at one place
+        2.0  # cost of a pixel that the camera sees past, in points' pixels that such a mode explains
     )
-    support: tuple[float, float] = (20.0, 0.0125)
-    """Explained pixels by which the logarithms of two weights at one place differ by 1, and what is added to them per
-    expected pixel: neighbouring pixels have errors in common, and so has all of the surface."""
+    support: tuple[float, float] = (30.0, 0.018)
+    """Those pixels by which that logarithm differs by 1, and what is added to them per expected pixel: neighbouring
+    pixels have errors in common, and so has all of the surface."""
 
 
 FIRST_POSE = FirstPoseOptions()
@@ -67,7 +68,7 @@ BESIDE = (150, 300, 600, 1200)
 TURNED = 3
 """Before this stage the best candidates are also turned to where the surface is nearly the same."""
 
-EVIDENCE = np.array([-4.30, 6.83, -3.64, -8.68])
+EVIDENCE = np.array([-5.85, 9.44, -3.68, -11.80])
 """The weights of the columns of `evidence_of` in the log odds that the object is there (`experiments/sight_fit.py`)."""
 
 
@@ -102,7 +103,8 @@ class ObjectDetection:
     candidates: Candidates
     """(k,) CANDIDATE: what the image says of each."""
     probability: float = 0.0
-    """That the first is right, where as often as not the object is not there at all."""
+    """That the object is where the first has it, with a prior of one half; poses at one place, which may be turned
+    differently, share it by their weights."""
     reason: str | None = None
     """Why there is none."""
     starts: JudgedStarts | None = None
@@ -130,7 +132,8 @@ def first_pose(
     the log odds that the object is there, before the image. modes: least number of poses that go on from each stage.
 
     Pairs of points vote for candidates. These are moved to where more and more points lie on the surface, and those
-    that the image supports best go on. In the end their log odds rank them and say how probable the first one is.
+    that the image supports best go on. In the end the log odds rank the places that they have, and say how probable the
+    first of these is; at each place the scores rank the poses.
     """
     appearance, D, camera = appearance_of(model), model.diameter, scene.camera
     observed = observed_points(scene, FIRST_POSE.spacing * D, FIRST_POSE.max_points)
@@ -171,20 +174,19 @@ def first_pose(
         score_candidates(model, scene, given)
         found, most = np.concatenate([given, found]), max(KEPT[-1], modes) + len(given)
         found = distinct(model, found, found["score"], most, FIRST_POSE.candidate_spacing)
-    order = np.argsort(-log_odds(found), kind="stable")
-    found, odds = found[order], log_odds(found)[order] + prior
+    found = found[np.argsort(-log_odds(found), kind="stable")]
     covariances = pose_covariances(model, camera, observed, found, noise)
-    probability = first_probability(model, found, odds)
-    logs = log_weights(model, found, odds, scene.sizes.sum() / max(len(observed), 1))
-    order = np.argsort(-logs, kind="stable")
-    found, covariances, weights = (
-        found[order],
-        covariances[order],
-        np.exp(logs - logs.max(initial=-np.inf))[order],
-    )
-    return ObjectDetection(
-        poses_of(found), covariances, weights / max(weights.sum(), 1.0), found, probability
-    )
+    places, support = places_of(model, found), mode_support(found, scene.sizes.sum() / max(len(observed), 1))
+    best, most = np.full((2, places.max(initial=-1) + 1), -np.inf)
+    np.maximum.at(best, places, log_odds(found) + prior)
+    np.maximum.at(most, places, support)
+    log_weights = best[places] + support - most[places]
+    order = np.argsort(-log_weights, kind="stable")
+    found, covariances = found[order], covariances[order]
+    weights = np.exp(log_weights[order] - log_weights.max(initial=-np.inf))
+    weights /= max(weights.sum(), 1.0)
+    probability = float(probabilities(best)[0]) if len(best) else 0.0
+    return ObjectDetection(poses_of(found), covariances, weights, found, probability)
 
 
 def slid(
@@ -258,26 +260,13 @@ def places_of(model: ObjectModel, candidates: Candidates) -> NDArray[np.int64]:
     return numbers
 
 
-def first_probability(model: ObjectModel, candidates: Candidates, odds: Array) -> float:
-    """Returns the probability that the object is where the first of CANDIDATE (k,), of log odds (k,), has it: there, at
-    another of the places, each of which counts by its best pose, or nowhere."""
-    places = places_of(model, candidates)
-    best = np.full(places.max(initial=-1) + 1, -np.inf)
-    np.maximum.at(best, places, odds)
-    return float(probabilities(best)[0]) if len(best) else 0.0
-
-
-def log_weights(model: ObjectModel, candidates: Candidates, odds: Array, pixels: float) -> Array:
-    """Returns the logarithms of the weights (k,) of CANDIDATE (k,), whose log odds (k,) decrease, each with the weight
+def mode_support(candidates: Candidates, pixels: float) -> Array:
+    """Returns by how much (k,) the logarithms of the weights of CANDIDATE (k,) at one place differ, each with the weight
     of the points that support it; pixels: of a point.
 
-    Each place has the log odds of its best pose. Poses at one place share most of the surface, as a mug's do that
-    differ by where the handle is: shares hardly differ, and the pixels that are explained or seen past decide.
+    They share most of the surface, as poses of a mug do that differ by where the handle is. Shares of the expected
+    pixels hardly differ between them; those that are explained, or that the camera sees past, do.
     """
-    places, size = places_of(model, candidates), candidates["expected"][:1].sum()
-    support = pixels * candidates["weight"] - FIRST_POSE.passed * candidates["passed"]
-    support /= FIRST_POSE.support[0] + FIRST_POSE.support[1] * size
-    best, most = np.full((2, len(candidates)), -np.inf)
-    np.maximum.at(best, places, odds)
-    np.maximum.at(most, places, support)
-    return np.asarray(best[places] + support - most[places])
+    size = FIRST_POSE.support[0] + FIRST_POSE.support[1] * candidates["expected"][:1].sum()
+    explained = pixels * candidates["weight"] - FIRST_POSE.passed * candidates["passed"]
+    return np.asarray(explained / size + FIRST_POSE.score_weight * candidates["score"])
