@@ -147,19 +147,6 @@ def refine_poses(
 
 
 @entry
-def closeness(model: Any, nodes: Any, points: Any, within: Any, candidates: Any) -> None:
-    """Fills in `close` of CANDIDATE (k,): how many of DEPTH_POINT (n,) lie within so far (k,) [m] of its surface, each
-    counted by how near it is."""
-    for k in range(len(candidates)):
-        pose, close = pose_of(candidates[k].pose), 0.0
-        for n in range(len(points)):
-            point = apply_inverse(pose, vector(points[n].point))
-            ratio = field_at(nodes, model[0].fine, point)[0] / within[k]
-            close += max(1 - ratio * ratio, 0.0)
-        candidates[k].close = close
-
-
-@entry
 def surface_distances(model: Any, nodes: Any, points: Any, within: float, candidates: Any, out: Any) -> None:
     """Fills `out` (k, n) with the distances [m] of points (n, 3) from the surface at CANDIDATE (k,); infinity where
     they are not `within` it."""

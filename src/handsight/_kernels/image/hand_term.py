@@ -7,8 +7,6 @@ to plane, Chen and Medioni 1991).
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from handsight._kernels.evidence.contact_term import distance_row
 from handsight._kernels.image.depth_term import bound_at, stepped
 from handsight._kernels.image.palm_scan import PALM_SCAN, observed_at
@@ -33,7 +31,7 @@ class HandTermOptions(NamedTuple):
 
 
 HAND_TERM = HandTermOptions()
-HAND_SCORE = ScoreWeights(passed=1.5, hidden=0.1, unexplained=0.2, max_unexplained=np.inf, min_expected=100.0)
+HAND_SCORE = ScoreWeights(passed=1.5, hidden=0.1, unexplained=0.2, min_expected=100.0)
 
 
 @inner

@@ -20,15 +20,14 @@ class ScoreWeights(NamedTuple):
 
     passed: float  # of a pixel where the camera sees past
     hidden: float  # of a pixel that something hides
-    unexplained: float  # of a pixel near by that is not explained
-    max_unexplained: float  # unexplained pixels that count at most, per expected one
+    unexplained: float  # of an unexplained pixel
     min_expected: float  # least number of expected pixels that a share is taken of [pixels]
-    unknown: float = 0.5  # what a pixel without depth adds to those that are expected
+    unknown: float = 0.5  # what a pixel without depth, or out of the image, adds to those that are expected
     size_exponent: float = 0.7
     """Of the number of pixels: a sum prefers what is large and near, a share what is tiny."""
 
 
-POSE_SCORE = ScoreWeights(passed=2.0, hidden=0.3, unexplained=0.5, max_unexplained=2.0, min_expected=30.0)
+POSE_SCORE = ScoreWeights(passed=2.0, hidden=0.3, unexplained=1.0, min_expected=30.0)
 MIN_FACING = 0.12
 """Least cosine between a sample's normal and the direction to the camera for the sample to be visible."""
 
@@ -45,9 +44,7 @@ def _nearest(directions: Any, way: Vec3) -> int:
 
 
 @inner
-def _add(
-    image: Any, sample: tuple[float, float, float, float], bound: float, candidate: Any, explained: Any
-) -> None:
+def _add(image: Any, sample: tuple[float, float, float, float], bound: float, candidate: Any) -> None:
     """Adds to a candidate what the image says of a sample: its column, row, depth [m] and number of pixels."""
     depth, labels = image
     column, row, z, pixels = int(sample[0] + 0.5), int(sample[1] + 0.5), sample[2], sample[3]
@@ -70,7 +67,6 @@ def _add(
         score = pixels * (1 - (off / bound) ** 2)
         candidate.explained += score
         candidate.rms += score * off * off
-        explained[label] += pixels
 
 
 @inner
@@ -79,41 +75,38 @@ def finish_score(weights: ScoreWeights, candidate: Any) -> None:
     candidate.rms = np.sqrt(candidate.rms / candidate.explained) if candidate.explained > 0 else np.inf
     size = max(candidate.expected, weights.min_expected)
     cost = weights.passed * candidate.passed + weights.hidden * candidate.hidden
-    cost += weights.unexplained * min(candidate.unexplained, weights.max_unexplained * size)
+    cost += weights.unexplained * candidate.unexplained
     candidate.score = (candidate.explained - cost) / size**weights.size_exponent
 
 
 @entry
-def score_all(camera: Any, image: Any, sides: Any, sizes: Any, center: Any, candidates: Any) -> None:
-    """Fills in the score of CANDIDATE (k,) and the pixels that it is made of.
+def score_all(camera: Any, image: Any, sides: Any, center: Any, candidates: Any) -> None:
+    """Fills in the score of CANDIDATE (k,) and the pixels that it is made of, none of which is unexplained.
 
     image: depth (h, w) [m] and labels (h, w) of segments, `TABLE`, `HAND` or `OUT`. sides: samples and normals
-    (2, m, 3), directions (d, 3), visible (d, m / 8) in bits, area of a sample [m²]. sizes: pixels of each segment (p,).
+    (2, m, 3), directions (d, 3), visible (d, m / 8) in bits, area of a sample [m²].
     center: the object's (3,).
     """
     samples, directions, visible, area = sides
     height, width = image[0].shape
-    explained = np.empty(len(sizes))
     density = area * camera[0].fx * camera[0].fy
     for k in range(len(candidates)):
         candidate = candidates[k]
         pose = pose_of(candidate.pose)
         middle = apply(pose, vector(center))
         side = _nearest(directions, scale(tmul(pose[0], middle), -1 / max(norm(middle), 1e-9)))
-        explained[:] = 0.0
         candidate.expected = candidate.explained = candidate.passed = candidate.hidden = candidate.rms = 0.0
+        candidate.unexplained = 0.0
         for m in range(samples.shape[1]):
             if visible[side, m >> 3] >> (m & 7) & 1:
                 P = apply(pose, vector(samples[0, m]))
                 u, v = project(camera[0], P)
                 cosine = -dot(mul(pose[0], vector(samples[1, m])), P) / norm(P)
-                if cosine > 0 and -0.5 < u < width - 0.5 and -0.5 < v < height - 0.5:
-                    sample = u, v, P[2], density * cosine / (P[2] * P[2])
-                    _add(image, sample, candidate.bound, candidate, explained)
-        # Of the segments that it lies on, the unexplained pixels, weighted by how much of it lies on which.
-        unexplained = total = 0.0
-        for part in range(len(sizes)):
-            unexplained += explained[part] * max(sizes[part] - explained[part], 0.0)
-            total += explained[part]
-        candidate.unexplained = unexplained / total if total > 0 else 0.0
+                if not cosine > 0:
+                    continue
+                pixels = density * cosine / (P[2] * P[2])
+                if -0.5 < u < width - 0.5 and -0.5 < v < height - 0.5:
+                    _add(image, (u, v, P[2], pixels), candidate.bound, candidate)
+                else:
+                    candidate.expected += POSE_SCORE.unknown * pixels
         finish_score(POSE_SCORE, candidate)

@@ -29,13 +29,12 @@ CANDIDATE = record(
     ("votes", "f8"),
     ("score", "f8"),
     ("bound", "f8"),  # depth within this of the surface is explained [m]
-    ("close", "f8"),  # of points that lie on its surface, each by how near
     ("weight", "f8"),  # sum of the robust weights of the points that its covariance is of
     ("expected", "f8"),  # that the object would fill, without those hidden by the hand
     ("explained", "f8"),
     ("passed", "f8"),  # where the camera sees past it, or the table in front of it
     ("hidden", "f8"),  # by something that is not the hand
-    ("unexplained", "f8"),  # of the segments that it lies on; of a hand: with another normal
+    ("unexplained", "f8"),  # where its surface goes on beside it; of a hand: with another normal
     ("rms", "f8"),  # of the distances of the explained pixels [m]
 )
 

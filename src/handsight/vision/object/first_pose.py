@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight._deprecated import renamed_members
-from handsight._kernels.image import depth_term, pose_score, votes
+from handsight._kernels.image import depth_term, outline, pose_score, votes
 from handsight._kernels.image.vision_records import CANDIDATE, STAGE
 from handsight.checks import Array
 from handsight.objects import ObjectModel
@@ -40,11 +40,8 @@ class FirstPoseOptions(NamedTuple):
     turned: int = 2  # candidates that are turned to where the surface is nearly the same
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
-    close_sigmas: float = 1.25  # of the depth with its bias, within which a point is close to the surface
-    close_exponent: float = 1 - pose_score.POSE_SCORE.size_exponent  # makes pixels a score
-    score_weights: tuple[float, float] = (1.2, 22.0)
-    """Of the score, and of the close pixels to that power, in the logarithm of a mode's weight. They were chosen by
-    hand between fits to two sets of drawn pictures, which differ (`experiments/sight_fit.py` prints one of them)."""
+    place: float = 0.15
+    """Poses whose centres are nearer to each other are of one place [diameters]."""
 
 
 FIRST_POSE = FirstPoseOptions()
@@ -55,13 +52,13 @@ STAGES = np.array(
 """How candidates are moved to the image, with bounds in diameters."""
 POINTS, KEPT = (80, 160, 300, FIRST_POSE.max_points), (24, 12, 8, 8)
 """Observed points by which each stage moves them, and candidates that go on from each."""
-
+BESIDE = (300, 500, 1000, 1500)
+"""Pixels around each candidate that show whether the surface goes on beyond its outline."""
 TURNED = 3
 """Before this stage the best candidates are also turned to where the surface is nearly the same."""
 
-EVIDENCE = np.array([-9.53, 14.95, -7.72, 6.6, -18.67])
-"""The weights of the columns of `evidence_of` in the log odds that the object is there (`experiments/sight_fit.py`).
-Shares alone: sums, and how close points lie, say more of drawn pictures, and mislead with a real camera's."""
+EVIDENCE = np.array([-4.30, 6.83, -3.64, -8.68])
+"""The weights of the columns of `evidence_of` in the log odds that the object is there (`experiments/sight_fit.py`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +120,7 @@ def first_pose(
     the log odds that the object is there, before the image. modes: least number of poses that go on from each stage.
 
     Pairs of points vote for candidates. These are moved to where more and more points lie on the surface, and those
-    that the image supports best go on. In the end it also counts how many points are as close to the surface as the
-    noise allows.
+    that the image supports best go on. In the end their log odds rank them and say how probable the first one is.
     """
     appearance, D, camera = appearance_of(model), model.diameter, scene.camera
     observed = observed_points(scene, FIRST_POSE.spacing * D, FIRST_POSE.max_points)
@@ -140,49 +136,46 @@ def first_pose(
     votes.vote(appearance.pairs, appearance.voters, D, observed, references, FIRST_POSE.partners, voted)
     found = voted.reshape(-1)
     found = distinct(model, found, found["votes"], FIRST_POSE.max_voted, FIRST_POSE.voted_spacing)
-    image = scene.depth, scene.labels
 
-    def refine(candidates: Candidates, stage: NDArray[np.void], points: int) -> None:
+    def refine(candidates: Candidates, stage: int, points: int) -> None:
         """Moves candidates to some of the points, and scores them."""
-        candidates["bound"] = explained_within(noise, center_depths(model, candidates))
-        depth_term.refine_poses(*model.record[:2], observed[:points], stage, D, NOTHING_KNOWN, candidates)
-        sides, sizes = appearance.few_sides if points < POINTS[-1] else appearance.sides, scene.sizes
-        pose_score.score_all(camera.record, image, sides, sizes, model.center_object, candidates)
+        candidates["bound"], now = explained_within(noise, center_depths(model, candidates)), STAGES[stage]
+        depth_term.refine_poses(
+            *model.record[:2], observed[:points], np.atleast_1d(now), D, NOTHING_KNOWN, candidates
+        )
+        score_candidates(model, scene, candidates, stage=stage)
 
     for stage, points, kept in zip(range(len(STAGES)), POINTS, KEPT, strict=True):
         if stage == TURNED and len(appearance.turns):
             best = poses_of(found[: FIRST_POSE.turned])
             turned = candidates_at((best[:, None] @ appearance.turns).reshape(-1, 4, 4))
-            refine(turned, STAGES[stage : stage + 1], POINTS[0])
+            refine(turned, stage, POINTS[0])
             found = np.concatenate([found, turned])
             found = distinct(model, found, found["score"], KEPT[1], FIRST_POSE.candidate_spacing)
-        refine(found, STAGES[stage : stage + 1], points)
+        refine(found, stage, points)
         found = distinct(model, found, found["score"], max(kept, modes), FIRST_POSE.candidate_spacing)
     if given is not None:
         given["bound"] = explained_within(noise, center_depths(model, given))
         score_candidates(model, scene, given)
         found, most = np.concatenate([given, found]), max(KEPT[-1], modes) + len(given)
         found = distinct(model, found, found["score"], most, FIRST_POSE.candidate_spacing)
-    z = center_depths(model, found)
-    close = FIRST_POSE.close_sigmas * np.hypot(noise.sigma(z), noise.bias(z))
-    depth_term.closeness(*model.record[:2], observed, close, found)
-    found["close"] *= scene.sizes.sum() / max(len(observed), 1)
-    evidence = np.stack([found["score"], found["close"] ** FIRST_POSE.close_exponent], axis=1)
-    log_weights = evidence @ FIRST_POSE.score_weights
-    order = np.argsort(-log_weights, kind="stable")
-    found, weights = found[order], np.exp(log_weights[order] - log_weights.max(initial=-np.inf))
+    order = np.argsort(-log_odds(found), kind="stable")
+    found, odds = found[order], log_odds(found)[order] + prior
     covariances = pose_covariances(model, camera, observed, found, noise)
-    probability, weights = (
-        float(probabilities(log_odds(found[:1]) + prior).sum()),
-        weights / max(weights.sum(), 1.0),
+    weights = np.exp(odds - odds.max(initial=-np.inf))
+    probability = first_probability(model, found, odds)
+    return ObjectDetection(
+        poses_of(found), covariances, weights / max(weights.sum(), 1.0), found, probability
     )
-    return ObjectDetection(poses_of(found), covariances, weights, found, probability)
 
 
-def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates) -> None:
-    """Fills in the score of CANDIDATE (k,), which have a bound, and the pixels that it is made of."""
-    image, sides = (scene.depth, scene.labels), appearance_of(model).sides
-    pose_score.score_all(scene.camera.record, image, sides, scene.sizes, model.center_object, candidates)
+def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *, stage: int = -1) -> None:
+    """Fills in the score of CANDIDATE (k,), which have a bound, and the pixels that it is made of, as a stage does."""
+    appearance, camera, image = appearance_of(model), scene.camera, (scene.depth, scene.labels)
+    sides = appearance.sides if BESIDE[stage] == BESIDE[-1] else appearance.few_sides
+    pose_score.score_all(camera.record, image, sides, model.center_object, candidates)
+    around = camera.rays, *image
+    outline.follow_outlines(camera.record, model.record[:2], around, BESIDE[stage], candidates)
 
 
 def explained_within(noise: DepthNoise, z: Array) -> Array:
@@ -191,11 +184,13 @@ def explained_within(noise: DepthNoise, z: Array) -> Array:
 
 
 def evidence_of(candidates: Candidates) -> Array:
-    """Returns (k, 5) of CANDIDATE (k,): 1, and its explained, passed, hidden and unexplained pixels by the expected."""
-    size = np.maximum(candidates["expected"], pose_score.POSE_SCORE.min_expected)
-    shares = [candidates[name] / size for name in ("explained", "passed", "hidden")]
-    left = np.minimum(candidates["unexplained"] / size, pose_score.POSE_SCORE.max_unexplained)
-    return np.stack([np.ones(len(candidates)), *shares, left], axis=1)
+    """Returns (k, 4) of CANDIDATE (k,): 1; the explained and the passed pixels by those that nothing hides; and the
+    share of the outline at which the surface goes on."""
+    least = pose_score.POSE_SCORE.min_expected
+    size = np.maximum(candidates["expected"], least)
+    free = np.maximum(size - candidates["hidden"], least)
+    shares = candidates["explained"] / free, candidates["passed"] / free, candidates["unexplained"] / size
+    return np.stack([np.ones(len(candidates)), *shares], axis=1)
 
 
 def log_odds(candidates: Candidates) -> Array:
@@ -208,3 +203,15 @@ def probabilities(odds: Array) -> Array:
     most = max(float(odds.max(initial=0.0)), 0.0)
     here = np.exp(odds - most)
     return np.asarray(here / (here.sum() + np.exp(-most)))
+
+
+def first_probability(model: ObjectModel, candidates: Candidates, odds: Array) -> float:
+    """Returns the probability that the object is where the first of CANDIDATE (k,) has it, of log odds (k,) that
+    decrease: there, at another of the places, or nowhere. Poses at one place may be turned differently."""
+    centers = poses_of(candidates)[:, :3] @ np.append(model.center_object, 1.0)
+    best, left = [], np.ones(len(odds), dtype=bool)
+    while left.any():
+        first = int(left.argmax())
+        best.append(odds[first])
+        left &= np.linalg.norm(centers - centers[first], axis=1) > FIRST_POSE.place * model.diameter
+    return float(probabilities(np.array(best))[0]) if best else 0.0

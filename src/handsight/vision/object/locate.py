@@ -37,10 +37,9 @@ class LocateOptions(NamedTuple):
     """`LocateOptions` say when an object is found in an image, and when a pose that was given is right."""
 
     max_plane: float = 1.5  # a plane wider than this is no part of the object [diameters]
-    min_probability: float = 0.02
-    """Least probability of the best pose at which the object counts as found. It is low because the probability was
-    fitted to drawn images, from which those of real cameras differ
-    (`experiments/sight_recognition.py` prints what it accepts and claims)."""
+    min_probability: float = 0.4
+    """Least probability of the best pose at which the object counts as found (`experiments/sight_fit.py` prints what
+    it accepts and claims)."""
     meaningless: float = 0.1
     """Probability that the score of a detector says nothing; `score_log_odds` derives what follows from it."""
     max_moved: float = 0.1  # a pose that is right is moved by at most that on the image [diameters]

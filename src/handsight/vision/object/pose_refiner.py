@@ -109,7 +109,7 @@ class PoseRefiner:
         one_point = float(self.noise.sigma(z[:1])[0] ** 2 + self.noise.bias(z[:1])[0] ** 2)
         depth_term.refine_poses(*record, points, stages, self.model.diameter, one_point * known, candidate)
         sides, center = appearance_of(self.model).sides, self.model.center_object
-        pose_score.score_all(self.camera.record, image[1:], sides, np.zeros(1), center, candidates)
+        pose_score.score_all(self.camera.record, image[1:], sides, center, candidates)
         outline.find_continued(self.camera.record, record, image, self._window, candidates)
         if stages is NEAR_STAGES and support(candidates[1:]) > support(candidate):
             candidate = candidates[1:]
