@@ -32,6 +32,18 @@ def brick():
     return model.vertices - [0, 0, model.bounds_object[0, 2]], model.faces
 
 
+def three_touching(seed):
+    """Depth (h, w) [m] of a letter and two equal bricks beside it that touch it, and (name in the data set,
+    T_camera_object) of each."""
+    rng, shapes = np.random.default_rng([seed, 12]), [letter(), brick(), brick()]
+    T, Ts = looking(rng, 0.5), np.tile(np.eye(4), (3, 1, 1))
+    Ts[1, :3, :3] = se3.rotation_exp(np.array([0, 0, np.pi / 2]))
+    Ts[1:, :2, 3] = (0.075, 0.0), (-0.01, 0.06)
+    depth, _ = drawn(T, shapes, Ts)
+    names = "obj_000003", "obj_000007", "obj_000007"
+    return noisy(depth, rng), list(zip(names, T @ Ts, strict=True))
+
+
 def write_mesh(path, scale=1.0, shape=letter):
     """The letter's mesh, or another shape's; `scale`: units of the file in a metre."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -53,6 +53,44 @@ def letter():
     return np.concatenate(vertices), np.concatenate(faces)
 
 
+def revolved(profile, around=48):
+    """Vertices and faces of a profile (k, 2) of radii and heights, turned about z; outwards is on its right."""
+    profile = np.array(profile, dtype=float)
+    angle, k = 2 * np.pi * np.arange(around)[:, None] / around, len(profile)
+    places = np.stack(
+        [np.cos(angle) * profile[:, 0], np.sin(angle) * profile[:, 0], np.tile(profile[:, 1], (around, 1))],
+        -1,
+    )
+    i, m = (a.reshape(-1) for a in np.meshgrid(np.arange(around), np.arange(k - 1), indexing="ij"))
+    a, b = i * k + m, (i + 1) % around * k + m
+    faces = np.concatenate([np.stack([a, b, b + 1], 1), np.stack([a, b + 1, a + 1], 1)])
+    vertices, which = np.unique(places.reshape(-1, 3).round(9), axis=0, return_inverse=True)
+    faces = which.reshape(-1)[faces]
+    return vertices, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+
+
+def bowl(radius=0.08, wall=0.002, *, sheet=False):
+    """Vertices and faces of a bowl that stands on z = 0, a part of a ball."""
+    angle = np.linspace(0, 0.42 * np.pi, 14)
+    outside = np.c_[radius * np.sin(angle), radius - radius * np.cos(angle)]
+    inside = np.c_[(radius - wall) * np.sin(angle), radius - (radius - wall) * np.cos(angle)][::-1]
+    return revolved(outside if sheet else np.concatenate([outside, inside]))
+
+
+def mug(radius=0.04, height=0.09, wall=0.003):
+    """Vertices and faces of a cylinder without a lid, and of its handle: half a ring."""
+    r, h = radius - wall, height
+    body = revolved([(0, 0), (radius, 0), (radius, h), (r, h), (r, wall), (0, wall)])
+    turn, around = np.meshgrid(np.linspace(0, np.pi, 16), np.arange(8) * np.pi / 4, indexing="ij")
+    reach = 0.024 + 0.005 * np.cos(around)
+    ring = [radius - 0.003 + reach * np.sin(turn), 0.005 * np.sin(around), h / 2 + reach * np.cos(turn)]
+    i, j = (a.reshape(-1) for a in np.meshgrid(np.arange(15), np.arange(8), indexing="ij"))
+    a, b = 8 * i + j, 8 * i + (j + 1) % 8
+    sides = np.concatenate([np.stack([a, b + 8, b], 1), np.stack([a, a + 8, b + 8], 1)])
+    vertices = np.concatenate([body[0], np.stack(ring, -1).reshape(-1, 3)])
+    return vertices, np.concatenate([body[1], sides + len(body[0])])
+
+
 def looking(rng, distance):
     """T_camera_table of a camera that looks down on the table's middle."""
     height, around = rng.uniform(np.deg2rad(30), np.deg2rad(70)), rng.uniform(0, 2 * np.pi)

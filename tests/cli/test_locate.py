@@ -14,6 +14,7 @@ import handsight as hs
 import handsight.vision
 from cli.commands import called, run
 from handsight import se3
+from handsight.cli.locate import MAX_INSTANCES
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.locate import LOCATE
 from pictures import (
@@ -23,6 +24,7 @@ from pictures import (
     folder_of,
     off_mm,
     picture,
+    three_touching,
     write_color,
     write_depth,
     write_mesh,
@@ -127,7 +129,7 @@ SHOWN = ["obj_000003", "obj_000007", None]
 
 
 def test_of_all_objects_of_a_data_set_it_is_said_which(two_known, pictures, asked):
-    out, _ = asked("locate", two_known, "--plot", "which.png")
+    out, _ = asked("locate", two_known, "--which", "--plot", "which.png")
     rows = answers(out)
     for row, name in zip(rows, SHOWN, strict=True):
         assert (row["object"], row["found"]) == (name, name is not None)
@@ -146,15 +148,16 @@ def test_of_all_objects_of_a_data_set_it_is_said_which(two_known, pictures, aske
         "reason",
         "seconds",
     }
-    out, _ = asked("locate", two_known, "--object", "7", "--object", "3")
+    out, _ = asked("locate", two_known, "--object", "7", "--object", "3", "--which")
     assert [row["scores"] for row in answers(out)] == [row["scores"] for row in rows]
-    asked("locate", two_known, "-o", "which.csv")
+    asked("locate", two_known, "--which", "-o", "which.csv")
     with open(two_known.parents[2] / "which.csv", newline="") as file:
         assert [(row["im_id"], row["obj_id"]) for row in csv.DictReader(file)] == [("0", "3"), ("1", "7")]
 
 
 def test_without_an_object_all_of_the_library_are_asked_for(frames, two_known, asked, monkeypatch):
-    library, picture = two_known.parents[1], ("frames/depth/0000.png", "--camera", "frames/camera.json")
+    library = two_known.parents[1]
+    picture = ("frames/depth/0000.png", "--camera", "frames/camera.json", "--which")
     out, _ = asked("locate", *picture, "--library", library)
     (answer,) = answers(out)
     assert answer["object"] == "obj_000003"
@@ -254,9 +257,12 @@ def test_several_objects_are_named_by_their_detections(two_known, pictures, aske
         for image, number in ((0, 3), (1, 3), (1, 7))
     ]
     (tmp_path / "found.json").write_text(json.dumps(entries))
-    rows = answers(asked("locate", two_known, "--detections", "found.json")[0])
+    rows = answers(asked("locate", two_known, "--detections", "found.json", "--which")[0])
     assert [row["object"] for row in rows] == SHOWN
     assert rows[0]["scores"]["obj_000007"] == 0
+    rows = answers(asked("locate", two_known, "--detections", "found.json")[0])
+    assert [[each["object"] for each in row["objects"]] for row in rows] == [[SHOWN[0]], [SHOWN[1]], []]
+    assert set(rows[2]["missing"]) == {*SHOWN[:2]}
 
 
 def test_masks_of_instances_are_those_of_their_objects(scene, pictures, asked, tmp_path):
@@ -297,8 +303,8 @@ def test_depth_in_tenths_of_millimetres_is_suspected(frames, pictures, asked):
 WRONG_HINTS = {
     "a csv with other columns": ("--start", "a.csv", "frame,x,y,z\n1,2,3,4\n", r"a.csv: line 1: expected the columns scene_id,im_id,obj_id,score,R,t,time, got frame,x,y,z"),
     "a row that was cut": ("--start", "a.csv", "48,1,3,0.5,1 0 0", r"a.csv: line 1: expected 7 columns"),
-    "unknown classes": ("--detections", "a.json", '[{"scene_id": 48, "image_id": 0, "category_id": 90, "bbox": [0, 0, 9, 9], "score": 1}]', r"a.json: category_id: expected numbers of objects, 3, got 90"),
-    "a target that nobody knows": ("--targets", "a.json", '[{"scene_id": 48, "im_id": 0, "obj_id": 90}]', r"a.json: obj_id: expected numbers of objects, 3, got 90"),
+    "unknown classes": ("--detections", "a.json", '[{"scene_id": 48, "image_id": 0, "category_id": 90, "bbox": [0, 0, 9, 9], "score": 1}]', r"a.json: category_id: expected one of 3, got 90"),
+    "a target that nobody knows": ("--targets", "a.json", '[{"scene_id": 48, "im_id": 0, "obj_id": 90}]', r"a.json: obj_id: expected one of 3, got 90"),
     "truncated": ("--targets", "a.json", '[{"scene_id": 48', r"a.json: expected JSON, got other text"),
     "no file": ("--detections", "b.json", "", r"b.json: cannot be read: No such file"),
     "a box outside": ("--detections", "a.json", '[{"scene_id": 48, "image_id": 0, "category_id": 3, "bbox": [320, 0, 9, 9], "score": 1}]', r"a.json: \[0\].bbox: expected a box that meets the image of 320 x 240 pixels, got"),
@@ -366,7 +372,7 @@ WRONG = {
     "colour for many": (lambda f: None, ("--color", "frames/rgb/0000.png"), r"color: expected beside one depth image, got .*frames, a folder"),
     "a rig": (lambda f: None, ("--rig", "rig.yaml"), r"--rig: expected beside a recording"),
     "no such depth camera": (lambda f: None, ("--depth-camera", "sterio"), r"--depth-camera: expected one of structured_light, time_of_flight, stereo, got 'sterio'; the nearest valid one is 'stereo'"),
-    "an object twice": (lambda f: None, ("--object", "letter.ply"), r"--object: expected objects of different names, got 'letter' twice"),
+    "two objects of one name": (lambda f: write_mesh(f / "letter.ply"), ("--object", "frames/letter.ply"), r"--object: expected objects of different names, got 'letter' twice"),
     "one of several that nobody knows": (lambda f: None, ("--object", "mug"), r"--object: expected a name of .* or a mesh file, got 'mug'"),
     "a scale of nothing": (lambda f: None, ("--depth-scale", "0"), r"scale: expected a number above 0, got 0"),
 }  # fmt: skip
@@ -472,11 +478,83 @@ def test_of_several_objects_the_table_says_which(two_known, monkeypatch, capsys)
 
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "xterm")  # of a dumb one nobody asks how wide it is
-    assert called(monkeypatch, two_known.parents[2], "locate", two_known, columns=140) == 0
+    assert called(monkeypatch, two_known.parents[2], "locate", two_known, "--which", columns=140) == 0
     out, said = capsys.readouterr()
     assert "2 objects in depth images" in out
     assert re.search(r"obj_000003: [01]\.\d\d .*\n.*obj_000007: [01]\.\d\d .*\n.*none: [01]\.\d\d ", out)
     assert re.match(r".*: not here: nothing ", said)
+
+
+@pytest.fixture
+def crowd(tmp_path):
+    """A BOP scene of a letter and two equal bricks that touch it, and of the table alone; and the true poses."""
+    depth, truths = three_touching(3)
+    return bop_of(tmp_path / "crowd", [depth, picture(2, empty=True)[0]], {3: letter, 7: brick}), truths
+
+
+def test_each_object_that_is_there_is_answered_once(crowd, asked):
+    """Two equal bricks are two answers, at two places, in JSON and in BOP's lines."""
+    scene, truths = crowd
+    first, second = answers(asked("locate", scene, "--plot", "all.png")[0])
+    assert sorted(each["object"] for each in first["objects"]) == SHOWN[:1] + 2 * SHOWN[1:2]
+    assert first["found"]
+    assert first["missing"] == {}
+    for each in first["objects"]:
+        inside = np.array([[0, 0, 0.0175]])  # the middle of a brick, which looks alike upside down
+        middle = se3.apply(pose_of(each), inside)
+        truth = [se3.apply(T, inside) for name, T in truths if name == each["object"]]
+        assert min(np.linalg.norm(middle - place) for place in truth) < 0.01
+        assert np.linalg.eigvalsh(each["covariance"]).min() > 0
+        assert LOCATE.min_probability <= each["probability"] <= 1
+        assert each["pixels"] > 100
+        assert sum(one["weight"] for one in each["hypotheses"]) == pytest.approx(1)
+    bricks = [each["position"] for each in first["objects"] if each["object"] == SHOWN[1]]
+    assert np.linalg.norm(np.subtract(*bricks)) > 0.05
+    assert (second["found"], second["objects"], set(second["missing"])) == (False, [], {*SHOWN[:2]})
+    assert (scene.parents[2] / "all.png").read_bytes().startswith(b"\x89PNG")
+    asked("locate", scene, "-o", "all.csv")
+    with open(scene.parents[2] / "all.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["im_id"], row["obj_id"]) for row in sorted(rows, key=lambda row: row["obj_id"])] == [
+        ("0", "3"), ("0", "7"), ("0", "7")
+    ]  # fmt: skip
+    assert len({row["time"] for row in rows}) == 1  # BOP asks for the time of the image
+
+
+def test_there_are_as_many_as_are_declared_at_most(crowd, asked, tmp_path):
+    scene, _ = crowd
+
+    def found(*options):
+        row, *_ = answers(asked("locate", scene, *options)[0])
+        return sorted(each["object"] for each in row["objects"])
+
+    assert found("--object", "7*1", "--object", "3") == SHOWN[:2]
+    for two in (("--object", "7*2"), ("--object", "7", "--object", "7"), ("--object", "7*")):
+        assert found(*two) == 2 * SHOWN[1:2]
+    targets = [
+        {"scene_id": 48, "im_id": 0, "obj_id": number, "inst_count": count}
+        for number, count in ((3, 1), (7, 2))
+    ]
+    (tmp_path / "targets.json").write_text(json.dumps(targets))
+    assert found("--targets", "targets.json") == SHOWN[:1] + 2 * SHOWN[1:2]
+    for wrong in ("7*0", "7*x", "7*-1", "7*1e9"):
+        _, err = asked("locate", scene, "--object", wrong, expect=2)
+        assert err == (
+            f"handsight: --object: expected NAME*N with a number from 1 to {MAX_INSTANCES}, got {wrong!r}\n"
+        )
+
+
+def test_the_table_has_a_row_for_each_object(crowd, monkeypatch, capsys):
+    import sys
+
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    assert called(monkeypatch, crowd[0].parents[2], "locate", crowd[0], columns=140) == 0
+    out, said = capsys.readouterr()
+    assert len(re.findall(r"obj_000007: [01]\.\d\d", out)) == 2
+    assert len(re.findall(r"obj_000003: [01]\.\d\d", out)) == 1
+    assert re.search(r"000001 .* none .* not here", out)
+    assert re.match(r".*000001: not here: ", said)
 
 
 def test_help_teaches(asked):

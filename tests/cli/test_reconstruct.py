@@ -7,6 +7,7 @@ import pytest
 
 import handsight as hs
 from handsight import se3
+from handsight.errors import InvalidInput
 from handsight.objects.files import read_shape
 from handsight.observation import Observation
 from handsight.rig import MountedCamera
@@ -16,6 +17,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
 
 from handsight.recording import RecordingWriter
+from handsight.recording.robot_images import in_hand_views, views_of
 from handsight.simulation import Scenario, rig_of
 from sight_scenes import CAMERA, drawn
 from views_around import CAN, path, pictures, pictures_of, standing, turned_before
@@ -37,11 +39,11 @@ def around():
     return Ts, pictures(Ts, standing(CAN), rng)
 
 
-def recorded(folder, rig, Ts_camera_table, images):
-    joints = dict.fromkeys(rig.hand.shape().joints, 0.0)
+def recorded(folder, rig, Ts_camera_table, images, *, lost=False):
+    joints = dict.fromkeys([*rig.hand.joint_names, *rig.hand.shape().joints], 0.0)
     with RecordingWriter(folder / "around.mcap", rig) as writer:
         for k, (T, depth) in enumerate(zip(Ts_camera_table, images, strict=True)):
-            T_world_palm = se3.inverse(T) @ se3.inverse(BEFORE_HAND)
+            T_world_palm = None if lost else se3.inverse(T) @ se3.inverse(BEFORE_HAND)
             writer.write(Observation(0.1 * k, joints, T_world_palm=T_world_palm, depth=depth))
     write_rig(rig, folder / "around.rig.yaml")
     return "around.mcap"
@@ -85,6 +87,9 @@ def test_the_robots_poses_can_be_used_without_aligning(asked, tmp_path, rig, aro
         ("no images", [], "recording: expected depth images on /camera/depth, got none"),
         ("no intrinsics", [], "camera: expected one with intrinsics in the rig, got one without"),
         ("another size", [], "depth: expected 320 x 240 pixels, got 160 x 120"),
+        ("one", [], "recording: expected at least 5 views of different sides, got 1 in 1 depth images"),
+        ("lost", ["--in-hand"], "got none in 18 depth images (no pose of the palm in the world: 18)"),
+        ("no hand", ["--in-hand"], "got none in 18 depth images (the palm was not found: 18)"),
         ("", ["-o", "can.obj"], "--output: expected a name that ends with .ply, got 'can.obj'"),
     ],
 )
@@ -92,6 +97,11 @@ def test_what_cannot_be_a_model_is_said(asked, tmp_path, rig, around, change, op
     Ts, images = around
     if change == "few":
         Ts, images = Ts[:3], images[:3]
+    if change == "one":
+        Ts, images = Ts[:1], images[:1]
+    if change == "lost":
+        camera = dataclasses.replace(rig.camera, on="world")
+        rig = dataclasses.replace(rig, camera=camera)
     if change == "empty":
         images = [np.where(np.isfinite(drawn(T, [], []).depth), drawn(T, [], []).depth, 0) for T in Ts]
     if change == "another size":
@@ -105,10 +115,19 @@ def test_what_cannot_be_a_model_is_said(asked, tmp_path, rig, around, change, op
     if change == "no intrinsics":
         camera = dataclasses.replace(rig.camera, intrinsics=None, size=None)
         rig = dataclasses.replace(rig, camera=camera)
-    name = recorded(tmp_path, rig, Ts, images)
+    name = recorded(tmp_path, rig, Ts, images, lost=change == "lost")
+    (tmp_path / "can.ply").write_text("as it was")
     told = asked("reconstruct", name, "-o", "can.ply", *options, expect=2, columns=250).err
     assert said in told
-    assert not (tmp_path / "can.ply").exists()
+    assert (tmp_path / "can.ply").read_text() == "as it was"
+
+
+@pytest.mark.parametrize("views", [views_of, in_hand_views])
+def test_depth_in_another_unit_is_refused(rig, around, views):
+    joints = dict.fromkeys([*rig.hand.joint_names, *rig.hand.shape().joints], 0.0)
+    observation = Observation(0.0, joints, T_world_palm=np.eye(4), depth=1e3 * around[1][0])
+    with pytest.raises(InvalidInput, match=r"depth: expected metres, got a median of .* \(millimetres\?\)"):
+        next(views([observation], rig, CAMERA))
 
 
 def test_what_was_fused_before_it_was_interrupted_is_written(asked, tmp_path, rig, around, monkeypatch):
@@ -129,14 +148,15 @@ def test_what_was_fused_before_it_was_interrupted_is_written(asked, tmp_path, ri
     assert (tmp_path / "can.ply").exists()
 
 
-def test_what_the_hand_turns_becomes_a_model(asked, tmp_path, rig):
-    """The hand as it is seen, its calibration being off by a centimetre."""
+def turned(folder, rig, *Ts_middle_can):
+    """Writes `turned.mcap`: a hand, whose calibration is off by a centimetre, turns a can, by 10 views in each grip.
+
+    Ts_middle_can: pose of the can in each, by the palm's axes and the middle of the fingertips; None: no can.
+    """
     believed = dict.fromkeys(rig.hand.joint_names, 0.0) | dict.fromkeys(rig.hand.shape().joints, 0.0)
     vertices, faces = rig.hand.shape().vertices_palm(believed), rig.hand.shape().faces
     middle = rig.hand.Ts_palm_tip(believed)[:, :3, 3].mean(axis=0)
-    held = np.array(CAN.vertices) + middle + [0, -0.04, 0]
-    Ts = turned_before(36, 0.3)[:10] @ se3.compose(np.eye(3), -middle)
-    shape = np.concatenate([vertices, held]), np.concatenate([faces, CAN.faces + len(vertices)])
+    all_Ts, rng = turned_before(36, 0.3) @ se3.compose(np.eye(3), -middle), np.random.default_rng(1)
     camera = dataclasses.replace(
         rig.camera,
         on="world",
@@ -145,13 +165,42 @@ def test_what_the_hand_turns_becomes_a_model(asked, tmp_path, rig):
         sigma_rotation_constant=0.02,
     )
     seen = dataclasses.replace(rig, camera=camera)
-    with RecordingWriter(tmp_path / "turned.mcap", seen) as writer:
-        for k, (T, depth) in enumerate(
-            zip(Ts, pictures_of(Ts, shape, np.random.default_rng(1)), strict=True)
-        ):
-            writer.write(Observation(0.1 * k, believed, T_world_palm=T, depth=depth))
-    write_rig(seen, tmp_path / "turned.rig.yaml")
+    with RecordingWriter(folder / "turned.mcap", seen) as writer:
+        for g, T_middle_can in enumerate(Ts_middle_can):
+            shape, Ts = (vertices, faces), all_Ts[10 * g : 10 * g + 10]
+            if T_middle_can is not None:
+                can = se3.apply(T_middle_can, np.array(CAN.vertices)) + middle
+                shape = np.concatenate([vertices, can]), np.concatenate([faces, CAN.faces + len(vertices)])
+            for k, (T, depth) in enumerate(zip(Ts, pictures_of(Ts, shape, rng), strict=True)):
+                writer.write(Observation(g + 0.1 * k, believed, T_world_palm=T, depth=depth))
+    write_rig(seen, folder / "turned.rig.yaml")
+
+
+HELD = se3.compose(np.eye(3), np.array([0, -0.04, 0]))
+AGAIN = HELD @ se3.compose(se3.rotation_exp(np.array([0, 1.2, 0])), np.array([0.01, -0.01, 0]))
+
+
+@pytest.mark.parametrize("grips", [1, 2])
+def test_what_the_hand_turns_becomes_a_model(asked, tmp_path, rig, grips):
+    """The hand as it is seen; in the second grip the can lies otherwise in it."""
+    turned(tmp_path, rig, *(HELD, AGAIN)[:grips])
     said = asked("reconstruct", "turned.mcap", "--in-hand", "-o", "can.ply", columns=200).err
-    assert "10 views fused of 10 depth images, 0 did not fit" in said
-    points = read_shape(tmp_path / "can.ply").vertices
-    assert np.ptp(points, axis=0).max() < 0.14  # the hand is 20 cm long
+    assert f"{10 * grips} views fused of {10 * grips} depth images, 0 did not fit" in said
+    assert ("2 of 2 grips aligned" in said) == (grips == 2)
+    assert "guessed: nothing" in said
+    shape = read_shape(tmp_path / "can.ply")
+    assert set(shape.sigmas) == {5e-4}
+    assert 0.1 < np.linalg.norm(np.ptp(shape.vertices, axis=0)) < 0.17  # the hand is 20 cm long
+
+
+@pytest.mark.parametrize(
+    ("T_middle_can", "said"),
+    [
+        (None, "in 10 depth images (nothing but the hand: 10)"),
+        (se3.compose(np.eye(3), np.array([0, -0.14, 0])), "between the fingers, got a surface of"),
+    ],
+)
+def test_what_the_hand_does_not_hold_is_not_a_model(asked, tmp_path, rig, T_middle_can, said):
+    turned(tmp_path, rig, T_middle_can)
+    assert said in asked("reconstruct", "turned.mcap", "--in-hand", "-o", "x.ply", expect=2, columns=250).err
+    assert not (tmp_path / "x.ply").exists()

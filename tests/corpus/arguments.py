@@ -5,6 +5,7 @@ import random
 import numpy as np
 
 import handsight as hs
+from handsight import se3
 from handsight.correction import Outside, Plane
 from handsight.tracking import TrackerSettings
 from tests.corpus.door import Case, Door, check_covariance, check_pose, spoilt_value
@@ -60,8 +61,41 @@ def correct_spoilt(rng: random.Random) -> None:
     correct(given)
 
 
-DOORS = [Door("correct_pose", correct_spoilt, 300)]
+CAMERA = hs.Camera(np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), (64, 48))
+T_CAMERA_BOX = se3.compose(se3.rotation_exp(np.array([0.5, 0.4, 0])), np.array([0, 0, 0.35]))
+DEPTH = CAMERA.draw(se3.apply(T_CAMERA_BOX, BOX.vertices), np.asarray(BOX.faces)).depth
+DETECTED: dict[str, object] = {
+    "box": [10, 5.5, 50, 43],
+    "mask": np.isfinite(DEPTH).tolist(),
+    "score": 0.8,
+    "start": T_CAMERA_BOX.tolist(),
+}
+
+
+def locate(given: dict[str, object]) -> None:
+    """Locates the box with what a detector says of it, and asserts that poses and judgements are ones."""
+    with np.errstate(all="ignore"):
+        found = hs.locate(BOX, DEPTH, CAMERA, **given)
+    for T in found.Ts_camera_object:
+        check_pose(T)
+    assert 0 <= found.probability <= 1
+    if found.starts is not None:
+        for T in found.starts.Ts_camera_object:
+            check_pose(T)
+        assert np.isfinite(found.starts.moved).all()
+        assert ((found.starts.probabilities >= 0) & (found.starts.probabilities <= 1)).all()
+
+
+def locate_spoilt(rng: random.Random) -> None:
+    """Locates the box with one corrupted argument, and some of the others."""
+    given = {key: value for key, value in DETECTED.items() if rng.random() < 0.5}
+    key = rng.choice(sorted(DETECTED))
+    locate({**given, key: spoilt_value(DETECTED[key], rng)})
+
+
+DOORS = [Door("correct_pose", correct_spoilt, 300), Door("locate", locate_spoilt, 200)]
 CASES = [
+    Case("what a detector says as it should be", lambda: locate(DETECTED), None),
     Case("a sigma of 1e155", lambda: correct({**GOOD, "sigma_point": 1e155}), "sigma_point: expected"),
     Case("a prior 1e20 away", lambda: correct({**GOOD, "T": _at(1e20)}), "vision.T_palm_object: translation"),
     Case(

@@ -2,6 +2,7 @@
 
 import io
 import json
+import random
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -9,8 +10,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from handsight.recording.frames import Beside, Unread, open_frames
+from handsight.camera import Camera
+from handsight.recording.bop import Hints
+from handsight.recording.frames import Beside, Frame, Unread, open_frames
 from handsight.vision import read_camera, read_color, read_depth
+from handsight.vision.object.locate import search_mask
 from tests.corpus.door import Case, Door, check_sentence, spoilt_bytes, spoilt_value
 
 STEPS = np.random.default_rng(0).integers(400, 3000, (24, 32)).astype(np.uint16)
@@ -86,13 +90,68 @@ def scene(value: object) -> None:
                 assert (row.camera.size, row.number[0]) == ((32, 24), 1)
 
 
+FOUND = [
+    {
+        "scene_id": 1,
+        "image_id": 0,
+        "category_id": 5,
+        "bbox": [3, 4.5, 10, 8],
+        "score": 0.7,
+        "time": 0.1,
+        "segmentation": {"size": [24, 32], "counts": counts},
+    }
+    for counts in ([100, 20, 648], "T3d0Xd0")
+]
+POSES = "scene_id,im_id,obj_id,score,R,t,time\n1,0,5,0.9,1 0 0 0 1 0 0 0 1,10 -20 800,0.5\n"
+TARGETS = [{"scene_id": 1, "im_id": 0, "obj_id": 5, "inst_count": 2}]
+
+
+def hints(kind: str, content: bytes, good: bool = False) -> None:
+    """Reads a file of another program, and asserts what an image has of it, or that a sentence says why nothing."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "a").write_bytes(content)
+        given = Hints(["cup"], {"cup": 5}, [5], **{kind: Path(folder) / "a"})
+    lens = Camera(np.array([[30.5, 0, 15.5], [0, 30, 11.5], [0, 0, 1]]), (32, 24))
+    for number in ((1, 0), None):
+        frame = Frame(name="000000.png", camera=lens, depth=np.ones((24, 32), np.float32), number=number)
+        for row in given.beside_each([frame]):
+            if isinstance(row, Unread):
+                check_sentence(row.reason)
+                assert not good, row.reason
+                continue
+            for each in row.detections or ():
+                assert search_mask(lens, each.box, each.mask).shape == (24, 32)
+            for Ts in (row.starts or {}).values():
+                np.testing.assert_allclose(np.linalg.det(Ts), 1)
+            assert all(count > 0 for count in (row.targets or {}).values())
+
+
+def spoilt(value: object, rng: random.Random) -> bytes:
+    """Returns a JSON document that is corrupted in its values or its bytes."""
+    if rng.random() < 0.3:
+        return spoilt_bytes(json.dumps(value).encode(), rng)
+    return json.dumps(spoilt_value(value, rng), default=str).encode()
+
+
 DOORS = [
+    Door("detections", lambda rng: hints("detections", spoilt(FOUND, rng)), 300),
+    Door("targets", lambda rng: hints("targets", spoilt(TARGETS, rng)), 100),
+    Door("start", lambda rng: hints("start", spoilt_bytes(POSES.encode(), rng)), 200),
     Door("open_frames", lambda rng: scene(spoilt_value(SCENE, rng)), 200),
     Door("read_depth", lambda rng: depth(spoilt_bytes(PNG, rng)), 300),
     Door("read_color", lambda rng: color(spoilt_bytes(rng.choice([PNG, JPEG]), rng)), 300),
     Door("read_camera", lambda rng: camera(spoilt_value(CAMERA, rng)), 300),
 ]
 CASES = [
+    Case(
+        "detections as they should be",
+        lambda: hints("detections", json.dumps(FOUND).encode(), good=True),
+        None,
+    ),
+    Case(
+        "targets as they should be", lambda: hints("targets", json.dumps(TARGETS).encode(), good=True), None
+    ),
+    Case("poses as they should be", lambda: hints("start", POSES.encode(), good=True), None),
     Case("depth as it should be", lambda: depth(PNG), None),
     Case("colour as it should be", lambda: color(JPEG), None),
     Case("a camera as it should be", lambda: camera(CAMERA), None),

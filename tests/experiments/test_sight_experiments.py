@@ -44,11 +44,12 @@ def test_any_bop_scene_is_scored_by_the_same_command(tmp_path):
     rows = run("sight_frames", tmp_path / "output", "--scenes", scene)["sight_frames"]
     assert [row["told"] for row in rows].count("absent") == 2
     for row in rows:
-        if row["told"] == "absent":  # the brick resembles a part of the letter: it may be claimed
+        if row["told"].startswith("absent"):  # the brick resembles a part of the letter: it may be claimed
             continue
         assert (row["right_s"], row["wrong"]) == ("1", "0")
-        assert float(row["ar"]) > 0.9
-        if row["told"] != "whole image":
+        if row["object"] == "obj_000003":  # the data set declares no symmetries of the brick
+            assert float(row["ar"]) > 0.9
+        if row["told"] in ("box", "mask"):
             assert row["named"] == row["object"]
 
 
@@ -64,7 +65,7 @@ def test_known_objects_are_found_in_real_frames(tmp_path, monkeypatch):
     told = printed("sight_frames", tmp_path / "output", "--trials", "2", "--no-recognition")
     assert "The truth scored as an answer: AR 1.000." in told
     rows = rows_of(tmp_path / "output/sight_frames.csv")
-    there = [row for row in rows if row["told"] != "absent"]
+    there = [row for row in rows if not row["told"].startswith("absent")]
     assert np.mean([row["wrong"] == "1" for row in there]) <= 0.02
     for told, least in (("whole image", 0.3), ("box", 0.7), ("mask", 0.9)):
         assert np.mean([row["right_s"] == "1" for row in there if row["told"] == told]) >= least

@@ -190,3 +190,11 @@ def test_a_colour_image_is_no_mask():
     assert list(stream.report.topics["/mask"].reasons) == [
         "expected encoding mono8, 8UC1, mono16, 16UC1, 32SC1, got 'rgb8'"
     ]
+
+
+def test_a_mask_of_another_size_than_the_camera_is_said():
+    message = Messages().image(START + 0.05, LABELS.astype("u1"), "mono8")
+    _, stream = heard([*touched(20), ("/mask", START + 0.05, message)], rig(mask="/mask"))
+    assert (
+        "mask images on /mask: expected 640 x 480 pixels as the rig's camera has, got 3 x 2" in stream.lacks()
+    )

@@ -150,7 +150,7 @@ WRONG = {
     "a box of less than nothing": ([entry(bbox=[5, 3, -1, 3])], r"a.json: \[0\].bbox\[2\]: expected a number of at least 0, got -1"),
     "a huge box": ([entry(bbox=[0, 0, 1e308, 1e308])], r"a.json: \[0\].bbox\[2\]: expected a number of at most 1e\+06, got 1e\+308"),
     "a score in percent": ([entry(score=97)], r"a.json: \[0\].score: expected a number of at most 1, got 97"),
-    "unknown classes": ([entry(category_id=99), entry(category_id=44)], "a.json: category_id: expected numbers of objects, 3, 7, got 44, 99"),
+    "unknown classes": ([entry(category_id=99), entry(category_id=44)], "a.json: category_id: expected one of 3, 7, got 44, 99"),
     "polygons": ([entry(segmentation=[[1, 2, 3]])], r"a.json: \[0\].segmentation: expected keys and values"),
 }  # fmt: skip
 
@@ -205,4 +205,4 @@ def test_run_lengths_of_any_text_are_refused_or_a_mask(text, counts):
 
 def test_read_detections_is_for_scripts_too(tmp_path):
     (one,) = read_detections(written(tmp_path / "a.json", [entry()]))
-    assert (one.scene_id, one.image_id, one.category_id, one.score) == (48, 1, 3, 0.7)
+    assert (one.scene, one.image, one.object, one.score) == (48, 1, 3, 0.7)

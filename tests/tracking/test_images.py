@@ -13,10 +13,12 @@ from handsight.live import LiveTracker
 from handsight.messages import ObservationStream
 from handsight.messages.topics import rig_topics
 from handsight.objects.symmetry import nearest
+from handsight.observation import Detection2D, PoseMeasurement
 from handsight.recording import RecordingWriter
 from handsight.recording.mcap import McapSource
 from handsight.tracking import TrackerSettings
 from handsight.tracking.replay import Tally, replay
+from handsight.vision import ObjectDetection
 from sight_scenes import SQUARE, TABLE
 from tests.live.recorded import answered, poses
 
@@ -108,6 +110,39 @@ def test_images_alone_find_an_object_though_the_camera_is_misplaced(can, seen):
     assert counts["looked_at"] == sum(o.depth is not None for o in observations)
     assert counts["object_seen"] > 0.9 * counts["looked_at"]
     assert counts["hand_seen"] > 0.7 * counts["hand_sought"] > 0
+
+
+def test_a_tracker_asks_its_source_for_first_poses_and_detections_before_it(can, seen):
+    """The source never finds anything, so that the object is seen only where a detection or a pose says where."""
+    rig, observations = seen
+    asked = []
+
+    def nothing(model, depth, camera, *, hand=None, table=None, noise=None):
+        asked.append(depth.shape)
+        return ObjectDetection.nowhere("I am blind")
+
+    def seen_by(**hint):
+        tracker = hs.Tracker(rig, can.model, source=nothing)
+        for observation in observations[:12]:
+            tracker.update(replace(observation, **(hint if observation.depth is not None else {})))
+        return tracker.images["object_seen"]
+
+    assert seen_by() == 0
+    assert set(asked) == {(240, 320)}
+    camera, T = (
+        Camera.of(rig.camera),
+        se3.inverse(rig.camera.T_mount_camera) @ WRONG @ observations[0].T_world_palm,
+    )
+    T_camera_object = T @ can.T_palm_object
+    u, v = camera.project(T_camera_object[None, :3, 3])[0]
+    box = (u - 60, v - 60, u + 60, v + 60)
+    assert seen_by(detections=(Detection2D("bottle", 1.0, box),)) == 0
+    assert seen_by(detections=(Detection2D(can.model.name, 0.7, box),)) > 0
+    assert seen_by(vision=PoseMeasurement(T_camera_object)) > 0
+    labels = np.zeros((240, 320), np.int32)
+    labels[max(int(v) - 60, 0) : int(v) + 60, max(int(u) - 60, 0) : int(u) + 60] = 7
+    assert seen_by(mask=labels) > 0
+    assert seen_by(mask=labels[1:]) == 0
 
 
 def test_touch_is_fused_with_images(can, seen):

@@ -39,7 +39,7 @@ def test_it_is_worked_out_once(folder, monkeypatch):
     again, none = looked_at(monkeypatch)
     assert (calls, none) == ([1, 1], [0, 0])
     same(first, again)
-    assert again[0].shape == (appearance.DIRECTIONS, appearance.SAMPLES)
+    assert again[0].shape == (appearance.DIRECTIONS, appearance.SAMPLES // 8)
 
 
 @pytest.mark.parametrize(("kind", "made"), [("bits-*", [1, 0]), ("numbers-*", [0, 1])])

@@ -235,7 +235,8 @@ def test_what_no_point_observes_is_unknown_and_the_rest_is_known_to_millimetres(
 
 def test_of_a_convex_object_all_points_that_face_a_direction_are_visible():
     box = hs.ObjectModel.box((0.05, 0.08, 0.03))
-    samples, directions, visible = appearance_of(box).sides[:3]
+    samples, directions, bits, _ = appearance_of(box).sides
+    visible = np.unpackbits(bits, axis=1, bitorder="little")
     ways = box.center_object + appearance.AWAY * box.diameter * directions[:, None] - samples[0]
     cosine = (ways * samples[1]).sum(axis=2) / np.linalg.norm(ways, axis=2)
     assert (visible == (cosine > pose_score.MIN_FACING)).mean() > 0.9999
@@ -243,7 +244,8 @@ def test_of_a_convex_object_all_points_that_face_a_direction_are_visible():
 
 def test_points_behind_another_part_of_the_object_are_hidden():
     """From the side of the small block the foot of the tower is behind it; from above it is not."""
-    samples, directions, visible, _ = appearance_of(model()).sides
+    samples, directions, bits, _ = appearance_of(model()).sides
+    visible = np.unpackbits(bits, axis=1, bitorder="little")
     faces_x = (samples[1][:, 0] > 0.9) & (np.abs(samples[0][:, 0] + 0.01) < 2e-3)  # the tower's side
     behind = faces_x & (np.abs(samples[0][:, 1] + 0.01) < 0.01) & (samples[0][:, 2] < 0.05)
     clear = faces_x & (samples[0][:, 2] > 0.06)

@@ -222,7 +222,7 @@ def test_of_poses_from_elsewhere_it_is_said_which_are_right(name):
     assert judged.better.tolist()[:3] == [False, False, True]
     assert judged.moved[0] == pytest.approx(surface_distance(model, near, judged.Ts_camera_object[0]))
     assert judged.moved[0] < 0.1 * model.diameter
-    np.testing.assert_allclose(judged.probabilities[:2], found.probability)
+    np.testing.assert_allclose(judged.probabilities[:2], found.probability, atol=0.05)
     assert judged.probabilities[2] < 0.02
     (alone,) = locate(model, depth, CAMERA, start=near).starts.right
     assert alone

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
 import handsight as hs
 from handsight import se3
 from handsight.vision import STRUCTURED_LIGHT, locate
-from handsight.vision.reconstruction.completion import closed, one_object
+from handsight.vision.reconstruction.completion import closed, one_object, share_observed
 from handsight.vision.reconstruction.reconstruct import Reconstruction, View
 from handsight.vision.reconstruction.segmentation import on_table
 from handsight.vision.reconstruction.volume import Volume
@@ -147,6 +148,36 @@ def test_unobserved_surface_is_guessed_and_marked(name, guess):
     np.testing.assert_allclose(np.linalg.norm(model.normals, axis=1), 1, atol=1e-9)
     if name == "can":  # a box' mirror images are not all of it
         assert hs.ObjectModel.from_points(model.points, model.normals).closed
+
+
+@pytest.mark.parametrize("name", ["can", "box"])
+@pytest.mark.parametrize("turns", [0.05, 0.4, 1.0])
+def test_the_share_that_was_observed_is_of_the_closed_surface(name, turns):
+    """It is an upper bound: more may be hidden behind what is seen."""
+    Ts, images = views(name, 12, turns)
+    rec, _ = grown(Ts, images, estimate=False)
+    surface = one_object(rec.volume.surface(), rec.volume, table=True)
+    truth = THINGS[name].sample(4000)[0] - [*THINGS[name].center_object[:2], THINGS[name].bounds_object[0, 2]]
+    covered = (cKDTree(surface.points).query(truth)[0] < 0.004).mean()
+    assert covered - 0.05 < share_observed(surface, rec.volume) < covered + 0.25
+    assert share_observed(surface, rec.volume) < 0.9  # the base is hidden
+
+
+def test_a_volume_that_is_added_is_as_if_its_views_had_been_fused():
+    Ts, images = views("can")
+    T_other_self = se3.compose(se3.rotation_exp(np.array([0.3, -0.8, 0.5])), np.array([0.01, 0.02, 0.03]))
+    both, one, other = (Volume(1.5 * BOUNDS, 0.003) for _ in range(3))
+    for k, (T, depth) in enumerate(zip(Ts, images, strict=True)):
+        both.fuse(CAMERA, depth, T)
+        (one if k % 2 else other).fuse(CAMERA, depth, T if k % 2 else T @ se3.inverse(T_other_self))
+    one.add(other, T_other_self)
+    assert one.views == both.views
+    known = np.isfinite(one.distances()) & np.isfinite(both.distances())
+    assert known.sum() > 0.8 * np.isfinite(both.distances()).sum()
+    assert np.quantile(np.abs(one.distances() - both.distances())[known], 0.9) < 1e-3
+    points = one.surface().points
+    points = points[points[:, 2] > 0.01]
+    assert np.abs(off("can", points)).mean() < 1.2e-3
 
 
 def test_a_thing_without_symmetry_is_not_completed_by_one():

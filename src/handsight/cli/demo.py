@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, cast
 
 import typer
 from typer import Option
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from handsight.batch.problems import Problem
     from handsight.cli.track import TrackResult
     from handsight.evaluation import CorrectionErrors
+    from handsight.recording.detections import Located
     from handsight.recording.frames import Frame
     from handsight.rig import Rig
 
@@ -146,7 +147,7 @@ def find_can(plot: Path) -> str:
 
     rig, known = Rig.from_file(DATA / "can.rig.yaml"), json.loads((DATA / "can.picture.json").read_bytes())
     model = replace(rig.objects["can"].model(), name="can")
-    row = locator({model.name: model}, STRUCTURED_LIGHT)(picture(rig, known))
+    row = cast("Located", locator({model.name: model}, STRUCTURED_LIGHT)(picture(rig, known)))
     if row.reason is not None:
         return f"can in an image (synthetic): not found: {row.reason}"
     T, T_true = row.found.Ts_camera_object[0], se3.from_position_quaternion(**known["truth"])

@@ -3,7 +3,8 @@
 import math
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -18,11 +19,15 @@ from handsight.files import check_not_overwritten, stream_name, write_errors
 
 if TYPE_CHECKING:
     from handsight.objects import ObjectModel
-    from handsight.recording.detections import Located
+    from handsight.recording.detections import Located, LocatedAll
     from handsight.recording.frames import Frame, Frames, Unread
     from handsight.rig import DepthCamera
     from handsight.vision import DepthNoise, ObjectDetection
 
+    Row = Located | LocatedAll | Unread
+
+MAX_INSTANCES = 100
+"""Most instances of one object in an image."""
 MOST_PANELS = 6
 """Number of images in the picture."""
 MAX_MESSAGES = 5
@@ -41,11 +46,18 @@ def locate(
         list[str] | None,
         Option(
             "--object",
-            metavar="NAME|FILE",
+            metavar="NAME|FILE[*N]",
             help="Name of an object of the library or, for a recording, of its rig; or a mesh file. Given several "
-            "times: recognise which of these is in the image. Not given: which of all in the rig or the library.",
+            "times: find each that is there; not given: each of all in the rig or the library. NAME*2: at most two "
+            "such; 'NAME*': as many as there are.",
         ),
     ] = None,
+    which: Annotated[
+        bool,
+        Option(
+            "--which", help="Only one of the objects is there: recognise which, or that it is none of them."
+        ),
+    ] = False,
     output: Annotated[
         Path | None,
         Option(
@@ -114,7 +126,7 @@ def locate(
     library: LibraryPlace = None,
     rig: RigPath = None,
 ) -> None:
-    """Locate an object in depth images, without a guess of its pose, and recognise which of several objects it is.
+    """Locate objects in depth images, without a guess of their poses, or recognise which of several objects it is.
 
     Only depth is used. The table and, in a recording, the robot's hand are removed; the remaining points vote for
     poses.
@@ -136,17 +148,19 @@ def locate(
     handsight locate ycbv/test/000048 --object 5 --detections cnos_ycbv-test.json
     handsight locate ycbv/test/000048 --object 5 --start megapose_ycbv-test.csv
     handsight locate can.mcap --plot found.png
-    handsight locate depth.png --object mug --object mustard
-    handsight locate depth.png --library lab/
+    handsight locate depth.png --object mug --object mustard --object can*2
+    handsight locate depth.png --library lab/ --box 200,120,420,400 --which
     ```
 
-    The last two recognise which object is in the image: one of the two, or one of all in the library.
+    Several objects are explained together, each pixel by one of them at most. `--which` recognises the one object in
+    the image, or in a detector's box.
 
     An answer has position [m] and quaternion_xyzw of the object in the camera's frame (x right, y down, z forward),
     covariance (6x6, position then rotation along the camera's axes), the probability that the pose is right, other
-    hypotheses with weights, and seconds; or `"found": false` and the reason. With several objects it also has the
-    probability of each (`scores`) and of `none` of them; the pose is that of the most probable one, and `"object"` is
-    null if `none` is more probable. An image that cannot be read is answered with `{"error": ...}`, and the exit code
+    hypotheses with weights, and seconds; or `"found": false` and the reason. With several objects it lists them in
+    `objects`, and in `missing` why others are not there. With `--which` it has the probability of each (`scores`) and
+    of `none` of them; the pose is that of the most probable one, and `"object"` is null if `none` is more probable. An
+    image that cannot be read is answered with `{"error": ...}`, and the exit code
     is then 1; it is 2 if no image can be read, and 74 if answers cannot be written. After Ctrl-C, the answers until
     then are kept.
     """
@@ -162,7 +176,8 @@ def locate(
             check_not_overwritten(place, what, source, "what is read")
     check_not_overwritten(plot, "the picture", output, "the answers")
     terminal.check_plots(plot)
-    csv, numbers, names = output is not None and output.suffix.lower() == ".csv", None, object or []
+    csv, numbers = output is not None and output.suffix.lower() == ".csv", None
+    names, most = _counted(object or [])
     beside = Beside(camera=camera, color=color, mask=mask, depth_scale=depth_scale)
     if is_recording(images):
         if csv:
@@ -214,32 +229,52 @@ def locate(
         area = (left, top, right, bottom)
         each = (within(frame, area) if isinstance(frame, Frame) else frame for frame in frames.each)
         frames = frames._replace(each=each)
-    if code := _locate_all(frames, models, noise, output, plot, numbers):
+    counts = {name: most[given] for name, given in zip(models, names, strict=False) if given in most}
+    if code := _locate_each(frames, models, None if which else counts, noise, output, plot, numbers):
         raise typer.Exit(code)
 
 
-def _locate_all(
+def _counted(given: list[str]) -> tuple[list[str], dict[str, int | None]]:
+    """Returns the names of objects, each once, and how many there are at most of those that were given with a number or
+    several times; None: any number. Raises InvalidInput."""
+    names, most = list[str](), dict[str, int | None]()
+    for each in given:
+        name, star, digits = each.partition("*")
+        if digits and not (digits.isascii() and digits.isdecimal() and 0 < int(digits) <= MAX_INSTANCES):
+            expected = f"expected NAME*N with a number from 1 to {MAX_INSTANCES}"
+            raise InvalidInput(f"--object: {expected}, got {each!r:.80}")
+        if name not in names:
+            names.append(name)
+            if star:
+                most[name] = int(digits) if digits else None
+        else:
+            before = most.get(name, 1)
+            most[name] = None if before is None or (star and not digits) else before + int(digits or 1)
+    return names, most
+
+
+def _locate_each(
     frames: "Frames",
     models: "Mapping[str, ObjectModel]",
+    counts: Mapping[str, int | None] | None,
     noise: "DepthNoise",
     output: Path | None,
     plot: Path | None,
     numbers: Mapping[str, int] | None,
 ) -> int:
-    """Locates one of the objects in each image, and returns the command's exit code.
+    """Locates objects in each image, and returns the command's exit code.
 
     The answers are written to a file or stdout, or shown as a table on a terminal; after Ctrl-C or an error, those
-    until then. An error before the first answer is raised. `numbers`: BOP's numbers of the objects, by name, for BOP's
-    results; None: the answers are lines of JSON.
+    until then. An error before the first answer is raised. `counts`: as `locator` takes them. `numbers`: BOP's numbers
+    of the objects, by name, for BOP's results; None: the answers are lines of JSON.
     """
     from handsight.recording.bop import BOP_COLUMNS
-    from handsight.recording.detections import bop_line, json_line
+    from handsight.recording.detections import bop_lines, json_line
     from handsight.recording.frames import Unread
 
-    done, found, locate_in, several = 0, 0, None, len(models) > 1
-    # Messages about images that cannot be read, and about those without the object.
-    unread, missed = list[str](), list[str]()
-    panels, cells = list["Located"](), list[list[str]]()  # for the picture, and for the table
+    done, found, locate_in, several = 0, 0, None, len(models) > 1 or bool(counts)
+    panels, cells = list["Located | LocatedAll"](), list[list[str]]()  # for the picture, and for the table
+    unread, missed = list[str](), list[str]()  # messages about images
     as_table = output is None and sys.stdout.isatty()
     with (
         terminal.output_stream(output) as sink,
@@ -247,22 +282,21 @@ def _locate_all(
         terminal.bar("locating") as move,
     ):
 
-        def write(line: str | None) -> None:
-            """Writes the line of an answer at once; None: it has none."""
-            if line is not None:
-                with write_errors(stream_name(sink)):
-                    sink.write(f"{line}\n")
-                    sink.flush()
+        def write(*lines: str) -> None:
+            """Writes the lines of an answer at once."""
+            with write_errors(stream_name(sink)):
+                sink.writelines(f"{line}\n" for line in lines)
+                sink.flush()
 
         if numbers is not None:
             write(BOP_COLUMNS)
         for frame in frames.each:
-            row: Located | Unread
+            row: Row
             if isinstance(frame, Unread):
                 row = frame
                 unread.append(f"handsight: {frame.reason}")
             else:
-                locate_in = locate_in or locator(models, noise)
+                locate_in = locate_in or locator(models, noise, counts)
                 row = locate_in(frame)
                 found += row.reason is None
                 if row.reason is not None:
@@ -271,14 +305,20 @@ def _locate_all(
                     panels.append(row)
             done += 1  # after the search, which Ctrl-C may end
             if as_table:
-                cells.append(_cells(row, several=several))
+                cells += _table_rows(row, several=several)
             else:
-                write(json_line(row) if numbers is None else bop_line(row, numbers))
+                write(*([json_line(row)] if numbers is None else bop_lines(row, numbers)))
             move(done / frames.total if frames.total else None, f"{done} of {frames.total or '?'} images")
     if cells:
-        which = ["object"] * several
-        title = (f"{len(models)} objects" if several else next(iter(models))) + " in depth images"
-        columns = ["image", *which, "x, y, z in the camera [mm]", "± [mm]", "± [°]", "explained"]
+        title = (f"{len(models)} objects" if len(models) > 1 else next(iter(models))) + " in depth images"
+        columns = [
+            "image",
+            *["object"] * several,
+            "x, y, z in the camera [mm]",
+            "± [mm]",
+            "± [°]",
+            "explained",
+        ]
         columns += ["weight", "others", "ms"]
         terminal.print_out(terminal.table(columns, cells, texts=1 + several, title=title))
     if isinstance(end.error, HandsightError) and not done:
@@ -296,75 +336,91 @@ def _locate_all(
     return terminal.FAILED if panels else terminal.WRONG_INPUT
 
 
-def locator(models: "Mapping[str, ObjectModel]", noise: "DepthNoise") -> "Callable[[Frame], Located]":
-    """Returns a function that locates the object in an image; if there are several, the most probable one.
+def locator(
+    models: "Mapping[str, ObjectModel]", noise: "DepthNoise", counts: Mapping[str, int | None] | None = None
+) -> "Callable[[Frame], Located | LocatedAll]":
+    """Returns a function that locates the object in an image, or each that is there of several.
 
-    Everything that is compiled or computed once is done here, so that the seconds of an image do not contain it.
+    counts: how many there are at most, by name, of several objects or of one in `counts`; a value of None: any number.
+    `counts` is None: only one object is there, and of several it is said which. Everything that is compiled or computed
+    once is done here, so that the seconds of an image do not contain it.
     """
     import numpy as np
 
     from handsight.camera import Camera
-    from handsight.recording.detections import Located
-    from handsight.vision import locate, recognise
+    from handsight.recording.detections import Located, LocatedAll
+    from handsight.vision import locate_all
     from handsight.vision.object.first_pose import first_pose
-    from handsight.vision.object.locate import recognition_of
+    from handsight.vision.object.locate import recognise, recognition_of
     from handsight.vision.object.region import scene_of
 
-    first, matrix = next(iter(models.values())), np.array([[64, 0, 32], [0, 64, 24], [0, 0, 1.0]])
+    matrix = np.array([[64, 0, 32], [0, 64, 24], [0, 0, 1.0]])
     camera = Camera(matrix, (64, 48))
     for model in models.values():
         in_front = model.vertices - model.center_object + [0, 0, min(2 * model.diameter, 5.0)]
         drawn = camera.draw(in_front, model.faces).depth
         first_pose(model, scene_of(camera, drawn, extent=model.diameter), noise=noise)
 
-    def locate_in(frame: "Frame") -> "Located":
-        """Returns the object's pose in an image, and how long the search took."""
-        recognition, started = None, time.perf_counter()
+    def locate_in(frame: "Frame") -> "Located | LocatedAll":
+        """Returns the objects' poses in an image, and how long the search took."""
+        started, asked, found = time.perf_counter(), models, None
         camera, depth, mask, hand = frame.camera, frame.depth, frame.wanted, frame.hand
-        asked = models
         if frame.targets is not None:
             asked = {name: models[name] for name in frame.targets}
-        if frame.detections is not None or frame.starts is not None:
-            found_of = {name: _found_beside(frame, each, name, noise) for name, each in asked.items()}
-            recognition = None if len(models) == 1 else recognition_of(found_of)
-        elif len(models) == 1:
-            found_of = {
-                name: locate(first, depth, camera, mask=mask, hand=hand, noise=noise) for name in models
-            }
-        else:
-            recognition = recognise(asked, depth, camera, mask=mask, hand=hand, noise=noise)
-            found_of = recognition.found
-        name = next(iter(recognition.scores)) if recognition else next(iter(found_of))
-        model, found = models[name], found_of[name]
+        beside = frame.detections is not None or frame.starts is not None
+        most = {name: n for name, n in (frame.targets or counts or {}).items() if n is not None}
+        if counts is None or (len(models) == 1 and not counts and max(most.values(), default=1) == 1):
+            recognition = None
+            if beside or len(models) == 1:
+                each = {name: _found_beside(frame, model, name, noise) for name, model in asked.items()}
+                recognition = None if len(models) == 1 else recognition_of(each)
+            else:
+                recognition = recognise(asked, depth, camera, mask=mask, hand=hand, noise=noise)
+                each = recognition.found
+            name = next(iter(recognition.scores)) if recognition else next(iter(each))
+            model, seconds = models[name], time.perf_counter() - started
+            return Located(
+                frame=frame, model=model, found=each[name], seconds=seconds, recognition=recognition
+            )
+        if beside:
+            found = {name: _each_beside(frame, model, name, noise) for name, model in asked.items()}
+        scene = locate_all(asked, depth, camera, counts=most, found=found, mask=mask, hand=hand, noise=noise)
+        judged = {name: each[0].starts for name, each in (found or {}).items() if each}
+        starts = {name: one for name, one in judged.items() if one is not None}
         seconds = time.perf_counter() - started
-        return Located(frame=frame, model=model, found=found, seconds=seconds, recognition=recognition)
+        return LocatedAll(frame=frame, models=models, found=scene, seconds=seconds, starts=starts)
 
     return locate_in
 
 
+def _each_beside(
+    frame: "Frame", model: "ObjectModel", name: str, noise: "DepthNoise"
+) -> "list[ObjectDetection]":
+    """Returns where an object is by each of the detections in an image, or by the poses that were given."""
+    from handsight.vision.object.first_pose_source import MAX_DETECTIONS
+
+    if frame.detections is None:
+        return [_found_beside(frame, model, name, noise)]
+    mine = [each for each in frame.detections if each.label in ("", name)]
+    best = sorted(mine, key=lambda each: -(each.score or 1.0))[:MAX_DETECTIONS]
+    return [_found_beside(replace(frame, detections=(each,)), model, name, noise) for each in best]
+
+
 def _found_beside(frame: "Frame", model: "ObjectModel", name: str, noise: "DepthNoise") -> "ObjectDetection":
     """Returns where an object is in an image, by what other programs say of it."""
-    from handsight.vision import locate, locate_detected
+    from handsight.observation import Detection2D
+    from handsight.vision import locate_detected
 
-    start = None if frame.starts is None else frame.starts.get(name)
-    if frame.detections is None:
-        return locate(
-            model, frame.depth, frame.camera, mask=frame.wanted, start=start, hand=frame.hand, noise=noise
-        )
-    mine = [each for each in frame.detections if each.label in ("", name)]
+    detections, start = frame.detections, (frame.starts or {}).get(name)
+    anywhere = (Detection2D(),)
+    mine = [each for each in (anywhere if detections is None else detections) if each.label in ("", name)]
+    camera, mask, hand = frame.camera, frame.wanted, frame.hand
     return locate_detected(
-        model,
-        frame.depth,
-        frame.camera,
-        detections=mine,
-        mask=frame.wanted,
-        start=start,
-        hand=frame.hand,
-        noise=noise,
+        model, frame.depth, camera, detections=mine, mask=mask, start=start, hand=hand, noise=noise
     )
 
 
-def draw(panels: "list[Located]", path: Path) -> str:
+def draw(panels: "Sequence[Located | LocatedAll]", path: Path) -> str:
     """Draws images with the poses found in them to a file, and returns a sentence that names it."""
     from handsight.viewer.detection_figures import draw_located
 
@@ -372,22 +428,32 @@ def draw(panels: "list[Located]", path: Path) -> str:
     return f"wrote {path}"
 
 
-def _cells(row: "Located | Unread", *, several: bool) -> list[str]:
-    """Returns an answer as a row of the table; `several`: whether it has a column of the object."""
+def _table_rows(row: "Row", *, several: bool) -> list[list[str]]:
+    """Returns the cells of an answer's rows in the table, one row for each object that was found; `several`: whether
+    there is a column of the object."""
+    from handsight.recording.detections import Located
     from handsight.recording.frames import Unread
 
     if isinstance(row, Unread):
-        return [row.name, *[""] * several, "cannot be read"]
-    which = []
-    if (answer := row.recognition) is not None:
-        probability = answer.none if answer.name is None else answer.scores[answer.name]
-        which = [f"{answer.name or 'none'}: {probability:.2f}"]
-    milliseconds = f"{1e3 * row.seconds:.0f}"
+        return [[row.name, *[""] * several, "cannot be read"]]
+    milliseconds, which, rows = f"{1e3 * row.seconds:.0f}", ["none"] * several, list[list[str]]()
+    for each in [row] if isinstance(row, Located) else row.instances:
+        if (answer := each.recognition) is not None:
+            probability = answer.none if answer.name is None else answer.scores[answer.name]
+            which = [f"{answer.name or 'none'}: {probability:.2f}"]
+        elif several:
+            which = [f"{each.model.name}: {each.found.probability:.2f}"]
+        rows.append([each.frame.name, *which, *_cells(each), milliseconds])
+    return rows or [[row.frame.name, *which, "not here", *[""] * 5, milliseconds]]
+
+
+def _cells(row: "Located") -> list[str]:
+    """Returns the cells of a row of the table that are of the pose."""
     if row.reason is not None:
-        return [row.frame.name, *which, "not here", *[""] * 5, milliseconds]
+        return ["not here", *[""] * 5]
     T, covariance = row.found.Ts_camera_object[0], row.found.covariances[0]
     shift, turn = (math.sqrt(covariance.diagonal()[part].max()) for part in (slice(3), slice(3, 6)))
     place = ", ".join(f"{1e3 * x:.1f}" for x in T[:3, 3])
     sigmas = (f"{1e3 * shift:.1f}", f"{math.degrees(turn):.1f}")
     weights = (f"{row.found.weights[0]:.2f}", str(len(row.found.weights) - 1))
-    return [row.frame.name, *which, place, *sigmas, f"{row.explained:.0%}", *weights, milliseconds]
+    return [place, *sigmas, f"{row.explained:.0%}", *weights]

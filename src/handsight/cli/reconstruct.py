@@ -46,8 +46,8 @@ def reconstruct(
         bool,
         Option(
             "--guesses",
-            help="Add guesses of what no view has shown, by symmetry and down to the table. They can be off by "
-            "centimetres. Default: the surface stays open there.",
+            help="Guess what no view has shown by symmetry: this can be off by centimetres. Default: the surface stays "
+            "open there.",
         ),
     ] = False,
     former_robot_poses: Annotated[bool, Option("--given", hidden=True)] = False,
@@ -61,9 +61,9 @@ def reconstruct(
     before, if enough of it is seen in both; so what the fingers hid becomes visible. Turn by a few degrees from view to
     view, and show as many sides as possible.
 
-    The sides that no view shows stay open, or are guessed (`--guesses`): by a symmetry that contradicts no measurement,
-    and by extending the lowest points straight down to the table, if there is one. In the file, `measured` is 1 for
-    measured points and 0 for guesses, and `sigma` is the standard deviation [m].
+    The sides that no view shows stay open, or are guessed by a symmetry that contradicts no measurement (`--guesses`).
+    On a table the lowest points are extended straight down to it. In the file, `measured` is 1 for measured points and
+    0 for guesses, and `sigma` is the standard deviation [m].
 
     ```
     handsight reconstruct around.mcap --rig robot.yaml --output mustard.ply
@@ -101,10 +101,10 @@ def reconstruct(
         with write_errors(output), atomic_file(output) as file:
             file.write(content)
         size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(model.points, axis=0))
-        guessed = f"guessed: {'; '.join(model.guesses) or 'nothing'}" if guesses else "the rest is left open"
+        guessed = "; ".join(model.guesses) or "nothing"
         messages += [
             *fusion.sentences(),
-            f"{size} mm, at most {100 * fusion.observed:.0f} % of the closed surface seen; {guessed}",
+            f"{size} mm, at most {100 * fusion.observed:.0f} % of the closed surface measured; guessed: {guessed}",
             f"wrote {output}: {len(model.points)} points",
         ]
     finally:
@@ -123,7 +123,7 @@ class Fusion:
     in_hand: bool
     """Whether the object is in the hand, or on a table."""
     guesses: bool = False
-    """Whether the model has guesses of what no view has shown."""
+    """Whether the model has what symmetries say of sides that no view has shown."""
     reconstruction: "Reconstruction | InHandReconstruction | None" = None
     """None before the object was found."""
     images: int = 0
@@ -154,7 +154,6 @@ class Fusion:
         camera = recording.camera()
         T_reference_object = np.eye(4)
         for view in (in_hand_views if self.in_hand else views_of)(chain([first], with_depth), rig, camera):
-            self.images += 1
             if self.reconstruction is None and not isinstance(view, str):
                 if self.in_hand:
                     self.reconstruction = InHandReconstruction(camera)
@@ -168,14 +167,12 @@ class Fusion:
             else:
                 placed = replace(view, T_camera_object=view.T_camera_object @ T_reference_object)
                 self.fitted += self.reconstruction.grow(placed, estimate=self.align) is not None
+            self.images += 1
             watch(self)
 
     def model(self) -> "ReconstructedModel":
         """Returns the object's model; raises InvalidInput where too little of it was measured."""
-        import numpy as np
-
         from handsight.vision.reconstruction.completion import (
-            ReconstructedModel,
             closed,
             one_object,
             share_observed,
@@ -206,9 +203,7 @@ class Fusion:
                 "(do depth, intrinsics and the camera's pose belong together?)"
             )
         self.observed = share_observed(surface, volume)
-        if self.guesses:
-            return closed(surface, volume, table=not self.in_hand)
-        return ReconstructedModel(*surface, np.ones(len(surface.points), dtype=bool), ())
+        return closed(surface, volume, table=not self.in_hand, symmetries=self.guesses)
 
     @property
     def views(self) -> int:

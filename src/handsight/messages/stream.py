@@ -51,7 +51,7 @@ class ObservationStream:
                 self.report.topics[name] = topic
         self.report.others |= {name: kind for name, kind in known.items() if name not in self.topics}
         self._joint_names = set[str]()
-        self._depth_size: tuple[int, ...] | None = None
+        self._sizes = dict[str, tuple[int, ...]]()
         self._fast = {"cdr": FastReader("cdr"), "ros1": FastReader("ros1")}
         self.order = order(self.report)
         self._assembler = ObservationAssembler(rig, self.report)
@@ -76,8 +76,8 @@ class ObservationStream:
                 self.intrinsics = measurement.value
                 topic.used += 1
             else:
-                if topic.role == "depth":
-                    self._depth_size = measurement.value.shape[1::-1]
+                if topic.role in ("depth", "mask"):
+                    self._sizes[topic.role] = measurement.value.shape[1::-1]
                 if topic.role == "joints":
                     self._joint_names.update(measurement.value)
                 found += self._assembled(self.order.put(measurement))
@@ -126,11 +126,12 @@ class ObservationStream:
         topics = self._rig.topics
         of_rig = None if self._rig.camera is None else self._rig.camera.size
         of_info = None if self.intrinsics is None else self.intrinsics.size
-        depth, info = f"depth images on {topics.depth}", f"camera info on {topics.camera_info}"
+        images = {"depth": f"depth images on {topics.depth}", "mask": f"mask images on {topics.mask}"}
+        sizes = [(what, self._sizes.get(role)) for role, what in images.items()]
         for what, came, expected, who in (
-            (depth, self._depth_size, of_info, "CameraInfo says"),
-            (depth, self._depth_size, of_rig if of_info is None else None, "the rig's camera has"),
-            (info, of_info, of_rig, "the rig's camera has"),
+            *((*each, of_info, "CameraInfo says") for each in sizes),
+            *((*each, of_rig if of_info is None else None, "the rig's camera has") for each in sizes),
+            (f"camera info on {topics.camera_info}", of_info, of_rig, "the rig's camera has"),
         ):
             if came is not None and expected is not None and tuple(came) != tuple(expected):
                 size = f"{expected[0]} x {expected[1]} pixels as {who}"

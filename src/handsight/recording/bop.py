@@ -7,8 +7,8 @@ https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md an
 import csv
 import os
 import re
-from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -167,9 +167,9 @@ def _run_lengths(text: str) -> list[int]:
 class DetectionForm(msgspec.Struct):
     """A `DetectionForm` is an entry of a file of detections; other keys, such as `time`, are ignored."""
 
-    scene_id: Number
-    image_id: Number
-    category_id: Number
+    scene: Number = msgspec.field(name="scene_id")
+    image: Number = msgspec.field(name="image_id")
+    object: Number = msgspec.field(name="category_id")
     bbox: tuple[Place, Place, Extent, Extent]
     """First column and row, width and height [pixels]."""
     score: Annotated[float, Meta(ge=0, le=1)]
@@ -179,9 +179,9 @@ class DetectionForm(msgspec.Struct):
 class TargetForm(msgspec.Struct):
     """A `TargetForm` is an entry of `test_targets_bop19.json`: how often an object is in an image."""
 
-    scene_id: Number
-    im_id: Number
-    obj_id: Number
+    scene: Number = msgspec.field(name="scene_id")
+    image: Number = msgspec.field(name="im_id")
+    object: Number = msgspec.field(name="obj_id")
     inst_count: Annotated[int, Meta(ge=1, le=10_000)] = 1
 
 
@@ -190,8 +190,13 @@ def read_detections(path: str | os.PathLike[str]) -> list[DetectionForm]:
     return decode(read_bytes(path, BOP.max_bytes), list[DetectionForm], str(path))
 
 
-Row = tuple[str, Any]
-"""The name of an object, and what is said of it."""
+def read_targets(path: str | os.PathLike[str]) -> list[TargetForm]:
+    """Returns which objects to find, of a file such as `test_targets_bop19.json`; raises InvalidFile."""
+    return decode(read_bytes(path, BOP.max_bytes), list[TargetForm], str(path))
+
+
+Rows = dict[ImageNumber, list[tuple[str, int, Any]]]
+"""By image: the name of an object, the index of an entry of a file about it, and that entry."""
 
 
 class Hints:
@@ -212,79 +217,55 @@ class Hints:
         names: of the objects to locate; numbers: those of them that BOP's files call by a number, by name; known: the
         numbers of all objects that there are. One object without a number is the one of a file that has only one.
         """
-        self._names, self._numbers, self._known = names, dict(numbers), {*known, *numbers.values()}
+        self._name, self._alone = names[0], len(names) == 1 and not numbers
+        self._names, self._known = (
+            {number: name for name, number in numbers.items()},
+            {*known, *numbers.values()},
+        )
         self.sentences: list[str] = []
         """What a user should know of the files."""
-        self._detections = self._starts = self._targets = None
-        self._place = detections
-        if detections is not None:
-            found = read_detections(detections)
-            self._detections = self._by_image(
-                detections,
-                "category_id",
-                [
-                    ((each.scene_id, each.image_id), each.category_id, (k, each))
-                    for k, each in enumerate(found)
-                ],
-            )
-        if start is not None:
-            results = sorted(read_bop_results(start), key=lambda each: -each.score)
-            self._starts = self._by_image(
-                start,
-                "obj_id",
-                [((each.scene, each.image), each.object, each.T_camera_object) for each in results],
-            )
-        if targets is not None:
-            asked = decode(read_bytes(targets, BOP.max_bytes), list[TargetForm], str(targets))
-            rows = [((each.scene_id, each.im_id), each.obj_id, each.inst_count) for each in asked]
-            self._targets = self._by_image(targets, "obj_id", rows)
+        self._place, by_image = detections, self._by_image
+        self._detections = by_image(detections, "category_id", read_detections)
+        self._starts = by_image(start, "obj_id", read_bop_results)
+        self._targets = by_image(targets, "obj_id", read_targets)
 
-    def _by_image(
-        self, path: Path, key: str, rows: list[tuple[ImageNumber, int, Any]]
-    ) -> dict[ImageNumber, list[Row]]:
-        """Returns the rows of a file that are of the objects to locate, by image."""
-        came, by_number = {number for _, number, _ in rows}, {self._numbers[n]: n for n in self._numbers}
-        if len(self._names) == 1 and not self._numbers and len(came) == 1:
-            by_number = dict.fromkeys(came, self._names[0])
+    def _by_image(self, path: Path | None, key: str, read: Callable[[Path], list[Any]]) -> Rows | None:
+        """Returns the entries of a file that are of the objects to locate, by image; None: there is no file."""
+        if path is None:
+            return None
+        rows, names = read(path), self._names
+        came, known = {row.object for row in rows}, ", ".join(map(str, sorted(self._known)[:10]))
+        if self._alone and len(came) == 1:
+            names = dict.fromkeys(came, self._name)
         elif strange := sorted(came - self._known):
             listed = ", ".join(map(str, strange[:5]))
             if len(strange) == len(came):
-                known = f"numbers of objects, {', '.join(map(str, sorted(self._known)[:10]))}"
-                expected = (
-                    known
-                    if self._known
-                    else f"one object only, as {self._names[0]} has no number in a library"
+                alone = f"one object only, as {self._name} has no number in a library"
+                raise InvalidFile(
+                    f"{path}: {key}: expected {f'one of {known}' if known else alone}, got {listed}"
                 )
-                raise InvalidFile(f"{path}: {key}: expected {expected}, got {listed}")
             self.sentences.append(f"{path}: {key} {listed}: no such object; left out")
-        found = defaultdict[ImageNumber, list[Row]](list)
-        for image, number, value in rows:
-            if number in by_number:
-                found[image].append((by_number[number], value))
-            else:
-                found[image] += []  # an image in which others are
+        found: Rows = defaultdict(list)
+        for k, row in enumerate(rows):
+            found[row.scene, row.image] += [(names[row.object], k, row)] if row.object in names else []
         return dict(found)
 
-    def _of(self, frame: Frame, rows: Mapping[ImageNumber, list[Row]]) -> list[Row]:
-        """Returns the rows of an image; raises InvalidInput where its number is unknown.
+    def _of(self, frame: Frame, rows: Rows | None) -> list[tuple[str, int, Any]]:
+        """Returns the entries about an image; raises InvalidInput where its number is unknown.
 
         An image of a folder has the last number in its name, and is of the only scene that there is.
         """
-        if frame.number is not None:
-            return rows.get(frame.number, [])
-        scenes, digits = {scene for scene, _ in rows}, re.findall(r"[0-9]+", Path(frame.name).stem)
+        if rows is None or frame.number is not None:
+            return [] if rows is None else rows.get(frame.number or (0, 0), [])
+        scenes, digits = sorted({scene for scene, _ in rows}), re.findall(r"[0-9]+", Path(frame.name).stem)
         if len(scenes) > 1:
-            listed = ", ".join(map(str, sorted(scenes)[:5]))
-            raise InvalidInput(
-                f"{frame.name}: expected files of one scene beside images of none, got {listed}"
-            )
+            listed, expected = ", ".join(map(str, scenes[:5])), "files of one scene beside images of none"
+            raise InvalidInput(f"{frame.name}: expected {expected}, got {listed}")
         if not digits and len(rows) > 1:
             raise InvalidInput(
                 f"{frame.name}: expected a number in its name, by which a file has it, got none"
             )
-        return next(
-            (found for (_, image), found in rows.items() if not digits or image == int(digits[-1])), []
-        )
+        return next((rows[each] for each in rows if not digits or each[1] == int(digits[-1])), [])
 
     def beside_each(self, frames: Iterable[Frame | Unread]) -> Iterator[Frame | Unread]:
         """Yields the frames with what the files say of them, without those in which nothing is to be found."""
@@ -298,27 +279,21 @@ class Hints:
 
     def beside(self, frame: Frame) -> Frame | None:
         """Returns a frame with what the files say of it; None: no target is in it. Raises HandsightError."""
-        targets, starts, detections = None, None, frame.detections
-        if self._targets is not None:
-            targets = dict[str, int]()
-            for name, count in self._of(frame, self._targets):
-                targets[name] = targets.get(name, 0) + count
-            if not targets:
-                return None
-        if self._starts is not None:
-            Ts = defaultdict[str, list[Array]](list)
-            for name, T in self._of(frame, self._starts):
-                Ts[name].append(T)
-            starts = {name: np.array(poses[: BOP.max_starts]) for name, poses in Ts.items()}
+        targets, Ts, detections = Counter[str](), defaultdict[str, list[Array]](list), frame.detections
+        for name, _, target in self._of(frame, self._targets):
+            targets[name] += target.inst_count
+        if self._targets is not None and not targets:
+            return None
+        for name, _, result in sorted(self._of(frame, self._starts), key=lambda row: -row[2].score):
+            Ts[name].append(result.T_camera_object)
+        starts = {name: np.array(poses[: BOP.max_starts]) for name, poses in Ts.items()}
         if detections is not None:
-            names = {str(number): name for name, number in self._numbers.items()}
+            names = {str(number): name for number, name in self._names.items()}
             detections = tuple(replace(each, label=names.get(each.label, each.label)) for each in detections)
         if self._detections is not None:
-            found = [
-                self._detection(frame, name, *value) for name, value in self._of(frame, self._detections)
-            ]
+            found = (self._detection(frame, *row) for row in self._of(frame, self._detections))
             detections = (*(detections or ()), *found)
-        return replace(frame, detections=detections, starts=starts, targets=targets)
+        return replace(frame, detections=detections, starts=starts or None, targets=dict(targets) or None)
 
     def _detection(self, frame: Frame, name: str, index: int, form: DetectionForm) -> Detection2D:
         """Returns a detection with its mask; raises InvalidFile."""

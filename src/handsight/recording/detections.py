@@ -2,16 +2,18 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from handsight import se3
 from handsight.objects import ObjectModel
 from handsight.recording.frames import Frame, Unread
-from handsight.vision import ObjectDetection
+from handsight.vision import JudgedStarts, ObjectDetection, SceneDetection
 from handsight.vision.object.locate import Recognition
 
+MAX_REASONS = 3
+"""Reasons that are listed why none of several objects was found."""
 FAR = 3.0
 """A median depth beyond which an object that was not found may be in an image of another unit [m]."""
 
@@ -52,52 +54,102 @@ class Located:
         return float(np.clip(candidate["explained"] / max(candidate["expected"], 1.0), 0, 1))
 
 
-def json_line(row: Located | Unread) -> str:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LocatedAll:
+    """A `LocatedAll` is the result of locating all of several objects in one image."""
+
+    frame: Frame
+    models: Mapping[str, ObjectModel]
+    found: SceneDetection
+    seconds: float
+    """Duration of the search [s]."""
+    starts: Mapping[str, JudgedStarts] = field(default_factory=dict)
+    """Of poses that were given, by the object's name: are they right?"""
+
+    @property
+    def instances(self) -> list[Located]:
+        """Each object that was found, the most probable first."""
+        each = ((i.name, replace(i.detection, probability=i.probability)) for i in self.found.instances)
+        return [
+            Located(frame=self.frame, model=self.models[name], found=one, seconds=self.seconds)
+            for name, one in each
+        ]
+
+    @property
+    def reason(self) -> str | None:
+        """Why none was found; None: at least one was found."""
+        if self.found.instances:
+            return None
+        reasons = list(dict.fromkeys(self.found.missing.values()))
+        more = [f"and {len(reasons) - MAX_REASONS} more"] * (len(reasons) > MAX_REASONS)
+        return "; ".join([*reasons[:MAX_REASONS], *more])
+
+
+def json_line(row: Located | LocatedAll | Unread) -> str:
     """Returns a line of JSON without its newline; for an unreadable image, `{"frame": ..., "error": ...}`.
 
     Poses are `T_camera_object`, in the camera's optical frame [m].
     """
     if isinstance(row, Unread):
         return json.dumps({"frame": row.name, "error": row.reason})
-    frame, found, reason = row.frame, row.found, row.reason
+    frame, reason = row.frame, row.reason
     fields: dict[str, object] = {"frame": frame.name}
     if frame.number is not None:
         fields |= dict(zip(("scene_id", "im_id"), frame.number, strict=True))
+    if isinstance(row, LocatedAll):
+        pixels = [int(each.pixels.sum()) for each in row.found.instances]
+        objects = [
+            {"object": each.model.name} | _pose_fields(each) | {"pixels": n}
+            for each, n in zip(row.instances, pixels, strict=True)
+        ]
+        fields |= {"found": reason is None, "objects": objects, "missing": row.found.missing}
+        if row.starts:
+            fields["starts"] = {name: _judged(starts) for name, starts in row.starts.items()}
+        return json.dumps(fields | {"seconds": row.seconds}, allow_nan=False)
     fields |= {"object": row.name, "found": reason is None}
     if row.recognition is not None:
         fields |= {"scores": row.recognition.scores, "none": row.recognition.none}
-    if reason is None:
-        columns = found.Ts_camera_object, found.covariances, found.weights
-        poses = [
-            {
-                "position": T[:3, 3].tolist(),
-                "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3]).tolist(),
-                "covariance": covariance.tolist(),
-                "weight": float(weight),
-            }
-            for T, covariance, weight in zip(*columns, strict=True)
-        ]
-        fields |= {key: value for key, value in poses[0].items() if key != "weight"}
-        fields |= {"probability": found.probability, "explained": row.explained, "hypotheses": poses}
-    else:
-        fields["reason"] = reason
-    if (starts := found.starts) is not None:
-        judged = starts.right, starts.probabilities, starts.moved, starts.better
-        names = "right", "probability", "moved", "better"
-        each = zip(*(column.tolist() for column in judged), strict=True)
-        fields["starts"] = [dict(zip(names, values, strict=True)) for values in each]
+    fields |= _pose_fields(row) if reason is None else {"reason": reason}
+    if (starts := row.found.starts) is not None:
+        fields["starts"] = _judged(starts)
     return json.dumps(fields | {"seconds": row.seconds}, allow_nan=False)
 
 
-def bop_line(row: Located | Unread, numbers: Mapping[str, int]) -> str | None:
-    """Returns a line of BOP results without its newline; None where there is no pose.
+def _pose_fields(row: Located) -> dict[str, object]:
+    """Returns an object's pose, probability and hypotheses as JSON has them."""
+    columns = row.found.Ts_camera_object, row.found.covariances, row.found.weights
+    poses = [
+        {
+            "position": T[:3, 3].tolist(),
+            "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3]).tolist(),
+            "covariance": covariance.tolist(),
+            "weight": float(weight),
+        }
+        for T, covariance, weight in zip(*columns, strict=True)
+    ]
+    fields = {key: value for key, value in poses[0].items() if key != "weight"}
+    return fields | {"probability": row.found.probability, "explained": row.explained, "hypotheses": poses}
 
-    `numbers`: BOP's numbers of the objects, by name. The score is `explained`.
+
+def _judged(starts: JudgedStarts) -> list[dict[str, object]]:
+    """Returns what the image says of poses that were given as JSON has it."""
+    judged = starts.right, starts.probabilities, starts.moved, starts.better
+    each = zip(*(column.tolist() for column in judged), strict=True)
+    return [dict(zip(("right", "probability", "moved", "better"), values, strict=True)) for values in each]
+
+
+def bop_lines(row: Located | LocatedAll | Unread, numbers: Mapping[str, int]) -> list[str]:
+    """Returns the lines of BOP results without their newlines, one for each object that was found.
+
+    `numbers`: BOP's numbers of the objects, by name. The score is `explained`; the time is that of the whole image.
     """
     if isinstance(row, Unread) or row.reason is not None:
-        return None
-    T = row.found.Ts_camera_object[0]
-    parts = T[:3, :3], T[:3, 3] / 1e-3  # t in mm
-    R, t = (" ".join(f"{value:.6f}" for value in part.ravel()) for part in parts)
-    scene, image = row.frame.number or (0, 0)
-    return f"{scene},{image},{numbers[row.model.name]},{row.explained:.4f},{R},{t},{row.seconds:.4f}"
+        return []
+    lines = list[str]()
+    for each in [row] if isinstance(row, Located) else row.instances:
+        T, (scene, image) = each.found.Ts_camera_object[0], each.frame.number or (0, 0)
+        parts = T[:3, :3], T[:3, 3] / 1e-3  # t in mm
+        R, t = (" ".join(f"{value:.6f}" for value in part.ravel()) for part in parts)
+        number = numbers[each.model.name]
+        lines.append(f"{scene},{image},{number},{each.explained:.4f},{R},{t},{row.seconds:.4f}")
+    return lines

@@ -33,6 +33,7 @@ from handsight.tracking.slip_update import SlipUpdate
 from handsight.tracking.smoother import STILL, PoseBiasSmoother, process_variance
 from handsight.tracking.table import TableEstimate, TableEvidence, supports_of
 from handsight.tracking.track_state import NO_POSE, Correction, State, TrackState, point_uncertainty
+from handsight.vision import FirstPoseSource, locate
 
 
 class FollowerOptions(NamedTuple):
@@ -86,8 +87,10 @@ class Follower:
         model: ObjectModel,
         settings: TrackerSettings,
         alternatives: Sequence[ObjectModel] = (),
+        source: FirstPoseSource = locate,
     ) -> None:
         """The arguments are those of `Tracker`."""
+        self.source = source
         self.alternatives = tuple(other for other in alternatives if other is not model)
         self.rig, self.model, self.settings, s = rig, model, settings, settings
         self.camera = rig.camera or MountedCamera()
@@ -111,7 +114,7 @@ class Follower:
             grasp=GraspState(),
             memory=ContactMemory(self.settings.memory, self.process_noise),
             vision=vision,
-            images=ImageVision(self.rig, self.model, on=self.settings.images),
+            images=ImageVision(self.rig, self.model, self.source, on=self.settings.images),
             slip=SlipUpdate(self.rig, self.model),
             weight=WeightSensor(self.rig, self.model),
             offsets=offsets,

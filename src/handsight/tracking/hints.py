@@ -1,6 +1,6 @@
 """Where other programs have last had the object in a camera's images, as a source of first poses for its tracker."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -8,12 +8,10 @@ from numpy.typing import NDArray
 
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
-from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Detection2D, Observation
-from handsight.vision import ObjectDetection, locate, locate_detected
+from handsight.vision import FirstPoseSource, ObjectDetection, locate, locate_detected
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
-from handsight.vision.object.locate import search_mask
 
 
 class HintOptions(NamedTuple):
@@ -34,30 +32,26 @@ class SearchHints:
 
     label: str
     """What the detector calls the object."""
+    elsewhere: FirstPoseSource = locate
+    """Finds the object where they say nothing, or nothing that is right."""
     detections: tuple[Detection2D, ...] = ()
-    detected_at: float = -np.inf
-    """Stamp of the detections [s]."""
     T_camera_object: Array | None = None
-    estimated_at: float = -np.inf
-    """Stamp of the pose [s]."""
+    stamps: tuple[float, float] = (-np.inf, -np.inf)
+    """Of the detections and of the pose [s]."""
 
-    def after(self, observation: Observation, camera: Camera) -> "SearchHints":
-        """Returns the hints with those of an observation, and without those that are too old or fit no image."""
-        now, hints, found = observation.stamp, self, list[Detection2D]()
-        if observation.detections is not None:
-            found += (each for each in observation.detections if each.label in ("", self.label))
-        if observation.mask is not None:
-            found += mask_of(observation.mask, self.label)
-        if observation.detections is not None or observation.mask is not None:
-            hints = replace(hints, detections=tuple(d for d in found if _fits(d, camera)), detected_at=now)
-        vision = observation.vision
+    def after(self, observation: Observation) -> "SearchHints":
+        """Returns the hints with those of an observation, and without those that are too old."""
+        now, vision, (detected, estimated) = observation.stamp, observation.vision, self.stamps
+        detections, T, new = self.detections, self.T_camera_object, observation.detections
+        if new is not None or observation.mask is not None:
+            found = [each for each in new or () if each.label in ("", self.label)]
+            found += [] if observation.mask is None else mask_of(observation.mask, self.label)
+            detections, detected = tuple(found), now
         if vision is not None and vision.frame == "camera":
-            hints = replace(hints, T_camera_object=vision.T_frame_object, estimated_at=now)
-        if hints.detections and abs(now - hints.detected_at) > HINTS.max_age:
-            hints = replace(hints, detections=())
-        if hints.T_camera_object is not None and abs(now - hints.estimated_at) > HINTS.max_age:
-            hints = replace(hints, T_camera_object=None)
-        return hints
+            T, estimated = vision.T_frame_object, now
+        detections = detections if abs(now - detected) <= HINTS.max_age else ()
+        T = T if abs(now - estimated) <= HINTS.max_age else None
+        return SearchHints(self.label, self.elsewhere, detections, T, (detected, estimated))
 
     def __call__(
         self,
@@ -71,21 +65,18 @@ class SearchHints:
         noise: DepthNoise = STRUCTURED_LIGHT,
     ) -> ObjectDetection:
         """Returns where the object is in a depth image, as a `FirstPoseSource` does."""
-        start = self.T_camera_object
-        if self.detections:
-            found = locate_detected(
-                model,
-                depth,
-                camera,
-                detections=self.detections,
-                start=start,
-                hand=hand,
-                table=table,
-                noise=noise,
-            )
-            if found.reason is None:
-                return found
-        return locate(model, depth, camera, start=start, hand=hand, table=table, noise=noise)
+        anywhere = () if self.T_camera_object is None else (Detection2D(),)
+        return locate_detected(
+            model,
+            depth,
+            camera,
+            detections=self.detections or anywhere,
+            elsewhere=self.elsewhere,
+            start=self.T_camera_object,
+            hand=hand,
+            table=table,
+            noise=noise,
+        )
 
 
 def mask_of(labels: NDArray[np.integer], label: str) -> list[Detection2D]:
@@ -100,12 +91,3 @@ def mask_of(labels: NDArray[np.integer], label: str) -> list[Detection2D]:
         if not mask.any() or (labels[mask] != labels[mask].flat[0]).any():
             return []
     return [Detection2D(label, mask=mask)]
-
-
-def _fits(detection: Detection2D, camera: Camera) -> bool:
-    """Returns whether a detection can be of the camera's images."""
-    try:
-        search_mask(camera, detection.box, detection.mask)
-    except InvalidInput:
-        return False
-    return True

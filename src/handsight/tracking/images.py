@@ -17,8 +17,9 @@ from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import MountedCamera, Rig
 from handsight.tracking.camera_from_palm import CameraFromPalm, HandView
+from handsight.tracking.hints import SearchHints
 from handsight.tracking.smoother import STILL, Motion
-from handsight.vision import PalmDetection
+from handsight.vision import FirstPoseSource, PalmDetection
 from handsight.vision.depth_noise import PRESETS
 from handsight.vision.object.depth_tracker import HIDDEN, DepthTracker
 from handsight.vision.palm.hand_in_image import HandInImage
@@ -113,8 +114,13 @@ class ImageResult:
 class ImageVision:
     """An `ImageVision` evaluates the images of a rig's depth camera for one object, over time."""
 
-    def __init__(self, rig: Rig, model: ObjectModel, *, on: bool) -> None:
-        """Observations are left unchanged if it is not `on`, or if the rig has no camera with intrinsics."""
+    def __init__(self, rig: Rig, model: ObjectModel, source: FirstPoseSource, *, on: bool) -> None:
+        """`source`: finds the object where nothing else says where it is.
+
+        Observations are left unchanged if it is not `on`, or if the rig has no camera with intrinsics.
+        """
+        named = rig.objects.get(model.name)
+        self._hints = SearchHints(named.label or model.name if named else model.name, source)
         self._rig, self._model = rig, model
         self.history = History()
         """Joint positions and palm of the last second."""
@@ -147,8 +153,11 @@ class ImageVision:
             Instant(observation.stamp, observation.joint_positions, observation.T_world_palm)
         )
         camera, hand = self._rig.camera, None
+        if self._on:
+            self._hints = self._hints.after(observation)
         if self._on and camera is not None and observation.depth is not None:
             self._images = self._images or ObjectInImages(self._rig, camera, self._model)
+            self._images.tracker.source = self._hints
             stamp = observation.stamp if observation.image_stamp is None else observation.image_stamp
             then = self.history.at(stamp - camera.latency)
             if then is not None:

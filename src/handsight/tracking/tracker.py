@@ -28,6 +28,7 @@ from handsight.tracking.smoother import PoseAndBias, PoseBiasSmoother
 from handsight.tracking.table import TableEstimate
 from handsight.tracking.track_state import State, TrackState
 from handsight.tracking.warm import warm_tracker
+from handsight.vision import FirstPoseSource, locate
 
 __all__ = ["State", "Tracker", "TrackerSettings"]
 
@@ -60,6 +61,7 @@ class Tracker:
         joint_offsets: JointOffsets | None = None,
         friction: tuple[float, float] | None = None,
         alternatives: Sequence[ObjectModel] = (),
+        source: FirstPoseSource = locate,
     ) -> None:
         """`start`: the object's pose in the palm before the first observation; None: the first pose from vision.
 
@@ -68,6 +70,7 @@ class Tracker:
         the rig's fingers, else it is learnt.
         `alternatives`: other objects that may be in the hand; where contacts contradict the model for a second,
         `reason` names the one that explains them better.
+        `source`: finds the object in a depth image at first and when it was lost.
         """
         if not isinstance(rig, Rig) or not isinstance(model, ObjectModel):
             came = f"{type(rig).__name__} and {type(model).__name__}"
@@ -95,7 +98,7 @@ class Tracker:
         for k, other in enumerate(alternatives):
             if not isinstance(other, ObjectModel):
                 raise InvalidInput(f"alternatives[{k}]: expected an ObjectModel, got {type(other).__name__}")
-        self.follower = Follower(rig, model, self.settings, alternatives)
+        self.follower = Follower(rig, model, self.settings, alternatives, source)
         """Makes the next state of a state and an observation."""
         self.track_state = self.follower.initial(start, offsets)
         """All that is known of the object, as a value."""

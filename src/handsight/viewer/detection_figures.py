@@ -14,7 +14,7 @@ from scipy.ndimage import maximum_filter
 from handsight import se3
 from handsight.camera import Depth
 from handsight.checks import Array
-from handsight.recording.detections import Located
+from handsight.recording.detections import Located, LocatedAll
 from handsight.recording.frames import Frame
 from handsight.viewer.correction_figures import require_matplotlib, save
 from handsight.viewer.shapes import creases, grey, silhouette
@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-BEST, HAND = "#ffb300", np.array([0.15, 0.55, 1.0])
+COLORS = "#ffb300", "#00b8d4", "#e91e63", "#7cb342", "#8e5cd9", "#ff7043", "#26a69a", "#5c6bc0"
+"""Of the objects in a picture, one after another."""
+BEST, HAND = COLORS[0], np.array([0.15, 0.55, 1.0])
 
 
 class DetectionFigureOptions(NamedTuple):
@@ -43,7 +45,7 @@ class DetectionFigureOptions(NamedTuple):
 FIGURE = DetectionFigureOptions()
 
 
-def draw_located(rows: Sequence[Located], path: Path) -> None:
+def draw_located(rows: Sequence[Located | LocatedAll], path: Path) -> None:
     """Writes a row for each picture to an image file: the picture with the poses, and the residuals of its depth.
     Raises MissingExtra, HandsightError."""
     plt = require_matplotlib()
@@ -54,13 +56,14 @@ def draw_located(rows: Sequence[Located], path: Path) -> None:
     save(figure, path)
 
 
-def _draw(left: "Axes", right: "Axes", row: Located) -> None:
+def _draw(left: "Axes", right: "Axes", row: Located | LocatedAll) -> None:
     """Draws a picture with its poses on the left; on the right residuals, or the reason why there is no pose."""
-    frame, found, name, scores = row.frame, row.found, row.model.name or "object", ""
-    if row.recognition is not None:
+    frame, scores = row.frame, ""
+    each: list[Located] = [row] if isinstance(row, Located) else row.instances
+    if isinstance(row, Located) and row.recognition is not None:
         likeliest = list(row.recognition.scores.items())[: FIGURE.max_scores]
-        each = [*likeliest, ("none", row.recognition.none)]
-        scores = "\n" + ", ".join(f"{label} {share:.2f}" for label, share in each)
+        shares = [*likeliest, ("none", row.recognition.none)]
+        scores = "\n" + ", ".join(f"{label} {share:.2f}" for label, share in shares)
     image = grey(frame.depth) if frame.color is None else frame.color / 255
     if frame.hand is not None:
         image = np.where(frame.hand[..., None], 0.55 * image + 0.45 * HAND, image)
@@ -69,23 +72,34 @@ def _draw(left: "Axes", right: "Axes", row: Located) -> None:
         axes.set_xticks([])
         axes.set_yticks([])
     if row.reason is not None:
-        text = f"{name} is not here" if row.recognition is None else "none of them is here"
+        alone = isinstance(row, Located) and row.recognition is None
+        text = f"{each[0].model.name or 'object'} is not here" if alone else "none of them is here"
         left.set_title(f"{frame.name}: {text}{scores}", fontsize=11)
         reason = textwrap.fill(row.reason, FIGURE.line_width)
         right.text(0.5, 0.5, reason, ha="center", va="center", transform=right.transAxes)
         right.set_frame_on(False)
         return
-    likely = found.weights[1:2].sum() >= FIGURE.min_weight
-    shown = found.Ts_camera_object[: 2 if likely else 1]
-    styles = ((BEST, "-", "best pose"), ("#00b8d4", "--", "second"))
-    for color, style, label in styles[: len(shown)]:
+    if isinstance(row, Located):
+        likely = row.found.weights[1:2].sum() >= FIGURE.min_weight
+        poses = [(row, T) for T in row.found.Ts_camera_object[: 2 if likely else 1]]
+        styles = [(BEST, "-", "best pose"), ("#00b8d4", "--", "second")]
+    else:
+        poses = [(one, one.found.Ts_camera_object[0]) for one in each]
+        colors = [COLORS[k % len(COLORS)] for k in range(len(each))]
+        styles = [
+            (color, "-", f"{one.model.name} {one.found.probability:.2f}")
+            for color, one in zip(colors, each, strict=True)
+        ]
+    for color, style, label in styles[: len(poses)]:
         left.plot([], [], color=color, linestyle=style, lw=2.5, label=label)
     if frame.hand is not None and frame.hand.any():
         left.plot([], [], color=HAND, lw=6, alpha=0.6, label="hand, masked")
-    for T, (color, style, _) in reversed(list(zip(shown, styles, strict=False))):
-        _outline(left, row, T, color, style)
-    drawn = silhouette(frame.camera, row.model, shown[0])
-    rows, columns = np.nonzero(np.isfinite(drawn))
+    for (one, T), (color, style, _) in reversed([*zip(poses, styles, strict=False)]):
+        _outline(left, one, T, color, style)
+    drawn = np.full(frame.depth.shape, np.inf)
+    for one in each:
+        drawn = np.minimum(drawn, silhouette(frame.camera, one.model, one.found.Ts_camera_object[0]))
+    rows, columns = np.isfinite(drawn).nonzero()
     if len(rows):  # the picture is limited to the object and its surroundings
         height, width = drawn.shape
         across = max(float(np.ptp(rows)), float(np.ptp(columns)) / FIGURE.aspect, 60.0)
@@ -95,21 +109,28 @@ def _draw(left: "Axes", right: "Axes", row: Located) -> None:
         low = np.clip(middle - sides / 2, -0.5, np.array([width, height]) - 0.5 - sides)
         left.set(xlim=(low[0], low[0] + sides[0]), ylim=(low[1] + sides[1], low[1]))
     _residual(right, frame, drawn)
-    x, y, z = (1e3 * shown[0][:3, 3]).round() + 0.0  # no -0
-    place = f"{name} at {x:.0f}, {y:.0f}, {z:.0f} mm, weight {found.weights[0]:.2f}"
+    if isinstance(row, Located):
+        x, y, z = ((1e3 * row.found.Ts_camera_object[0, :3, 3]).round() + 0.0).tolist()  # no -0
+        place = (
+            f"{row.model.name or 'object'} at {x:.0f}, {y:.0f}, {z:.0f} mm, weight {row.found.weights[0]:.2f}"
+        )
+    else:
+        place = f"{len(each)} object{'s' * (len(each) > 1)}"
     left.set_title(f"{frame.name}: {place}{scores}", fontsize=11)
 
 
 def _outline(axes: "Axes", row: Located, T: Array, color: str, style: str) -> None:
     """Draws the silhouette's outline and the visible edges of the object at T_camera_object (4, 4)."""
+    from matplotlib.colors import to_rgba
+
     drawn = silhouette(row.frame.camera, row.model, T)
     inside = np.isfinite(drawn)
     if not inside.any():
         return
     axes.contour(inside, [0.5], colors=[color], linewidths=1.8, linestyles=style)
-    if color == BEST:
+    if style == "-":
         tint = np.zeros((*inside.shape, 4))
-        tint[inside] = (1.0, 0.70, 0.0, 0.22)
+        tint[inside] = to_rgba(color, 0.22)
         axes.imshow(tint, interpolation="nearest")
     edges = creases(row.model)
     long = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) > FIGURE.min_edge * row.model.diameter

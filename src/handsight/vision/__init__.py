@@ -7,6 +7,7 @@ from handsight.vision.object.depth_tracker import DepthTracker, Sighting
 from handsight.vision.object.first_pose import JudgedStarts, ObjectDetection
 from handsight.vision.object.first_pose_source import FirstPoseSource, locate_detected
 from handsight.vision.object.locate import Recognition, locate, recognise
+from handsight.vision.object.locate_all import ObjectInstance, SceneDetection, locate_all
 from handsight.vision.palm.hand_appearance import HandAppearance, PlacedHand
 from handsight.vision.palm.hand_in_image import hand_mask
 from handsight.vision.palm.palm_detector import PalmDetection, PalmNotFound, detect_palm, follow_palm
@@ -24,16 +25,19 @@ __all__ = [
     "HandAppearance",
     "JudgedStarts",
     "ObjectDetection",
+    "ObjectInstance",
     "PalmDetection",
     "PalmNotFound",
     "PlacedHand",
     "Recognition",
+    "SceneDetection",
     "Sighting",
     "depth_points",
     "detect_palm",
     "follow_palm",
     "hand_mask",
     "locate",
+    "locate_all",
     "locate_detected",
     "read_camera",
     "read_color",

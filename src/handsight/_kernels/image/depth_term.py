@@ -97,6 +97,17 @@ def _point(
 
 
 @inner
+def _is_far(point: Any, center: Vec3, radius: float, bound: float) -> bool:
+    """Returns whether a point in the camera is farther than a bound from an object, by the object's centre there.
+
+    No point of an object is farther from its centre than 1.2 radii. Most points of an image are far from a candidate,
+    and its field is not evaluated at them.
+    """
+    way, reach = sub(vector(point), center), 1.2 * radius + bound
+    return dot(way, way) > reach * reach
+
+
+@inner
 def _expect(model: Any, information: Any, pose: Pose, prior: Any) -> None:
     """Fills in the prior that expects the object at a pose, with information (6, 6) by (δp, δθ) of its centre."""
     prior.kind, prior.has_axis = VISION_PRIOR if information[0, 0] > 0 else NO_PRIOR, 0
@@ -133,6 +144,8 @@ def refine_poses(
                 frame, total = (apply(pose, center), radius), 0.0
                 equations[:] = 0.0
                 for n in range(0, len(points), stage.stride):
+                    if _is_far(points[n].point, frame[0], radius, bound):
+                        continue
                     weight, distance, P, g = _point(surface, points[n], pose, bound, wall)
                     if weight > 0:
                         accumulate((weight,), (distance_row(P, neg(g), distance, frame),), equations)
@@ -177,7 +190,11 @@ def pose_covariances(
     for k in range(len(candidates)):
         pose = pose_of(candidates[k].pose)
         count, total = 0, 0.0
+        center = vector(model[0].center)
+        frame = apply(pose, center), radius
         for n in range(len(points)):
+            if _is_far(points[n].point, frame[0], radius, candidates[k].bound):
+                continue
             weight, _, P, g = _point(surface, points[n], pose, candidates[k].bound, wall)
             if weight > 0:
                 weights[count] = weight
@@ -186,8 +203,6 @@ def pose_covariances(
                 total += weight
                 count += 1
         candidates[k].weight = total
-        center = vector(model[0].center)
-        frame = apply(pose, center), radius
         inform(weights[:count], places, normals, frame, errors[k], COMPARED, informed[k])
         for i in range(3, 6):
             # The model's normals differ from the object's, and seem to observe turns that the object's do not.

@@ -102,7 +102,7 @@ def appearance_of(model: ObjectModel) -> Appearance:
     starts, pairs = np.split(cache.remembered_numbers("numbers", name, np.int32, table), [votes.CELLS + 1])
     symmetries = model.symmetries
     axes = np.array(symmetries.axes).reshape(-1, 3)
-    name = cache.key(f"turns 1 {TURNS}", *voters, symmetries.rotations, axes)
+    name = cache.key(f"turns 2 {TURNS}", *voters, symmetries.rotations, axes)
     turns = cache.remembered_numbers("turns", name, np.float64, lambda: near_symmetries(model).reshape(-1))
     return Appearance((starts, pairs), voters, sides, few, turns.reshape(-1, 4, 4))
 
@@ -141,26 +141,36 @@ def near_symmetries(model: ObjectModel) -> Array:
     """Returns (t, 4, 4) motions, without symmetries, that bring most of the surface onto itself, such as the turns of a
     mug about its axis, which only the handle shows.
 
-    Points of the surface are laid onto it from many rotations, as those of an image are.
+    Points of the surface are laid onto it from many rotations, as those of an image are, and then from products of
+    those motions that are found.
     """
     points, normals = model.sample(TURNS.points)
-    rows = np.zeros(len(points), dtype=DEPTH_POINT)
+    rows, rng = np.zeros(len(points), dtype=DEPTH_POINT), np.random.default_rng(0)
     rows["point"], rows["normal"] = points, normals
-    R = se3.random(np.random.default_rng(0), TURNS.starts)[:, :3, :3]
-    starts = np.stack([np.eye(4), *se3.compose(R, model.center_object - R @ model.center_object)])
-    candidates, stages = (
-        candidates_at(starts),
-        np.array([(0, 0.12, 0.06, 6, 1), (1, 0.06, 0.03, 6, 1)], dtype=STAGE),
-    )
-    candidates["bound"] = 0.01 * model.diameter
-    depth_term.refine_poses(*model.record[:2], rows, stages, model.diameter, NOTHING_KNOWN, candidates)
-    Ts = np.concatenate([np.eye(4)[None], poses_of(candidates)[1:]])
-    distance, gradient, _ = model.fine.evaluate(se3.apply(se3.inverse(Ts), points).reshape(-1, 3))
-    g = gradient.reshape(len(Ts), -1, 3) @ Ts[:, :3, :3].swapaxes(1, 2)
-    same = np.abs(distance).reshape(len(Ts), -1) < TURNS.within * model.diameter
-    same &= np.abs((g * normals).sum(axis=2)) > 0.5 * np.linalg.norm(g, axis=2)
-    share = same.mean(axis=1)
-    likely = share > TURNS.least * share[0]
-    share[0] = 2  # what is a symmetry is near the identity
-    candidates = candidates_at(Ts[likely])
-    return poses_of(distinct(model, candidates, share[likely], TURNS.most + 1, TURNS.spacing))[1:]
+    stages = np.array([(0, 0.12, 0.06, 6, 1), (1, 0.06, 0.03, 6, 1)], dtype=STAGE)
+
+    def about_center(R: Array) -> Array:
+        return se3.compose(R, model.center_object - R @ model.center_object)
+
+    def shares(Ts: Array) -> Array:
+        """Returns which share of the points is on the surface after motions (k, 4, 4), with its normal."""
+        distance, gradient, _ = model.fine.evaluate(se3.apply(se3.inverse(Ts), points).reshape(-1, 3))
+        g = gradient.reshape(len(Ts), -1, 3) @ Ts[:, :3, :3].swapaxes(1, 2)
+        same = np.abs(distance).reshape(len(Ts), -1) < TURNS.within * model.diameter
+        return np.asarray((same & (np.abs((g * normals).sum(2)) > 0.5 * np.linalg.norm(g, axis=2))).mean(1))
+
+    found, share = np.eye(4)[None], np.full(1, 2.0)
+    starts = about_center(se3.random(rng, TURNS.starts)[:, :3, :3])
+    for _ in range(2):
+        laid = candidates_at(starts)
+        laid["bound"] = 0.01 * model.diameter
+        depth_term.refine_poses(*model.record[:2], rows, stages, model.diameter, NOTHING_KNOWN, laid)
+        Ts = poses_of(laid)
+        likely = shares(Ts) > TURNS.least * shares(np.eye(4)[None])
+        found, share = np.concatenate([found, Ts[likely]]), np.append(share, shares(Ts[likely]))
+        starts = np.matmul(*found[rng.integers(len(found), size=(2, TURNS.starts // 2))])
+    # A shift alone is none: the search tries those by itself.
+    turned = candidates_at(about_center(found[:, :3, :3]))
+    turned["votes"] = np.arange(len(turned))
+    turned = distinct(model, turned, share, TURNS.most + 1, TURNS.spacing)
+    return found[turned["votes"][1:].astype(int)]

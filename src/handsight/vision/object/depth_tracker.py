@@ -21,6 +21,7 @@ from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import UNKNOWN, candidates_at
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from handsight.vision.object.first_pose_source import FirstPoseSource
 from handsight.vision.object.locate import locate
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose, against, support_share
 
@@ -110,8 +111,11 @@ class DepthTracker:
         *,
         noise: DepthNoise = STRUCTURED_LIGHT,
         start: Array | None = None,
+        source: FirstPoseSource = locate,
     ) -> None:
         """`noise`: of the camera's depth; `start`: T_camera_object to begin from; raises InvalidTransform."""
+        self.source = source
+        """Finds the object at first and when it was lost; it may be set anew between images."""
         self.model, self.camera = model, camera
         self._refiner, self._T_object_center = PoseRefiner(model, camera, noise), np.eye(4)
         self._T_object_center[:3, 3] = model.center_object
@@ -234,7 +238,9 @@ class DepthTracker:
             return None
         self._searched = image.stamp
         noise = self._refiner.noise
-        found = locate(self.model, image.depth, self.camera, hand=image.hand, table=image.table, noise=noise)
+        found = self.source(
+            self.model, image.depth, self.camera, hand=image.hand, table=image.table, noise=noise
+        )
         fits = found.candidates["explained"] >= DEPTH_TRACKER.min_found * found.candidates["expected"]
         likely = found.weights >= DEPTH_TRACKER.min_twin * found.weights.max(initial=0.0)
         Ts = found.Ts_camera_object[fits & likely]

@@ -72,7 +72,7 @@ class JudgedStarts:
     probabilities: Array
     """(k,) that the refined pose is right."""
     better: NDArray[np.bool_]
-    """(k,) whether the search has found a likelier pose elsewhere, more than a tenth of the diameter away."""
+    """(k,) whether a pose elsewhere, more than a tenth of the diameter away, is twenty times as likely."""
     right: NDArray[np.bool_]
     """(k,) whether the pose as it was given is right: it was moved by at most a tenth of the diameter, its probability
     is high enough to be answered, and no other pose is better."""

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
+from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.observation import Detection2D
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose import ObjectDetection
-from handsight.vision.object.locate import Start, locate
+from handsight.vision.object.locate import Start, locate, search_mask
 
 MAX_DETECTIONS = 8
 """Detections of an object in an image that are searched, those with the highest scores."""
@@ -54,6 +56,7 @@ def locate_detected(
     camera: Camera,
     *,
     detections: Sequence[Detection2D],
+    elsewhere: FirstPoseSource | None = None,
     mask: Mask | None = None,
     start: Start | None = None,
     hand: Mask | None = None,
@@ -62,26 +65,20 @@ def locate_detected(
 ) -> ObjectDetection:
     """Returns the likeliest answer of `locate` of those in the boxes and masks in which the object was detected.
 
-    `functools.partial(locate_detected, detections=...)` is a `FirstPoseSource`. Other arguments and errors are as
-    `locate`'s.
+    Detections that cannot be of the camera's images are left out. elsewhere: finds the object where none of them is
+    right. Other arguments and errors are as `locate`'s; with `functools.partial` it is a `FirstPoseSource`.
     """
-    best = ObjectDetection.nowhere(f"{model.name or 'the object'} was not detected in the image")
-    for k, each in enumerate(sorted(detections, key=lambda each: -(each.score or 1.0))[:MAX_DETECTIONS]):
-        box, pixels = (each.box, mask) if each.mask is None else (None, each.mask)
-        if each.mask is not None and mask is not None:
-            camera.check_size(each.mask, "mask")
-            pixels = np.asarray(each.mask, dtype=bool) & np.asarray(mask, dtype=bool)
-        found = locate(
-            model,
-            depth,
-            camera,
-            box=box,
-            mask=pixels,
-            start=start,
-            score=each.score,
-            hand=hand,
-            table=table,
-            noise=noise,
-        )
-        best = found if k == 0 or found.probability > best.probability else best
-    return best
+    located = partial(locate, model, depth, camera, start=start, hand=hand, table=table, noise=noise)
+    found = list[ObjectDetection]()
+    for each in sorted(detections, key=lambda each: -(each.score or 1.0))[:MAX_DETECTIONS]:
+        try:
+            inside = search_mask(camera, each.box, each.mask)
+        except InvalidInput:
+            continue
+        if mask is not None:
+            inside = mask if inside is None else inside & np.asarray(mask, dtype=bool)
+        found.append(located(mask=inside, score=each.score))
+    best = max(found, key=lambda each: each.probability, default=None)
+    if elsewhere is not None and (best is None or best.reason is not None):
+        return elsewhere(model, depth, camera, hand=hand, table=table, noise=noise)
+    return best or ObjectDetection.nowhere(f"{model.name or 'the object'} was not detected in the image")

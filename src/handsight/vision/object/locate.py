@@ -22,6 +22,7 @@ from handsight.vision.object.first_pose import (
     JudgedStarts,
     ObjectDetection,
     first_pose,
+    log_odds,
     probabilities,
 )
 from handsight.vision.object.pose_refiner import PoseRefiner
@@ -43,6 +44,7 @@ class LocateOptions(NamedTuple):
     meaningless: float = 0.1
     """Probability that the score of a detector says nothing; `score_log_odds` derives what follows from it."""
     max_moved: float = 0.1  # a pose that is right is moved by at most that on the image [diameters]
+    rival_level: float = 0.05  # odds of a pose against another one below which that other one is better
     max_starts: int = 100
 
 
@@ -87,7 +89,7 @@ def locate(
     refined = None if given is None else _refined(model, scene, given, noise)
     found = first_pose(model, scene, noise=noise, given=refined, prior=prior)
     if given is not None and refined is not None:
-        found = replace(found, starts=_judged(model, given, refined, found))
+        found = replace(found, starts=_judged(model, given, refined, found, prior))
     if found.probability >= LOCATE.min_probability:
         return found
     if not len(found.candidates):
@@ -161,8 +163,14 @@ def recognition_of(found: Mapping[str, ObjectDetection], reason: str | None = No
 def search_mask(camera: Camera, box: Box | None, mask: Mask | None) -> Mask | None:
     """Returns the pixels (h, w) of an image that are in a box and in a mask; None: all. Raises InvalidInput."""
     if mask is not None:
-        camera.check_size(mask, "mask")
-        mask = np.asarray(mask).astype(bool)
+        try:
+            pixels = np.asarray(mask)
+        except ValueError:
+            raise InvalidInput("mask: expected an image (h, w), got rows of several lengths") from None
+        camera.check_size(pixels, "mask")
+        if pixels.dtype.kind not in "biuf":
+            raise InvalidInput(f"mask: expected booleans or numbers, got {pixels.dtype}")
+        mask = np.nan_to_num(pixels) != 0
     if box is None:
         return mask
     corners = checks.finite(box, "box", (4,))
@@ -230,18 +238,18 @@ def _refined(model: ObjectModel, scene: Scene, given: list[GaussianPose], noise:
 
 
 def _judged(
-    model: ObjectModel, given: list[GaussianPose], refined: Candidates, found: ObjectDetection
+    model: ObjectModel, given: list[GaussianPose], refined: Candidates, found: ObjectDetection, prior: float
 ) -> JudgedStarts:
     """Returns what an image says of poses; `refined` CANDIDATE (2k,): of `_refined`, scored by `first_pose`."""
-    limit, weights, (as_given, after) = LOCATE.max_moved * model.diameter, found.weights, np.split(refined, 2)
-    Ts = poses_of(np.where(after["score"] > as_given["score"], after, as_given))
+    limit, (as_given, after) = LOCATE.max_moved * model.diameter, np.split(refined, 2)
+    best = np.where(after["score"] > as_given["score"], after, as_given)
+    Ts, odds = poses_of(best), log_odds(best)
     moved = np.array([surface_distance(model, pose.T_a_b, T) for pose, T in zip(given, Ts, strict=True)])
     away = np.array([[surface_distance(model, T, other) for other in found.Ts_camera_object] for T in Ts])
-    near = (away <= limit).reshape(len(Ts), -1)
-    weight = np.where(near, weights, 0).max(axis=1, initial=0)
-    better = weight < np.where(near, 0, weights).max(axis=1, initial=0)
-    odds_of_first = weight / max(weights.max(initial=0), np.finfo(float).tiny)
-    probabilities = found.probability * odds_of_first
+    others = np.where(away > limit, log_odds(found.candidates), -np.inf)
+    # What depth alone can hardly tell apart, such as a bottle's front and back, contradicts no pose.
+    better = others.max(axis=1, initial=-np.inf) > odds - np.log(LOCATE.rival_level)
+    probabilities = 1 / (1 + np.exp(-(odds + prior).clip(-500, 500)))
     right = (probabilities >= LOCATE.min_probability) & (moved <= limit) & ~better
     return JudgedStarts(Ts, moved, probabilities, better, right)
 

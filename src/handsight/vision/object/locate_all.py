@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from handsight import checks, se3
 from handsight._kernels.image import depth_term
 from handsight._kernels.image.pose_score import POSE_SCORE
+from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import Candidates, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
-from handsight.vision.object.appearance import appearance_of
+from handsight.vision.object.appearance import FEW, appearance_of
 from handsight.vision.object.first_pose import (
     ObjectDetection,
     first_pose,
@@ -61,6 +62,7 @@ class LocateAllOptions(NamedTuple):
     changed: float = (
         0.02  # share of its pixels by which its surroundings change before an object is searched again
     )
+    visible: float = 0.1  # share of the pixels that an object would fill, of which less is no evidence
     max_rounds: int = 6  # of the search for one more of each
     min_another: float = 0.5  # least probability of one more of an object of which the number is not given
 
@@ -97,6 +99,7 @@ def locate_all(
     camera: Camera,
     *,
     counts: Mapping[str, int] | None = None,
+    found: Mapping[str, Sequence[ObjectDetection]] | None = None,
     box: Box | None = None,
     mask: Mask | None = None,
     hand: Mask | None = None,
@@ -105,8 +108,10 @@ def locate_all(
 ) -> SceneDetection:
     """Returns every instance of the models (by name) that a depth image shows; images are as `locate` takes them.
 
-    counts: how many there are at most, by name; those without one, or all if it is None, are counted. No two instances
-    explain the same pixels. Raises InvalidInput as `locate` does, for no models, and for counts of other objects.
+    counts: how many there are at most, by name; those without one, or all if it is None, are counted. found: what
+    `locate` answers in the boxes of a detector or from the poses of an estimator, by name, in place of a search for
+    these objects. No two instances explain the same pixels. Raises InvalidInput as `locate` does, for no models, and
+    for counts of other objects.
     """
     limits = _checked_counts(models, counts)
     extent = LOCATE.max_plane * max(model.diameter for model in models.values())
@@ -115,11 +120,14 @@ def locate_all(
     if not len(scene.sizes):
         return SceneDetection((), dict.fromkeys(models, scene.reason))
     # In the order of their names, so that the order in which models are given changes nothing.
-    found = {
-        name: first_pose(models[name], scene, noise=noise, modes=LOCATE_ALL.modes) for name in sorted(models)
-    }
-    pool = _Pool(scene, models, noise, [_Search(name, one, None) for name, one in found.items()])
-    chosen, more = pool.best(limits, []), set(models)
+    given, pool = dict(found or {}), _Pool(scene, models, noise)
+    for name in sorted(models):
+        if name in given:
+            pool.add([_Search(name, one, np.zeros(depth.shape, dtype=bool)) for one in given[name]])
+        else:
+            one = first_pose(models[name], scene, noise=noise, modes=LOCATE_ALL.modes)
+            pool.add([_Search(name, one, None)])
+    chosen, more = pool.best(limits, []), set(models).difference(given)
     for k in range(LOCATE_ALL.max_rounds):
         owner = pool.owners(chosen)
         again = [pool.searched(chosen, n, owner) for n in range(len(chosen))] if k == 0 else []
@@ -127,12 +135,13 @@ def locate_all(
         for name in sorted(more):
             if len(left.sizes) and len(chosen) and counted[name] < limits.get(name, np.inf):
                 again.append(_Search(name, first_pose(models[name], left, noise=noise), owner >= 0))
-        pool = pool.extended(again)
+        pool.add(again)
         chosen = pool.best(limits, chosen)
-        more = {name for name, n in Counter(pool.names[n] for n in chosen).items() if n > counted[name]}
+        now = Counter(pool.names[n] for n in chosen)
+        more = {name for name in more if now[name] > counted[name]}
         if not more:
             break
-    return _answer(pool, limits, pool.present(limits, chosen), found)
+    return _answer(pool, limits, pool.present(limits, chosen))
 
 
 def _checked_counts(models: Mapping[str, ObjectModel], counts: Mapping[str, int] | None) -> dict[str, int]:
@@ -158,64 +167,66 @@ class _Search(NamedTuple):
 class _Pool:
     """A `_Pool` has candidates of all objects, and how they explain an image together, by a grid of its pixels."""
 
-    def __init__(
-        self, scene: Scene, models: Mapping[str, ObjectModel], noise: DepthNoise, searches: list[_Search]
-    ) -> None:
-        """Its candidates are those of the searches, one search after another."""
-        self.scene, self.models, self.noise, self.searches = scene, models, noise, searches
+    def __init__(self, scene: Scene, models: Mapping[str, ObjectModel], noise: DepthNoise) -> None:
+        """It has no candidates yet."""
+        self.scene, self.models, self.noise = scene, models, noise
         step = max(1, round(np.sqrt((scene.labels >= 0).sum() / LOCATE_ALL.pixels)))
-        depth, labels = (np.ascontiguousarray(image[::step, ::step]) for image in (scene.depth, scene.labels))
-        height, width = depth.shape
+        depth = np.ascontiguousarray(scene.depth[::step, ::step])
+        labels = np.ascontiguousarray(scene.labels[::step, ::step])
         matrix = np.diag([1 / step, 1 / step, 1]) @ scene.camera.matrix
-        camera = Camera(matrix, (width, height), scene.camera.lens)
-        self.coarse = Scene(camera, depth, labels, np.zeros(len(scene.sizes)))
+        camera = Camera(matrix, depth.shape[::-1], scene.camera.lens)
+        self.coarse = replace(scene, camera=camera, depth=depth, labels=labels)
         self.inside = labels >= 0
-        self.index = np.cumsum(self.inside).reshape(self.inside.shape) - 1
-        rays, z = camera.rays[self.inside].astype(np.float64), depth[self.inside].astype(np.float64)
-        self.points = np.c_[rays * z[:, None], z]
-        self.names, self.source, kept = list[str](), list[_Search](), list[Candidates]()
-        explained, around, hidden, costs = list[Array](), list[Array](), list[Array](), list[Array]()
+        self.index = np.cumsum(self.inside).reshape(labels.shape) - 1
+        self.points = camera.points(depth)[self.inside].astype(np.float64)
+        self.searches, self.names, self.source = list[_Search](), list[str](), list[_Search]()
+        self.candidates, self.cost = np.zeros(0, dtype=CANDIDATE), np.zeros(0)
+        self.explained = self.around = np.zeros((0, len(self.points)), dtype=np.float32)
+        self.hidden = np.zeros((0, 2, FEW))
+
+    def add(self, searches: Sequence[_Search]) -> None:
+        """Adds the candidates of searches, but those that cannot gain, whatever hides them."""
         for each in searches:
-            model, some = models[each.name], each.detection.candidates.copy()
+            model, some = self.models[each.name], each.detection.candidates.copy()
             score_candidates(model, self.coarse, some)
             cost = POSE_SCORE.passed * some["passed"] + LOCATE_ALL.expected * some["expected"]
-            # Others cannot gain, whatever hides them.
-            few = some["explained"] > LOCATE_ALL.hopeless * (cost - LOCATE_ALL.expected * some["hidden"])
-            some = some[few]
-            costs.append(cost[few] + POSE_SCORE.hidden * some["hidden"])
-            kept.append(each.detection.candidates[few])
-            self.names += [each.name] * len(some)
-            self.source += [each] * len(some)
+            keep = some["explained"] > LOCATE_ALL.hopeless * (cost - LOCATE_ALL.expected * some["hidden"])
+            keep[:1] = True
+            cost, some = (cost + POSE_SCORE.hidden * some["hidden"])[keep], some[keep]
             within = some["bound"].max(initial=0.0) + LOCATE_ALL.around * model.diameter
             distances = surface_distances(model, self.points, within, some)
-            explained.append(np.maximum(1 - (distances / some["bound"][:, None]) ** 2, 0))
-            around.append(np.isfinite(distances) & (explained[-1] == 0))
-            hidden += [self.hidden_pixels(model, one) for one in some]
-        self.candidates, self.cost = np.concatenate(kept), np.concatenate(costs)
-        self.explained, self.around = np.concatenate(explained), np.concatenate(around).astype(np.float32)
-        self.hidden = np.array(hidden).reshape(len(self.names), 2, -1)
+            explained = np.maximum(1 - (distances / some["bound"][:, None].astype(np.float32)) ** 2, 0)
+            around = (np.isfinite(distances) & (explained == 0)).astype(np.float32)
+            places = zip(poses_of(some), some["bound"], strict=True)
+            hidden = np.array([self.hidden_pixels(model, T, bound) for T, bound in places]).reshape(
+                -1, 2, FEW
+            )
+            self.searches.append(each)
+            self.names += [each.name] * len(some)
+            self.source += [each] * len(some)
+            self.candidates = np.concatenate([self.candidates, each.detection.candidates[keep]])
+            self.cost, self.hidden = np.append(self.cost, cost), np.concatenate([self.hidden, hidden])
+            self.explained = np.concatenate([self.explained, explained])
+            self.around = np.concatenate([self.around, around])
         self.total = self.explained.sum(axis=1)
 
-    def hidden_pixels(self, model: ObjectModel, candidate: np.void) -> Array:
+    def hidden_pixels(self, model: ObjectModel, T: Array, bound: float) -> Array:
         """Returns for each sample of the surface, (2, m), the point of the grid that hides it, and its pixels."""
-        (samples, normals), directions, visible, area = appearance_of(model).sides
-        T, camera, image = poses_of(candidate), self.coarse.camera, self.coarse.depth
+        (samples, normals), directions, packed, area = appearance_of(model).few_sides
+        camera, image = self.coarse.camera, self.coarse.depth
         P, n, pixels = se3.apply(T, samples), normals @ T[:3, :3].T, np.zeros((2, len(samples)))
         way = -T[:3, :3].T @ se3.apply(T, model.center_object[None])[0]
         uv, cosine = camera.project(P).round(), -(n * P).sum(axis=1) / np.linalg.norm(P, axis=1)
-        there = visible[int((directions @ way).argmax())] & (cosine > 0)
+        visible = np.unpackbits(packed[(directions @ way).argmax()], count=len(samples), bitorder="little")
+        there = visible.astype(bool) & (cosine > 0)
         there &= (uv >= 0).all(axis=1) & (uv < camera.size).all(axis=1)  # NaN is neither
         columns, rows = uv[there].astype(int).T
         z, observed = P[there, 2], image[rows, columns]
-        behind = (observed > 0) & (observed < z - candidate["bound"]) & self.inside[rows, columns]
+        behind = (observed > 0) & (observed < z - bound) & self.inside[rows, columns]
         pixels[0, there] = np.where(behind, self.index[rows, columns], 0)
         seen = area * camera.matrix[0, 0] * camera.matrix[1, 1] * cosine[there] / z**2
         pixels[1, there] = np.where(behind, seen, 0.0)
         return pixels
-
-    def extended(self, searches: list[_Search]) -> _Pool:
-        """Returns a pool with the candidates of more searches after those of this one."""
-        return _Pool(self.scene, self.models, self.noise, [*self.searches, *searches]) if searches else self
 
     def costs(self, owned: Mask) -> Array:
         """Returns what candidates (k,) cost by pixels that they should explain, where others own some points (n,)."""
@@ -226,7 +237,7 @@ class _Pool:
         """Returns how well candidates explain the image together [pixels of the grid]."""
         explained, value = self.explained[chosen], 0.0
         for k, n in enumerate(chosen):
-            others = np.delete(explained, k, axis=0).any(axis=0)
+            others = np.asarray(np.delete(explained, k, axis=0).any(axis=0))
             value -= float(self.costs(others)[n])
         best = explained.max(axis=0, initial=0.0)
         value += float(best.sum() - LOCATE_ALL.twice * (explained.sum(axis=0) - best).sum())
@@ -315,7 +326,8 @@ class _Pool:
         there = np.minimum(self.explained, self.explained[n]).sum(axis=1) > LOCATE_ALL.rival * self.total[n]
         there &= [counted[name] < limits.get(name, np.inf) for name in self.names]
         there &= names != self.names[n]
-        for which in ([n], *(np.flatnonzero(there & (names == name)) for name in sorted({*names[there]}))):
+        others = [np.flatnonzero(there & (names == name)) for name in sorted({*names[there]})]
+        for which in (np.array([n]), *others):
             candidates = self.candidates[which]
             score_candidates(self.models[self.names[which[0]]], scene, candidates)
             each = log_odds(candidates)
@@ -327,7 +339,16 @@ class _Pool:
 
         One by one the least likely is left out, or a likelier one of another object is put in a candidate's place.
         """
-        chosen, tried, banned = list(chosen), set(chosen), list[int]()
+        chosen, banned = list(chosen), list[int]()
+        # Where nothing else is, an object is there if `locate` finds it.
+        for each in self.searches:
+            n = self.source.index(each) if len(each.detection.candidates) else -1
+            if each.detection.probability >= LOCATE.min_probability and n >= 0:
+                same = np.minimum(self.explained[n], self.explained[chosen]).sum(axis=1)
+                free = (same <= LOCATE_ALL.overlap * np.minimum(self.total[n], self.total[chosen])).all()
+                if free and each.name not in {self.names[m] for m in chosen} and limits.get(each.name, 1):
+                    chosen.append(n)
+        tried = set(chosen)
         while chosen:
             owner = self.owners(chosen)
             odds = [self.odds(limits, chosen, k, owner) for k in range(len(chosen))]
@@ -362,28 +383,34 @@ def _least_odds(limits: Mapping[str, int], names: Sequence[str], odds: Array) ->
     return np.asarray(np.log(p / (1 - p)))
 
 
-def _answer(
-    pool: _Pool, limits: Mapping[str, int], chosen: list[int], found: Mapping[str, ObjectDetection]
-) -> SceneDetection:
+def _answer(pool: _Pool, limits: Mapping[str, int], chosen: list[int]) -> SceneDetection:
     """Returns the chosen candidates as instances, each searched without the pixels of the others."""
     owner, names = pool.owners(chosen), [pool.names[n] for n in chosen]
     detections = [pool.searched(chosen, k, owner).detection for k in range(len(chosen))]
     own = np.array([_log_odds(each.probability) for each in detections])
-    stays = own >= _least_odds(limits, names, own)
-    bodies = [(pool.models[name], each.candidates[:1]) for name, each in zip(names, detections, strict=True)]
+    likely = own >= _least_odds(limits, names, own)
+    bodies = [
+        (pool.models[name], each.candidates[:1].copy()) for name, each in zip(names, detections, strict=True)
+    ]
     pixels, instances = owners(pool.scene, bodies), list[ObjectInstance]()
-    for k in np.flatnonzero(stays):
+    for k, (model, candidate) in enumerate(bodies):
+        explained = pixels == k
+        score_candidates(model, pool.scene, candidate)  # with what others hide
+        if not likely[k] or explained.sum() < LOCATE_ALL.visible * candidate["expected"][0]:
+            continue
         odds = pool.odds(limits, chosen, k, owner)
         rivals = [value for n, value in odds.items() if n != chosen[k]]
         probability = (
             float(probabilities(np.array([own[k], *rivals]))[0]) if rivals else detections[k].probability
         )
-        instances.append(ObjectInstance(names[k], detections[k], probability, pixels == k))
+        instances.append(ObjectInstance(names[k], detections[k], probability, explained))
     missing = dict[str, str]()
     for name in pool.models:
         if not any(each.name == name for each in instances):
-            p = found[name].probability
-            missing[name] = f"the likeliest pose of {name} is right with a probability of {p:.2f} only"
+            p = max((each.detection.probability for each in pool.searches if each.name == name), default=0.0)
+            why = f"the likeliest pose of {name} is right with a probability of {p:.2f} only"
+            likely_alone = p >= LOCATE.min_probability
+            missing[name] = f"other objects explain the image where {name} would be" if likely_alone else why
     return SceneDetection(tuple(sorted(instances, key=lambda each: -each.probability)), missing)
 
 
@@ -416,8 +443,10 @@ def owners(scene: Scene, bodies: Sequence[tuple[ObjectModel, Candidates]]) -> Pi
     return owner
 
 
-def surface_distances(model: ObjectModel, points: Array, within: float, candidates: Candidates) -> Array:
-    """Returns the distances (k, n) of points (n, 3) from the surface at CANDIDATE (k,); infinity where they are not
+def surface_distances(
+    model: ObjectModel, points: Array, within: float, candidates: Candidates
+) -> NDArray[np.float32]:
+    """Returns the distances (k, n) [m] of points (n, 3) from the surface at CANDIDATE (k,); infinity where they are not
     `within` it [m]."""
     distances = np.empty((len(candidates), len(points)), dtype=np.float32)
     depth_term.surface_distances(*model.record[:2], points, within, candidates, distances)

@@ -75,8 +75,9 @@ def scene_of(
     for name, mask in (("wanted", wanted), ("hand", hand)):
         if mask is not None:
             camera.check_size(mask, name)
-    known = depth[np.isfinite(depth) & (depth > 0)]
-    if len(known) and np.median(known) > REGION.max_range:
+    known = depth[(depth > 0) & (depth < np.inf)]
+    beyond = np.count_nonzero(known > REGION.max_range)  # the median costs more than all that follows
+    if len(known) and 2 * beyond >= len(known) and np.median(known) > REGION.max_range:
         came = f"a median of {np.median(known):.4g} (millimetres?)"
         raise InvalidInput(f"depth: expected metres, got {came}")
     where = np.ones(depth.shape, dtype=bool) if wanted is None else np.asarray(wanted, dtype=bool)

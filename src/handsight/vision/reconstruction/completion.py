@@ -113,11 +113,16 @@ def share_observed(surface: SurfacePoints, volume: Volume) -> float:
     return len(points) / float(len(points) + open_.sum())
 
 
-def closed(surface: SurfacePoints, volume: Volume, table: bool) -> ReconstructedModel:
-    """Returns an object's surface with guesses where no view showed it; `table`: it stands at z = 0, with z up."""
+def closed(
+    surface: SurfacePoints, volume: Volume, table: bool, *, symmetries: bool = True
+) -> ReconstructedModel:
+    """Returns an object's surface with guesses where no view showed it; `table`: it stands at z = 0, with z up.
+
+    symmetries: whether its symmetries are guessed, which can be off by centimetres.
+    """
     points, normals, guesses = surface.points, surface.normals, list[str]()
     count = len(points)
-    for description, maps in _symmetries(surface, volume, table):
+    for description, maps in _symmetries(surface, volume, table) if symmetries else ():
         # The points under the symmetry, one a cell, where they come to unknown places.
         places = se3.apply(maps, points).reshape(-1, 3)
         facing = np.concatenate([normals @ T[:3, :3].T for T in maps])
