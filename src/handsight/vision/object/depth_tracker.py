@@ -24,6 +24,7 @@ from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose_source import FirstPoseSource
 from handsight.vision.object.locate import locate
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose, against, support_share
+from handsight.vision.object.region import check_metres
 
 State = Literal["tracking", "uncertain", "lost"]
 
@@ -45,7 +46,7 @@ class DepthTrackerOptions(NamedTuple):
     min_twin: float = 0.05
     """Least weight, as a share of the likeliest pose's, of a pose that may be chosen for its rotation near the last."""
     search_period: float = 0.2  # between searches of the entire image [s]
-    min_found: float = 0.6  # share of the expected pixels that a found object must explain
+    min_found: float = 0.6  # share of the expected pixels that nothing hides, that a found object must explain
 
 
 DEPTH_TRACKER = DepthTrackerOptions()
@@ -139,12 +140,13 @@ class DepthTracker:
         hand (h, w): whether a pixel is the hand's. table (4,): `n·P + offset = 0` in the camera, n towards it. gripped:
         the object moves with the palm, where T_camera_palm is known. expected: T_camera_object from another source,
         near which the object is searched. An image a little older than the last one is answered, but does not change
-        the state. Raises InvalidInput for images of another size than the camera's, InvalidTransform for matrices that
-        are no poses.
+        the state. Raises InvalidInput for images of another size than the camera's and for depth that is not in metres,
+        InvalidTransform for matrices that are no poses.
         """
-        for name, image in (("depth", depth), ("hand", hand)):
-            if image is not None:
-                self.camera.check_size(image, name)
+        depth = self.camera.check_depth(depth)
+        check_metres(depth)
+        if hand is not None:
+            self.camera.check_size(hand, "hand")
         T_palm = None if T_camera_palm is None else se3.check(T_camera_palm, "T_camera_palm")
         plane = None if table is None else checks.finite(table, "table", (4,))
         hint = None if expected is None else se3.check(expected, "expected")
@@ -241,7 +243,8 @@ class DepthTracker:
         found = self.source(
             self.model, image.depth, self.camera, hand=image.hand, table=image.table, noise=noise
         )
-        fits = found.candidates["explained"] >= DEPTH_TRACKER.min_found * found.candidates["expected"]
+        visible = found.candidates["expected"] - found.candidates["hidden"]
+        fits = found.candidates["explained"] >= DEPTH_TRACKER.min_found * visible
         likely = found.weights >= DEPTH_TRACKER.min_twin * found.weights.max(initial=0.0)
         Ts = found.Ts_camera_object[fits & likely]
         if not len(Ts):
