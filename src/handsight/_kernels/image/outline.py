@@ -78,13 +78,14 @@ def find_continued(camera: Any, surface: Any, image: Any, window: Any, candidate
     Pixels of the hand do not count.
     """
     here = window[0]
+    step = 2 * here.step
     for k in range(len(candidates)):
         pose, count = pose_of(candidates[k].pose), 0
         at = pose, apply(pose, vector(surface[0][0].center)), candidates[k].bound, INSIDE
-        for v in range(here.rows[0], here.rows[1], here.step):
-            for u in range(here.columns[0], here.columns[1], here.step):
+        for v in range(here.rows[0], here.rows[1], step):
+            for u in range(here.columns[0], here.columns[1], step):
                 count += _beside(camera, surface, image, at, (v, u, OUT))
-        candidates[k].unexplained = max(count, 0) * here.step**2
+        candidates[k].unexplained = max(count, 0) * step**2
 
 
 @entry

@@ -46,7 +46,8 @@ class DepthTrackerOptions(NamedTuple):
     min_twin: float = 0.05
     """Least weight, as a share of the likeliest pose's, of a pose that may be chosen for its rotation near the last."""
     search_period: float = 0.2  # between searches of the entire image [s]
-    min_found: float = 0.6  # share of the expected pixels that nothing hides, that a found object must explain
+    min_found: float = 0.6  # share of the expected pixels that a found object must explain
+    likely: float = 0.5  # probability above which only those count of them that nothing hides
 
 
 DEPTH_TRACKER = DepthTrackerOptions()
@@ -120,7 +121,7 @@ class DepthTracker:
         self.model, self.camera = model, camera
         self._refiner, self._T_object_center = PoseRefiner(model, camera, noise), np.eye(4)
         self._T_object_center[:3, 3] = model.center_object
-        self._start = None if start is None else se3.check(start, "start")
+        self._start = None if start is None else se3.rounded(start, "start")
         self._belief: _Belief | None = None
         self._searched = -np.inf
 
@@ -149,7 +150,7 @@ class DepthTracker:
             self.camera.check_size(hand, "hand")
         T_palm = None if T_camera_palm is None else se3.check(T_camera_palm, "T_camera_palm")
         plane = None if table is None else checks.finite(table, "table", (4,))
-        hint = None if expected is None else se3.check(expected, "expected")
+        hint = None if expected is None else se3.rounded(expected, "expected")
         now = float(checks.finite(stamp, "stamp", ()))
         before = self._belief, self._searched
         sighting = self._observed(_Image(now, depth, hand, plane, T_palm, gripped), hint)
@@ -243,8 +244,10 @@ class DepthTracker:
         found = self.source(
             self.model, image.depth, self.camera, hand=image.hand, table=image.table, noise=noise
         )
-        visible = found.candidates["expected"] - found.candidates["hidden"]
-        fits = found.candidates["explained"] >= DEPTH_TRACKER.min_found * visible
+        expected = found.candidates["expected"]
+        if found.probability > DEPTH_TRACKER.likely:
+            expected = expected - found.candidates["hidden"]
+        fits = found.candidates["explained"] >= DEPTH_TRACKER.min_found * expected
         likely = found.weights >= DEPTH_TRACKER.min_twin * found.weights.max(initial=0.0)
         Ts = found.Ts_camera_object[fits & likely]
         if not len(Ts):

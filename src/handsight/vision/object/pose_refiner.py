@@ -26,7 +26,7 @@ class RefinerOptions(NamedTuple):
     margin: float = 0.15  # around the object's silhouette, in which points are gathered [diameters]
     max_points: int = 400  # points that refine a pose
     max_pixels: int = 2000  # pixels of the window that they are chosen from
-    good: float = 0.85  # fit of a pose, for points farther from the expected one not to be tried
+    good: float = 0.7  # fit of a pose, for points farther from the expected one not to be tried
     continued: float = 3.0  # pixels against a pose that one counts for where the surface goes on beside it
     covariance_points: int = 50  # of these points, by which the covariance is computed
 
@@ -110,9 +110,9 @@ class PoseRefiner:
         depth_term.refine_poses(*record, points, stages, self.model.diameter, one_point * known, candidate)
         sides, center = appearance_of(self.model).sides, self.model.center_object
         pose_score.score_all(self.camera.record, image[1:], sides, center, candidates)
-        outline.find_continued(self.camera.record, record, image, self._window, candidates)
         if stages is NEAR_STAGES and support(candidates[1:]) > support(candidate):
             candidate = candidates[1:]
+        outline.find_continued(self.camera.record, record, image, self._window, candidate)
         return candidate, points.copy()
 
     def _take(self, T: Array, depth: Depth, hand: Mask | None, table: Array | None) -> None:
@@ -153,7 +153,8 @@ def against(candidate: Candidates) -> float:
 
 
 def support(candidate: Candidates) -> float:
-    return float(candidate["explained"][0] - 2 * against(candidate))
+    """Returns the pixels that CANDIDATE (1,) explains, less those against it, which weigh twice as much."""
+    return float(candidate["explained"][0]) - 2 * against(candidate)
 
 
 def support_share(candidate: Candidates) -> float:
