@@ -7,6 +7,10 @@ found by it too. Errors: of the points that were seen, against the object, laid 
 were found. Bias: their median, outward positive. Covered: share of the surface, but for what it stands on, within 4 mm
 of a point that was seen. Corrections: as in `scans.py`, contacts anywhere, on what is guessed too. Where Open3D is
 installed, its VoxelBlockGrid fuses the same images with given poses.
+
+Real frames (`--frames`, default: the data folder's `ycbv_frames`): those scenes of YCB-Video that have ten frames and
+more, each object's own pixels fused in its pose as it was annotated, or in that of the first frame and those that the
+growing surface finds. Said: at most so much of the closed surface is measured, by the command; covered: how much it is.
 """
 
 import time
@@ -19,15 +23,22 @@ from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 import handsight as hs
-import views_around  # beside the scenes
 from handsight import se3
 from handsight.objects import Shape, ply_bytes
-from handsight.vision.reconstruction.completion import ReconstructedModel, closed, one_object
+from handsight.vision.reconstruction.completion import (
+    ReconstructedModel,
+    closed,
+    one_object,
+    parts_of,
+    share_observed,
+)
 from handsight.vision.reconstruction.reconstruct import Reconstruction, View
 from handsight.vision.reconstruction.segmentation import on_table
 from scans import Thing, grasp
 from shared import figures, report, scenes, ycb
 from sight_scenes import CAMERA
+from testbed import real_frames, views_around
+from testbed.real_frames import RealFrame
 from testbed.report import Array, Row, Rows
 
 YCB = ("006_mustard_bottle", "021_bleach_cleanser")
@@ -36,6 +47,10 @@ MARGIN, BELOW = 0.03, 0.02
 """Around the object, and below the table, of what is fused [m]."""
 STANDS = 0.006
 """Height below which the surface is not judged: it is the table's [m]."""
+FAR = 20.0
+"""Depth of what is behind the object [m]."""
+LEAST_FRAMES = 10
+"""Of a scene that is fused."""
 MOTIONS = {"given": 24, "4 mm, 2° off": 24, "not given": 72}
 """Number of views, by what is known of the camera's motion."""
 
@@ -153,6 +168,47 @@ def peer(model: hs.ObjectModel, images: list[Array], Ts: Array, T_object_table: 
     return {f"Open3D {key}": value for key, value in (row | {"ms": 1e3 * taken / len(images)}).items()}
 
 
+def of_real_frames(frames: list[RealFrame], models: dict[str, hs.ObjectModel]) -> Rows:
+    """Returns a row of each object in real images of one scene, by what is known of its poses."""
+    rows = Rows()
+    for name in [instance.name for instance in frames[0].instances]:
+        model = models[name]
+        for motion in ("given", "not given"):
+            margin = 0.02 * np.array([[-1.0], [1.0]])
+            rec = Reconstruction(frames[0].camera, model.bounds_object + margin, min_motion=(0.0, 0.0))
+            fitted, first = 0, None
+            for frame in frames:
+                mine = [each for each in frame.instances if each.name == name]
+                others = np.any([each.visible for each in frame.instances if each.name != name], axis=0)
+                if not mine:
+                    continue
+                # What is neither is behind the object.
+                depth = np.where(mine[0].visible, frame.depth, np.where(others, 0.0, FAR)).astype(np.float32)
+                first = mine[0].T_camera_object if first is None or motion == "given" else first
+                view = View(np.where(frame.depth > 0, depth, 0).astype(np.float32), first)
+                fitted += rec.grow(view, estimate=motion != "given") is not None
+            surface = next(parts_of(rec.volume.surface(), rec.volume))
+            T = laid(model, np.eye(4), surface.points)
+            off, laid_off = (
+                np.abs(model.evaluate(P).distance) for P in (surface.points, se3.apply(T, surface.points))
+            )
+            covered = cKDTree(se3.apply(T, surface.points)).query(model.sample(4000)[0])[0] < COVERED
+            rows.append(
+                {
+                    "object": name,
+                    "motion": motion,
+                    "views": fitted,
+                    "median mm": 1e3 * float(np.median(off)),
+                    "p95 mm": 1e3 * float(np.quantile(off, 0.95)),
+                    "laid median mm": 1e3 * float(np.median(laid_off)),
+                    "laid p95 mm": 1e3 * float(np.quantile(laid_off, 0.95)),
+                    "covered": float(covered.mean()),
+                    "said": share_observed(surface, rec.volume),
+                }
+            )
+    return rows
+
+
 def print_tables(rows: Rows, trials: int, grasps: int) -> None:
     """Shapes, then corrections, then Open3D's shapes, by object and motion."""
     seen, shape = ("guessed mm", "seen", "fitted"), ("mean mm", "p95 mm", "bias mm", "covered")
@@ -218,7 +274,19 @@ def main() -> None:
     arguments.add_argument(
         "--grasps", type=report.at_least(1), default=10, help="with each model (default: 10)"
     )
+    arguments.add_argument("--frames", type=Path, help="folder of real frames (default: the data folder's)")
     options, given = report.parsed(arguments, trials=3, quick_trials=2)
+    folder = given.frames or (ycb.data_folder() or Path()) / "ycbv_frames"
+    if folder.is_dir():
+        real = real_frames.open_folder(folder)
+        scenes_ = [scene for scene in real.scenes.values() if len(scene) >= LEAST_FRAMES]
+        rows = [row for scene in scenes_ for row in of_real_frames([read() for read in scene], real.models)]
+        columns = list(rows[0])
+        lines = [
+            [f"{each:.2f}" if isinstance(each, float) else str(each) for each in row.values()] for row in rows
+        ]
+        note = "Distances of measured points from the given mesh; laid: on it as well as they can be."
+        report.print_table("Fused from real frames", columns, lines, note)
     models = things(options.quick)
     motions = [motion for motion in MOTIONS if not (options.quick and motion == "not given")]
     rows, last = Rows(), dict[str, ReconstructedModel]()

@@ -28,6 +28,7 @@ class GripOptions(NamedTuple):
     """`GripOptions` say when a grip is a new one, what a hand can hold, and how grips are aligned."""
 
     min_views: int = 5  # of a grip whose surface is used
+    most: int = 8  # grips that are kept; one takes 60 MB
     on_surface: float = 0.006  # depth so near to the surface shows it [m]
     behind: float = 0.012  # depth so far behind it contradicts it [m]
     min_agreement: float = (
@@ -93,6 +94,8 @@ class InHandReconstruction:
     def __init__(self, camera: Camera) -> None:
         self._camera, self.grips = camera, list[Grip]()
         self._last: Grip | None = None
+        self.forgotten = 0
+        """Number of views in grips that were too short, such as while fingers closed."""
 
     @property
     def views(self) -> int:
@@ -106,8 +109,11 @@ class InHandReconstruction:
         recent = sorted(self.grips, key=lambda grip: grip is self._last)
         grip = next((grip for grip in reversed(recent) if grip.shown_by(view)), None)
         if grip is None:
-            # One that has ended with a few views, such as while fingers closed, is forgotten.
-            self.grips = [each for each in self.grips if each.volume.views >= GRIP.min_views]
+            kept = [each for each in self.grips if each.volume.views >= GRIP.min_views]
+            if len(kept) == GRIP.most:
+                kept.remove(min(kept, key=lambda each: each.volume.views))
+            self.forgotten += self.views - sum(each.volume.views for each in kept)
+            self.grips = kept
             grip = Grip(Reconstruction(self._camera, IN_HAND_BOUNDS), view.tips_object)
             self.grips.append(grip)
         self._last = grip
@@ -121,29 +127,26 @@ class InHandReconstruction:
         grips = sorted(self.grips, key=lambda grip: -grip.volume.views)
         grips = [each for each in grips if each.volume.views >= GRIP.min_views] or grips[:1]
         found = [(grip, *in_fingers(grip.volume, grip.tips_object)) for grip in grips]
-        held = [(grip, surface) for grip, surface, _ in found if surface is not None]
-        if not held:
+        others = [(grip, surface) for grip, surface, _ in found if surface is not None]
+        left = [(grip, why) for grip, surface, why in found if surface is None]
+        if not others:
             raise InvalidInput(
-                f"recording: {found[0][2] if found else 'expected an object in the hand, got none'}"
+                f"recording: {left[0][1] if left else 'expected an object in the hand, got none'}"
             )
-        (first, surface), *others = held
-        count, left = (
-            len(held),
-            [f"{grip.volume.views} views: {why}" for grip, own, why in found if own is None],
-        )
+        first, surface = others.pop(0)
         while others:
             results = [_joined(first, surface, grip, own) for grip, own in others]
-            best = next((k for k, result in enumerate(results) if not isinstance(result, str)), -1)
+            best = next((k for k, result in enumerate(results) if not isinstance(result, str)), 0)
             if isinstance(joined := results[best], str):
-                left += [
-                    f"{grip.volume.views} views: {why}"
-                    for (grip, _), why in zip(others, results, strict=True)
-                ]
+                left += [(grip, str(why)) for (grip, _), why in zip(others, results, strict=True)]
                 break
             first, surface = joined
             others.pop(best)
-        sentences = [f"{count - len(others)} of {len(found)} grips aligned"] if len(found) > 1 else []
-        return first.volume, surface, sentences + [f"left out a grip of {why}" for why in left]
+        sentences = [f"{len(found) - len(left)} of {len(found)} grips aligned"] if len(found) > 1 else []
+        sentences += [f"left out a grip of {grip.volume.views} views: {why}" for grip, why in left]
+        if self.forgotten:
+            sentences.append(f"left out {self.forgotten} views of grips that were too short")
+        return first.volume, surface, sentences
 
 
 def _joined(

@@ -29,8 +29,8 @@ class ReconstructionOptions(NamedTuple):
     min_fit: float = 0.4  # share of a view's points on the surface so far, or the view is left out
     min_points: int = 100  # of a view, on the surface so far
     near: float = 0.5  # a point on the surface is nearer to it than this [bounds]
-    min_shift: float = 0.02  # a view is fused if the camera has moved so far since the last one [m]
-    min_rotation: float = np.deg2rad(3)  # or turned so far [rad]
+    min_motion: tuple[float, float] = (0.02, float(np.deg2rad(3)))
+    """A view is fused if the camera has moved or turned so far since the last one [m, rad]."""
 
 
 RECONSTRUCTION = ReconstructionOptions()
@@ -54,8 +54,18 @@ class View:
 class Reconstruction:
     """A `Reconstruction` is a surface that grows view by view."""
 
-    def __init__(self, camera: Camera, bounds_object: Array) -> None:
-        """`bounds_object` (2, 3): the least and the largest coordinates of the object [m]."""
+    def __init__(
+        self,
+        camera: Camera,
+        bounds_object: Array,
+        *,
+        min_motion: tuple[float, float] = RECONSTRUCTION.min_motion,
+    ) -> None:
+        """`bounds_object` (2, 3): the least and the largest coordinates of the object [m].
+
+        min_motion: a view is fused if the camera has moved or turned more than that since the last one [m, rad].
+        """
+        self._min_motion = min_motion
         self.camera, self.bounds_object = camera, bounds_object
         longest = float((bounds_object[1] - bounds_object[0]).max())
         cell = max(RECONSTRUCTION.cell, longest / RECONSTRUCTION.max_cells)
@@ -83,7 +93,7 @@ class Reconstruction:
             poses = (se3.inverse(each.T_camera_object) for each in (found, self._fused))
             moved = se3.difference(*poses)
         shift, turn = np.linalg.norm(moved[:3]), np.linalg.norm(moved[3:])
-        if shift > RECONSTRUCTION.min_shift or turn > RECONSTRUCTION.min_rotation:
+        if shift > self._min_motion[0] or turn > self._min_motion[1]:
             for volume in (self.volume, self._coarse):
                 volume.fuse(self.camera, found.depth, found.T_camera_object)
             self._fused, self._surface = found, None
