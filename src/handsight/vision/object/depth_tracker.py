@@ -97,6 +97,8 @@ class _Belief:
     lost: bool
     independent: Array
     """(6, 6) covariance that the pose would have if the errors of images were independent: it sets the filter's gain."""
+    T_at_rest: Array
+    """(4, 4) T_camera_object if it has not moved since the last image, or only with the palm that grips it."""
     shared: Array
     """(6, 6) derivative of the pose by errors of unit variance that all images share."""
     unsteady: Array
@@ -194,7 +196,8 @@ class DepthTracker:
         velocity = DEPTH_TRACKER.velocity_share * last.velocity * (dt <= DEPTH_TRACKER.max_gap)
         if image.gripped and image.T_camera_palm is not None and last.T_camera_palm is not None:
             T_new_old = image.T_camera_palm @ se3.inverse(last.T_camera_palm)
-            T, drift = T_new_old @ pose.T_a_b, DEPTH_TRACKER.drift_in_palm
+            T = at_rest = T_new_old @ pose.T_a_b
+            drift = DEPTH_TRACKER.drift_in_palm
             turn = np.kron(np.eye(2), T_new_old[:3, :3])
             covariance, independent, shared = (
                 turn @ pose.covariance @ turn.T,
@@ -203,7 +206,7 @@ class DepthTracker:
             )
         else:
             T_camera_center = se3.moved(pose.T_a_b @ self._T_object_center, velocity * dt)
-            T = T_camera_center @ se3.inverse(self._T_object_center)
+            T, at_rest = T_camera_center @ se3.inverse(self._T_object_center), pose.T_a_b
         much, little = (
             self._covariance_of_origin(T, np.repeat([(dt * sigma) ** 2 for sigma in sigmas], 3))
             for sigmas in (drift, DEPTH_TRACKER.drift_in_palm)
@@ -216,6 +219,7 @@ class DepthTracker:
             image.T_camera_palm,
             last.lost,
             independent + much,
+            at_rest if hint is None else hint,
             shared,
             much - little if steady else np.zeros((6, 6)),
         )
@@ -224,7 +228,9 @@ class DepthTracker:
         """Returns what an image says near where the object is expected."""
         pose = GaussianPose(predicted.pose_camera_object.T_a_b, predicted.independent - predicted.unsteady)
         known = np.asarray(np.linalg.inv(pose.at_point(self.model.center_object).covariance))
-        return self._refiner.at(pose.T_a_b, known, image.depth, image.hand, image.table, near=True)
+        return self._refiner.at(
+            pose.T_a_b, known, image.depth, image.hand, image.table, T_at_rest=predicted.T_at_rest
+        )
 
     def _misfit(self, predicted: _Belief, refined: RefinedPose) -> str:
         """Returns why the object is lost; empty if it is not."""
@@ -295,7 +301,7 @@ class DepthTracker:
         pose = GaussianPose(T_camera_object, self._covariance_of_origin(T_camera_object, variance))
         zeros = np.zeros((6, 6))
         return _Belief(
-            image.stamp, pose, np.zeros(6), image.T_camera_palm, lost, pose.covariance, zeros, zeros
+            image.stamp, pose, np.zeros(6), image.T_camera_palm, lost, pose.covariance, T_camera_object, zeros, zeros
         )
 
     def _covariance_of_origin(self, T_camera_object: Array, variance: Array) -> Array:
