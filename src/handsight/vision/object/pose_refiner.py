@@ -26,6 +26,7 @@ class RefinerOptions(NamedTuple):
     margin: float = 0.15  # around the object's silhouette, in which points are gathered [diameters]
     max_points: int = 400  # points that refine a pose
     max_pixels: int = 2000  # pixels of the window that they are chosen from
+    creep: float = 0.04  # more explained pixels that a moved pose must have than one at rest
     good: float = 0.7  # fit of a pose, for points farther from the expected one not to be tried
     continued: float = 3.0  # pixels against a pose that one counts for where the surface goes on beside it
     covariance_points: int = 50  # of these points, by which the covariance is computed
@@ -113,7 +114,11 @@ class PoseRefiner:
         depth_term.refine_poses(*record, points, stages, self.model.diameter, one_point * known, candidate)
         sides, center = appearance_of(self.model).sides, self.model.center_object
         pose_score.score_all(self.camera.record, image[1:], sides, center, candidates)
-        best = int(np.argmax(candidates["explained"] - 2 * candidates["passed"]))
+        # A little more support is noise, or the model's error: what does not move must not creep.
+        gain = 1 + REFINER.creep * np.arange(len(candidates))
+        # A little more support is noise, or the model's error: what does not move must not creep.
+        gain = 1 + REFINER.creep * np.arange(len(candidates))
+        best = int(np.argmax(candidates["explained"] * gain - 2 * candidates["passed"]))
         candidate = candidates[best : best + 1]
         outline.find_continued(self.camera.record, record, image, self._window, candidate)
         return candidate, points.copy()
