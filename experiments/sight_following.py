@@ -78,7 +78,9 @@ def real_rows(seed: int) -> Rows:
             for T in [next(i.T_camera_object for i in frame.instances if i.name == name)]
         ]
         for begin, start in (("true pose", instance.T_camera_object), ("locate", None)):
-            rows += followed(model, camera, plain, start, {"object": name, "occluder": "none", "begin": begin})
+            rows += followed(
+                model, camera, plain, start, {"object": name, "occluder": "none", "begin": begin}
+            )
         for share in report.progress(SHARES, f"following {name}"):
             for occluder in OCCLUDERS:
                 rng = np.random.default_rng([seed, number, round(100 * share), occluder == "board"])
@@ -114,20 +116,43 @@ def show_real(rows: Rows) -> None:
                 continue
             good, mm = report.chosen(mine, state="tracking"), [r["mm"] for r in mine if "mm" in r]
             mssd, ms = report.values(mine, "mssd"), report.values(mine, "ms")
-            states = [f"{len(report.chosen(mine, state=s)) / len(mine):.2f}" for s in ("tracking", "uncertain", "lost")]
+            states = [
+                f"{len(report.chosen(mine, state=s)) / len(mine):.2f}"
+                for s in ("tracking", "uncertain", "lost")
+            ]
             inside = f"{np.nanmean(report.values(good, 'inside')):.2f}" if good else ""
             numbers = [f"{np.median(mm):.1f}", f"{np.median(mssd):.3f}", f"{(mssd < RIGHT).mean():.2f}"]
             times = f"{np.median(ms):.2f} {np.quantile(ms, 0.99):.1f}"
             label = "0 %" if high == BINS[0][1] else f"{max(low, 0):.0%} to {min(high, 1):.0%}"
             table.append([occluder, label, len(mine), *numbers, *states, inside, times])
-    columns = ["occluder", "hidden", "images", "ADD-S mm", "MSSD", "right", "tracking", "uncertain", "lost", "inside", "ms, 99 %"]
+    columns = [
+        "occluder",
+        "hidden",
+        "images",
+        "ADD-S mm",
+        "MSSD",
+        "right",
+        "tracking",
+        "uncertain",
+        "lost",
+        "inside",
+        "ms, 99 %",
+    ]
     report.print_table("Objects followed on real frames", columns, table, report.machine())
     table = []
     for name in report.distinct(rows, "object"):
         for begin in ("true pose", "locate"):
             mine = report.chosen(rows, object=name, occluder="none", begin=begin)
             mssd, mm = report.values(mine, "mssd"), report.values(mine, "mm")
-            table.append([name, begin, *(f"{x:.3f}" for x in (mssd[0], np.median(mssd[-5:]))), f"{mm[0]:.1f}", f"{np.median(mm[-5:]):.1f}"])
+            table.append(
+                [
+                    name,
+                    begin,
+                    *(f"{x:.3f}" for x in (mssd[0], np.median(mssd[-5:]))),
+                    f"{mm[0]:.1f}",
+                    f"{np.median(mm[-5:]):.1f}",
+                ]
+            )
     columns = ["object", "from", "MSSD at first", "in the end", "ADD-S mm at first", "in the end"]
     report.print_table("Drift over the twenty real frames", columns, table)
 
@@ -139,12 +164,26 @@ def show_lost(rows: Rows) -> None:
         mine = [r for r in rows if kind in (r["kind"], "all") and r["hidden"] <= COVERED]
         off = [r for r in mine if not r["there"] or r["add_s"] > RIGHT]
         good = [r for r in mine if r["there"] and not r["add_s"] > RIGHT]
-        counts = [[len(report.chosen(some, state=s)) for s in ("lost", "uncertain", "tracking")] for some in (off, good)]
+        counts = [
+            [len(report.chosen(some, state=s)) for s in ("lost", "uncertain", "tracking")]
+            for some in (off, good)
+        ]
         (lost, unsure, _), (wrong, _, kept) = counts
         recall = f"{lost / len(off):.3f} {(lost + unsure) / len(off):.3f}" if off else ""
         precision = f"{lost / (lost + wrong):.3f}" if lost + wrong else ""
         table.append([kind, len(off), *counts[0], recall, precision, len(good), kept, wrong])
-    columns = ["", "off", "lost", "uncertain", "tracking", "recall", "precision", "not off", "tracking ", "lost "]
+    columns = [
+        "",
+        "off",
+        "lost",
+        "uncertain",
+        "tracking",
+        "recall",
+        "precision",
+        "not off",
+        "tracking ",
+        "lost ",
+    ]
     report.print_table("Objects that are lost (synthetic)", columns, table)
     hidden = [r for r in rows if r["there"] and 0.6 < r["hidden"] <= 0.8]
     if hidden:
@@ -161,10 +200,14 @@ def main() -> None:
     real_frames.default_folder()  # says so, and ends, where the frames are not here
     rows = real_rows(options.seed)
     show_real(rows)
-    report.write_csv(options.output / "sight_following.csv", [row | {"mm": row.get("mm", np.nan)} for row in rows])
+    report.write_csv(
+        options.output / "sight_following.csv", [row | {"mm": row.get("mm", np.nan)} for row in rows]
+    )
     rows = lost_rows(options.trials, options)
     show_lost(rows)
-    report.write_csv(options.output / "sight_losing.csv", [row | {"mm": row.get("mm", np.nan)} for row in rows])
+    report.write_csv(
+        options.output / "sight_losing.csv", [row | {"mm": row.get("mm", np.nan)} for row in rows]
+    )
 
 
 if __name__ == "__main__":

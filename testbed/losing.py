@@ -75,7 +75,9 @@ class Occluder:
         joints = {j: rng.uniform(*scenes.BENT) * (not j.endswith(scenes.SIDEWAYS)) for j in shape.joints}
         believed = {j: angle + scenes.JOINTS * rng.normal() for j, angle in joints.items()}
         vertices, middle = shape.vertices_palm(joints) @ R.T, shape.vertices_palm(joints).mean(axis=0) @ R.T
-        return cls(vertices - middle, shape.vertices_palm(believed) @ R.T - middle, shape.faces, aside, distance)
+        return cls(
+            vertices - middle, shape.vertices_palm(believed) @ R.T - middle, shape.faces, aside, distance
+        )
 
     def pose(self, model: hs.ObjectModel, T_camera_object: Array, lateral: float) -> Array:
         """Returns the occluder's pose (4, 4) before the object, so far aside of the line of sight [m]."""
@@ -102,7 +104,13 @@ class Occluder:
 
 
 def occluded(
-    model: hs.ObjectModel, frames: Sequence[RealFrame], name: str, occluder: Occluder, share: float, *, told: bool
+    model: hs.ObjectModel,
+    frames: Sequence[RealFrame],
+    name: str,
+    occluder: Occluder,
+    share: float,
+    *,
+    told: bool,
 ) -> Iterator[Instant]:
     """Yields real images of an object with a drawn occluder before it; told: the hand's pixels are known."""
     rng, truths = np.random.default_rng(0), [_instance(frame, name) for frame in frames]
@@ -211,7 +219,10 @@ def _drawn(
     occluder: tuple[Occluder, Array] | None,
 ) -> Any:
     """Returns the picture of bodies, labelled from 0 on, on the table, -2, behind an occluder."""
-    parts = [(m.vertices, m.faces, k, T_camera_table @ T) for k, (m, T) in enumerate(zip(bodies, Ts_table_object, strict=True))]
+    parts = [
+        (m.vertices, m.faces, k, T_camera_table @ T)
+        for k, (m, T) in enumerate(zip(bodies, Ts_table_object, strict=True))
+    ]
     parts.append((4 * scenes.TABLE, scenes.SQUARE, -2, T_camera_table))
     if occluder is not None:
         parts.append((occluder[0].vertices, occluder[0].faces, OCCLUDER, occluder[1]))

@@ -301,7 +301,15 @@ class DepthTracker:
         pose = GaussianPose(T_camera_object, self._covariance_of_origin(T_camera_object, variance))
         zeros = np.zeros((6, 6))
         return _Belief(
-            image.stamp, pose, np.zeros(6), image.T_camera_palm, lost, pose.covariance, T_camera_object, zeros, zeros
+            image.stamp,
+            pose,
+            np.zeros(6),
+            image.T_camera_palm,
+            lost,
+            pose.covariance,
+            T_camera_object,
+            zeros,
+            zeros,
         )
 
     def _covariance_of_origin(self, T_camera_object: Array, variance: Array) -> Array:
