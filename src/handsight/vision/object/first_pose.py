@@ -40,6 +40,7 @@ class FirstPoseOptions(NamedTuple):
     turned: int = 2  # candidates that are turned to where the surface is nearly the same
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
+    max_bound: float = 0.5  # beyond which depth tells no shape from another, as of what is too far away [diameters]
     place: float = 0.15
     """Poses whose centres are nearer to each other are of one place [diameters]."""
 
@@ -176,6 +177,7 @@ def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *
     pose_score.score_all(camera.record, image, sides, model.center_object, candidates)
     around = camera.rays, *image
     outline.follow_outlines(camera.record, model.record[:2], around, BESIDE[effort], candidates)
+    candidates["explained"][candidates["bound"] > FIRST_POSE.max_bound * model.diameter] = 0
 
 
 def explained_within(noise: DepthNoise, z: Array) -> Array:
