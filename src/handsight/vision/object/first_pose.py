@@ -40,7 +40,9 @@ class FirstPoseOptions(NamedTuple):
     turned: int = 2  # candidates that are turned to where the surface is nearly the same
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
-    max_bound: float = 0.5  # beyond which depth tells no shape from another, as of what is too far away [diameters]
+    max_bound: float = (
+        0.5  # beyond which depth tells no shape from another, as of what is too far away [diameters]
+    )
     place: float = 0.15
     """Poses whose centres are nearer to each other are of one place [diameters]."""
 
