@@ -5,16 +5,17 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 import handsight as hs
-import handsight.vision
 from cli.commands import called, run
 from handsight import se3
 from handsight.cli.locate import MAX_INSTANCES
+from handsight.vision.object import first_pose_source
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.locate import LOCATE
 from pictures import (
@@ -444,14 +445,14 @@ def test_what_is_no_picture_is_said(asked, tmp_path, monkeypatch):
 
 
 def test_ctrl_c_keeps_what_was_found(frames, monkeypatch, capsys):
-    calls, locate = iter(range(9)), handsight.vision.locate
+    calls, locate = iter(range(9)), first_pose_source.locate
 
     def interrupted(*args, **options):
         if next(calls) == 1:
             raise KeyboardInterrupt
         return locate(*args, **options)
 
-    monkeypatch.setattr(handsight.vision, "locate", interrupted)
+    monkeypatch.setattr(first_pose_source, "locate", interrupted)
     folder = frames.parent
     assert called(monkeypatch, folder, "locate", "frames", "--object", "letter.ply", "-o", "a.jsonl") == 130
     assert len(answers((folder / "a.jsonl").read_text())) == 1
@@ -598,6 +599,41 @@ def test_an_object_in_the_hand_is_found_in_a_recording(held, asked, tmp_path):
     assert err.startswith("handsight: --object: expected a name of box.rig.yaml or a mesh file, got 'bx'")
     for option in (("--camera", "a.json"), ("-o", "a.csv"), ("--depth-camera", "stereo")):
         assert "expected" in asked("locate", "box.mcap", "--object", "box", *option, expect=2)[1]
+
+
+@pytest.mark.slow
+def test_recorded_detections_say_where_an_object_is_in_a_recording(held, asked, tmp_path):
+    """Its label is the rig's; a box in a corner has nothing in it."""
+    from handsight.messages import RosType
+    from handsight.messages.encode import Message, header, pose_with_covariance
+    from handsight.recording import RecordingWriter
+    from handsight.rig.save import write as write_rig
+
+    rig, samples, T_camera_world = held
+    rig = replace(
+        rig,
+        topics=replace(rig.topics, detections="/boxes"),
+        objects={"box": replace(rig.objects["box"], label="41")},
+    )
+    T = T_camera_world @ samples[-1].T_world_object
+    u, v = hs.Camera.of(rig.camera).project(T[None, :3, 3])[0]
+    for (x, y), there in (((u, v), True), ((10.0, 10.0), False)):
+        with RecordingWriter(tmp_path / "box.mcap", rig) as writer:
+            for sample in samples:
+                stamp = sample.observation.stamp
+                center = Message(position=Message(x=x, y=y), theta=0.0)
+                box = Message(center=center, size_x=120.0 if there else 16.0, size_y=120.0 if there else 16.0)
+                what = Message(
+                    hypothesis=Message(class_id="41", score=0.8), pose=pose_with_covariance(np.eye(4), None)
+                )
+                one = Message(header=header(stamp), results=[what], bbox=box, id="")
+                writer.append("/boxes", RosType.DETECTIONS, stamp, header=header(stamp), detections=[one])
+                writer.write(sample.observation)
+        write_rig(rig, tmp_path / "box.rig.yaml")
+        row = answers(asked("locate", "box.mcap", "--object", "box")[0])[-1]
+        assert row["found"] == there
+        if there:
+            assert 1e3 * np.linalg.norm(pose_of(row)[:3, 3] - T[:3, 3]) < 10
 
 
 @pytest.mark.slow

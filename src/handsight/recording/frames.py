@@ -26,6 +26,7 @@ from handsight.observation import Detection2D
 from handsight.recording.open import open_recording
 from handsight.recording.robot_images import HandPixels
 from handsight.rig import Rig
+from handsight.tracking.hints import SearchHints
 from handsight.vision import read_camera, read_color, read_depth
 from handsight.vision.object.locate import search_mask
 from handsight.vision.pixels import MILLIMETRE, Color
@@ -280,7 +281,7 @@ def _camera(K: tuple[float, ...], size: tuple[int, int]) -> Camera:
 
 
 def recorded_frames(path: Path, rig: Rig) -> Frames:
-    """Returns the frames of a recording in order of stamp.
+    """Returns the frames of a recording in order of stamp, with the recorded detections of the last second.
 
     The hand's pixels are those of its links, at the palm's pose that is detected (`detect_palm`), else at the pose by
     the calibration of the rig's camera. They are unknown without joint positions, and for a camera that is fixed in the
@@ -292,9 +293,11 @@ def recorded_frames(path: Path, rig: Rig) -> Frames:
 
     def each() -> Iterator[Frame]:
         pixels, camera = HandPixels(rig), None
+        hints = {name: SearchHints(spec.label or name) for name, spec in rig.objects.items()}
         with open_recording(path, rig) as recording:
             for observation in recording.observations():
                 depth, color = observation.depth, observation.color
+                hints = {name: hint.after(observation) for name, hint in hints.items()}
                 if depth is None:
                     continue
                 camera = camera or recording.camera()
@@ -302,11 +305,13 @@ def recorded_frames(path: Path, rig: Rig) -> Frames:
                     (width, height), (h, w) = camera.size, depth.shape
                     message = f"expected depth of {width} x {height} pixels as its camera's, got {w} x {h}"
                     raise InvalidFile(f"{path}: {message}")
+                found = [replace(each, label=name) for name in hints for each in hints[name].detections]
                 yield Frame(
                     name=f"{observation.stamp:.3f} s",
                     camera=camera,
                     depth=depth,
                     color=color if color is not None and color.shape[:2] == depth.shape else None,
+                    detections=tuple(found) or None,
                     hand=pixels.mask(camera, np.nan_to_num(depth), observation),
                 )
         if camera is None:

@@ -20,7 +20,7 @@ from handsight.rig import Finger, Rig, Table
 from handsight.tracking.follower import Follower
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.settings import TrackerSettings
-from handsight.vision import DepthTracker, HandAppearance, detect_palm, locate
+from handsight.vision import DepthTracker, HandAppearance, detect_palm, locate, locate_all
 from handsight.vision.reconstruction.reconstruct import Reconstruction, View
 
 
@@ -111,6 +111,7 @@ def find_object() -> None:
     T = se3.compose(se3.rotation_exp(np.array([0.5, 0.4, 0])), np.array([0, 0, 0.3]))
     depth = _drawn(camera, se3.apply(T, model.vertices), model.faces)
     locate(model, depth, camera)
+    locate_all({"box": model}, depth, camera)
     DepthTracker(model, camera, start=T).update(0.0, depth, hand=depth < 0, table=np.array([0, 0, -1, 0.6]))
     surface = Reconstruction(camera, np.array([[-0.1] * 3, [0.1] * 3]))
     surface.grow(View(depth, T))

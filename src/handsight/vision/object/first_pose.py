@@ -34,7 +34,7 @@ class FirstPoseOptions(NamedTuple):
     min_references: int = 4  # of each segment at least
     partners: int = 140  # points that each is paired with
     min_pixels: int = 10  # points with a normal that a segment must have to vote
-    max_voted: int = 90  # candidates of the votes that are compared with the image
+    max_voted: int = 150  # candidates of the votes that are compared with the image
     voted_spacing: float = 0.05  # between these [diameters]
     candidate_spacing: float = 0.08  # between those that go on [diameters]
     turned: int = 2  # candidates that are turned to where the surface is nearly the same
@@ -52,7 +52,7 @@ STAGES = np.array(
 """How candidates are moved to the image, with bounds in diameters."""
 POINTS, KEPT = (80, 160, 300, FIRST_POSE.max_points), (24, 12, 8, 8)
 """Observed points by which each stage moves them, and candidates that go on from each."""
-BESIDE = (300, 500, 1000, 1500)
+BESIDE = (150, 300, 600, 1200)
 """Pixels around each candidate that show whether the surface goes on beyond its outline."""
 TURNED = 3
 """Before this stage the best candidates are also turned to where the surface is nearly the same."""
@@ -137,22 +137,21 @@ def first_pose(
     found = voted.reshape(-1)
     found = distinct(model, found, found["votes"], FIRST_POSE.max_voted, FIRST_POSE.voted_spacing)
 
-    def refine(candidates: Candidates, stage: int, points: int) -> None:
-        """Moves candidates to some of the points, and scores them."""
+    def refine(candidates: Candidates, stage: int, effort: int) -> None:
+        """Moves candidates as one stage does, with as many points and pixels as another one takes."""
         candidates["bound"], now = explained_within(noise, center_depths(model, candidates)), STAGES[stage]
-        depth_term.refine_poses(
-            *model.record[:2], observed[:points], np.atleast_1d(now), D, NOTHING_KNOWN, candidates
-        )
-        score_candidates(model, scene, candidates, stage=stage)
+        points, record = observed[: POINTS[effort]], model.record[:2]
+        depth_term.refine_poses(*record, points, np.atleast_1d(now), D, NOTHING_KNOWN, candidates)
+        score_candidates(model, scene, candidates, effort=effort)
 
-    for stage, points, kept in zip(range(len(STAGES)), POINTS, KEPT, strict=True):
+    for stage, kept in enumerate(KEPT):
         if stage == TURNED and len(appearance.turns):
             best = poses_of(found[: FIRST_POSE.turned])
             turned = candidates_at((best[:, None] @ appearance.turns).reshape(-1, 4, 4))
-            refine(turned, stage, POINTS[0])
+            refine(turned, stage, 0)
             found = np.concatenate([found, turned])
             found = distinct(model, found, found["score"], KEPT[1], FIRST_POSE.candidate_spacing)
-        refine(found, stage, points)
+        refine(found, stage, stage)
         found = distinct(model, found, found["score"], max(kept, modes), FIRST_POSE.candidate_spacing)
     if given is not None:
         given["bound"] = explained_within(noise, center_depths(model, given))
@@ -169,13 +168,14 @@ def first_pose(
     )
 
 
-def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *, stage: int = -1) -> None:
-    """Fills in the score of CANDIDATE (k,), which have a bound, and the pixels that it is made of, as a stage does."""
+def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *, effort: int = -1) -> None:
+    """Fills in the score of CANDIDATE (k,), which have a bound, and the pixels that it is made of, with the
+    effort of a stage."""
     appearance, camera, image = appearance_of(model), scene.camera, (scene.depth, scene.labels)
-    sides = appearance.sides if BESIDE[stage] == BESIDE[-1] else appearance.few_sides
+    sides = appearance.sides if BESIDE[effort] == BESIDE[-1] else appearance.few_sides
     pose_score.score_all(camera.record, image, sides, model.center_object, candidates)
     around = camera.rays, *image
-    outline.follow_outlines(camera.record, model.record[:2], around, BESIDE[stage], candidates)
+    outline.follow_outlines(camera.record, model.record[:2], around, BESIDE[effort], candidates)
 
 
 def explained_within(noise: DepthNoise, z: Array) -> Array:

@@ -151,8 +151,6 @@ def _checked_counts(models: Mapping[str, ObjectModel], counts: Mapping[str, int]
     limits = {name: checks.integer(n, f"counts[{name!r}]", 10_000) for name, n in (counts or {}).items()}
     if wrong := next((name for name in limits if name not in models), None):
         raise InvalidInput(f"counts: expected names of models, got {wrong!r:.80}")
-    if wrong := next((name for name, n in limits.items() if n < 0), None):
-        raise InvalidInput(f"counts[{wrong!r}]: expected a number of at least 0, got {limits[wrong]}")
     return limits
 
 
@@ -281,6 +279,7 @@ class _Pool:
                 for option in (rest, one_more(rest)):
                     if (now := self.value(option)) > value + 1e-6:
                         chosen, value = option, now
+            alone[[limits.get(name, 1) == 0 for name in self.names]] = -np.inf
             order = np.argsort(-alone)[: LOCATE_ALL.exchanged]
             for n in [n for n in order.tolist() if alone[n] > 0 and n not in banned]:
                 same = np.minimum(self.explained[n], self.explained[chosen]).sum(axis=1)
