@@ -262,8 +262,8 @@ def places_of(model: ObjectModel, candidates: Candidates) -> NDArray[np.int64]:
 
 
 def mode_support(candidates: Candidates, pixels: float) -> Array:
-    """Returns by how much (k,) the logarithms of the weights of CANDIDATE (k,) at one place differ, each with the weight
-    of the points that support it; pixels: of a point.
+    """Returns by how much (k,) the logarithms of the weights of CANDIDATE (k,) at one place differ, each with the
+    weight of the points that support it; pixels: of a point.
 
     They share most of the surface, as poses of a mug do that differ by where the handle is. Shares of the expected
     pixels hardly differ between them; those that are explained, or that the camera sees past, do.
