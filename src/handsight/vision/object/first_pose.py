@@ -40,6 +40,7 @@ class FirstPoseOptions(NamedTuple):
     turned: int = 2  # candidates that are turned to where the surface is nearly the same
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
+    max_bound: float = 1 / 6  # but never more, because then it would explain anything [diameters]
     place: float = 0.15
     """Poses whose centres are nearer to each other are of one place [diameters]."""
     score_weight: float = 3.0
@@ -144,7 +145,8 @@ def first_pose(
 
     def refine(candidates: Candidates, stage: int, effort: int) -> None:
         """Moves candidates as one stage does, with as many points and pixels as another one takes."""
-        candidates["bound"], now = explained_within(noise, center_depths(model, candidates)), STAGES[stage]
+        bound, now = explained_within(noise, center_depths(model, candidates)), STAGES[stage]
+        candidates["bound"] = np.minimum(bound, FIRST_POSE.max_bound * D)
         points, record = observed[: POINTS[effort]], model.record[:2]
         depth_term.refine_poses(*record, points, np.atleast_1d(now), D, NOTHING_KNOWN, candidates)
         score_candidates(model, scene, candidates, effort=effort)

@@ -65,6 +65,7 @@ class LocateAllOptions(NamedTuple):
     visible: float = 0.1  # share of the pixels that an object would fill, of which less is no evidence
     max_rounds: int = 6  # of the search for one more of each
     min_another: float = 0.5  # least probability of one more of an object of which the number is not given
+    min_counted: float = 0.3  # and of an object of which it is given
 
 
 LOCATE_ALL = LocateAllOptions()
@@ -373,7 +374,7 @@ class _Pool:
 
 def _least_odds(limits: Mapping[str, int], names: Sequence[str], odds: Array) -> Array:
     """Returns the log odds (k,) that instances must have: more for one more of an object that is counted."""
-    p = np.full(len(names), LOCATE.min_probability)
+    p = np.array([LOCATE_ALL.min_counted if name in limits else LOCATE.min_probability for name in names])
     for k, name in enumerate(names):
         if name not in limits and k != max(
             (j for j, other in enumerate(names) if other == name), key=odds.__getitem__
