@@ -126,8 +126,8 @@ def of_places(weights: Array, one: Search) -> tuple[Array, Array]:
 
 
 def fitted(searches: list[Search]) -> Array:
-    """Returns the weights (4,) of the largest likelihood, less a penalty on large ones: few scenes do not tell whether
-    touching neighbours, say, never look like a surface that goes on."""
+    """Returns the weights (4,) of the largest likelihood, less a penalty on large ones: few scenes cannot tell
+    whether touching neighbours, say, never look like a surface that goes on."""
     counts = Counter((one.group, one.there) for one in searches)
     shares = np.array([(1 if one.real else DRAWN_SHARE) / counts[one.group, one.there] for one in searches])
 
