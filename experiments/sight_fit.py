@@ -11,7 +11,8 @@ those that were fitted to real scenes and to the pictures of the other half of t
 """
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -83,7 +84,7 @@ def in_real(k: int, most: int) -> list[Search]:
 
         def right(Ts: Array, model: Any = model, truths: Any = truths) -> Array:
             errors = [[real_frames.add_s(model, one.T_camera_object, T) for one in truths] for T in Ts]
-            return np.min(errors, axis=1) < RIGHT
+            return np.asarray(np.min(errors, axis=1) < RIGHT)
 
         of = truths[0] if truths else frame.instances[(k + j) % len(frame.instances)]
         for told in TOLD if truths else (ANYWHERE, BOX):
@@ -96,12 +97,9 @@ def in_real(k: int, most: int) -> list[Search]:
 def in_drawn(name: str, k: int, seed: int) -> list[Search]:
     """Returns the searches in one drawn picture: for its object, and where no other is there for three that are not."""
     of, picture = sight.picture(name, k, seed)
-    rng, found = np.random.default_rng([seed, k, 5]), []
-    others = (
-        []
-        if picture.on_table
-        else rng.choice([one for one in sight.objects() if one != of], 3, replace=False)
-    )
+    rng, found, others = np.random.default_rng([seed, k, 5]), list[Search](), list[str]()
+    if not picture.on_table:
+        others = list(rng.choice([one for one in sight.objects() if one != of], 3, replace=False))
     for each in (of, *others):
         model = sight.objects()[each]
 
@@ -128,8 +126,8 @@ def of_places(weights: Array, one: Search) -> tuple[Array, Array]:
 
 
 def fitted(searches: list[Search]) -> Array:
-    """Returns the weights (4,) of the largest likelihood, less a penalty on large ones: a few scenes do not tell whether
-    touching neighbours, say, never look like a surface that goes on."""
+    """Returns the weights (4,) of the largest likelihood, less a penalty on large ones: few scenes cannot tell
+    whether touching neighbours, say, never look like a surface that goes on."""
     counts = Counter((one.group, one.there) for one in searches)
     shares = np.array([(1 if one.real else DRAWN_SHARE) / counts[one.group, one.there] for one in searches])
 
@@ -143,7 +141,7 @@ def fitted(searches: list[Search]) -> Array:
 
 
 def judged(
-    searches: list[Search], left_out: list[Callable[[Search], bool]]
+    searches: list[Search], left_out: Sequence[Callable[[Search], bool]]
 ) -> list[tuple[Search, float, bool]]:
     """Returns each search that is left out once, with the probability of its best place, and whether that is right."""
     answers = []
@@ -155,6 +153,16 @@ def judged(
             against = float(p[best] / (p[best] + p[-1]))  # nowhere, whatever other places there are
             answers.append((one, against if best >= 0 else 0.0, best >= 0 and bool(right[best])))
     return answers
+
+
+def of_scene(scene: str, one: Search) -> bool:
+    """Returns whether a search is in a real scene."""
+    return one.real and one.group == scene
+
+
+def of_names(names: list[str], one: Search) -> bool:
+    """Returns whether a search in a drawn picture is for one of some objects."""
+    return not one.real and one.name in names
 
 
 def show(title: str, answers: list[tuple[Search, float, bool]]) -> None:
@@ -176,7 +184,7 @@ def show(title: str, answers: list[tuple[Search, float, bool]]) -> None:
     for low, high in pairwise(EDGES):
         among = (p > low) & (p <= high)
         if among.any():
-            cells.append([f"{p[among].mean():.2f}", f"{right[among].mean():.2f}", int(among.sum())])
+            cells.append([f"{p[among].mean():.2f}", f"{right[among].mean():.2f}", f"{among.sum()}"])
     report.print_table(f"{title}: reliability", ("mean probability", "right", "searches"), cells)
 
 
@@ -194,9 +202,9 @@ def main() -> None:
     report.say(
         f"EVIDENCE = {weights} from {len(real)} searches in real images and {len(drawn)} in drawn ones"
     )
-    by_scene = [lambda one, s=scene: one.real and one.group == s for scene in frames.scenes]
+    by_scene = [partial(of_scene, scene) for scene in frames.scenes]
     show("Real, each scene by the others' weights", judged(searches, by_scene))
-    halves = [lambda one, h=half: not one.real and names.index(one.name) % 2 == h for half in range(2)]
+    halves = [partial(of_names, names[half::2]) for half in range(2)]
     show("Drawn, each half of the objects by the other's", judged(searches, halves))
 
 
