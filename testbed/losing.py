@@ -1,7 +1,7 @@
 """Sequences of depth images in which an object is hidden, or lost: drawn ones, and real ones with a drawn occluder.
 
-A drawn object stands on a table with two others close to it, and after `EVENT` images something happens to it (`KINDS`).
-An occluder is a Shadow hand, whose joints are believed a degree off, or a board; it comes from aside.
+A drawn object stands on a table with two others close to it, and after `EVENT` images something happens to it
+(`KINDS`). An occluder is a Shadow hand, whose joints are believed a degree off, or a board; it comes from aside.
 """
 
 from collections.abc import Iterator, Sequence

@@ -96,7 +96,7 @@ class _Belief:
     T_camera_palm: Array | None
     lost: bool
     independent: Array
-    """(6, 6) covariance that the pose would have if the errors of images were independent: it sets the filter's gain."""
+    """(6, 6) covariance if the errors of images were independent, by which they are weighed."""
     T_at_rest: Array
     """(4, 4) T_camera_object if it has not moved since the last image, or only with the palm that grips it."""
     shared: Array
