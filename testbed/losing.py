@@ -182,8 +182,8 @@ def lost(kind: str, models: Sequence[hs.ObjectModel], rng: np.random.Generator) 
                 lateral = (k - COMES - 3) / 6 * laterals[0]
             placed = occluder.pose(model, T_camera_table @ where, lateral)
         gone = (kind == "neighbour" and not there) or (kind == "swapped" and not there and first)
-        shown = (bodies[1:], Ts[1:]) if gone else (bodies, [T, *Ts[1:]])
-        image = _drawn(camera, T_camera_table, *shown, None if placed is None else (occluder, placed))
+        shown, at = (bodies[1:], Ts[1:]) if gone else (bodies, [T, *Ts[1:]])
+        image = _drawn(camera, T_camera_table, shown, at, None if placed is None else (occluder, placed))
         depth = scenes.noisy(image.depth, rng).astype(np.float32)
         mask = None
         if placed is not None and occluder.believed is not None and told:
