@@ -3,8 +3,8 @@
 Real: the twenty consecutive frames (30 Hz) of YCB-Video's scene in the data folder, which does not move but for the
 camera; each object is followed from its true pose and from where `locate` finds it. Real with a drawn occluder: the
 same depth, before it a Shadow hand whose pixels are known by its joints (told, each wrong by 1 degree) or not, or a
-board; from the true pose. The true poses are good to 2 to 5 mm. Drawn: two other objects touch the one that is followed, on a
-table, and something happens to it:
+board; from the true pose. The true poses are good to 2 to 5 mm. Drawn: two other objects touch the one that is
+followed, on a table, and something happens to it:
 {kinds}
 
   hidden     share of the silhouette
