@@ -1,10 +1,10 @@
 """Objects followed on real frames, behind drawn occluders, and until they are lost: how far off, and what is said.
 
 Real: the twenty consecutive frames (30 Hz) of YCB-Video's scene in the data folder, which does not move but for the
-camera; each object is followed from its true pose and from where `locate` finds it. Real with a drawn occluder: the same
-depth, before it a Shadow hand whose pixels are known by its joints (told, each wrong by 1 degree) or not, or a board;
-from the true pose. The true poses are good to 2 to 5 mm. Drawn: two other objects touch the one that is followed, on a
-table, and something happens to it:
+camera; each object is followed from its true pose and from where `locate` finds it. Real with a drawn occluder: the
+same depth, before it a Shadow hand whose pixels are known by its joints (told, each wrong by 1 degree) or not, or a
+board; from the true pose. The true poses are good to 2 to 5 mm. Drawn: two other objects touch the one that is
+followed, on a table, and something happens to it:
 {kinds}
 
   hidden     share of the silhouette
@@ -139,22 +139,22 @@ def show_real(rows: Rows) -> None:
         "ms, 99 %",
     ]
     report.print_table("Objects followed on real frames", columns, table, report.machine())
-    table = []
+    drift = []
     for name in report.distinct(rows, "object"):
         for begin in ("true pose", "locate"):
             mine = report.chosen(rows, object=name, occluder="none", begin=begin)
-            mssd, mm = report.values(mine, "mssd"), report.values(mine, "mm")
-            table.append(
+            mssd, off = report.values(mine, "mssd"), report.values(mine, "mm")
+            drift.append(
                 [
                     name,
                     begin,
                     *(f"{x:.3f}" for x in (mssd[0], np.median(mssd[-5:]))),
-                    f"{mm[0]:.1f}",
-                    f"{np.median(mm[-5:]):.1f}",
+                    f"{off[0]:.1f}",
+                    f"{np.median(off[-5:]):.1f}",
                 ]
             )
     columns = ["object", "from", "MSSD at first", "in the end", "ADD-S mm at first", "in the end"]
-    report.print_table("Drift over the twenty real frames", columns, table)
+    report.print_table("Drift over the twenty real frames", columns, drift)
 
 
 def show_lost(rows: Rows) -> None:

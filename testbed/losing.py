@@ -1,7 +1,7 @@
 """Sequences of depth images in which an object is hidden, or lost: drawn ones, and real ones with a drawn occluder.
 
-A drawn object stands on a table with two others close to it, and after `EVENT` images something happens to it (`KINDS`).
-An occluder is a Shadow hand, whose joints are believed a degree off, or a board; it comes from aside.
+A drawn object stands on a table with two others close to it, and after `EVENT` images something happens to it
+(`KINDS`). An occluder is a Shadow hand, whose joints are believed a degree off, or a board; it comes from aside.
 """
 
 from collections.abc import Iterator, Sequence
@@ -182,8 +182,8 @@ def lost(kind: str, models: Sequence[hs.ObjectModel], rng: np.random.Generator) 
                 lateral = (k - COMES - 3) / 6 * laterals[0]
             placed = occluder.pose(model, T_camera_table @ where, lateral)
         gone = (kind == "neighbour" and not there) or (kind == "swapped" and not there and first)
-        shown = (bodies[1:], Ts[1:]) if gone else (bodies, [T, *Ts[1:]])
-        image = _drawn(camera, T_camera_table, *shown, None if placed is None else (occluder, placed))
+        shown, at = (bodies[1:], Ts[1:]) if gone else (bodies, [T, *Ts[1:]])
+        image = _drawn(camera, T_camera_table, shown, at, None if placed is None else (occluder, placed))
         depth = scenes.noisy(image.depth, rng).astype(np.float32)
         mask = None
         if placed is not None and occluder.believed is not None and told:

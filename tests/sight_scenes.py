@@ -91,7 +91,7 @@ def mug(radius=0.04, height=0.09, wall=0.003):
     return vertices, np.concatenate([body[1], sides + len(body[0])])
 
 
-def looking(rng, distance):
+def looking(rng: np.random.Generator, distance: float) -> np.ndarray:
     """T_camera_table of a camera that looks down on the table's middle."""
     height, around = rng.uniform(np.deg2rad(30), np.deg2rad(70)), rng.uniform(0, 2 * np.pi)
     eye = distance * np.array(

@@ -36,7 +36,7 @@ class DepthTrackerOptions(NamedTuple):
     max_gap: float = 0.5  # between images, for a velocity to be used [s]
     drift: tuple[float, float] = (0.15, 1.0)  # sigma of its other motion [m/s, rad/s]
     drift_in_palm: tuple[float, float] = (0.02, 0.15)  # and of its motion in a grip [m/s, rad/s]
-    steady: float = 2.0  # squared error of the expected pose up to which its motion has not changed
+    unchanged: float = 2.0  # squared error of the expected pose up to which its motion has not changed
     min_points: int = 15  # near the surface that an image must have to give a pose
     min_pixels: float = 20.0  # explained pixels that an image must have to give a pose
     min_against: float = 30.0  # pixels against a pose that an image must have to contradict it
@@ -96,12 +96,12 @@ class _Belief:
     T_camera_palm: Array | None
     lost: bool
     independent: Array
-    """(6, 6) covariance that the pose would have if the errors of images were independent: it sets the filter's gain."""
+    """(6, 6) covariance if the errors of images were independent, by which they are weighed."""
     T_at_rest: Array
     """(4, 4) T_camera_object if it has not moved since the last image, or only with the palm that grips it."""
     shared: Array
     """(6, 6) derivative of the pose by errors of unit variance that all images share."""
-    unsteady: Array
+    changed: Array
     """(6, 6) part of both covariances that is due to a change of motion since the last image."""
 
 
@@ -211,7 +211,7 @@ class DepthTracker:
             self._covariance_of_origin(T, np.repeat([(dt * sigma) ** 2 for sigma in sigmas], 3))
             for sigmas in (drift, DEPTH_TRACKER.drift_in_palm)
         )
-        steady = not last.lost and hint is None
+        known = not last.lost and hint is None
         return _Belief(
             image.stamp,
             GaussianPose(T if hint is None else hint, covariance + much),
@@ -221,12 +221,12 @@ class DepthTracker:
             independent + much,
             at_rest if hint is None else hint,
             shared,
-            much - little if steady else np.zeros((6, 6)),
+            much - little if known else np.zeros((6, 6)),
         )
 
     def _refined(self, image: _Image, predicted: _Belief) -> RefinedPose:
         """Returns what an image says near where the object is expected."""
-        pose = GaussianPose(predicted.pose_camera_object.T_a_b, predicted.independent - predicted.unsteady)
+        pose = GaussianPose(predicted.pose_camera_object.T_a_b, predicted.independent - predicted.changed)
         known = np.asarray(np.linalg.inv(pose.at_point(self.model.center_object).covariance))
         return self._refiner.at(
             pose.T_a_b, known, image.depth, image.hand, image.table, T_at_rest=predicted.T_at_rest
@@ -272,8 +272,8 @@ class DepthTracker:
         pose, measured = predicted.pose_camera_object, refined.pose_camera_object
         off, P, R = se3.difference(measured.T_a_b, pose.T_a_b), predicted.independent, measured.covariance
         own = pose.covariance - predicted.shared @ predicted.shared.T
-        if off @ np.linalg.solve(P - predicted.unsteady + R, off) < DEPTH_TRACKER.steady:
-            P, own = P - predicted.unsteady, own - predicted.unsteady
+        if off @ np.linalg.solve(P - predicted.changed + R, off) < DEPTH_TRACKER.unchanged:
+            P, own = P - predicted.changed, own - predicted.changed
         gain = np.linalg.solve(P + R, P).T
         keep = np.eye(6) - gain
         shared = keep @ predicted.shared + gain @ np.linalg.cholesky(R)

@@ -80,7 +80,8 @@ class PoseRefiner:
         the expected one explains, unless the image supports this one better; None: it is searched more widely.
         """
         self._take(T_expected, depth, hand, table)
-        bound = explained_within(self.noise, center_depths(self.model, candidates_at(T_expected[None])))
+        z = center_depths(self.model, candidates_at(T_expected[None]))
+        bound = float(explained_within(self.noise, z)[0])
         best = None
         for within, stages in (2 * bound, NEAR_STAGES), (REFINER.within * self.model.diameter, STAGES):
             if stages is NEAR_STAGES and T_at_rest is None:
