@@ -172,7 +172,7 @@ def _joined(
 
 
 def _is_symmetry(T: Array, volume: Volume, surface: SurfacePoints) -> bool:
-    """Returns whether a map (4, 4) takes an object's surface to itself, as far as it is known: no handle to free space."""
+    """Returns whether a map (4, 4) takes an object's surface to itself, and no handle into free space."""
     points = surface.points[:: len(surface.points) // GRIP.points + 1]
     places = se3.apply(T, points)
     odd = (cKDTree(surface.points).query(places)[0] > GRIP.odd) & volume.among(volume.clear(), places)
