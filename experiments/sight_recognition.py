@@ -9,24 +9,25 @@ there, or is not and another is. Claimed: its probability is above a threshold; 
 from pathlib import Path
 
 import numpy as np
+from scipy.special import logit
 
 from handsight.vision import recognise
-from handsight.vision.object.first_pose import log_odds, probabilities
+from handsight.vision.object.first_pose import probabilities
 from handsight.vision.object.locate import LOCATE
 from shared import figures, report, sight, ycb
 from shared import sight_scenes as scenes
 from testbed.report import Array
 
 RIGHT = 0.1
-THRESHOLDS = (0.01, 0.02, 0.03, 0.1, 0.3, 0.5, 0.9)
+THRESHOLDS = sorted({0.02, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9, LOCATE.min_probability})
 
 
 def trial(name: str, k: int, seed: int) -> report.Row:
-    """Returns the evidence for each of ten objects in one picture."""
+    """Returns the log odds of each of ten objects in one picture."""
     of, picture = sight.picture(name, k, seed)
     answer = recognise(sight.objects(), picture.depth, scenes.WIDE, mask=picture.wanted, hand=picture.hand)
     odds = {
-        each: float(log_odds(found.candidates[:1])[0]) if len(found.candidates) else -99.0
+        each: float(logit(np.clip(found.probability, 1e-12, 1 - 1e-12)))
         for each, found in answer.found.items()
     }
     Ts = answer.found[of].Ts_camera_object[:1]

@@ -158,7 +158,7 @@ def tabletop(
     `hand`: of a `shadow_hand()`, which touches the object from above the table.
     """
     while True:
-        T_camera_table, Ts = looking(rng, rng.uniform(*FAR)), _close_together(models, rng)
+        T_camera_table, Ts = looking(rng, rng.uniform(*FAR)), close_together(models, rng)
         bodies = [(m, T_camera_table @ T) for m, T in zip(models, Ts, strict=True)]
         if hand is None:
             touching = None
@@ -195,7 +195,7 @@ def pictures(count: int, draw: Any, seed: int, key: int) -> Iterator[Picture]:
         yield draw(np.random.default_rng([seed, key, k]), k)
 
 
-def _close_together(models: Sequence[hs.ObjectModel], rng: Rng) -> list[Array]:
+def close_together(models: Sequence[hs.ObjectModel], rng: Rng) -> list[Array]:
     """T_table_object: the first in the middle, the others around it at about where they touch."""
     Ts, reach = [], 0.0
     for k, model in enumerate(models):

@@ -138,6 +138,47 @@ def test_behind_a_hand_it_is_expected_and_then_followed_again():
     assert states[29] == "lost"
 
 
+def test_what_hides_an_object_does_not_contradict_its_pose():
+    """A board, of which nobody has told the tracker, comes before more and more of the object."""
+    table = Table(2)
+    tracker, explained = table.tracker(at()), []
+    columns = CAMERA.project(se3.apply(table.T_camera_table, model().points_object))[:, 0]
+    for k in range(20):
+        depth = table.depth(at())
+        edge = np.quantile(columns, 0.05 * min(k, 14))
+        depth[:, : int(edge)] = 0.25
+        sighting = tracker.update(k * DT, depth, table=table.plane)
+        assert sighting.state == "tracking", (k, sighting.reason)
+        assert table.off(sighting, at()) < 0.1 * model().diameter
+        explained.append(sighting.candidate["explained"][0] / sighting.candidate["expected"][0])
+    assert explained[-1] < 0.5
+
+
+def test_a_wall_that_goes_on_past_the_outline_is_not_the_object():
+    """All that is visible of a brick may be a part of a wall, but the wall does not end where the brick does."""
+    brick, camera = hs.ObjectModel.box((0.1, 0.08, 0.05)), CAMERA
+    T = se3.compose(np.eye(3), np.array([0, 0, 0.5]))
+    alone = camera.draw(se3.apply(T, brick.vertices), brick.faces).depth
+    states = []
+    for depth in (alone, np.full_like(alone, 0.475)):
+        tracker = DepthTracker(brick, camera, start=T)
+        depth = np.where(np.isfinite(depth), depth, np.float32(0.9))
+        sighting = tracker.update(0.0, depth)
+        states.append(sighting.state)
+    assert states[0] != "lost"
+    assert states[1] == "lost"
+
+
+def test_images_that_share_their_errors_do_not_make_a_pose_certain():
+    """Of a static object, thirty images say little more than one."""
+    table = Table(1)
+    tracker, sigmas = table.tracker(at()), []
+    for k in range(30):
+        sighting = tracker.update(k * DT, table.depth(at()), table=table.plane)
+        sigmas.append(np.sqrt(sighting.covariance.diagonal()))
+    assert (np.median(sigmas[-5:], axis=0) > 0.7 * np.median(sigmas[:5], axis=0)).all()
+
+
 def test_in_a_grip_it_rides_with_the_palm():
     """Farther, from one image to the next, than it could be followed."""
     table, palm = Table(3), se3.random(np.random.default_rng(1))
@@ -254,6 +295,11 @@ def test_wrong_input_raises():
     tracker, small = DepthTracker(model(), CAMERA), np.ones((24, 32), np.float32)
     with pytest.raises(InvalidInput, match="depth: expected 320 x 240 pixels, got 32 x 24"):
         tracker.update(0.0, small)
+    millimetres = 1000 * table.depth(at())
+    with pytest.raises(InvalidInput, match=r"depth: expected metres, got a median of .* \(millimetres\?\)"):
+        tracker.update(0.0, millimetres)
+    with pytest.raises(InvalidInput, match="depth: expected metres as floats, got uint16"):
+        tracker.update(0.0, millimetres.astype(np.uint16))
     with pytest.raises(InvalidInput, match="hand: expected 320 x 240 pixels, got 32 x 24"):
         tracker.update(0.0, table.depth(at()), hand=small > 0)
     with pytest.raises(InvalidInput, match="stamp: expected"):

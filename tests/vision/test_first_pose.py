@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 import handsight as hs
 from handsight import se3
-from handsight._kernels.image import depth_covariance, depth_term, pose_score, votes
+from handsight._kernels.image import depth_covariance, depth_term, outline, pose_score, votes
 from handsight._kernels.image.vision_records import CANDIDATE, DEPTH_ERROR, DEPTH_POINT, STAGE
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects.symmetry import nearest
@@ -25,9 +25,9 @@ from handsight.vision.candidates import (
 )
 from handsight.vision.object import appearance
 from handsight.vision.object.appearance import appearance_of
-from handsight.vision.object.first_pose import first_pose
+from handsight.vision.object.first_pose import first_pose, log_odds, places_of
 from handsight.vision.object.region import scene_of, table_plane
-from sight_scenes import CAMERA, drawn, letter, looking, noisy, on_table
+from sight_scenes import CAMERA, drawn, letter, looking, mssd, noisy, on_table
 
 
 @functools.cache
@@ -323,3 +323,76 @@ def test_where_nothing_is_there_is_no_pose():
     depth = np.zeros((240, 320), np.float32)
     scene = scene_of(CAMERA, depth, wanted=np.ones(depth.shape, bool))
     assert first_pose(model(), scene).Ts_camera_object.shape == (0, 4, 4)
+
+
+BRICK = (0.09, 0.055, 0.035)
+
+
+def touching(seed, size=(0.05, 0.1, 0.07)):
+    """A brick on a table whose side touches that of a higher box; its pose, the depth, and whose pixels there are."""
+    rng = np.random.default_rng([seed, 8])
+    shapes = [hs.ObjectModel.box(each) for each in (BRICK, size)]
+    places = [np.array([0, 0, BRICK[2] / 2]), np.array([(BRICK[0] + size[0]) / 2, 0, size[2] / 2])]
+    T_camera_table = looking(rng, 0.45)
+    Ts = np.stack([se3.compose(np.eye(3), place) for place in places])
+    depth, labels = drawn(T_camera_table, [(shape.vertices, shape.faces) for shape in shapes], Ts)
+    return T_camera_table @ Ts[0], noisy(depth, rng), labels
+
+
+def share_beside(model, T, depth):
+    """The share of the outline of an object at a pose beyond which the surface goes on."""
+    candidate, sides = candidates_at(T[None]), appearance_of(model).sides
+    scene = scene_of(CAMERA, depth, extent=1.5 * model.diameter)
+    candidate["bound"] = 0.006
+    pose_score.score_all(CAMERA.record, (scene.depth, scene.labels), sides, model.center_object, candidate)
+    assert candidate["unexplained"][0] == 0
+    image, before = (CAMERA.rays, scene.depth, scene.labels), candidate["score"][0]
+    outline.follow_outlines(CAMERA.record, model.record[:2], image, 1500, candidate)
+    share = candidate["unexplained"][0] / candidate["expected"][0]
+    expected = before - candidate["unexplained"][0] / candidate["expected"][0] ** 0.7
+    assert candidate["score"][0] == pytest.approx(expected)
+    return share
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_neighbour_that_touches_does_not_continue_a_surface_but_a_bigger_face_does(seed):
+    """The brick where it is, and a smaller one in the middle of its upper face."""
+    T, depth, _ = touching(seed)
+    small = hs.ObjectModel.box((0.045, 0.03, BRICK[2]))
+    assert share_beside(hs.ObjectModel.box(BRICK), T, depth) < 0.1
+    assert share_beside(small, T, depth) > 0.2
+
+
+def test_a_box_that_touches_another_is_answered():
+    """Its pixels and those of its neighbour are one segment, and only some of them are its own."""
+    model = hs.ObjectModel.box(BRICK)
+    for seed in range(4):
+        T, depth, _ = touching(seed)
+        found = first_pose(model, scene_of(CAMERA, depth, extent=1.5 * model.diameter))
+        assert mssd(model, T, found.Ts_camera_object[:1])[0] < 0.1
+        assert found.probability > 0.5
+
+
+def test_what_is_out_of_the_image_is_no_evidence():
+    """An object of which the image has half is expected to have the other half's pixels, too, at half their weight."""
+    T, depth, _ = touching(0)
+    model, scene = hs.ObjectModel.box(BRICK), scene_of(CAMERA, depth, extent=0.2)
+    shifted = T.copy()
+    shifted[0, 3] += 160 / 300 * T[2, 3]  # its centre is on the image's edge, or beyond
+    candidates = candidates_at(np.stack([T, shifted]))
+    candidates["bound"], sides = 0.006, appearance_of(model).sides
+    pose_score.score_all(CAMERA.record, (scene.depth, scene.labels), sides, model.center_object, candidates)
+    assert 0.4 < candidates["expected"][1] / candidates["expected"][0] < 1
+
+
+def test_modes_are_in_order_of_their_places_and_these_of_their_odds():
+    """The first place is the most probable one, and weights decrease."""
+    T, depth, _ = touching(1)
+    model = hs.ObjectModel.box(BRICK)
+    found = first_pose(model, scene_of(CAMERA, depth, extent=1.5 * model.diameter))
+    places, odds = places_of(model, found.candidates), log_odds(found.candidates)
+    best = np.array([odds[places == place].max() for place in range(places.max() + 1)])
+    assert (np.diff(found.weights) <= 0).all()
+    assert found.weights.sum() == pytest.approx(1)
+    assert best.argmax() == 0
+    assert found.probability == pytest.approx(1 / (1 + np.exp(-best[0])))

@@ -10,10 +10,11 @@ from handsight import se3
 from handsight._kernels.image import depth_term
 from handsight._kernels.image.vision_records import DEPTH_POINT, STAGE
 from handsight.objects import propose_symmetries
+from handsight.vision import STRUCTURED_LIGHT
 from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, poses_of
 from handsight.vision.object.appearance import appearance_of
-from handsight.vision.object.first_pose import first_pose
-from handsight.vision.object.region import scene_of
+from handsight.vision.object.first_pose import first_pose, slid
+from handsight.vision.object.region import observed_points, scene_of
 from sight_scenes import CAMERA, bowl, drawn, looking, mssd, mug, noisy, on_table
 
 
@@ -96,7 +97,7 @@ def test_near_symmetries_of_a_box_are_without_its_symmetries():
 
 
 def tabletop(kind, seed):
-    """A shell on a table, upright, beside a block, and the pixels of a box around it."""
+    """A shell on a table, upright, beside a block, and its pixels."""
     rng = np.random.default_rng([seed, 11])
     block = hs.ObjectModel.box((0.05, 0.05, 0.1))
     shapes = [
@@ -126,3 +127,38 @@ def test_one_of_a_mug_s_modes_has_its_handle_where_it_is():
         found = first_pose(model, scene_of(CAMERA, depth, wanted=wanted, extent=1.5 * model.diameter))
         right += mssd(model, T, found.Ts_camera_object).min() < 0.1
     assert right >= 7
+
+
+def towards(model, T_camera_object):
+    """The direction of the handle, +x, along that to the camera, both on the table."""
+    way = -se3.inverse(T_camera_object)[:3, :3] @ T_camera_object[:3, 3]
+    return way[0] / np.hypot(*way[:2])
+
+
+def test_a_handle_that_is_visible_decides_and_one_that_is_hidden_does_not():
+    """Of sixteen pictures: the first mode where the handle is on the camera's side; where it is behind, no mode is sure."""
+    model, right, sure = shell("mug"), [], []
+    for seed in range(20, 36):
+        T, depth, wanted = tabletop("mug", seed)
+        found = first_pose(model, scene_of(CAMERA, depth, wanted=wanted, extent=1.5 * model.diameter))
+        if towards(model, T) > 0:
+            right.append(mssd(model, T, found.Ts_camera_object[:1])[0] < 0.1)
+        elif towards(model, T) < -0.6:
+            sure.append(found.weights[0])
+    assert len(right) > 3
+    assert np.mean(right) > 0.75
+    assert len(sure) > 1
+    assert max(sure) < 0.7, sure
+
+
+def test_a_pose_slides_to_where_walls_end():
+    """Of a tube that is visible from the side, points do not tell how high it is."""
+    model = hs.ObjectModel.cylinder(0.03, 0.12)
+    T = se3.compose(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), np.array([0.01, 0, 0.5]))
+    depth = CAMERA.draw(se3.apply(T, model.vertices), model.faces).depth
+    scene = scene_of(CAMERA, noisy(np.where(np.isfinite(depth), depth, 0), np.random.default_rng(0)))
+    observed = observed_points(scene, model.diameter / 24, 900)
+    candidate = candidates_at((T @ se3.compose(np.eye(3), np.array([0, 0, 0.006])))[None])
+    candidate["bound"] = 0.006
+    after = poses_of(slid(model, scene, observed, candidate, STRUCTURED_LIGHT))[0]
+    assert np.linalg.norm(after[:3, 3] - T[:3, 3]) < 0.0015

@@ -22,6 +22,10 @@ UNKNOWN = 0.5, 0.9
 """Sigma along a direction that no point observes, of a shift and of radius times a turn [diameters]."""
 
 
+MODEL_ERROR = 1e-3
+"""Sigma by which an object that was made is off from its model, of a shift and of radius times a turn [m]."""
+
+
 def candidates_at(Ts: Array) -> Candidates:
     """Returns CANDIDATE (k,) at poses (k, 4, 4) in the camera."""
     candidates = np.zeros(len(Ts), dtype=CANDIDATE)
@@ -68,7 +72,13 @@ def pose_covariances(
     that of whole pixels are added.
     """
     unknown = UNKNOWN[0] * model.diameter, UNKNOWN[1] * model.diameter
-    errors = depth_errors(camera, noise, center_depths(model, candidates), unknown, model.sigma_point)
+    errors = depth_errors(
+        camera,
+        noise,
+        center_depths(model, candidates),
+        unknown,
+        float(np.hypot(model.sigma_point, MODEL_ERROR)),
+    )
     errors["normal"] = model.sigma_normal**2 / 2
     informed, covariances = np.empty((len(candidates), 2, 6, 6)), np.empty((len(candidates), 6, 6))
     depth_term.pose_covariances(*model.record[:2], points, errors, candidates, informed, covariances)

@@ -71,20 +71,21 @@ def _beside(
 
 @entry
 def find_continued(camera: Any, surface: Any, image: Any, window: Any, candidates: Any) -> None:
-    """Fills in `unexplained` of CANDIDATE (k,): the pixels beside each that continue its explained surface, less
-    those that are behind it.
+    """Fills in `unexplained` of CANDIDATE (k,): the pixels beside each that continue its explained surface, less those
+    that are behind it.
 
     surface: MODEL (1,), its nodes. image: rays (h, w, 2), depth (h, w) [m] and labels (h, w). window: WINDOW (1,).
     Pixels of the hand do not count.
     """
     here = window[0]
+    step = 2 * here.step
     for k in range(len(candidates)):
         pose, count = pose_of(candidates[k].pose), 0
         at = pose, apply(pose, vector(surface[0][0].center)), candidates[k].bound, INSIDE
-        for v in range(here.rows[0], here.rows[1], here.step):
-            for u in range(here.columns[0], here.columns[1], here.step):
+        for v in range(here.rows[0], here.rows[1], step):
+            for u in range(here.columns[0], here.columns[1], step):
                 count += _beside(camera, surface, image, at, (v, u, OUT))
-        candidates[k].unexplained = max(count, 0) * here.step**2
+        candidates[k].unexplained = max(count, 0) * step**2
 
 
 @entry

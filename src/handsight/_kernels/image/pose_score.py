@@ -56,7 +56,6 @@ def _add(image: Any, sample: tuple[float, float, float, float], bound: float, ca
     if off < -bound and label == HAND:
         return
     if label == TABLE and abs(off) <= bound:  # what is thin and lies on the table is left out with it
-        candidate.expected += POSE_SCORE.unknown * pixels
         return
     candidate.expected += pixels
     if off > bound or (off < -bound and label == TABLE):  # nothing is under the table

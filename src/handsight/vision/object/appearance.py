@@ -173,4 +173,4 @@ def near_symmetries(model: ObjectModel) -> Array:
     turned = candidates_at(about_center(found[:, :3, :3]))
     turned["votes"] = np.arange(len(turned))
     turned = distinct(model, turned, share, TURNS.most + 1, TURNS.spacing)
-    return found[turned["votes"][1:].astype(int)]
+    return np.asarray(found[turned["votes"][1:].astype(int)])

@@ -24,6 +24,7 @@ from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose_source import FirstPoseSource
 from handsight.vision.object.locate import locate
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose, against, support_share
+from handsight.vision.object.region import check_metres
 
 State = Literal["tracking", "uncertain", "lost"]
 
@@ -46,6 +47,7 @@ class DepthTrackerOptions(NamedTuple):
     """Least weight, as a share of the likeliest pose's, of a pose that may be chosen for its rotation near the last."""
     search_period: float = 0.2  # between searches of the entire image [s]
     min_found: float = 0.6  # share of the expected pixels that a found object must explain
+    likely: float = 0.5  # probability above which only those count of them that nothing hides
 
 
 DEPTH_TRACKER = DepthTrackerOptions()
@@ -95,6 +97,8 @@ class _Belief:
     lost: bool
     independent: Array
     """(6, 6) covariance that the pose would have if the errors of images were independent: it sets the filter's gain."""
+    T_at_rest: Array
+    """(4, 4) T_camera_object if it has not moved since the last image, or only with the palm that grips it."""
     shared: Array
     """(6, 6) derivative of the pose by errors of unit variance that all images share."""
     unsteady: Array
@@ -119,7 +123,7 @@ class DepthTracker:
         self.model, self.camera = model, camera
         self._refiner, self._T_object_center = PoseRefiner(model, camera, noise), np.eye(4)
         self._T_object_center[:3, 3] = model.center_object
-        self._start = None if start is None else se3.check(start, "start")
+        self._start = None if start is None else se3.rounded(start, "start")
         self._belief: _Belief | None = None
         self._searched = -np.inf
 
@@ -139,15 +143,16 @@ class DepthTracker:
         hand (h, w): whether a pixel is the hand's. table (4,): `n·P + offset = 0` in the camera, n towards it. gripped:
         the object moves with the palm, where T_camera_palm is known. expected: T_camera_object from another source,
         near which the object is searched. An image a little older than the last one is answered, but does not change
-        the state. Raises InvalidInput for images of another size than the camera's, InvalidTransform for matrices that
-        are no poses.
+        the state. Raises InvalidInput for images of another size than the camera's and for depth that is not in metres,
+        InvalidTransform for matrices that are no poses.
         """
-        for name, image in (("depth", depth), ("hand", hand)):
-            if image is not None:
-                self.camera.check_size(image, name)
+        depth = self.camera.check_depth(depth)
+        check_metres(depth)
+        if hand is not None:
+            self.camera.check_size(hand, "hand")
         T_palm = None if T_camera_palm is None else se3.check(T_camera_palm, "T_camera_palm")
         plane = None if table is None else checks.finite(table, "table", (4,))
-        hint = None if expected is None else se3.check(expected, "expected")
+        hint = None if expected is None else se3.rounded(expected, "expected")
         now = float(checks.finite(stamp, "stamp", ()))
         before = self._belief, self._searched
         sighting = self._observed(_Image(now, depth, hand, plane, T_palm, gripped), hint)
@@ -191,7 +196,8 @@ class DepthTracker:
         velocity = DEPTH_TRACKER.velocity_share * last.velocity * (dt <= DEPTH_TRACKER.max_gap)
         if image.gripped and image.T_camera_palm is not None and last.T_camera_palm is not None:
             T_new_old = image.T_camera_palm @ se3.inverse(last.T_camera_palm)
-            T, drift = T_new_old @ pose.T_a_b, DEPTH_TRACKER.drift_in_palm
+            T = at_rest = T_new_old @ pose.T_a_b
+            drift = DEPTH_TRACKER.drift_in_palm
             turn = np.kron(np.eye(2), T_new_old[:3, :3])
             covariance, independent, shared = (
                 turn @ pose.covariance @ turn.T,
@@ -200,7 +206,7 @@ class DepthTracker:
             )
         else:
             T_camera_center = se3.moved(pose.T_a_b @ self._T_object_center, velocity * dt)
-            T = T_camera_center @ se3.inverse(self._T_object_center)
+            T, at_rest = T_camera_center @ se3.inverse(self._T_object_center), pose.T_a_b
         much, little = (
             self._covariance_of_origin(T, np.repeat([(dt * sigma) ** 2 for sigma in sigmas], 3))
             for sigmas in (drift, DEPTH_TRACKER.drift_in_palm)
@@ -213,6 +219,7 @@ class DepthTracker:
             image.T_camera_palm,
             last.lost,
             independent + much,
+            at_rest if hint is None else hint,
             shared,
             much - little if steady else np.zeros((6, 6)),
         )
@@ -221,7 +228,9 @@ class DepthTracker:
         """Returns what an image says near where the object is expected."""
         pose = GaussianPose(predicted.pose_camera_object.T_a_b, predicted.independent - predicted.unsteady)
         known = np.asarray(np.linalg.inv(pose.at_point(self.model.center_object).covariance))
-        return self._refiner.at(pose.T_a_b, known, image.depth, image.hand, image.table, near=True)
+        return self._refiner.at(
+            pose.T_a_b, known, image.depth, image.hand, image.table, T_at_rest=predicted.T_at_rest
+        )
 
     def _misfit(self, predicted: _Belief, refined: RefinedPose) -> str:
         """Returns why the object is lost; empty if it is not."""
@@ -241,7 +250,10 @@ class DepthTracker:
         found = self.source(
             self.model, image.depth, self.camera, hand=image.hand, table=image.table, noise=noise
         )
-        fits = found.candidates["explained"] >= DEPTH_TRACKER.min_found * found.candidates["expected"]
+        expected = found.candidates["expected"]
+        if found.probability > DEPTH_TRACKER.likely:
+            expected = expected - found.candidates["hidden"]
+        fits = found.candidates["explained"] >= DEPTH_TRACKER.min_found * expected
         likely = found.weights >= DEPTH_TRACKER.min_twin * found.weights.max(initial=0.0)
         Ts = found.Ts_camera_object[fits & likely]
         if not len(Ts):
@@ -289,7 +301,15 @@ class DepthTracker:
         pose = GaussianPose(T_camera_object, self._covariance_of_origin(T_camera_object, variance))
         zeros = np.zeros((6, 6))
         return _Belief(
-            image.stamp, pose, np.zeros(6), image.T_camera_palm, lost, pose.covariance, zeros, zeros
+            image.stamp,
+            pose,
+            np.zeros(6),
+            image.T_camera_palm,
+            lost,
+            pose.covariance,
+            T_camera_object,
+            zeros,
+            zeros,
         )
 
     def _covariance_of_origin(self, T_camera_object: Array, variance: Array) -> Array:

@@ -6,10 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from handsight import se3
 from handsight._deprecated import renamed_members
 from handsight._kernels.image import depth_term, outline, pose_score, votes
 from handsight._kernels.image.vision_records import CANDIDATE, STAGE
 from handsight.checks import Array
+from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import (
     NOTHING_KNOWN,
@@ -38,10 +40,18 @@ class FirstPoseOptions(NamedTuple):
     voted_spacing: float = 0.05  # between these [diameters]
     candidate_spacing: float = 0.08  # between those that go on [diameters]
     turned: int = 2  # candidates that are turned to where the surface is nearly the same
+    passed_share: float = 0.05  # of the expected pixels, above which the best candidates slide
+    slides: tuple[float, ...] = (-0.06, -0.045, -0.03, -0.015, 0.0, 0.015, 0.03, 0.045, 0.06)  # [diameters]
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
-    place: float = 0.15
+    max_bound: float = 0.5  # beyond which depth tells no shape from another: it is too far away [diameters]
+    place: float = 0.25
     """Poses whose centres are nearer to each other are of one place [diameters]."""
+    score_weight: float = 1.5  # of the score in the logarithm of a mode's weight among those of its place
+    passed: float = 2.0  # cost of a pixel that the camera sees past, against one that such a mode explains
+    support: tuple[float, float] = (30.0, 0.018)
+    """Those pixels by which that logarithm differs by 1, and what is added to them per expected pixel: neighbouring
+    pixels have errors in common, and so has all of the surface."""
 
 
 FIRST_POSE = FirstPoseOptions()
@@ -57,7 +67,7 @@ BESIDE = (150, 300, 600, 1200)
 TURNED = 3
 """Before this stage the best candidates are also turned to where the surface is nearly the same."""
 
-EVIDENCE = np.array([-4.30, 6.83, -3.64, -8.68])
+EVIDENCE = np.array([-5.85, 9.44, -3.68, -11.80])
 """The weights of the columns of `evidence_of` in the log odds that the object is there (`experiments/sight_fit.py`)."""
 
 
@@ -92,7 +102,8 @@ class ObjectDetection:
     candidates: Candidates
     """(k,) CANDIDATE: what the image says of each."""
     probability: float = 0.0
-    """That the first is right, where as often as not the object is not there at all."""
+    """That the object is where the first has it, against its absence, with a prior of one half; poses at one place,
+    which may be turned differently, share it by their weights."""
     reason: str | None = None
     """Why there is none."""
     starts: JudgedStarts | None = None
@@ -120,7 +131,8 @@ def first_pose(
     the log odds that the object is there, before the image. modes: least number of poses that go on from each stage.
 
     Pairs of points vote for candidates. These are moved to where more and more points lie on the surface, and those
-    that the image supports best go on. In the end their log odds rank them and say how probable the first one is.
+    that the image supports best go on. In the end the log odds rank the places that they have, and say how probable the
+    first of these is; at each place the scores rank the poses.
     """
     appearance, D, camera = appearance_of(model), model.diameter, scene.camera
     observed = observed_points(scene, FIRST_POSE.spacing * D, FIRST_POSE.max_points)
@@ -153,19 +165,50 @@ def first_pose(
             found = distinct(model, found, found["score"], KEPT[1], FIRST_POSE.candidate_spacing)
         refine(found, stage, stage)
         found = distinct(model, found, found["score"], max(kept, modes), FIRST_POSE.candidate_spacing)
+    for k in range(min(FIRST_POSE.turned, len(found))):
+        if found["passed"][k] > FIRST_POSE.passed_share * found["expected"][k]:
+            found[k : k + 1] = slid(model, scene, observed, found[k : k + 1], noise)
     if given is not None:
         given["bound"] = explained_within(noise, center_depths(model, given))
         score_candidates(model, scene, given)
         found, most = np.concatenate([given, found]), max(KEPT[-1], modes) + len(given)
         found = distinct(model, found, found["score"], most, FIRST_POSE.candidate_spacing)
-    order = np.argsort(-log_odds(found), kind="stable")
-    found, odds = found[order], log_odds(found)[order] + prior
+    found = found[np.argsort(-log_odds(found), kind="stable")]
     covariances = pose_covariances(model, camera, observed, found, noise)
-    weights = np.exp(odds - odds.max(initial=-np.inf))
-    probability = first_probability(model, found, odds)
-    return ObjectDetection(
-        poses_of(found), covariances, weights / max(weights.sum(), 1.0), found, probability
-    )
+    places, support = places_of(model, found), mode_support(found, scene.sizes.sum() / max(len(observed), 1))
+    best, most = np.full((2, places.max(initial=-1) + 1), -np.inf)
+    np.maximum.at(best, places, log_odds(found) + prior)
+    np.maximum.at(most, places, support)
+    log_weights = best[places] + support - most[places]
+    order = np.argsort(-log_weights, kind="stable")
+    found, covariances = found[order], covariances[order]
+    weights = np.exp(log_weights[order] - log_weights.max(initial=-np.inf))
+    weights /= max(weights.sum(), 1.0)
+    # Of several places all may be right: objects may be equal.
+    probability = float(probabilities(best[:1]).sum())
+    return ObjectDetection(poses_of(found), covariances, weights, found, probability)
+
+
+def slid(
+    model: ObjectModel, scene: Scene, observed: NDArray[np.void], candidate: Candidates, noise: DepthNoise
+) -> Candidates:
+    """Returns CANDIDATE (1,) where the image supports it best along the direction that DEPTH_POINT (n,) observe least.
+
+    Points on walls do not tell where the walls end: pixels do that see past them, and those that are explained.
+    """
+    T, center = poses_of(candidate)[0], model.center_object
+    covariance = pose_covariances(model, scene.camera, observed, candidate, noise)[0]
+    units = np.repeat([1.0, model.radius], 3)  # radius times a turn is a shift
+    covariance = GaussianPose(T, covariance).at_point(center).covariance * np.outer(units, units)
+    least = np.linalg.eigh(covariance)[1][:, -1 - len(model.symmetries.axes)] / units
+    steps = model.diameter * np.array(FIRST_POSE.slides)[:, None] * least
+    R = se3.rotation_exp(steps[:, 3:]) @ T[:3, :3]
+    tried = np.repeat(candidate, len(steps))
+    tried["pose"]["rotation"] = R
+    tried["pose"]["position"] = T[:3, :3] @ center + T[:3, 3] + steps[:, :3] - R @ center
+    score_candidates(model, scene, tried)
+    best = int(tried["score"].argmax())
+    return tried[best : best + 1]
 
 
 def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *, effort: int = -1) -> None:
@@ -176,6 +219,7 @@ def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *
     pose_score.score_all(camera.record, image, sides, model.center_object, candidates)
     around = camera.rays, *image
     outline.follow_outlines(camera.record, model.record[:2], around, BESIDE[effort], candidates)
+    candidates["explained"][candidates["bound"] > FIRST_POSE.max_bound * model.diameter] = 0
 
 
 def explained_within(noise: DepthNoise, z: Array) -> Array:
@@ -205,13 +249,25 @@ def probabilities(odds: Array) -> Array:
     return np.asarray(here / (here.sum() + np.exp(-most)))
 
 
-def first_probability(model: ObjectModel, candidates: Candidates, odds: Array) -> float:
-    """Returns the probability that the object is where the first of CANDIDATE (k,) has it, of log odds (k,) that
-    decrease: there, at another of the places, or nowhere. Poses at one place may be turned differently."""
+def places_of(model: ObjectModel, candidates: Candidates) -> NDArray[np.int64]:
+    """Returns the number (k,) of the place at which each of CANDIDATE (k,) has the object; the first one's is 0. Poses
+    at one place may be turned differently."""
     centers = poses_of(candidates)[:, :3] @ np.append(model.center_object, 1.0)
-    best, left = [], np.ones(len(odds), dtype=bool)
-    while left.any():
-        first = int(left.argmax())
-        best.append(odds[first])
-        left &= np.linalg.norm(centers - centers[first], axis=1) > FIRST_POSE.place * model.diameter
-    return float(probabilities(np.array(best))[0]) if best else 0.0
+    numbers = np.full(len(candidates), -1)
+    for first in range(len(candidates)):
+        if numbers[first] < 0:
+            near = np.linalg.norm(centers - centers[first], axis=1) <= FIRST_POSE.place * model.diameter
+            numbers[near & (numbers < 0)] = numbers.max() + 1
+    return numbers
+
+
+def mode_support(candidates: Candidates, pixels: float) -> Array:
+    """Returns by how much (k,) the logarithms of the weights of CANDIDATE (k,) at one place differ, each with the weight
+    of the points that support it; pixels: of a point.
+
+    They share most of the surface, as poses of a mug do that differ by where the handle is. Shares of the expected
+    pixels hardly differ between them; those that are explained, or that the camera sees past, do.
+    """
+    size = FIRST_POSE.support[0] + FIRST_POSE.support[1] * candidates["expected"][:1].sum()
+    explained = pixels * candidates["weight"] - FIRST_POSE.passed * candidates["passed"]
+    return np.asarray(explained / size + FIRST_POSE.score_weight * candidates["score"])

@@ -26,7 +26,8 @@ class RefinerOptions(NamedTuple):
     margin: float = 0.15  # around the object's silhouette, in which points are gathered [diameters]
     max_points: int = 400  # points that refine a pose
     max_pixels: int = 2000  # pixels of the window that they are chosen from
-    good: float = 0.85  # fit of a pose, for points farther from the expected one not to be tried
+    creep: float = 0.04  # more explained pixels that a moved pose must have than one at rest
+    good: float = 0.7  # fit of a pose, for points farther from the expected one not to be tried
     continued: float = 3.0  # pixels against a pose that one counts for where the surface goes on beside it
     covariance_points: int = 50  # of these points, by which the covariance is computed
 
@@ -70,20 +71,22 @@ class PoseRefiner:
         hand: Mask | None,
         table: Array | None,
         *,
-        near: bool = False,
+        T_at_rest: Array | None = None,
     ) -> RefinedPose:
         """Returns the pose that depth (h, w) gives from the expected one on, without the pixels of hand and table.
 
         known (6, 6): the information of the expected pose by (δp, δθ) of the object's centre along the camera's axes;
-        it holds directions that hardly any point observes.
+        it holds directions that hardly any point observes. T_at_rest (4, 4): the pose is first refined on points that
+        the expected one explains, unless the image supports this one better; None: it is searched more widely.
         """
         self._take(T_expected, depth, hand, table)
         bound = explained_within(self.noise, center_depths(self.model, candidates_at(T_expected[None])))
         best = None
         for within, stages in (2 * bound, NEAR_STAGES), (REFINER.within * self.model.diameter, STAGES):
-            if stages is NEAR_STAGES and not near:
+            if stages is NEAR_STAGES and T_at_rest is None:
                 continue
-            found = self._moved(T_expected, known, within, stages)
+            other = T_at_rest if stages is NEAR_STAGES else None
+            found = self._moved(T_expected, known, within, stages, other)
             if best is None or support(found[0]) > support(best[0]):
                 best = found
             if support_share(found[0]) > REFINER.good:
@@ -95,13 +98,14 @@ class PoseRefiner:
         return RefinedPose(GaussianPose(poses_of(candidate)[0], covariance), candidate, len(points))
 
     def _moved(
-        self, T_expected: Array, known: Array, within: float, stages: NDArray[np.void]
+        self, T_expected: Array, known: Array, within: float, stages: NDArray[np.void], other: Array | None
     ) -> tuple[Candidates, NDArray[np.void]]:
         """Returns CANDIDATE (1,), scored, and the points of the window within so far of it [m], to which it was moved.
 
-        It was not moved if the image supports the expected pose better.
+        It is the other pose (4, 4) if the image supports that better.
         """
-        candidates, record = candidates_at(np.stack([T_expected, T_expected])), self.model.record[:2]
+        candidates = candidates_at(np.stack([T_expected] if other is None else [T_expected, other]))
+        record = self.model.record[:2]
         image, z = (self.camera.rays, self._depth, self._labels), center_depths(self.model, candidates)
         candidate, self._window["within"] = candidates[:1], within
         points = self._points[: depth_image.near_points(record, image, self._window, candidate, self._points)]
@@ -110,9 +114,13 @@ class PoseRefiner:
         depth_term.refine_poses(*record, points, stages, self.model.diameter, one_point * known, candidate)
         sides, center = appearance_of(self.model).sides, self.model.center_object
         pose_score.score_all(self.camera.record, image[1:], sides, center, candidates)
-        outline.find_continued(self.camera.record, record, image, self._window, candidates)
-        if stages is NEAR_STAGES and support(candidates[1:]) > support(candidate):
-            candidate = candidates[1:]
+        # A little more support is noise, or the model's error: what does not move must not creep.
+        gain = 1 + REFINER.creep * np.arange(len(candidates))
+        # A little more support is noise, or the model's error: what does not move must not creep.
+        gain = 1 + REFINER.creep * np.arange(len(candidates))
+        best = int(np.argmax(candidates["explained"] * gain - 2 * candidates["passed"]))
+        candidate = candidates[best : best + 1]
+        outline.find_continued(self.camera.record, record, image, self._window, candidate)
         return candidate, points.copy()
 
     def _take(self, T: Array, depth: Depth, hand: Mask | None, table: Array | None) -> None:
@@ -153,7 +161,8 @@ def against(candidate: Candidates) -> float:
 
 
 def support(candidate: Candidates) -> float:
-    return float(candidate["explained"][0] - 2 * against(candidate))
+    """Returns the pixels that CANDIDATE (1,) explains, less those against it, which weigh twice as much."""
+    return float(candidate["explained"][0]) - 2 * against(candidate)
 
 
 def support_share(candidate: Candidates) -> float:
