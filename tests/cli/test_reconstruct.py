@@ -157,7 +157,10 @@ def turned(folder, rig, *Ts_middle_can):
     believed = dict.fromkeys(rig.hand.joint_names, 0.0) | dict.fromkeys(rig.hand.shape().joints, 0.0)
     vertices, faces = rig.hand.shape().vertices_palm(believed), rig.hand.shape().faces
     middle = rig.hand.Ts_palm_tip(believed)[:, :3, 3].mean(axis=0)
-    all_Ts, rng = turned_before(36, 0.3) @ se3.compose(np.eye(3), -middle), np.random.default_rng(1)
+    all_Ts, rng = (
+        turned_before(36 if len(Ts_middle_can) < 2 else 20, 0.3) @ se3.compose(np.eye(3), -middle),
+        np.random.default_rng(1),
+    )
     camera = dataclasses.replace(
         rig.camera,
         on="world",

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import cKDTree
 
 from handsight import se3
 from handsight._kernels.image import depth_term
@@ -50,7 +50,7 @@ class GripOptions(NamedTuple):
         float(np.deg2rad(10)),
     )  # two poses are not the same beyond this [m, rad]
     clearly_worse: float = 0.1  # by so much cost a pose is not a rival of the best one
-    odd: float = 0.008  # so far from its own surface a symmetry takes no point, where it is not hidden [m]
+    odd: float = 0.008  # so far from its own surface a symmetry takes no point into free space [m]
     max_odd: float = 0.02  # share of the points that may be so, by noise
 
 
@@ -172,12 +172,10 @@ def _joined(
 
 
 def _is_symmetry(T: Array, volume: Volume, surface: SurfacePoints) -> bool:
-    """Returns whether a map (4, 4) takes an object's surface to itself, or to where it may be: a handle may not."""
+    """Returns whether a map (4, 4) takes an object's surface to itself, and no handle into free space."""
     points = surface.points[:: len(surface.points) // GRIP.points + 1]
-    places, hull = se3.apply(T, points), ConvexHull(surface.points).equations
-    outside = (places @ hull[:, :3].T + hull[:, 3]).max(axis=1) > GRIP.odd / 2
-    odd = cKDTree(surface.points).query(places)[0] > GRIP.odd
-    odd &= outside | volume.among(volume.clear(), places)
+    places = se3.apply(T, points)
+    odd = (cKDTree(surface.points).query(places)[0] > GRIP.odd) & volume.among(volume.clear(), places)
     return MapJudge(volume, points).allows(T[None]) and bool(odd.mean() <= GRIP.max_odd)
 
 
