@@ -259,3 +259,14 @@ def test_a_point_s_jacobian_is_how_it_moves_with_its_body():
     J = se3.point_jacobian(arm)
     np.testing.assert_allclose(J @ small, [*moved, *small[3:]], atol=1e-11)
     np.testing.assert_allclose(se3.point_jacobian(-arm) @ J, np.eye(6), atol=1e-12)
+
+
+def test_rounded_numbers_are_the_nearest_transform_and_others_are_refused():
+    T = se3.random(np.random.default_rng(0))
+    for digits, near in ((T.astype(np.float32), 1e-6), (np.round(T, 4), 2e-4)):
+        found = se3.rounded(digits, "T")
+        np.testing.assert_allclose(found, T, atol=near)
+        np.testing.assert_allclose(found[:3, :3].T @ found[:3, :3], np.eye(3), atol=1e-12)
+    for wrong in (np.diag([1.0, 1, 1.01, 1]), np.diag([1.0, 1, -1, 1]), np.full((4, 4), np.nan), np.eye(3)):
+        with pytest.raises(InvalidTransform, match="^T: "):
+            se3.rounded(wrong, "T")

@@ -37,14 +37,6 @@ VERSIONS = {
             "vision_msgs/msg/Detection2D": f"{OLD}\nbool is_tracking\nstring tracking_id",
         },
     ),
-    "ros2 dashing": (
-        "cdr",
-        {
-            "vision_msgs/msg/ObjectHypothesisWithPose": f"int64 id\nfloat64 score\n{POSE}",
-            "vision_msgs/msg/BoundingBox2D": OLD_BOX,
-            "vision_msgs/msg/Detection2D": f"{OLD}\nbool is_tracking\nstring tracking_id",
-        },
-    ),
     "ros1 noetic": (
         "ros1",
         {
@@ -55,7 +47,6 @@ VERSIONS = {
     ),
 }
 """The definitions of each release (https://github.com/ros-perception/vision_msgs)."""
-NUMBERED = ("ros2 dashing", "ros1 noetic")
 
 
 def serialized(version, boxes, stamp=START):
@@ -74,7 +65,7 @@ def serialized(version, boxes, stamp=START):
             orientation=M.quaternion([0, 0, 0, 1]),
         )
         pose = M.make("geometry_msgs/msg/PoseWithCovariance", pose=body, covariance=np.zeros(36))
-        label = int(label) if version in NUMBERED else label
+        label = int(label) if version == "ros1 noetic" else label
         known = (
             {"id": label, "score": score}
             if version != "ros2 humble"

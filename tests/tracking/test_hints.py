@@ -42,18 +42,18 @@ def test_of_equal_objects_the_one_in_the_box_or_mask_or_at_the_pose_is_found(whi
         after(mask=labels),
         after(label="9", mask=np.where(labels, 9, 4)),
     ):
-        source: FirstPoseSource = hints
+        source: FirstPoseSource = hints.source()
         found = source(MODEL, depth, CAMERA)
         assert mssd(MODEL, Ts[which], found.Ts_camera_object)[0] < 0.1
     near = se3.moved(Ts[which], np.array([4e-3, 0, 0, 0.05, 0, 0]))
-    found = after(vision=PoseMeasurement(near))(MODEL, depth, CAMERA)
+    found = after(vision=PoseMeasurement(near)).source()(MODEL, depth, CAMERA)
     assert found.starts.Ts_camera_object.shape == (1, 4, 4)
     assert mssd(MODEL, Ts[which], found.starts.Ts_camera_object)[0] < 0.1
 
 
 def test_where_a_wrong_detection_has_nothing_the_entire_image_is_searched():
     depth, Ts = two_letters()
-    found = after(detections=(Detection2D("letter", 0.9, (0, 0, 9, 9)),))(MODEL, depth, CAMERA)
+    found = after(detections=(Detection2D("letter", 0.9, (0, 0, 9, 9)),)).source()(MODEL, depth, CAMERA)
     assert min(mssd(MODEL, T, found.Ts_camera_object)[0] for T in Ts) < 0.1
 
 
@@ -73,7 +73,7 @@ def test_hints_that_fit_no_image_are_left_out():
     depth, Ts = two_letters()
     beyond = Detection2D("letter", 0.5, (400, 0, 500, 50))
     for hints in (after(detections=(beyond,)), after(mask=np.ones((3, 4), int))):
-        found = hints(MODEL, depth, CAMERA)
+        found = hints.source()(MODEL, depth, CAMERA)
         assert min(mssd(MODEL, T, found.Ts_camera_object)[0] for T in Ts) < 0.1
 
 

@@ -43,3 +43,13 @@ def test_given_poses_that_are_right_are_called_so_and_wrong_ones_are_not(most):
     assert truth.mean() > 0.85
     assert near.mean() > 0.7
     assert claimed.sum() == 0
+
+
+def test_what_is_so_far_away_that_depth_tells_no_shape_is_not_claimed():
+    """Tenths of millimetres that are taken for millimetres: noise and bounds grow with the square of the distance."""
+    frames = real_frames.open_folder(DATA)
+    for read in frames.some(1):
+        frame = read()
+        for one in frame.instances:
+            found = locate(frames.models[one.name], 10 * np.nan_to_num(frame.depth), frame.camera)
+            assert not len(found.weights), one.name

@@ -1,4 +1,4 @@
-"""Where another detector has objects in an image, from a Detection2DArray in each layout that vision_msgs has had."""
+"""Where another detector has objects in an image: from a Detection2DArray of vision_msgs of ROS 1, Foxy, or later."""
 
 from math import cos, hypot, isfinite, sin
 
@@ -20,20 +20,23 @@ def _layout(package: str, hypothesis: str, center: str, last: str) -> dict[str, 
     }
 
 
-_NUMBERED, _NAMED, _FLAT = "int64 id\nfloat64 score", "string id\nfloat64 score", "geometry_msgs/Pose2D"
-_IMAGE, _TRACKING = "sensor_msgs/Image source_img", "bool is_tracking\nstring tracking_id"
-_NOW = {
-    "vision_msgs/msg/Point2D": "float64 x\nfloat64 y",
-    "vision_msgs/msg/Pose2D": "vision_msgs/Point2D position\nfloat64 theta",
-    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score",
-    **_layout("vision_msgs", "vision_msgs/ObjectHypothesis hypothesis", "vision_msgs/Pose2D", "string id"),
-}
+_FLAT, _IMAGE = "geometry_msgs/Pose2D", "sensor_msgs/Image source_img"
 DEFINITIONS = {
-    "cdr": _NOW
-    | _layout("vision_msgs_foxy", _NAMED, _FLAT, f"{_IMAGE}\n{_TRACKING}")
-    | _layout("vision_msgs_dashing", _NUMBERED, _FLAT, f"{_IMAGE}\n{_TRACKING}"),
-    "ros1": _layout("vision_msgs", _NUMBERED, _FLAT, _IMAGE)
-    | _layout("vision_msgs_tracking", _NUMBERED, _FLAT, f"{_IMAGE}\n{_TRACKING}"),
+    "cdr": {
+        "vision_msgs/msg/Point2D": "float64 x\nfloat64 y",
+        "vision_msgs/msg/Pose2D": "vision_msgs/Point2D position\nfloat64 theta",
+        "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score",
+        **_layout(
+            "vision_msgs", "vision_msgs/ObjectHypothesis hypothesis", "vision_msgs/Pose2D", "string id"
+        ),
+        **_layout(
+            "vision_msgs_foxy",
+            "string id\nfloat64 score",
+            _FLAT,
+            f"{_IMAGE}\nbool is_tracking\nstring tracking_id",
+        ),
+    },
+    "ros1": _layout("vision_msgs", "int64 id\nfloat64 score", _FLAT, _IMAGE),
 }
 """Definitions by name, for each encoding. The type has one name in all versions, and a live message brings no
 definition; but only one layout is as long as the message."""

@@ -1,17 +1,15 @@
 """Where other programs have last had the object in a camera's images, as a source of first poses for its tracker."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight.camera import Camera, Depth
-from handsight.checks import Array, Mask
-from handsight.objects import ObjectModel
+from handsight.checks import Array
 from handsight.observation import Detection2D, Observation
-from handsight.vision import FirstPoseSource, ObjectDetection, locate, locate_detected
-from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from handsight.vision import FirstPoseSource, locate, locate_detected
 
 
 class HintOptions(NamedTuple):
@@ -27,7 +25,7 @@ HINTS = HintOptions()
 class SearchHints:
     """`SearchHints` are the last detections of an object and the last pose of it by another estimator.
 
-    They are a `FirstPoseSource`: the object is first searched where they have it, then in the entire image.
+    The object is first searched where they have it, then in the entire image.
     """
 
     label: str
@@ -53,29 +51,12 @@ class SearchHints:
         T = T if abs(now - estimated) <= HINTS.max_age else None
         return SearchHints(self.label, self.elsewhere, detections, T, (detected, estimated))
 
-    def __call__(
-        self,
-        model: ObjectModel,
-        depth: Depth,
-        camera: Camera,
-        /,
-        *,
-        hand: Mask | None = None,
-        table: Array | None = None,
-        noise: DepthNoise = STRUCTURED_LIGHT,
-    ) -> ObjectDetection:
-        """Returns where the object is in a depth image, as a `FirstPoseSource` does."""
-        anywhere = () if self.T_camera_object is None else (Detection2D(),)
-        return locate_detected(
-            model,
-            depth,
-            camera,
-            detections=self.detections or anywhere,
-            elsewhere=self.elsewhere,
-            start=self.T_camera_object,
-            hand=hand,
-            table=table,
-            noise=noise,
+    def source(self) -> FirstPoseSource:
+        """Returns what searches the object where the hints have it, then where `elsewhere` finds it."""
+        T = self.T_camera_object
+        anywhere = () if T is None else (Detection2D(),)
+        return partial(
+            locate_detected, detections=self.detections or anywhere, elsewhere=self.elsewhere, start=T
         )
 
 

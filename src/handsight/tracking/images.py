@@ -157,7 +157,7 @@ class ImageVision:
             self._hints = self._hints.after(observation)
         if self._on and camera is not None and observation.depth is not None:
             self._images = self._images or ObjectInImages(self._rig, camera, self._model)
-            self._images.tracker.source = self._hints
+            self._images.tracker.source = self._hints.source()
             stamp = observation.stamp if observation.image_stamp is None else observation.image_stamp
             then = self.history.at(stamp - camera.latency)
             if then is not None:

@@ -72,8 +72,8 @@ def _draw(left: "Axes", right: "Axes", row: Located | LocatedAll) -> None:
         axes.set_xticks([])
         axes.set_yticks([])
     if row.reason is not None:
-        alone = isinstance(row, Located) and row.recognition is None
-        text = f"{each[0].model.name or 'object'} is not here" if alone else "none of them is here"
+        one = isinstance(row, Located) and row.recognition is None
+        text = f"{each[0].model.name or 'object'} is not here" if one else "none of them is here"
         left.set_title(f"{frame.name}: {text}{scores}", fontsize=11)
         reason = textwrap.fill(row.reason, FIGURE.line_width)
         right.text(0.5, 0.5, reason, ha="center", va="center", transform=right.transAxes)
@@ -96,10 +96,9 @@ def _draw(left: "Axes", right: "Axes", row: Located | LocatedAll) -> None:
         left.plot([], [], color=HAND, lw=6, alpha=0.6, label="hand, masked")
     for (one, T), (color, style, _) in reversed([*zip(poses, styles, strict=False)]):
         _outline(left, one, T, color, style)
-    drawn = np.full(frame.depth.shape, np.inf)
-    for one in each:
-        drawn = np.minimum(drawn, silhouette(frame.camera, one.model, one.found.Ts_camera_object[0]))
-    rows, columns = np.isfinite(drawn).nonzero()
+    alone = [silhouette(frame.camera, one.model, one.found.Ts_camera_object[0]) for one in each]
+    drawn: Depth = np.min(alone, axis=0)
+    rows, columns = np.nonzero(np.isfinite(drawn))
     if len(rows):  # the picture is limited to the object and its surroundings
         height, width = drawn.shape
         across = max(float(np.ptp(rows)), float(np.ptp(columns)) / FIGURE.aspect, 60.0)

@@ -44,12 +44,11 @@ class FirstPoseOptions(NamedTuple):
     slides: tuple[float, ...] = (-0.06, -0.045, -0.03, -0.015, 0.0, 0.015, 0.03, 0.045, 0.06)  # [diameters]
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
+    max_bound: float = 0.5  # beyond which depth tells no shape from another: it is too far away [diameters]
     place: float = 0.25
     """Poses whose centres are nearer to each other are of one place [diameters]."""
     score_weight: float = 1.5  # of the score in the logarithm of a mode's weight among those of its place
-    passed: float = (
-        2.0  # cost of a pixel that the camera sees past, in points' pixels that such a mode explains
-    )
+    passed: float = 2.0  # cost of a pixel that the camera sees past, against one that such a mode explains
     support: tuple[float, float] = (30.0, 0.018)
     """Those pixels by which that logarithm differs by 1, and what is added to them per expected pixel: neighbouring
     pixels have errors in common, and so has all of the surface."""
@@ -220,6 +219,7 @@ def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *
     pose_score.score_all(camera.record, image, sides, model.center_object, candidates)
     around = camera.rays, *image
     outline.follow_outlines(camera.record, model.record[:2], around, BESIDE[effort], candidates)
+    candidates["explained"][candidates["bound"] > FIRST_POSE.max_bound * model.diameter] = 0
 
 
 def explained_within(noise: DepthNoise, z: Array) -> Array:

@@ -37,6 +37,7 @@ from handsight.vision.object.locate import LOCATE, Box, search_mask
 from handsight.vision.object.region import Scene, scene_of
 
 Pixels = NDArray[np.int32]
+Distances = tuple[tuple[slice, slice], NDArray[np.float32]]
 
 
 class LocateAllOptions(NamedTuple):
@@ -180,13 +181,14 @@ class _Pool:
         self.searches, self.names, self.source = list[_Search](), list[str](), list[_Search]()
         self.candidates, self.cost = np.zeros(0, dtype=CANDIDATE), np.zeros(0)
         self.explained = self.around = np.zeros((0, len(self.points)), dtype=np.float32)
-        self.hidden = np.zeros((0, 2, FEW))
+        self.hiding, self.hidden = np.zeros((0, FEW), dtype=np.int64), np.zeros((0, FEW))
+        self.distances = dict[int, Distances]()
 
     def add(self, searches: Sequence[_Search]) -> None:
         """Adds the candidates of searches, but those that cannot gain, whatever hides them."""
         for each in searches:
             model, some = self.models[each.name], each.detection.candidates.copy()
-            score_candidates(model, self.coarse, some)
+            score_candidates(model, self.coarse, some, effort=0)
             cost = POSE_SCORE.passed * some["passed"] + LOCATE_ALL.expected * some["expected"]
             keep = some["explained"] > LOCATE_ALL.hopeless * (cost - LOCATE_ALL.expected * some["hidden"])
             keep[:1] = True
@@ -195,48 +197,47 @@ class _Pool:
             distances = surface_distances(model, self.points, within, some)
             explained = np.maximum(1 - (distances / some["bound"][:, None].astype(np.float32)) ** 2, 0)
             around = (np.isfinite(distances) & (explained == 0)).astype(np.float32)
-            places = zip(poses_of(some), some["bound"], strict=True)
-            hidden = np.array([self.hidden_pixels(model, T, bound) for T, bound in places]).reshape(
-                -1, 2, FEW
-            )
+            for T, bound in zip(poses_of(some), some["bound"], strict=True):
+                hiding, hidden = self.hidden_pixels(model, T, bound)
+                self.hiding, self.hidden = np.vstack([self.hiding, hiding]), np.vstack([self.hidden, hidden])
             self.searches.append(each)
             self.names += [each.name] * len(some)
             self.source += [each] * len(some)
             self.candidates = np.concatenate([self.candidates, each.detection.candidates[keep]])
-            self.cost, self.hidden = np.append(self.cost, cost), np.concatenate([self.hidden, hidden])
+            self.cost = np.append(self.cost, cost)
             self.explained = np.concatenate([self.explained, explained])
             self.around = np.concatenate([self.around, around])
         self.total = self.explained.sum(axis=1)
 
-    def hidden_pixels(self, model: ObjectModel, T: Array, bound: float) -> Array:
-        """Returns for each sample of the surface, (2, m), the point of the grid that hides it, and its pixels."""
+    def hidden_pixels(self, model: ObjectModel, T: Array, bound: float) -> tuple[NDArray[np.int64], Array]:
+        """Returns for each sample of the surface (m,) the point of the grid that hides it, and its pixels."""
         (samples, normals), directions, packed, area = appearance_of(model).few_sides
         camera, image = self.coarse.camera, self.coarse.depth
-        P, n, pixels = se3.apply(T, samples), normals @ T[:3, :3].T, np.zeros((2, len(samples)))
+        hiding, hidden = np.zeros(len(samples), dtype=np.int64), np.zeros(len(samples))
+        P, n = se3.apply(T, samples), normals @ T[:3, :3].T
         way = -T[:3, :3].T @ se3.apply(T, model.center_object[None])[0]
         uv, cosine = camera.project(P).round(), -(n * P).sum(axis=1) / np.linalg.norm(P, axis=1)
-        visible = np.unpackbits(packed[(directions @ way).argmax()], count=len(samples), bitorder="little")
-        there = visible.astype(bool) & (cosine > 0)
+        bits = np.unpackbits(packed[(directions @ way).argmax()], count=len(samples), bitorder="little")
+        there = bits.astype(bool) & (cosine > 0)
         there &= (uv >= 0).all(axis=1) & (uv < camera.size).all(axis=1)  # NaN is neither
-        columns, rows = uv[there].astype(int).T
-        z, observed = P[there, 2], image[rows, columns]
+        (columns, rows), z = uv[there].astype(int).T, P[there, 2]
+        observed, focal = image[rows, columns], camera.matrix[0, 0] * camera.matrix[1, 1]
         behind = (observed > 0) & (observed < z - bound) & self.inside[rows, columns]
-        pixels[0, there] = np.where(behind, self.index[rows, columns], 0)
-        seen = area * camera.matrix[0, 0] * camera.matrix[1, 1] * cosine[there] / z**2
-        pixels[1, there] = np.where(behind, seen, 0.0)
-        return pixels
+        hiding[there] = np.where(behind, self.index[rows, columns], 0)
+        hidden[there] = np.where(behind, area * focal * cosine[there] / z**2, 0.0)
+        return hiding, hidden
 
-    def costs(self, owned: Mask) -> Array:
+    def costs(self, owned: Mask, which: slice = slice(None)) -> Array:
         """Returns what candidates (k,) cost by pixels that they should explain, where others own some points (n,)."""
-        excused = (self.hidden[:, 1] * owned[self.hidden[:, 0].astype(int)]).sum(axis=1)
-        return np.asarray(self.cost - (POSE_SCORE.hidden + LOCATE_ALL.expected) * excused)
+        excused = (self.hidden[which] * owned[self.hiding[which]]).sum(axis=1)
+        return np.asarray(self.cost[which] - (POSE_SCORE.hidden + LOCATE_ALL.expected) * excused)
 
     def value(self, chosen: list[int]) -> float:
         """Returns how well candidates explain the image together [pixels of the grid]."""
         explained, value = self.explained[chosen], 0.0
         for k, n in enumerate(chosen):
             others = np.asarray(np.delete(explained, k, axis=0).any(axis=0))
-            value -= float(self.costs(others)[n])
+            value -= float(self.costs(others, slice(n, n + 1))[0])
         best = explained.max(axis=0, initial=0.0)
         value += float(best.sum() - LOCATE_ALL.twice * (explained.sum(axis=0) - best).sum())
         left = self.around[chosen].any(axis=0) & (best == 0)
@@ -301,7 +302,11 @@ class _Pool:
     def owners(self, chosen: Sequence[int]) -> Pixels:
         """Returns which of the candidates (in their order) explains each pixel (h, w): the one with the nearest
         surface; -1 where none does."""
-        return owners(self.scene, [(self.models[self.names[n]], self.candidates[n : n + 1]) for n in chosen])
+        for n in chosen:
+            if n not in self.distances:
+                model = self.models[self.names[n]]
+                self.distances[n] = distances_in(self.scene, model, self.candidates[n : n + 1])
+        return owners(self.scene, [self.distances[n] for n in chosen])
 
     def searched(self, chosen: list[int], k: int, owner: Pixels) -> _Search:
         """Returns the search for the k-th of the chosen candidates without the pixels (h, w) of the others."""
@@ -362,7 +367,8 @@ class _Pool:
                 _, k, chosen[k] = max(better)
                 tried.add(chosen[k])
                 continue
-            short = own - _least_odds(limits, [self.names[n] for n in chosen], own)
+            least = _least_probabilities(limits, [self.names[n] for n in chosen], own)
+            short = own - np.log(least / (1 - least))
             if (short >= 0).all():
                 break
             banned.append(chosen.pop(int(short.argmin())))
@@ -371,15 +377,14 @@ class _Pool:
         return chosen
 
 
-def _least_odds(limits: Mapping[str, int], names: Sequence[str], odds: Array) -> Array:
-    """Returns the log odds (k,) that instances must have: more for one more of an object that is counted."""
-    p = np.full(len(names), LOCATE.min_probability)
-    for k, name in enumerate(names):
-        if name not in limits and k != max(
-            (j for j, other in enumerate(names) if other == name), key=odds.__getitem__
-        ):
-            p[k] = LOCATE_ALL.min_another
-    return np.asarray(np.log(p / (1 - p)))
+def _least_probabilities(limits: Mapping[str, int], names: Sequence[str], odds: Array) -> Array:
+    """Returns the probabilities (k,) that instances must have: more for one more of an object that is counted."""
+    least, first = np.full(len(names), LOCATE.min_probability), set[str]()
+    for k in np.argsort(-odds, kind="stable").tolist():
+        if names[k] in first and names[k] not in limits:
+            least[k] = LOCATE_ALL.min_another
+        first.add(names[k])
+    return least
 
 
 def _answer(pool: _Pool, limits: Mapping[str, int], chosen: list[int]) -> SceneDetection:
@@ -387,21 +392,22 @@ def _answer(pool: _Pool, limits: Mapping[str, int], chosen: list[int]) -> SceneD
     owner, names = pool.owners(chosen), [pool.names[n] for n in chosen]
     detections = [pool.searched(chosen, k, owner).detection for k in range(len(chosen))]
     own = np.array([_log_odds(each.probability) for each in detections])
-    likely = own >= _least_odds(limits, names, own)
+    least = _least_probabilities(limits, names, own)
     bodies = [
         (pool.models[name], each.candidates[:1].copy()) for name, each in zip(names, detections, strict=True)
     ]
-    pixels, instances = owners(pool.scene, bodies), list[ObjectInstance]()
+    places = [distances_in(pool.scene, *body) for body in bodies]
+    pixels, instances = owners(pool.scene, places), list[ObjectInstance]()
     for k, (model, candidate) in enumerate(bodies):
         explained = pixels == k
-        score_candidates(model, pool.scene, candidate)  # with what others hide
-        if not likely[k] or explained.sum() < LOCATE_ALL.visible * candidate["expected"][0]:
-            continue
+        score_candidates(model, pool.scene, candidate, effort=0)  # with what others hide
         odds = pool.odds(limits, chosen, k, owner)
         rivals = [value for n, value in odds.items() if n != chosen[k]]
-        probability = (
-            float(probabilities(np.array([own[k], *rivals]))[0]) if rivals else detections[k].probability
-        )
+        probability = detections[k].probability
+        if rivals:
+            probability = float(probabilities(np.array([own[k], *rivals]))[0])
+        if explained.sum() < LOCATE_ALL.visible * candidate["expected"][0] or probability < least[k]:
+            continue
         instances.append(ObjectInstance(names[k], detections[k], probability, explained))
     missing = dict[str, str]()
     for name in pool.models:
@@ -417,26 +423,28 @@ def _log_odds(p: float) -> float:
     return float(np.log(max(p, 1e-300) / max(1 - p, 1e-16)))
 
 
-def owners(scene: Scene, bodies: Sequence[tuple[ObjectModel, Candidates]]) -> Pixels:
-    """Returns which object with its CANDIDATE (1,) explains each pixel (h, w) of a scene: the one with the nearest
-    surface; -1: none."""
+def distances_in(scene: Scene, model: ObjectModel, candidate: Candidates) -> Distances:
+    """Returns the part of a scene around an object at CANDIDATE (1,), and there the distances (h, w) [m] of the points
+    that it explains from its surface; infinity at others."""
+    bound, middle = float(candidate["bound"][0]), se3.apply(poses_of(candidate)[0], model.center_object[None])
+    reach, z = 1.2 * model.radius + bound, float(middle[0, 2])
+    focal = np.diag(scene.camera.matrix)[:2] / max(z - reach, 0.05)
+    corners = scene.camera.project(middle) + np.outer((-reach, reach), focal) + [[0], [1]]
+    (left, top), (right, below) = np.nan_to_num(corners).clip(0, scene.camera.size).astype(int)
+    box = slice(top, below), slice(left, right)
+    inside = (scene.labels[box] >= 0) & (abs(scene.depth[box] - z) < reach)
+    depth = scene.depth[box][inside].astype(np.float64)
+    points = np.c_[scene.camera.rays[box][inside] * depth[:, None], depth]
+    distance = np.full(inside.shape, np.inf, dtype=np.float32)
+    distance[inside] = surface_distances(model, points, bound, candidate)[0]
+    return box, distance
+
+
+def owners(scene: Scene, bodies: Sequence[Distances]) -> Pixels:
+    """Returns which of the bodies explains each pixel (h, w): the one with the nearest surface; -1: none."""
     nearest = np.full(scene.depth.shape, np.inf, dtype=np.float32)
     owner = np.full(nearest.shape, -1, dtype=np.int32)
-    for k, (model, candidate) in enumerate(bodies):
-        bound, middle = (
-            float(candidate["bound"][0]),
-            se3.apply(poses_of(candidate)[0], model.center_object[None]),
-        )
-        reach, z = 1.2 * model.radius + bound, float(middle[0, 2])
-        focal = np.diag(scene.camera.matrix)[:2] / max(z - reach, 0.05)
-        corners = scene.camera.project(middle) + np.outer((-reach, reach), focal) + [[0], [1]]
-        (left, top), (right, below) = np.nan_to_num(corners).clip(0, scene.camera.size).astype(int)
-        box = slice(top, below), slice(left, right)
-        inside = (scene.labels[box] >= 0) & (abs(scene.depth[box] - z) < reach)
-        depth = scene.depth[box][inside].astype(np.float64)
-        points = np.c_[scene.camera.rays[box][inside] * depth[:, None], depth]
-        distance = np.full(inside.shape, np.inf, dtype=np.float32)
-        distance[inside] = surface_distances(model, points, bound, candidate)[0]
+    for k, (box, distance) in enumerate(bodies):
         near = distance < nearest[box]
         nearest[box][near], owner[box][near] = distance[near], k
     return owner

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import ConvexHull, cKDTree
 
 from handsight import se3
 from handsight._kernels.image import depth_term
@@ -49,6 +50,8 @@ class GripOptions(NamedTuple):
         float(np.deg2rad(10)),
     )  # two poses are not the same beyond this [m, rad]
     clearly_worse: float = 0.1  # by so much cost a pose is not a rival of the best one
+    odd: float = 0.008  # so far from its own surface a symmetry takes no point, where it is not hidden [m]
+    max_odd: float = 0.02  # share of the points that may be so, by noise
 
 
 GRIP = GripOptions()
@@ -162,11 +165,20 @@ def _joined(
     complete = in_fingers(joined.volume, joined.tips_object)[0]
     if complete is None:
         return "expected one object with that of the other grips, got a surface that the fingers do not hold"
-    maps = se3.inverse(T) @ Ts[cost < least + GRIP.clearly_worse]  # of the object onto itself
-    judge = MapJudge(joined.volume, complete.points[:: len(complete.points) // GRIP.points + 1])
-    if not all(judge.allows(each[None]) for each in maps[far(maps, np.eye(4))]):
+    maps = se3.inverse(T) @ Ts[fits & (cost < least + GRIP.clearly_worse)]  # of the object onto itself
+    if not all(_is_symmetry(each, joined.volume, complete) for each in maps[far(maps, np.eye(4))]):
         return "expected one way in which it fits the other grips, got several, of different shapes"
     return joined, complete
+
+
+def _is_symmetry(T: Array, volume: Volume, surface: SurfacePoints) -> bool:
+    """Returns whether a map (4, 4) takes an object's surface to itself, or to where it may be: a handle may not."""
+    points = surface.points[:: len(surface.points) // GRIP.points + 1]
+    places, hull = se3.apply(T, points), ConvexHull(surface.points).equations
+    outside = (places @ hull[:, :3].T + hull[:, 3]).max(axis=1) > GRIP.odd / 2
+    odd = cKDTree(surface.points).query(places)[0] > GRIP.odd
+    odd &= outside | volume.among(volume.clear(), places)
+    return MapJudge(volume, points).allows(T[None]) and bool(odd.mean() <= GRIP.max_odd)
 
 
 def in_fingers(volume: Volume, tips_object: Array) -> tuple[SurfacePoints | None, str]:
