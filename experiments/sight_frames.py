@@ -298,11 +298,10 @@ def show(rows: Rows) -> None:
     report.print_table(
         "Probabilities", ("mean", "right", "n"), cells, "Present and absent objects count half each."
     )
-    report.say("As rows of a page:")
+    report.say("Rows of the table in docs/vision.md:")
     for line, more in zip(answers, recalls, strict=True):
         if line[1] == "all":
-            ar, inside, times = more[5], more[8], more[9:]
-            report.say(f"| {line[0]} | {' | '.join((*line[3:], ar, inside, *times))} |")
+            report.say(f"| {' | '.join((line[0], *line[3:7], more[5], line[-1]))} |")
 
 
 def by_object(rows: Rows) -> None:

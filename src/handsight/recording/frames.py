@@ -24,9 +24,7 @@ from handsight.msgspec_errors import decode
 from handsight.objects.library.documents import INFO
 from handsight.observation import Detection2D
 from handsight.recording.open import open_recording
-from handsight.recording.robot_images import HandPixels
 from handsight.rig import Rig
-from handsight.tracking.hints import SearchHints
 from handsight.vision import read_camera, read_color, read_depth
 from handsight.vision.object.locate import search_mask
 from handsight.vision.pixels import MILLIMETRE, Color
@@ -292,6 +290,10 @@ def recorded_frames(path: Path, rig: Rig) -> Frames:
         raise InvalidInput("rig: expected topics.depth, where the recording has its depth images, got none")
 
     def each() -> Iterator[Frame]:
+        # They load the tracker, which images alone do not need.
+        from handsight.recording.robot_images import HandPixels
+        from handsight.tracking.hints import SearchHints
+
         pixels, camera = HandPixels(rig), None
         hints = {name: SearchHints(spec.label or name) for name, spec in rig.objects.items()}
         with open_recording(path, rig) as recording:
