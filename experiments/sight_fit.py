@@ -36,7 +36,7 @@ DRAWN_SHARE = 0.375
 """Weight of a bin of drawn pictures against a real scene's: all bins together count about as much as three scenes."""
 PENALTY = 4e-4
 """On the sum of the squared weights, against the mean log likelihood of a search."""
-LEVELS = (0.1, 0.2, 0.3, LOCATE.min_probability, 0.5)
+LEVELS = (0.1, 0.2, 0.3, 0.4, LOCATE.min_probability)
 EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 """Of probabilities that are compared with how often the place is right."""
 

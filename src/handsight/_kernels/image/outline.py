@@ -33,12 +33,9 @@ def _beside(
     its centre, the bound within which it explains a point, and how far inside of its outline the surface is that points
     beside it are compared with [pixels]. pixel: row, column, the least label that counts.
     """
-    (model, nodes), (rays, depth, labels), (pose, center, bound, inset), (v, u, least) = (
-        surface,
-        image,
-        at,
-        pixel,
-    )
+    (model, nodes), (rays, depth, labels) = surface, image
+    pose, center, bound, inset = at
+    v, u, least = pixel
     if not depth[v, u] > 0 or labels[v, u] < least:
         return 0
     P, beside = point_at(rays, depth, v, u), bound + BESIDE * 2 * model[0].radius
@@ -110,18 +107,10 @@ def follow_outlines(camera: Any, surface: Any, image: Any, most: int, candidates
         left, right = int(max(u0 - half, 0.0)), int(min(u0 + half, width - 1.0))
         top, bottom = int(max(v0 - half, 0.0)), int(min(v0 + half, height - 1.0))
         step = max(1, int(np.sqrt(max(right - left, 0) * max(bottom - top, 0) / most)))
+        at = pose, center, bound, bound * camera[0].fx / center[2]
         for v in range(top, bottom + 1, step):
             for u in range(left, right + 1, step):
-                count += (
-                    _beside(
-                        camera,
-                        surface,
-                        image,
-                        (pose, center, bound, bound * camera[0].fx / center[2]),
-                        (v, u, 0),
-                    )
-                    > 0
-                )
+                count += _beside(camera, surface, image, at, (v, u, 0)) > 0
         # As if its silhouette were square.
         outline = 4 * np.sqrt(max(candidate.expected, 1.0)) * beside * camera[0].fx / center[2]
         candidate.unexplained = candidate.expected * min(count * step * step / outline, 1.0)

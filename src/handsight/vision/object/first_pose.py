@@ -67,7 +67,7 @@ BESIDE = (150, 300, 600, 1200)
 TURNED = 3
 """Before this stage the best candidates are also turned to where the surface is nearly the same."""
 
-EVIDENCE = np.array([-5.85, 9.44, -3.68, -11.80])
+EVIDENCE = np.array([-5.73, 9.24, -3.77, -11.48])
 """The weights of the columns of `evidence_of` in the log odds that the object is there (`experiments/sight_fit.py`)."""
 
 
