@@ -31,7 +31,7 @@ class FirstPoseOptions(NamedTuple):
     """`FirstPoseOptions` say how a first pose is found: by points that vote, and candidates that are compared."""
 
     spacing: float = 1 / 24  # of observed points [diameters]
-    max_points: int = 900  # observed points
+    max_points: int = 1200  # observed points
     references: int = 28  # points that vote
     min_references: int = 4  # of each segment at least
     partners: int = 140  # points that each is paired with
@@ -60,8 +60,8 @@ STAGES = np.array(
     [(0, 0.12, 0.08, 4, 1), (0, 0.08, 0.05, 4, 1), (1, 0.05, 0.03, 4, 1), (1, 0.03, 0.0, 5, 1)], dtype=STAGE
 )
 """How candidates are moved to the image, with bounds in diameters."""
-POINTS, KEPT = (80, 160, 300, FIRST_POSE.max_points), (24, 12, 8, 8)
-"""Observed points by which each stage moves them, and candidates that go on from each."""
+POINTS, KEPT, AT_PLACE = (0.3, 0.5, 1.0, 1.0), (24, 12, 8, 8), (2, 2, 3, 6)
+"""Share of the observed points by which each stage moves them, candidates that go on, and of one place at most."""
 BESIDE = (150, 300, 600, 1200)
 """Pixels around each candidate that show whether the surface goes on beyond its outline."""
 TURNED = 3
@@ -152,7 +152,7 @@ def first_pose(
     def refine(candidates: Candidates, stage: int, effort: int) -> None:
         """Moves candidates as one stage does, with as many points and pixels as another one takes."""
         candidates["bound"], now = explained_within(noise, center_depths(model, candidates)), STAGES[stage]
-        points, record = observed[: POINTS[effort]], model.record[:2]
+        points, record = observed[: round(POINTS[effort] * len(observed))], model.record[:2]
         depth_term.refine_poses(*record, points, np.atleast_1d(now), D, NOTHING_KNOWN, candidates)
         score_candidates(model, scene, candidates, effort=effort)
 
@@ -164,7 +164,10 @@ def first_pose(
             found = np.concatenate([found, turned])
             found = distinct(model, found, found["score"], KEPT[1], FIRST_POSE.candidate_spacing)
         refine(found, stage, stage)
-        found = distinct(model, found, found["score"], max(kept, modes), FIRST_POSE.candidate_spacing)
+        found = distinct(model, found, found["score"], len(found), FIRST_POSE.candidate_spacing)
+        places = places_of(model, found)
+        better = np.tril(places[:, None] == places, -1).sum(axis=1)  # of the same place
+        found = found[better < max(AT_PLACE[stage], modes)][: max(kept, modes)]
     for k in range(min(FIRST_POSE.turned, len(found))):
         if found["passed"][k] > FIRST_POSE.passed_share * found["expected"][k]:
             found[k : k + 1] = slid(model, scene, observed, found[k : k + 1], noise)

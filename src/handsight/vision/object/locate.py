@@ -43,7 +43,7 @@ class LocateOptions(NamedTuple):
     it accepts and claims)."""
     meaningless: float = 0.1
     """Probability that the score of a detector says nothing; `score_log_odds` derives what follows from it."""
-    unscored: float = 0.7  # confidence that a box or a mask without a score counts as
+    unscored: float = 0.7  # confidence that a box without a score counts as
     max_moved: float = 0.1  # a pose that is right is moved by at most that on the image [diameters]
     rival_level: float = 0.05  # odds of a pose against another one below which that other one is better
     max_starts: int = 100
@@ -75,15 +75,15 @@ def locate(
     that it may be in, not 0. None: all pixels. start: T_camera_object (4, 4) of another estimator, or several (k, 4,
     4), or GaussianPoses, whose covariances hold directions of which the image says nothing. Each is refined and
     compared with what is found without it; `ObjectDetection.starts` says which are right. score: the detector's
-    confidence in (0, 1], by which the probability changes (`score_log_odds`); that of a box or mask without one is .7.
+    confidence in (0, 1], by which the probability changes (`score_log_odds`); that of a box without one is .7.
 
     hand (h, w): pixels of the hand. table (4,): `n·P + offset = 0` in the camera, n towards it; None: the widest plane.
     noise: of the depth. Raises InvalidInput for images of another size than the camera's, for depth that is not in
     metres, and for a box that is outside the image; InvalidTransform for a start that is no pose.
     """
     wanted, extent = search_mask(camera, box, mask), LOCATE.max_plane * model.diameter
-    told = None if wanted is None else LOCATE.unscored
-    score = told if score is None else score
+    if score is None and box is not None:
+        score = LOCATE.unscored
     prior = 0.0 if score is None else score_log_odds(score)
     given = None if start is None else _checked_starts(start)
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
