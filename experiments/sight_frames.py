@@ -31,7 +31,7 @@ import handsight as hs
 from handsight import se3
 from handsight.vision import recognise
 from handsight.vision.object.first_pose import ObjectDetection, first_pose
-from handsight.vision.object.locate import LOCATE
+from handsight.vision.object.locate import LOCATE, region_log_odds
 from handsight.vision.object.locate_all import locate_all
 from handsight.vision.object.region import scene_of
 from shared import figures, report
@@ -64,7 +64,8 @@ def search(model: hs.ObjectModel, frame: RealFrame, wanted: Array | None) -> tup
     """Returns the poses that an object may have, also improbable ones, and the milliseconds that the search took."""
     begin = time.perf_counter()
     scene = scene_of(frame.camera, frame.depth, wanted=wanted, extent=LOCATE.max_plane * model.diameter)
-    found = first_pose(model, scene)
+    prior = region_log_odds(model, frame.camera, frame.depth, wanted)
+    found = first_pose(model, scene, prior=prior)
     return found, 1e3 * (time.perf_counter() - begin)
 
 

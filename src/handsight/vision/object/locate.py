@@ -43,7 +43,8 @@ class LocateOptions(NamedTuple):
     it accepts and claims)."""
     meaningless: float = 0.1
     """Probability that the score of a detector says nothing; `score_log_odds` derives what follows from it."""
-    unscored: float = 0.7  # confidence that a box without a score counts as
+    unscored: float = 0.7  # score that a box or mask around one object counts as, if it has none
+    around_one: float = 2.0  # such a region's largest area [areas of a square as wide as the object]
     max_moved: float = 0.1  # a pose that is right is moved by at most that on the image [diameters]
     rival_level: float = 0.05  # odds of a pose against another one below which that other one is better
     max_starts: int = 100
@@ -75,16 +76,15 @@ def locate(
     that it may be in, not 0. None: all pixels. start: T_camera_object (4, 4) of another estimator, or several (k, 4,
     4), or GaussianPoses, whose covariances hold directions of which the image says nothing. Each is refined and
     compared with what is found without it; `ObjectDetection.starts` says which are right. score: the detector's
-    confidence in (0, 1], by which the probability changes (`score_log_odds`); that of a box without one is .7.
+    confidence in (0, 1], by which the probability changes (`score_log_odds`); .7 for a box or mask without one that is
+    around a single object (`region_log_odds`).
 
     hand (h, w): pixels of the hand. table (4,): `n·P + offset = 0` in the camera, n towards it; None: the widest plane.
     noise: of the depth. Raises InvalidInput for images of another size than the camera's, for depth that is not in
     metres, and for a box that is outside the image; InvalidTransform for a start that is no pose.
     """
     wanted, extent = search_mask(camera, box, mask), LOCATE.max_plane * model.diameter
-    if score is None and box is not None:
-        score = LOCATE.unscored
-    prior = 0.0 if score is None else score_log_odds(score)
+    prior = region_log_odds(model, camera, depth, wanted) if score is None else score_log_odds(score)
     given = None if start is None else _checked_starts(start)
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
     if not len(scene.sizes):
@@ -204,6 +204,20 @@ def score_log_odds(score: float) -> float:
         raise InvalidInput(f"score: expected a number above 0 and at most 1, got {value:g}")
     p = LOCATE.meaningless / 2 + (1 - LOCATE.meaningless) * value
     return float(np.log(p / (1 - p)))
+
+
+def region_log_odds(model: ObjectModel, camera: Camera, depth: Depth, wanted: Mask | None) -> float:
+    """Returns the log odds that an object is there because somebody looks for it in some pixels (h, w); None: in all.
+
+    They are those of a detector's score of `LocateOptions.unscored` if the pixels are about as many as the object's,
+    because then somebody saw it there, and 0 for a wider region.
+    """
+    inside = depth[wanted > 0] if wanted is not None and wanted.shape == depth.shape else depth[:0]
+    known = inside[inside > 0]
+    if not len(known):
+        return 0.0
+    side = model.diameter * camera.matrix[0, 0] / float(np.median(known))
+    return score_log_odds(LOCATE.unscored) if inside.size <= LOCATE.around_one * side**2 else 0.0
 
 
 def _checked_starts(start: Start) -> list[GaussianPose]:
