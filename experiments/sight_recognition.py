@@ -38,6 +38,7 @@ def trial(name: str, k: int, seed: int) -> report.Row:
         "seed": seed,
         "k": k,
         "named": answer.name or "none",
+        "likeliest": next(iter(answer.scores)),
         "add_s": add_s,
     } | odds
 
@@ -67,9 +68,10 @@ def show(rows: report.Rows) -> None:
     """Prints a line a bin."""
     cells = []
     for name in report.distinct(rows, "bin"):
-        odds, true = odds_of(report.chosen(rows, bin=name))
-        right = true[np.arange(len(odds)), odds.argmax(axis=1)]
-        named = right & (odds.max(axis=1) > 0)
+        pictures = report.chosen(rows, bin=name)
+        odds, true = odds_of(pictures)
+        right = np.array([row["likeliest"] == row["object"] for row in pictures])
+        named = np.array([row["named"] == row["object"] for row in pictures])
         others = np.where(true, -np.inf, odds).max(axis=1) > 0
         cells.append([name, len(odds), *(f"{share.mean():.2f}" for share in (right, named, others))])
     columns = ("hidden", "pictures", "right of ten", "right and claimed", "another claimed, absent")

@@ -151,12 +151,16 @@ def recognise(
 def recognition_of(found: Mapping[str, ObjectDetection], reason: str | None = None) -> Recognition:
     """Returns which of several objects an image shows, by where each would be; `reason`: why it can be none."""
     detected = [name for name, one in found.items() if len(one.candidates)]
-    odds = np.log(
-        [p / (1 - p) for p in (np.clip(found[name].probability, 1e-300, 1 - 1e-16) for name in detected)]
-    )
-    scores = dict.fromkeys(found, 0.0) | dict(zip(detected, probabilities(odds).tolist(), strict=True))
+    p = np.clip([found[name].probability for name in detected], 1e-300, 1 - 1e-16)
+    odds = np.log(p / (1 - p))
+    some = float(probabilities(odds).sum())
+    # The odds count shares. Of objects in the same pixels, that one is likelier which explains more of them.
+    support = odds + [found[name].candidates["score"][0] for name in detected]
+    weights = np.exp(support - support.max(initial=-np.inf))
+    weights *= some / max(weights.sum(), 1.0)
+    scores = dict.fromkeys(found, 0.0) | dict(zip(detected, weights.tolist(), strict=True))
     order = sorted(scores, key=lambda name: -scores[name])
-    none = 1 - sum(scores.values())
+    none = 1 - some
     if reason is None and none >= scores[order[0]]:
         best = f"{order[0]} is the likeliest, with a probability of {scores[order[0]]:.2f}"
         reason = f"nothing there looks like one of them; {best}"
