@@ -96,6 +96,9 @@ class Graph:
             reader.settimeout(90.0)
             reader.connect((host, port))
             reader.sendall(len(said).to_bytes(4, "little") + said)
+            # Only one whose header has come hears all that is said.
+            size = int.from_bytes(reader.recv(4, socket.MSG_WAITALL), "little")
+            assert len(reader.recv(size, socket.MSG_WAITALL)) == size
             yield reader
 
     def record(self, *topics):
@@ -162,7 +165,6 @@ def read_until(reader, kind, stamp):
     """
     found, last = [], -1.0
     with reader.makefile("rb") as file:
-        file.read(int.from_bytes(file.read(4), "little"))  # the publisher's header
         while last < stamp - 1e-6:
             data = file.read(int.from_bytes(file.read(4), "little"))
             assert data, "the publisher ended"
