@@ -24,12 +24,8 @@ MAX_DETECTIONS = 8
 class FirstPoseSource(Protocol):
     """A `FirstPoseSource` is a function that finds an object in a depth image, without a guess; `locate` is one.
 
-    Another one usually asks a detector or an estimator, and passes what it answers to `locate`:
-
-    ```
-    def found_by_mine(model, depth, camera, **known):
-        return hs.locate(model, depth, camera, box=..., score=..., start=..., **known)
-    ```
+    Another one usually asks a detector or an estimator, and passes what it answers to `locate` as box, mask, score or
+    start, with the keywords that it was called with.
     """
 
     def __call__(
