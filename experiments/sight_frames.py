@@ -20,6 +20,7 @@ The true poses of YCB-Video are good to 2 to 5 mm. Times are of the search (segm
 import functools
 import time
 from collections import Counter
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -230,42 +231,41 @@ def share(rows: Rows, name: str) -> float:
     return float(np.mean(known)) if known else np.nan
 
 
-def table_rows(rows: Rows) -> list[list[str]]:
-    """Returns the cells of each scene, and of all together, for each way of being told."""
-    cells = []
+def by_scene(rows: Rows) -> Iterator[tuple[str, str, Rows]]:
+    """Yields the rows of each scene, and of all together, for each way of being told."""
     scenes = report.distinct(rows, "scene")
     for told in WAYS:
         for scene in (*(scenes if len(scenes) > 1 else ()), "all"):
-            mine = [row for row in rows if row["told"] == told and scene in (row["scene"], "all")]
-            if not mine:
-                continue
-            counts = [
-                f"{share(mine, name):.3f}" if name == "wrong" else f"{share(mine, name):.2f}"
-                for _, name in COLUMNS
-            ]
-            right = [row for row in mine if row["right_s"]]
-            median = f"{np.median([row['add_s_mm'] for row in right]):.1f}" if right else "-"
-            cells.append([told, scene, str(len(mine)), *counts, median])
+            if mine := [row for row in rows if row["told"] == told and scene in (row["scene"], "all")]:
+                yield told, scene, mine
+
+
+def table_rows(rows: Rows) -> list[list[str]]:
+    """Returns the cells of each scene, and of all together, for each way of being told."""
+    cells = []
+    for told, scene, mine in by_scene(rows):
+        counts = [
+            f"{share(mine, name):.3f}" if name == "wrong" else f"{share(mine, name):.2f}"
+            for _, name in COLUMNS
+        ]
+        right = [row for row in mine if row["right_s"]]
+        median = f"{np.median([row['add_s_mm'] for row in right]):.1f}" if right else "-"
+        cells.append([told, scene, str(len(mine)), *counts, median])
     return cells
 
 
 def recall_rows(rows: Rows) -> list[list[str]]:
     """Returns AR, coverage and times of each scene, and of all together, for each way of being told."""
     cells = []
-    scenes = report.distinct(rows, "scene")
-    for told in WAYS:
-        for scene in (*(scenes if len(scenes) > 1 else ()), "all"):
-            mine = [row for row in rows if row["told"] == told and scene in (row["scene"], "all")]
-            if not mine:
-                continue
-            gated = [
-                f"{np.mean([row[name] * row['answered'] for row in mine]):.3f}"
-                for name in ("ar_vsd", "ar_mssd", "ar_mspd", "ar")
-            ]
-            inside = [f"{share(mine, name):.2f}" for name in ("inside", "inside_truth")]
-            ms = np.array([row["ms"] for row in mine])
-            times = [f"{np.median(ms):.1f}", f"{np.percentile(ms, 95):.1f}"]
-            cells.append([told, scene, *gated, f"{share(mine, 'ar'):.3f}", *inside, *times])
+    for told, scene, mine in by_scene(rows):
+        gated = [
+            f"{np.mean([row[name] * row['answered'] for row in mine]):.3f}"
+            for name in ("ar_vsd", "ar_mssd", "ar_mspd", "ar")
+        ]
+        inside = [f"{share(mine, name):.2f}" for name in ("inside", "inside_truth")]
+        ms = np.array([row["ms"] for row in mine])
+        times = [f"{np.median(ms):.1f}", f"{np.percentile(ms, 95):.1f}"]
+        cells.append([told, scene, *gated, f"{share(mine, 'ar'):.3f}", *inside, *times])
     return cells
 
 

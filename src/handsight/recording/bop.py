@@ -218,10 +218,8 @@ class Hints:
         numbers of all objects that there are. One object without a number is the one of a file that has only one.
         """
         self._name, self._alone = names[0], len(names) == 1 and not numbers
-        self._names, self._known = (
-            {number: name for name, number in numbers.items()},
-            {*known, *numbers.values()},
-        )
+        self._names = {number: name for name, number in numbers.items()}
+        self._known = {*known, *numbers.values()}
         self.sentences: list[str] = []
         """What a user should know of the files."""
         self._place, by_image = detections, self._by_image

@@ -97,7 +97,7 @@ def _point(
 
 
 @inner
-def _is_far(point: Any, center: Vec3, radius: float, bound: float) -> bool:
+def is_far(point: Any, center: Vec3, radius: float, bound: float) -> bool:
     """Returns whether a point in the camera is farther than a bound from an object, by the object's centre there.
 
     No point of an object is farther from its centre than 1.2 radii. Most points of an image are far from a candidate,
@@ -144,7 +144,7 @@ def refine_poses(
                 frame, total = (apply(pose, center), radius), 0.0
                 equations[:] = 0.0
                 for n in range(0, len(points), stage.stride):
-                    if _is_far(points[n].point, frame[0], radius, bound):
+                    if is_far(points[n].point, frame[0], radius, bound):
                         continue
                     weight, distance, P, g = _point(surface, points[n], pose, bound, wall)
                     if weight > 0:
@@ -165,11 +165,11 @@ def surface_distances(model: Any, nodes: Any, points: Any, within: float, candid
     they are not `within` it."""
     for k in range(len(candidates)):
         pose = pose_of(candidates[k].pose)
-        center, reach = apply(pose, vector(model[0].center)), 1.2 * model[0].radius + within
+        center = apply(pose, vector(model[0].center))
         for n in range(len(points)):
-            P, out[k, n] = vector(points[n]), np.inf
-            if max(abs(P[0] - center[0]), abs(P[1] - center[1]), abs(P[2] - center[2])) < reach:
-                distance = abs(field_at(nodes, model[0].fine, apply_inverse(pose, P))[0])
+            out[k, n] = np.inf
+            if not is_far(points[n], center, model[0].radius, within):
+                distance = abs(field_at(nodes, model[0].fine, apply_inverse(pose, vector(points[n])))[0])
                 if distance < within:
                     out[k, n] = distance
 
@@ -193,7 +193,7 @@ def pose_covariances(
         center = vector(model[0].center)
         frame = apply(pose, center), radius
         for n in range(len(points)):
-            if _is_far(points[n].point, frame[0], radius, candidates[k].bound):
+            if is_far(points[n].point, frame[0], radius, candidates[k].bound):
                 continue
             weight, _, P, g = _point(surface, points[n], pose, candidates[k].bound, wall)
             if weight > 0:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.image.depth_image import point_at
+from handsight._kernels.image.depth_term import is_far
 from handsight._kernels.image.pinhole import project
 from handsight._kernels.image.pose_score import POSE_SCORE
 from handsight._kernels.image.vision_records import OUT
@@ -39,8 +40,7 @@ def _beside(
     if not depth[v, u] > 0 or labels[v, u] < least:
         return 0
     P, beside = point_at(rays, depth, v, u), bound + BESIDE * 2 * model[0].radius
-    way, reach = sub(P, center), 1.2 * model[0].radius + beside
-    if not dot(way, way) < reach * reach:
+    if is_far(P, center, model[0].radius, beside):
         return 0
     distance, gradient, _ = field_at(nodes, model[0].fine, apply_inverse(pose, P))
     if not bound < distance < beside:

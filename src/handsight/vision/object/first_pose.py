@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from handsight import se3
 from handsight._deprecated import renamed_members
@@ -250,6 +250,12 @@ def probabilities(odds: Array) -> Array:
     most = max(float(odds.max(initial=0.0)), 0.0)
     here = np.exp(odds - most)
     return np.asarray(here / (here.sum() + np.exp(-most)))
+
+
+def logit(p: ArrayLike) -> Array:
+    """Returns the log odds (n,) of probabilities (n,), finite also for 0 and 1."""
+    p = np.asarray(p, dtype=np.float64)
+    return np.asarray(np.log(np.maximum(p, 1e-300) / np.maximum(1 - p, 1e-16)))
 
 
 def places_of(model: ObjectModel, candidates: Candidates) -> NDArray[np.int64]:

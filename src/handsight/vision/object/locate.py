@@ -23,6 +23,7 @@ from handsight.vision.object.first_pose import (
     ObjectDetection,
     first_pose,
     log_odds,
+    logit,
     probabilities,
 )
 from handsight.vision.object.pose_refiner import PoseRefiner
@@ -151,8 +152,7 @@ def recognise(
 def recognition_of(found: Mapping[str, ObjectDetection], reason: str | None = None) -> Recognition:
     """Returns which of several objects an image shows, by where each would be; `reason`: why it can be none."""
     detected = [name for name, one in found.items() if len(one.candidates)]
-    p = np.clip([found[name].probability for name in detected], 1e-300, 1 - 1e-16)
-    odds = np.log(p / (1 - p))
+    odds = logit([found[name].probability for name in detected])
     some = float(probabilities(odds).sum())
     # The odds count shares. Of objects in the same pixels, that one is likelier which explains more of them.
     support = odds + [found[name].candidates["score"][0] for name in detected]
@@ -206,8 +206,7 @@ def score_log_odds(score: float) -> float:
     value = checks.positive(score, "score")
     if value > 1:
         raise InvalidInput(f"score: expected a number above 0 and at most 1, got {value:g}")
-    p = LOCATE.meaningless / 2 + (1 - LOCATE.meaningless) * value
-    return float(np.log(p / (1 - p)))
+    return float(logit(LOCATE.meaningless / 2 + (1 - LOCATE.meaningless) * value))
 
 
 def region_log_odds(model: ObjectModel, camera: Camera, depth: Depth, wanted: Mask | None) -> float:

@@ -30,6 +30,7 @@ from handsight.vision.object.first_pose import (
     ObjectDetection,
     first_pose,
     log_odds,
+    logit,
     probabilities,
     score_candidates,
 )
@@ -50,22 +51,13 @@ class LocateAllOptions(NamedTuple):
     around: float = 0.1  # so close is close [diameters]
     rejected: float = 0.8  # a candidate that explains less than so much of what it costs takes no part
     expected: float = 0.3  # and each pixel that a candidate should fill, unless another chosen one hides it
-    exchanged: int = (
-        12  # candidates that are put in the place of all chosen ones that explain the same pixels
-    )
-    overlap: float = (
-        0.25  # share of the pixels of one of two candidates that both explain, to be put in its place
-    )
+    exchanged: int = 12  # candidates that are put in the place of all that explain the same pixels
+    overlap: float = 0.25  # share of a candidate's pixels that another one explains, to be put in its place
     max_left_out: int = 10  # unlikely candidates in whose place others are searched
-    rival: float = (
-        0.5  # share of an object's pixels that another candidate explains, to be there instead of it
-    )
-    changed: float = (
-        0.02  # share of its pixels by which its surroundings change before an object is searched again
-    )
+    rival: float = 0.5  # share of an object's pixels that another candidate explains, to be there instead
+    changed: float = 0.02  # share of its pixels that its surroundings change by, to be searched again
     visible: float = 0.1  # share of the pixels that an object would fill, of which less is no evidence
     max_rounds: int = 6  # of the search for one more of each
-    min_another: float = 0.5  # least probability of one more of an object of which the number is not given
 
 
 LOCATE_ALL = LocateAllOptions()
@@ -370,32 +362,19 @@ class _Pool:
                 _, k, chosen[k] = max(better)
                 tried.add(chosen[k])
                 continue
-            least = _least_probabilities(limits, [self.names[n] for n in chosen], own)
-            short = own - np.log(least / (1 - least))
-            if (short >= 0).all():
+            if (own >= logit(LOCATE.min_probability)).all():
                 break
-            banned.append(chosen.pop(int(short.argmin())))
+            banned.append(chosen.pop(int(own.argmin())))
             if len(banned) <= LOCATE_ALL.max_left_out:
                 chosen = self.best(limits, chosen, banned)
         return chosen
-
-
-def _least_probabilities(limits: Mapping[str, int], names: Sequence[str], odds: Array) -> Array:
-    """Returns the probabilities (k,) that instances must have: more for one more of an object that is counted."""
-    least, first = np.full(len(names), LOCATE.min_probability), set[str]()
-    for k in np.argsort(-odds, kind="stable").tolist():
-        if names[k] in first and names[k] not in limits:
-            least[k] = LOCATE_ALL.min_another
-        first.add(names[k])
-    return least
 
 
 def _answer(pool: _Pool, limits: Mapping[str, int], chosen: list[int]) -> SceneDetection:
     """Returns the chosen candidates as instances, each searched without the pixels of the others."""
     owner, names = pool.owners(chosen), [pool.names[n] for n in chosen]
     detections = [pool.searched(chosen, k, owner).detection for k in range(len(chosen))]
-    own = np.array([_log_odds(each.probability) for each in detections])
-    least = _least_probabilities(limits, names, own)
+    own = logit([each.probability for each in detections])
     bodies = [
         (pool.models[name], each.candidates[:1].copy()) for name, each in zip(names, detections, strict=True)
     ]
@@ -409,7 +388,8 @@ def _answer(pool: _Pool, limits: Mapping[str, int], chosen: list[int]) -> SceneD
         probability = detections[k].probability
         if rivals:
             probability = float(probabilities(np.array([own[k], *rivals]))[0])
-        if explained.sum() < LOCATE_ALL.visible * candidate["expected"][0] or probability < least[k]:
+        few = explained.sum() < LOCATE_ALL.visible * candidate["expected"][0]
+        if few or probability < LOCATE.min_probability:
             continue
         instances.append(ObjectInstance(names[k], detections[k], probability, explained))
     missing = dict[str, str]()
@@ -420,10 +400,6 @@ def _answer(pool: _Pool, limits: Mapping[str, int], chosen: list[int]) -> SceneD
             likely_alone = p >= LOCATE.min_probability
             missing[name] = f"other objects explain the image where {name} would be" if likely_alone else why
     return SceneDetection(tuple(sorted(instances, key=lambda each: -each.probability)), missing)
-
-
-def _log_odds(p: float) -> float:
-    return float(np.log(max(p, 1e-300) / max(1 - p, 1e-16)))
 
 
 def distances_in(scene: Scene, model: ObjectModel, candidate: Candidates) -> Distances:

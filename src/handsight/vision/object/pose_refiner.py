@@ -117,8 +117,6 @@ class PoseRefiner:
         pose_score.score_all(self.camera.record, image[1:], sides, center, candidates)
         # A little more support is noise, or the model's error: what does not move must not creep.
         gain = 1 + REFINER.creep * np.arange(len(candidates))
-        # A little more support is noise, or the model's error: what does not move must not creep.
-        gain = 1 + REFINER.creep * np.arange(len(candidates))
         best = int(np.argmax(candidates["explained"] * gain - 2 * candidates["passed"]))
         candidate = candidates[best : best + 1]
         outline.find_continued(self.camera.record, record, image, self._window, candidate)
