@@ -51,7 +51,7 @@ class Search(NamedTuple):
     told: str
     there: bool
     evidence: Array
-    """(k, 4)"""
+    """(k, 5)"""
     places: Array
     """(k,) numbers of the poses' places."""
     right: Array
@@ -126,7 +126,7 @@ def of_places(weights: Array, one: Search) -> tuple[Array, Array]:
 
 
 def fitted(searches: list[Search]) -> Array:
-    """Returns the weights (4,) of the largest likelihood, less a penalty on large ones: few scenes cannot tell
+    """Returns the weights (5,) of the largest likelihood, less a penalty on large ones: few scenes cannot tell
     whether touching neighbours, say, never look like a surface that goes on."""
     counts = Counter((one.group, one.there) for one in searches)
     shares = np.array([(1 if one.real else DRAWN_SHARE) / counts[one.group, one.there] for one in searches])
@@ -136,8 +136,8 @@ def fitted(searches: list[Search]) -> Array:
         mean = float((shares * np.log(np.maximum(likelihoods, 1e-9))).sum() / shares.sum())
         return PENALTY * float(weights @ weights) - mean
 
-    options = {"maxiter": 500, "xatol": 0.01, "fatol": 1e-5}
-    return np.asarray(minimize(loss, [-4.0, 7.0, -4.0, -8.0], method="Nelder-Mead", options=options).x)
+    options = {"maxiter": 1000, "xatol": 0.01, "fatol": 1e-5}
+    return np.asarray(minimize(loss, [-5.0, 9.0, -3.0, -5.0, -7.0], method="Nelder-Mead", options=options).x)
 
 
 def judged(

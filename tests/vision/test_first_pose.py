@@ -363,6 +363,32 @@ def test_a_neighbour_that_touches_does_not_continue_a_surface_but_a_bigger_face_
     assert share_beside(small, T, depth) > 0.2
 
 
+def smooth_share(model, T, depth):
+    """The share of the outline of an object at a pose across which the observed surface is smooth."""
+    candidate = candidates_at(T[None])
+    scene = scene_of(CAMERA, depth, extent=1.5 * model.diameter)
+    candidate["bound"] = 0.006
+    image = CAMERA.rays, scene.depth, scene.labels
+    outline.cross_outlines(CAMERA.record, model.record[:2], image, candidate)
+    return candidate["smooth"][0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_observed_surface_is_smooth_across_the_outline_of_what_is_laid_onto_it(seed):
+    """A pen in the middle of the brick's upper face turns away from it, and the face does not; the brick ends there.
+    Of an outline that is out of the image nothing is known."""
+    T, depth, _ = touching(seed)
+    pen, lying = (
+        hs.ObjectModel.cylinder(0.008, 0.05),
+        se3.compose(se3.rotation_exp(np.array([0, np.pi / 2, 0])), np.array([0, 0, 0.012])),
+    )
+    assert smooth_share(hs.ObjectModel.box(BRICK), T, depth) < 0.12
+    assert smooth_share(pen, T @ lying, depth) > 0.4
+    assert smooth_share(pen, se3.compose(np.eye(3), np.array([3.0, 0, 0.5])), depth) == pytest.approx(
+        outline.UNSEEN[1]
+    )
+
+
 def test_a_box_that_touches_another_is_answered():
     """Its pixels and those of its neighbour are one segment, and only some of them are its own: nine times of twelve."""
     model, answered = hs.ObjectModel.box(BRICK), []

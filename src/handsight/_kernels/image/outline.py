@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from handsight._kernels.image.depth_image import point_at
+from handsight._kernels.image.depth_image import normal_at, point_at
 from handsight._kernels.image.depth_term import is_far
 from handsight._kernels.image.pinhole import project
 from handsight._kernels.image.pose_score import POSE_SCORE
@@ -22,6 +22,25 @@ BESIDE = 0.06
 """Distance from the surface up to which points beside it are compared with it [diameters]."""
 INSIDE = 2.0
 """From the outline to the visible surface that they are compared with, where one pose is followed [pixels]."""
+
+WAYS, STEPS, MARCHED = 72, 12, 24
+"""Ways from an object's centre on which its outline is crossed, and most steps on each, and on the ray of a pixel."""
+OUTSIDE, WITHIN = (4.0, 7.0), 5.0
+"""From the outline to the pixels beside it and on the object, between which the surface may be smooth [pixels]."""
+FLAT, COSINE, UNSEEN = 0.7, 0.9, (0.1, 0.2)
+"""Most bounds from each other's tangent planes and least cosine of smooth ones; weight and share of what is unseen."""
+
+
+@inner
+def _within(camera: Any, image: Any, pixel: Any, nearest: Vec3, inset: float) -> tuple[int, int]:
+    """Returns row and column so far inside [pixels] of the outline that a pixel is beside; -1: none that counts."""
+    (_, depth, labels), (v, u, least) = image, pixel
+    x, y = project(camera[0], nearest)
+    length = max(((x - u) ** 2 + (y - v) ** 2) ** 0.5, 1e-9)
+    row, column = int(y + inset * (y - v) / length + 0.5), int(x + inset * (x - u) / length + 0.5)
+    if not (length > 0.5 and 0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
+        return -1, -1
+    return (row, column) if depth[row, column] > 0 and labels[row, column] >= least else (-1, -1)
 
 
 @inner
@@ -45,17 +64,10 @@ def _beside(
     distance, gradient, _ = field_at(nodes, model[0].fine, apply_inverse(pose, P))
     if not bound < distance < beside:
         return 0
-    # A pixel a little inside of the outline: past the surface's point that is nearest.
     g = mul(pose[0], gradient)
-    x, y = project(camera[0], sub(P, scale(g, distance / max(norm(g), 1e-9))))
-    length = ((x - u) ** 2 + (y - v) ** 2) ** 0.5
-    if not length > 0.5:
-        return 0
-    x, y = x + inset * (x - u) / length + 0.5, y + inset * (y - v) / length + 0.5
-    if not (0 <= x < depth.shape[1] and 0 <= y < depth.shape[0]):
-        return 0
-    row, column = int(y), int(x)
-    if not depth[row, column] > 0 or labels[row, column] < least:
+    nearest = sub(P, scale(g, distance / max(norm(g), 1e-9)))
+    row, column = _within(camera, image, pixel, nearest, inset)
+    if row < 0:
         return 0
     Q = point_at(rays, depth, row, column)
     inside, gradient, _ = field_at(nodes, model[0].fine, apply_inverse(pose, Q))
@@ -116,3 +128,73 @@ def follow_outlines(camera: Any, surface: Any, image: Any, most: int, candidates
         candidate.unexplained = candidate.expected * min(count * step * step / outline, 1.0)
         size = max(candidate.expected, POSE_SCORE.min_expected)
         candidate.score -= POSE_SCORE.unexplained * candidate.unexplained / size**POSE_SCORE.size_exponent
+
+
+@inner
+def _clearance(surface: Any, pose: Any, center: Vec3, ray: Vec3) -> tuple[float, Vec3]:
+    """Returns how near a ray (x, y, 1) comes to the surface at a pose [m], and the surface's nearest point."""
+    (model, nodes), length, least, nearest = surface, norm(ray), np.inf, center
+    middle, reach = dot(ray, center) / length**2, 1.5 * model[0].radius / length
+    z = middle - reach
+    for _ in range(MARCHED):
+        if not (z < middle + reach and least > 1e-3 * model[0].radius):
+            break
+        P = scale(ray, z)
+        distance, gradient, _ = field_at(nodes, model[0].fine, apply_inverse(pose, P))
+        if abs(distance) < least:
+            g = mul(pose[0], gradient)
+            least, nearest = abs(distance), sub(P, scale(g, distance / max(norm(g), 1e-9)))
+        z += abs(distance) / length
+    return least, nearest
+
+
+@inner
+def _crossed(camera: Any, surface: Any, image: Any, at: Any, way: Any) -> tuple[float, float, int]:
+    """Returns column and row of a pixel beside the outline on a way, and 2 if the observed surface is smooth from there
+    onto the object, 1 if it is not, 0 if the object is not seen there; -1: the outline is not crossed in the image.
+
+    at: the object's pose, centre, and bound. way: its pixel's column and row, and their changes; its end comes first.
+    """
+    (pose, center, bound), (model, nodes), (rays, depth, labels) = at, surface, image
+    (near, far), left = OUTSIDE, 1.5 * model[0].radius * camera[0].fx / max(center[2], model[0].radius)
+    for _ in range(STEPS):
+        u, v = int(way[0] + left * way[2] + 0.5), int(way[1] + left * way[3] + 0.5)
+        if not (0 <= u < depth.shape[1] and 0 <= v < depth.shape[0]):
+            left *= 0.85
+            continue
+        clear, nearest = _clearance(surface, pose, center, (rays[v, u, 0], rays[v, u, 1], 1.0))
+        apart = clear * camera[0].fx / nearest[2]
+        if not apart > near:
+            break
+        if apart > far:
+            left -= min(apart - 0.5 * (near + far), 0.25 * left + 1)
+            continue
+        row, column = _within(camera, image, (v, u, 0), nearest, WITHIN)
+        Q = point_at(rays, depth, row, column)
+        if row < 0 or not abs(field_at(nodes, model[0].fine, apply_inverse(pose, Q))[0]) < bound:
+            return u, v, 0
+        if not depth[v, u] > 0 or labels[v, u] < 0:
+            return u, v, 1
+        gap, here = sub(point_at(rays, depth, v, u), Q), normal_at(rays, depth, v, u)
+        there = normal_at(rays, depth, row, column)
+        flat = max(abs(dot(here, gap)), abs(dot(there, gap))) < FLAT * bound
+        return u, v, 2 if flat and dot(here, there) > COSINE else 1
+    return 0.0, 0.0, -1
+
+
+@entry
+def cross_outlines(camera: Any, surface: Any, image: Any, candidates: Any) -> None:
+    """Fills in `smooth` of CANDIDATE (k,): of the outline, where the object is seen inside of it, the share across
+    which the observed surface is smooth, however the object's own would go on. Arguments are as `follow_outlines`'."""
+    for k in range(len(candidates)):
+        pose, seen = pose_of(candidates[k].pose), np.zeros(3)  # pixels of the outline: all, seen, smooth
+        center = apply(pose, vector(surface[0][0].center))
+        at, (u0, v0), last = (pose, center, candidates[k].bound), project(camera[0], center), (0.0, 0.0, -1)
+        for m in range(WAYS + 1 if abs(u0 * v0) < np.inf else 0):
+            way = u0, v0, np.cos(2 * np.pi * m / WAYS), np.sin(2 * np.pi * m / WAYS)
+            now = _crossed(camera, surface, image, at, way)
+            if last[2] >= 0:  # each stands for the outline from the last one on
+                seen[: now[2] + 1] += ((now[0] - last[0]) ** 2 + (now[1] - last[1]) ** 2) ** 0.5
+            last = now
+        weight = max(UNSEEN[0] * seen[0], 1.0)  # as much of it says what the mean candidate's does
+        candidates[k].smooth = (seen[2] + UNSEEN[1] * weight) / (seen[1] + weight)

@@ -35,6 +35,7 @@ CANDIDATE = record(
     ("passed", "f8"),  # where the camera sees past it, or the table in front of it
     ("hidden", "f8"),  # by something that is not the hand
     ("unexplained", "f8"),  # where its surface goes on beside it; of a hand: with another normal
+    ("smooth", "f8"),  # share of its outline across which the observed surface is smooth
     ("rms", "f8"),  # of the distances of the explained pixels [m]
 )
 

@@ -6,12 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from handsight import se3
 from handsight._deprecated import renamed_members
 from handsight._kernels.image import depth_term, outline, pose_score, votes
 from handsight._kernels.image.vision_records import CANDIDATE, STAGE
 from handsight.checks import Array
-from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import (
     NOTHING_KNOWN,
@@ -40,8 +38,6 @@ class FirstPoseOptions(NamedTuple):
     voted_spacing: float = 0.05  # between these [diameters]
     candidate_spacing: float = 0.08  # between those that go on [diameters]
     turned: int = 2  # candidates that are turned to where the surface is nearly the same
-    passed_share: float = 0.05  # of the expected pixels, above which the best candidates slide
-    slides: tuple[float, ...] = (-0.06, -0.045, -0.03, -0.015, 0.0, 0.015, 0.03, 0.045, 0.06)  # [diameters]
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
     max_bound: float = 0.5  # beyond which depth tells no shape from another: it is too far away [diameters]
@@ -67,7 +63,7 @@ BESIDE = (150, 300, 600, 1200)
 TURNED = 3
 """Before this stage the best candidates are also turned to where the surface is nearly the same."""
 
-EVIDENCE = np.array([-5.73, 9.24, -3.77, -11.48])
+EVIDENCE = np.array([-5.47, 9.62, -3.29, -5.08, -6.86])
 """The weights of the columns of `evidence_of` in the log odds that the object is there (`experiments/sight_fit.py`)."""
 
 
@@ -135,6 +131,7 @@ def first_pose(
     first of these is; at each place the scores rank the poses.
     """
     appearance, D, camera = appearance_of(model), model.diameter, scene.camera
+    image = camera.rays, scene.depth, scene.labels
     observed = observed_points(scene, FIRST_POSE.spacing * D, FIRST_POSE.max_points)
     # The points that vote are spread over the segments by the roots of their sizes: a big one must not take all.
     has = (observed["normal"] != 0).any(axis=1)
@@ -168,14 +165,13 @@ def first_pose(
         places = places_of(model, found)
         better = np.tril(places[:, None] == places, -1).sum(axis=1)  # of the same place
         found = found[better < max(AT_PLACE[stage], modes)][: max(kept, modes)]
-    for k in range(min(FIRST_POSE.turned, len(found))):
-        if found["passed"][k] > FIRST_POSE.passed_share * found["expected"][k]:
-            found[k : k + 1] = slid(model, scene, observed, found[k : k + 1], noise)
     if given is not None:
         given["bound"] = explained_within(noise, center_depths(model, given))
         score_candidates(model, scene, given)
+        outline.cross_outlines(camera.record, model.record[:2], image, given)
         found, most = np.concatenate([given, found]), max(KEPT[-1], modes) + len(given)
         found = distinct(model, found, found["score"], most, FIRST_POSE.candidate_spacing)
+    outline.cross_outlines(camera.record, model.record[:2], image, found)
     found = found[np.argsort(-log_odds(found), kind="stable")]
     covariances = pose_covariances(model, camera, observed, found, noise)
     places, support = places_of(model, found), mode_support(found, scene.sizes.sum() / max(len(observed), 1))
@@ -190,28 +186,6 @@ def first_pose(
     # Of several places all may be right: objects may be equal.
     probability = float(probabilities(best[:1]).sum())
     return ObjectDetection(poses_of(found), covariances, weights, found, probability)
-
-
-def slid(
-    model: ObjectModel, scene: Scene, observed: NDArray[np.void], candidate: Candidates, noise: DepthNoise
-) -> Candidates:
-    """Returns CANDIDATE (1,) where the image supports it best along the direction that DEPTH_POINT (n,) observe least.
-
-    Points on walls do not tell where the walls end: pixels do that see past them, and those that are explained.
-    """
-    T, center = poses_of(candidate)[0], model.center_object
-    covariance = pose_covariances(model, scene.camera, observed, candidate, noise)[0]
-    units = np.repeat([1.0, model.radius], 3)  # radius times a turn is a shift
-    covariance = GaussianPose(T, covariance).at_point(center).covariance * np.outer(units, units)
-    least = np.linalg.eigh(covariance)[1][:, -1 - len(model.symmetries.axes)] / units
-    steps = model.diameter * np.array(FIRST_POSE.slides)[:, None] * least
-    R = se3.rotation_exp(steps[:, 3:]) @ T[:3, :3]
-    tried = np.repeat(candidate, len(steps))
-    tried["pose"]["rotation"] = R
-    tried["pose"]["position"] = T[:3, :3] @ center + T[:3, 3] + steps[:, :3] - R @ center
-    score_candidates(model, scene, tried)
-    best = int(tried["score"].argmax())
-    return tried[best : best + 1]
 
 
 def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *, effort: int = -1) -> None:
@@ -231,13 +205,13 @@ def explained_within(noise: DepthNoise, z: Array) -> Array:
 
 
 def evidence_of(candidates: Candidates) -> Array:
-    """Returns (k, 4) of CANDIDATE (k,): 1; the explained and the passed pixels by those that nothing hides; and the
-    share of the outline at which the surface goes on."""
+    """Returns (k, 5) of CANDIDATE (k,): 1; the explained and the passed pixels by those that nothing hides; the shares
+    of the outline at which the surface goes on, and (root) across which the observed one is smooth."""
     least = pose_score.POSE_SCORE.min_expected
     size = np.maximum(candidates["expected"], least)
     free = np.maximum(size - candidates["hidden"], least)
     shares = candidates["explained"] / free, candidates["passed"] / free, candidates["unexplained"] / size
-    return np.stack([np.ones(len(candidates)), *shares], axis=1)
+    return np.stack([np.ones(len(candidates)), *shares, np.sqrt(candidates["smooth"])], axis=1)
 
 
 def log_odds(candidates: Candidates) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
-from handsight._kernels.image import depth_term
+from handsight._kernels.image import depth_term, outline
 from handsight._kernels.image.pose_score import POSE_SCORE
 from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.camera import Camera, Depth
@@ -328,7 +328,10 @@ class _Pool:
         others = [np.flatnonzero(there & (names == name)) for name in sorted({*names[there]})]
         for which in (np.array([n]), *others):
             candidates = self.candidates[which]
-            score_candidates(self.models[self.names[which[0]]], scene, candidates)
+            model = self.models[self.names[which[0]]]
+            score_candidates(model, scene, candidates)
+            image = scene.camera.rays, scene.depth, scene.labels
+            outline.cross_outlines(scene.camera.record, model.record[:2], image, candidates)
             each = log_odds(candidates)
             odds[int(which[each.argmax()])] = float(each.max())
         return odds
