@@ -206,7 +206,7 @@ class ObjectInImages:
         # what touch has measured as if the camera had measured it too.
         expected = None if T_palm_object is None or T_camera_palm is None else T_camera_palm @ T_palm_object
 
-        def sighted(tracker: DepthTracker, hint: Array | None) -> Sighting:
+        def updated(tracker: DepthTracker, hint: Array | None) -> Sighting:
             return tracker.update(
                 stamp,
                 image,
@@ -216,14 +216,14 @@ class ObjectInImages:
                 expected=hint,
             )
 
-        found = sighted(self.tracker, expected if self._lost else None)
+        found = updated(self.tracker, expected if self._lost else None)
         if (
             expected is not None
             and self._distance(found, expected) > IMAGES.apart * self.tracker.model.diameter
         ):
             # What is followed is not in the hand: it is another object of the kind, if one is seen in the hand, too.
             other = self.tracker.restarted(stamp, expected)
-            in_hand = sighted(other, None)
+            in_hand = updated(other, None)
             if in_hand.T_camera_object is not None:
                 self.tracker, found = other, in_hand
         self._lost = found.T_camera_object is None
