@@ -30,7 +30,7 @@ class ImageOptions(NamedTuple):
 
     correlation_time: float = 1.0
     """Images within this time share their errors, which come from smoothing, bias and the visible side [s]."""
-    apart: float = 0.4
+    twin_distance: float = 0.4
     """How far from where touch has it an object is followed that may be another one like it [diameters]."""
     palm_period: float = 0.5
     """Time between two searches for a palm that was detected; in between, its pose follows from the joints [s]."""
@@ -219,7 +219,7 @@ class ObjectInImages:
         found = updated(self.tracker, expected if self._lost else None)
         if (
             expected is not None
-            and self._distance(found, expected) > IMAGES.apart * self.tracker.model.diameter
+            and self._distance(found, expected) > IMAGES.twin_distance * self.tracker.model.diameter
         ):
             # What is followed is not in the hand: it is another object of the kind, if one is seen in the hand, too.
             other = self.tracker.restarted(stamp, expected)
