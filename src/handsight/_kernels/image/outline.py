@@ -163,11 +163,11 @@ def _crossed(camera: Any, surface: Any, image: Any, at: Any, way: Any) -> tuple[
             left *= 0.85
             continue
         clear, nearest = _clearance(surface, pose, center, (rays[v, u, 0], rays[v, u, 1], 1.0))
-        apart = clear * camera[0].fx / nearest[2]
-        if not apart > near:
+        pixels = clear * camera[0].fx / nearest[2]
+        if not pixels > near:
             break
-        if apart > far:
-            left -= min(apart - 0.5 * (near + far), 0.25 * left + 1)
+        if pixels > far:
+            left -= min(pixels - 0.5 * (near + far), 0.25 * left + 1)
             continue
         row, column = _within(camera, image, (v, u, 0), nearest, WITHIN)
         Q = point_at(rays, depth, row, column)
@@ -187,14 +187,14 @@ def cross_outlines(camera: Any, surface: Any, image: Any, candidates: Any) -> No
     """Fills in `smooth` of CANDIDATE (k,): of the outline, where the object is seen inside of it, the share across
     which the observed surface is smooth, however the object's own would go on. Arguments are as `follow_outlines`'."""
     for k in range(len(candidates)):
-        pose, seen = pose_of(candidates[k].pose), np.zeros(3)  # pixels of the outline: all, seen, smooth
+        pose, crossed = pose_of(candidates[k].pose), np.zeros(3)  # pixels: all, visible, smooth
         center = apply(pose, vector(surface[0][0].center))
         at, (u0, v0), last = (pose, center, candidates[k].bound), project(camera[0], center), (0.0, 0.0, -1)
         for m in range(WAYS + 1 if abs(u0 * v0) < np.inf else 0):
             way = u0, v0, np.cos(2 * np.pi * m / WAYS), np.sin(2 * np.pi * m / WAYS)
             now = _crossed(camera, surface, image, at, way)
             if last[2] >= 0:  # each stands for the outline from the last one on
-                seen[: now[2] + 1] += ((now[0] - last[0]) ** 2 + (now[1] - last[1]) ** 2) ** 0.5
+                crossed[: now[2] + 1] += ((now[0] - last[0]) ** 2 + (now[1] - last[1]) ** 2) ** 0.5
             last = now
-        weight = max(UNSEEN[0] * seen[0], 1.0)  # as much of it says what the mean candidate's does
-        candidates[k].smooth = (seen[2] + UNSEEN[1] * weight) / (seen[1] + weight)
+        weight = max(UNSEEN[0] * crossed[0], 1.0)  # as much of it says what the mean candidate's does
+        candidates[k].smooth = (crossed[2] + UNSEEN[1] * weight) / (crossed[1] + weight)
