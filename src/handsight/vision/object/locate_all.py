@@ -162,7 +162,8 @@ class _Pool:
         """It has no candidates yet."""
         self.scene, self.models, self.noise = scene, models, noise
         step = max(1, round(np.sqrt((scene.labels >= 0).sum() / LOCATE_ALL.pixels)))
-        depth, labels = (np.ascontiguousarray(each[::step, ::step]) for each in (scene.depth, scene.labels))
+        depth = np.ascontiguousarray(scene.depth[::step, ::step])
+        labels = np.ascontiguousarray(scene.labels[::step, ::step])
         matrix = np.diag([1 / step, 1 / step, 1]) @ scene.camera.matrix
         camera = Camera(matrix, depth.shape[::-1], scene.camera.lens)
         self.coarse = replace(scene, camera=camera, depth=depth, labels=labels)
