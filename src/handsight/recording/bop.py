@@ -94,14 +94,14 @@ def _result(row: list[str]) -> BopResult:
         raise ValueError(f"expected {len(names)} columns, {BOP_COLUMNS}, got {len(row)}")
     numbers = dict[str, Array]()
     for name, cell, count in zip(names, row, (1, 1, 1, 1, 9, 3, 1), strict=True):
-        whole = name.endswith("_id")
+        is_integer = name.endswith("_id")
         try:
-            numbers[name] = np.array([int(cell)] if whole else [float(word) for word in cell.split()])
+            numbers[name] = np.array([int(cell)] if is_integer else [float(word) for word in cell.split()])
         except ValueError:
             numbers[name] = np.zeros(0)
         if len(numbers[name]) != count or not np.isfinite(numbers[name].astype(float)).all():
-            kind = "a whole number" if whole else f"{count} finite number{'s' * (count > 1)}"
-            raise ValueError(f"{name}: expected {kind}, got {cell[: 40 if whole else 60]!r}")
+            kind = "a whole number" if is_integer else f"{count} finite number{'s' * (count > 1)}"
+            raise ValueError(f"{name}: expected {kind}, got {cell[: 40 if is_integer else 60]!r}")
     try:
         R = se3.rounded(se3.compose(numbers["R"].reshape(3, 3), np.zeros(3)), "R")[:3, :3]
     except InvalidInput:
