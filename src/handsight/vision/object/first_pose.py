@@ -222,7 +222,7 @@ def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *
     effort of a stage."""
     appearance, camera, image = appearance_of(model), scene.camera, (scene.depth, scene.labels)
     sides = appearance.sides if BESIDE[effort] == BESIDE[-1] else appearance.few_sides
-    pose_score.score_all(camera.record, image, sides, model.center_object, candidates)
+    pose_score.score_all(camera.record, image, sides, model.center_object, candidates, pose_score.NOT_ASKED)
     around = camera.rays, *image
     outline.follow_outlines(camera.record, model.record[:2], around, BESIDE[effort], candidates)
     candidates["explained"][candidates["bound"] > FIRST_POSE.max_bound * model.diameter] = 0
