@@ -236,9 +236,8 @@ def _print_rig(rig: "Rig", name: str) -> None:
             kind = c.depth_camera.replace("_", " ")
             rows.append(("", f"{c.size[0]} x {c.size[1]} pixels, {lens}; depth by {kind}"))
     for name, array in rig.skin.items():
-        size = f"{array.rows} x {array.columns} taxels, {1e3 * array.pitch:g} mm apart"
         topic = rig.topics.skin.get(name, "nothing")
-        rows.append((f"skin {name}", f"{size}, on {array.frame}; readings on {topic}"))
+        rows.append((f"skin {name}", f"{array.size_text}, on {array.frame}; readings on {topic}"))
     rows.append(("vision", f"poses on {rig.topics.vision}" if rig.topics.vision else "none"))
     if rig.table is not None:
         rows.append(("table", f"at {rig.table.height:g} m, ± {1e3 * rig.table.sigma_height:g} mm"))

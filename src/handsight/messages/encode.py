@@ -7,7 +7,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact.taxels import TaxelArray
+from handsight.contact.taxels import TactileSurface
 from handsight.errors import InvalidInput
 from handsight.observation import ContactMeasurement
 
@@ -70,7 +70,7 @@ def contact_fields(contact: ContactMeasurement | None, stamp: float, palm: str) 
     return {"header": header(stamp, frame), "f_normal": force, **place, **unknown}
 
 
-def taxel_fields(values: Array, array: TaxelArray | None, name: str) -> dict[str, object]:
+def taxel_fields(values: Array, array: TactileSurface | None, name: str) -> dict[str, object]:
     """Returns the fields of a Float32MultiArray of an array's readings (rows, columns); raises InvalidInput."""
     if array is None:
         raise InvalidInput(f"skin[{name!r}]: expected a tactile array of the rig, got none of that name")

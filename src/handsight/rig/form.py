@@ -19,7 +19,7 @@ from handsight.camera import check_lens
 from handsight.checks import Array
 from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
 from handsight.contact.fingertips import LARGEST
-from handsight.contact.taxels import TaxelArray
+from handsight.contact.taxels import TactileSurface
 from handsight.errors import HandsightError
 from handsight.msgspec_errors import alternatives
 from handsight.objects import ObjectSpec
@@ -239,10 +239,10 @@ class SkinForm(Form, kw_only=True):
         super().__post_init__()
         self.array()
 
-    def array(self) -> TaxelArray:
+    def array(self) -> TactileSurface:
         """Returns the part of the rig; raises InvalidInput for a size that no array has."""
         given = {name: value for name, value in self.given().items() if name != "pose"}
-        return TaxelArray(T_frame_grid=(self.pose or LinkPoseForm()).matrix(), **given)
+        return TactileSurface.grid(T_frame_grid=(self.pose or LinkPoseForm()).matrix(), **given)
 
 
 class VisionNoiseForm(Form):

@@ -10,7 +10,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import Sphere
+from handsight.contact import Sphere, TactileSurface
 from handsight.files import write_errors
 from handsight.hand.paths import PACKAGE
 from handsight.objects import ObjectSpec
@@ -35,7 +35,7 @@ def text(rig: Rig) -> str:
         "version": form.VERSION,
         "hand": _values(form.HandForm, rig, file=_file_name(rig.hand.file), palm=rig.hand.palm),
         "fingers": {name: _finger(finger) for name, finger in rig.fingers.items()},
-        "skin": {k: _values(form.SkinForm, v, pose=_pose(v.T_frame_grid)) for k, v in rig.skin.items()},
+        "skin": {name: _skin(surface) for name, surface in rig.skin.items()},
         "camera": None if rig.camera is None else _camera(rig.camera),
         "table": None if rig.table is None else _values(form.TableForm, rig.table),
         "world": _values(form.WorldForm, rig, palm_from=rig.world_from or "nowhere"),
@@ -90,6 +90,15 @@ def _finger(finger: Finger) -> Values:
     if finger.friction is None:
         given["sigma_friction"] = None
     return _values(form.FingerForm, finger, **given)
+
+
+def _skin(surface: TactileSurface) -> Values:
+    """Returns the values of a grid, or of taxels at any places: point, normal and x axis of each."""
+    places: Values = {"pose": None, "rows": None, "columns": None}
+    if surface.layout is not None:
+        T, rows, columns = surface.layout
+        places = {"pose": _pose(T), "rows": rows, "columns": columns}
+    return _values(form.SkinForm, surface, **places)
 
 
 def _camera(camera: MountedCamera) -> Values:

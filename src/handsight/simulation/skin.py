@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact.taxels import TaxelArray
+from handsight.contact.taxels import TactileSurface
 from handsight.simulation.scenario import Scenario
 from handsight.simulation.scene import CAN_SIZE, PALM, convex_hull
 
@@ -35,7 +35,7 @@ SKIN = SkinOptions()
 
 PALM_GEOM = "robot0:C_palm0"
 """The geom that the array covers."""
-PALM_SKIN = TaxelArray(
+PALM_SKIN = TactileSurface.grid(
     frame=PALM,
     # On the face of the palm's collision box that is towards -y.
     T_frame_grid=np.array([[1.0, 0, 0, 0.011], [0, 0, -1, -0.0111], [0, 1, 0, 0.045], [0, 0, 0, 1]]),
@@ -101,7 +101,7 @@ def spring_forces(gaps: Array, force: float, stiffness: float) -> Array:
 
 
 def taxel_forces(
-    array: TaxelArray,
+    array: TactileSurface,
     solid: Solid,
     T_grid_object: Array,
     force: float,

@@ -1,0 +1,279 @@
+"""Readings of a tactile surface to pressed and untouched taxels, and to patches of taxels that touch each other."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from handsight._kernels.math.vec3 import add, cross, dot, mul, norm, scale, store, sub, vector
+from handsight._kernels.runtime.compilation import entry, inner
+
+NEAR, WIDE = 8, 24
+"""Most neighbours of a taxel that touch it, and most of those up to two taxels away."""
+TAXEL = np.dtype(
+    [
+        ("point", float, 3),  # in the link [m]
+        ("axes", float, (3, 3)),  # columns: the taxel's x and y, and the outward normal
+        ("bend", float, (3, 3)),  # change of the normal by that of the point [1/m]
+        ("near", np.int64, NEAR),  # neighbours; -1 ends the list
+        ("wide", np.int64, WIDE),  # those up to two taxels away; -1 ends the list
+        ("beside", np.int64, 4),  # the neighbour towards -x, +x, -y, +y; -1: none
+    ]
+)
+"""One taxel of a surface."""
+SURFACE = np.dtype(
+    [
+        ("scale", float, 3),
+        ("offset", float, 3),
+        ("threshold", float),
+        ("full_scale", float),  # infinite where unknown
+        ("noise", float),  # relative
+        ("cell", float),  # area of a taxel [m²]
+        ("variance_point", float),
+        ("variance_normal", float),
+        ("variance_mount", float, 6),  # of the common error, shift [m²] and turn [rad²]
+        ("flat", bool),  # whether all normals are parallel
+    ]
+)
+"""What all taxels of a surface have in common; the names are those of `handsight.contact.TactileSurface`."""
+PATCH = np.dtype(
+    [
+        ("point", float, 3),
+        ("normal", float, 3),  # outward
+        ("covariance", float, (6, 6)),  # of point and normal
+        ("force", float, 3),  # of the object on the link, of three components only
+        ("torque", float),  # about the direction in which the object pushes
+        ("total", float),  # sum of the readings along the normals
+        ("count", np.int64),  # of touched taxels
+        ("flat", bool),
+    ]
+)
+"""Taxels that touch each other, and the contact at their centre of pressure, in the link."""
+UNKNOWN, PRESSED, RIM, UNTOUCHED, FAR = range(5)
+"""What a taxel says. UNKNOWN: nothing. PRESSED: a contact. RIM: touched, perhaps at its rim only. UNTOUCHED: the object
+is not here. FAR: untouched, but not beside a patch, where a curved surface is too far from the object to say more."""
+
+
+class PatchOptions(NamedTuple):
+    """`PatchOptions` are the constants of patches; the shares were fitted to simulated tips (`testbed/tips.py`)."""
+
+    flat: float = math.cos(
+        math.radians(3.0)
+    )  # of the angle between the normals of a flat patch and their mean
+    filled: float = 0.5  # sigma of the reading that a dead taxel is given, as a share of it
+    sampled: float = 0.35  # sigma of the error by the cells' size, in cells of a patch of one taxel
+    uneven: float = 0.2  # sigma of the normal by a patch that is not even, as a share of the normals' spread
+
+
+PATCHES = PatchOptions()
+
+
+@entry
+def sense_taxels(
+    readings: Any, baseline: Any, surface: Any, taxels: Any, rise: Any, states: Any, patches: Any
+) -> int:
+    """Returns the number of patches, which are written to `patches` (p,), records PATCH.
+
+    `readings` and `baseline` (n, c), c = 1 or 3, NaN: unknown. `rise` (n, c) gets the scaled readings over the baseline,
+    `states` (2, n) what each taxel says and the number of its patch, or -1.
+    """
+    record, n = surface[0], len(taxels)
+    last = readings.shape[1] - 1
+    state, label = states[0], states[1]
+    touched = np.zeros(n, dtype=np.bool_)
+    for i in range(n):
+        known = True
+        for k in range(last + 1):
+            value = record.scale[k] * (readings[i, k] - record.offset[k])
+            rise[i, k] = value - baseline[i, k]
+            if k == last and value >= record.full_scale and not math.isnan(baseline[i, k]):
+                rise[i, k] = record.full_scale
+            known = known and math.isfinite(rise[i, k])
+        state[i] = FAR if known else UNKNOWN
+        touched[i] = known and rise[i, last] >= record.threshold
+        if not known:
+            rise[i] = 0.0
+    _leave_out_isolated(taxels, touched, state)
+    _classify(record, taxels, touched, rise[:, last], state)
+    return _label(record, taxels, touched, rise, state, label, patches)
+
+
+@inner
+def _leave_out_isolated(taxels: Any, touched: Any, state: Any) -> None:
+    """Marks taxels that are touched alone as unknown, while others are touched together: they are stuck."""
+    isolated, together = np.zeros(len(taxels), dtype=np.bool_), False
+    for i in range(len(taxels)):
+        if touched[i]:
+            isolated[i] = True
+            for j in taxels[i].wide:
+                if j >= 0 and touched[j]:
+                    isolated[i] = False
+            together = together or not isolated[i]
+    if together:
+        for i in range(len(taxels)):
+            if isolated[i]:
+                touched[i], state[i] = False, UNKNOWN
+
+
+@inner
+def _classify(record: Any, taxels: Any, touched: Any, rise: Any, state: Any) -> None:
+    """Writes the state of each taxel.
+
+    With less than half of its strongest neighbour's rise, a taxel may be touched at its rim only. Taxels between
+    touched ones are covered too: they are dead, or lower than the others. On a curved surface the object is near only
+    beside a patch.
+    """
+    for i in range(len(taxels)):
+        if touched[i]:
+            strongest = 0.0
+            for j in taxels[i].near:
+                if j >= 0:
+                    strongest = max(strongest, rise[j])
+            state[i] = PRESSED if rise[i] >= 0.5 * strongest else RIM
+        elif state[i] == FAR:
+            for axis in range(2):
+                ends = 0
+                for side in range(2):
+                    j, steps = taxels[i].beside[2 * axis + side], 0
+                    while j >= 0 and not touched[j] and steps < len(taxels):
+                        j, steps = taxels[j].beside[2 * axis + side], steps + 1
+                    ends += j >= 0 and touched[j]
+                if ends == 2:
+                    state[i] = UNKNOWN
+            if state[i] == FAR:
+                within = record.flat
+                if not within:
+                    for j in taxels[i].wide:
+                        within = within or (j >= 0 and touched[j])
+                    for j in taxels[i].near:
+                        within = within and not (j >= 0 and touched[j])
+                if within:
+                    state[i] = UNTOUCHED
+
+
+@inner
+def _label(record: Any, taxels: Any, touched: Any, rise: Any, state: Any, label: Any, patches: Any) -> int:
+    """Returns the number of patches: connected touched taxels, and dead ones between them."""
+    n, count, last = len(taxels), 0, rise.shape[1] - 1
+    queue, filled = np.empty(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
+    label[:] = -1
+    for i in range(n):  # a dead taxel reads as the mean of its neighbours
+        if state[i] == UNKNOWN:
+            around, known, number = 0, 0, 0
+            mean = np.zeros(last + 1)
+            for j in taxels[i].near:
+                if j >= 0 and state[j] != UNKNOWN:
+                    known += 1
+                    for k in range(last + 1):
+                        mean[k] += rise[j, k]
+                    around += touched[j]
+                number += j >= 0
+            if around >= 2 and 2 * around >= known:
+                filled[i] = True
+                for k in range(last + 1):
+                    rise[i, k] = mean[k] / known
+    for i in range(n):
+        if not touched[i] or label[i] >= 0:
+            continue
+        if count == len(patches):
+            break
+        queue[0], size, done = i, 1, 0
+        label[i] = count
+        while done < size:
+            at = queue[done]
+            done += 1
+            for j in taxels[at].near:
+                if j >= 0 and label[j] < 0 and (touched[j] or (filled[j] and touched[at])):
+                    label[j] = count
+                    queue[size] = j
+                    size += 1
+        _measure(record, taxels, queue[:size], rise, touched, patches[count])
+        count += 1
+    return count
+
+
+@inner
+def _measure(record: Any, taxels: Any, members: Any, rise: Any, touched: Any, patch: Any) -> None:
+    """Writes a patch: its centre of pressure on the surface, the mean normal there, their covariance, and the force.
+
+    The centre is a weighted mean of the taxels' points, raised from the chord to the surface: at a taxel the
+    surface's slope against the mean normal is n_t / n_z, and half of that times the taxel's distance is its depth.
+    """
+    last = rise.shape[1] - 1
+    total, square = 0.0, 0.0
+    point, normal = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for i in members:
+        w = max(rise[i, last], 0.0)
+        total, square = total + w, square + w * w
+        point = add(point, scale(vector(taxels[i].point), w))
+        normal = add(normal, scale(vector(taxels[i].axes[:, 2]), w))
+    point = scale(point, 1.0 / total)
+    normal = scale(normal, 1.0 / max(norm(normal), 1e-12))
+    raised, spread, closest = 0.0, 0.0, 1.0
+    bend = np.zeros((3, 3))
+    for i in members:
+        w = max(rise[i, last], 0.0) / total
+        own, arm = vector(taxels[i].axes[:, 2]), sub(vector(taxels[i].point), point)
+        along = dot(own, normal)
+        sideways = sub(own, scale(normal, along))
+        raised += 0.5 * w * dot(arm, sideways) / max(along, 0.3)
+        spread += 0.5 * w * dot(sideways, sideways)
+        if touched[i]:
+            closest = min(closest, along)
+        for a in range(3):
+            for b in range(3):
+                bend[a, b] += w * taxels[i].bend[a, b]
+    point = add(point, scale(normal, raised))
+    patch.flat, patch.total, patch.count = closest >= PATCHES.flat, total, 0
+    store(point, patch.point)
+    store(normal, patch.normal)
+
+    # The covariance: of each reading, of the cells' size, of the surface's height, and of an uneven patch.
+    C = patch.covariance
+    C[:] = 0.0
+    J = np.empty(6)
+    force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for i in members:
+        w = max(rise[i, last], 0.0)
+        own, arm = vector(taxels[i].axes[:, 2]), sub(vector(taxels[i].point), point)
+        store(scale(sub(arm, scale(normal, dot(arm, normal))), 1.0 / total), J[:3])
+        store(scale(sub(own, scale(normal, dot(own, normal))), 1.0 / total), J[3:])
+        variance = (record.noise * w) ** 2 + (record.threshold / 3.0) ** 2
+        if touched[i]:
+            patch.count += 1
+        else:
+            variance += (PATCHES.filled * w) ** 2
+        for a in range(6):
+            for b in range(6):
+                C[a, b] += variance * J[a] * J[b]
+        if last == 2:
+            shear = add(
+                scale(vector(taxels[i].axes[:, 0]), rise[i, 0]),
+                scale(vector(taxels[i].axes[:, 1]), rise[i, 1]),
+            )
+            pushed = sub(shear, scale(own, rise[i, 2]))
+            force, moment = add(force, pushed), add(moment, cross(arm, pushed))
+    store(force, patch.force)
+    patch.torque = -dot(moment, normal)
+    cells = total * total / max(square, 1e-300)
+    sampled = PATCHES.sampled**2 * record.cell / cells
+    turned = record.variance_normal + PATCHES.uneven**2 * spread
+    for a in range(3):
+        unit = (1.0 if a == 0 else 0.0, 1.0 if a == 1 else 0.0, 1.0 if a == 2 else 0.0)
+        tangent = sub(unit, scale(normal, dot(unit, normal)))
+        along = mul(
+            (
+                (bend[0, 0], bend[0, 1], bend[0, 2]),
+                (bend[1, 0], bend[1, 1], bend[1, 2]),
+                (bend[2, 0], bend[2, 1], bend[2, 2]),
+            ),
+            tangent,
+        )
+        store(tangent, J[:3])
+        store(sub(along, scale(normal, dot(along, normal))), J[3:])
+        for b in range(6):
+            for c in range(6):
+                C[b, c] += sampled * J[b] * J[c]
+        for b in range(3):
+            C[a, b] += record.variance_point * normal[a] * normal[b]
+            C[3 + a, 3 + b] += turned * ((1.0 if a == b else 0.0) - normal[a] * normal[b])
