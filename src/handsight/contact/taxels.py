@@ -249,7 +249,7 @@ class TactileSurface:
         return SkinTouch(self, rise, states, patches[:count])
 
 
-def TaxelArray(**fields: object) -> TactileSurface:  # noqa: N802
+def TaxelArray(**fields: object) -> TactileSurface:
     """Returns a flat grid of taxels. Deprecated: it is `TactileSurface.grid`."""
     warnings.warn("TaxelArray is now TactileSurface.grid", DeprecationWarning, 2)
     return TactileSurface.grid(**fields)  # type: ignore[arg-type]
