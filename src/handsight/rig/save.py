@@ -10,7 +10,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import Sphere, TactileSurface
+from handsight.contact import Sphere
 from handsight.files import write_errors
 from handsight.hand.paths import PACKAGE
 from handsight.objects import ObjectSpec
@@ -35,7 +35,7 @@ def text(rig: Rig) -> str:
         "version": form.VERSION,
         "hand": _values(form.HandForm, rig, file=_file_name(rig.hand.file), palm=rig.hand.palm),
         "fingers": {name: _finger(finger) for name, finger in rig.fingers.items()},
-        "skin": {name: _skin(surface) for name, surface in rig.skin.items()},
+        "skin": {name: _surface(name, rig) for name in rig.skin},
         "camera": None if rig.camera is None else _camera(rig.camera),
         "table": None if rig.table is None else _values(form.TableForm, rig.table),
         "world": _values(form.WorldForm, rig, palm_from=rig.world_from or "nowhere"),
@@ -71,6 +71,16 @@ def _values(kind: type[Form], part: object, **given: object) -> Values:
     return values
 
 
+def _surface(name: str, rig: Rig) -> Values:
+    """Returns the values of a grid, or of taxels at any places: point, normal and x axis of each."""
+    surface = rig.skin[name]
+    given: Values = dict.fromkeys(("pose", "rows", "columns"))
+    if surface.layout is not None:
+        T, given["rows"], given["columns"] = surface.layout
+        given["pose"] = _pose(T)
+    return _values(form.SkinForm, surface, **given, message_field=rig.topics.skin_fields.get(name))
+
+
 def _finger(finger: Finger) -> Values:
     known, tip = finger.calibration, finger.tip
     T_surface_sensor = np.eye(4) if tip.T_surface_sensor is None else tip.T_surface_sensor
@@ -90,15 +100,6 @@ def _finger(finger: Finger) -> Values:
     if finger.friction is None:
         given["sigma_friction"] = None
     return _values(form.FingerForm, finger, **given)
-
-
-def _skin(surface: TactileSurface) -> Values:
-    """Returns the values of a grid, or of taxels at any places: point, normal and x axis of each."""
-    places: Values = {"pose": None, "rows": None, "columns": None}
-    if surface.layout is not None:
-        T, rows, columns = surface.layout
-        places = {"pose": _pose(T), "rows": rows, "columns": columns}
-    return _values(form.SkinForm, surface, **places)
 
 
 def _camera(camera: MountedCamera) -> Values:

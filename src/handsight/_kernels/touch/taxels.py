@@ -74,8 +74,8 @@ def sense_taxels(
 ) -> int:
     """Returns the number of patches, which are written to `patches` (p,), records PATCH.
 
-    `readings` and `baseline` (n, c), c = 1 or 3, NaN: unknown. `rise` (n, c) gets the scaled readings over the baseline,
-    `states` (2, n) what each taxel says and the number of its patch, or -1.
+    `readings` and `baseline` (n, c), c = 1 or 3, NaN: unknown. `rise` (n, c) gets the scaled readings over the
+    baseline, `states` (2, n) what each taxel says and the number of its patch, or -1.
     """
     record, n = surface[0], len(taxels)
     last = readings.shape[1] - 1
