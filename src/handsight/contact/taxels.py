@@ -83,8 +83,8 @@ class TactileSurface:
     """Standard deviation of a reading, as a share of it."""
     sigma_point: float = 1.5e-4
     """Standard deviation of a taxel's height, as skin is uneven and soft [m]; sideways it is known to its cell."""
-    sigma_normal: float = np.deg2rad(4.0)
-    """Standard deviation of a contact's normal [rad]."""
+    sigma_normal: float | None = None
+    """Standard deviation of a contact's normal [rad]; None: 4° on a flat surface, 1° on a curved one."""
     sigma_mount: float = 5e-4
     """Standard deviation of the height of the surface as a whole on its link [m]."""
     layout: Grid | None = None
@@ -142,20 +142,22 @@ class TactileSurface:
         if not 0 <= noise <= 1:
             raise InvalidInput(f"noise: expected a share from 0 to 1, got {noise:g}")
         checks.sigma_point(self.sigma_point, "sigma_point")
-        checks.sigma_normal(self.sigma_normal, "sigma_normal")
+        flat = bool((normals @ _unit(normals.sum(axis=0)) > math.cos(math.radians(3.0))).all())
+        sigma_normal = math.radians(4.0 if flat else 1.0) if self.sigma_normal is None else self.sigma_normal
+        checks.sigma_normal(sigma_normal, "sigma_normal")
         checks.sigma_point(self.sigma_mount, "sigma_mount")
         taxels = _taxel_records(points, _axes(normals, self.x_axes), distance, pitch)
         record = np.zeros(1, dtype=SURFACE)
         for name, value in (numbers | {"threshold": self.threshold, "noise": noise, "cell": area}).items():
             record[name] = value
         record["full_scale"] = np.inf if most is None else most
-        record["variance_point"], record["variance_normal"] = self.sigma_point**2, self.sigma_normal**2
+        record["variance_point"], record["variance_normal"] = self.sigma_point**2, sigma_normal**2
         # Two opposite sides may differ in height by the mount's error too, as soft skin gives way more where it is
         # pressed more; so the surface may also be turned.
         along = np.ptp(points @ taxels["axes"][0][:, :2], axis=0)
         turn = 2 * self.sigma_mount / (pitch + float(along.min()))
         record["variance_mount"] = np.repeat([self.sigma_mount**2, turn**2], 3)
-        record["flat"] = (normals @ _unit(normals.sum(axis=0)) > math.cos(math.radians(3.0))).all()
+        record["flat"] = flat
         values = {"points": points, "normals": normals, "pitch": pitch, "taxels": taxels, "record": record}
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -332,6 +334,8 @@ def _taxel_records(points: Array, axes: Array, distance: Array, pitch: float) ->
             along = arms[:, k // 2] * (1 if k % 2 else -1)
             if len(near) and (along > 0.85 * np.linalg.norm(arms[:, :2], axis=1)).any():
                 row["beside"][k] = near[np.argmax(along / np.linalg.norm(arms[:, :2], axis=1))]
+        if len(near):
+            row["edge"] = _unit(points[near] - points[i]).mean(axis=0)
         if len(near):  # least squares, across the normal, with a weak pull to a flat surface
             tangent = arms[:, :2]
             turned = (normals[near] - normals[i]) @ axes[i][:, :2]

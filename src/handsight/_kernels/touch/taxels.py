@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handsight._kernels.math.vec3 import add, cross, dot, mul, norm, scale, store, sub, vector
+from handsight._kernels.math.vec3 import add, cross, dot, matrix, mul, norm, scale, store, sub, vector
 from handsight._kernels.runtime.compilation import entry, inner
 
 NEAR, WIDE = 8, 24
@@ -14,6 +14,11 @@ TAXEL = np.dtype(
     [
         ("point", float, 3),  # in the link [m]
         ("axes", float, (3, 3)),  # columns: the taxel's x and y, and the outward normal
+        (
+            "edge",
+            float,
+            3,
+        ),  # mean unit vector to its neighbours: 0 amid them, of length 1 where they are on one side
         ("bend", float, (3, 3)),  # change of the normal by that of the point [1/m]
         ("near", np.int64, NEAR),  # neighbours; -1 ends the list
         ("wide", np.int64, WIDE),  # those up to two taxels away; -1 ends the list
@@ -61,8 +66,13 @@ class PatchOptions(NamedTuple):
         math.radians(3.0)
     )  # of the angle between the normals of a flat patch and their mean
     filled: float = 0.5  # sigma of the reading that a dead taxel is given, as a share of it
-    sampled: float = 0.35  # sigma of the error by the cells' size, in cells of a patch of one taxel
-    uneven: float = 0.2  # sigma of the normal by a patch that is not even, as a share of the normals' spread
+    steeper: float = 0.35
+    """The reading of a dead taxel is above the mean of its neighbours by this share of what that is above the mean of
+    those up to two taxels away."""
+    sampled: float = 0.2  # sigma of the centre by the cells' size, in cells of a patch of one taxel
+    beyond: float = 0.58  # sigma of a patch at the edge, beyond which nothing is measured, in cells
+    wide: float = 0.24  # sigma by uneven skin, in cells, of a patch whose variance is that of a cell
+    uneven: float = 0.07  # sigma of the normal by such a patch, as a share of the normals' spread
 
 
 PATCHES = PatchOptions()
@@ -157,21 +167,26 @@ def _label(record: Any, taxels: Any, touched: Any, rise: Any, state: Any, label:
     n, count, last = len(taxels), 0, rise.shape[1] - 1
     queue, filled = np.empty(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
     label[:] = -1
-    for i in range(n):  # a dead taxel reads as the mean of its neighbours
+    for i in range(n):  # a dead taxel reads about as its neighbours do
         if state[i] == UNKNOWN:
-            around, known, number = 0, 0, 0
-            mean = np.zeros(last + 1)
+            around, known = 0, 0
+            mean, farther = np.zeros(last + 1), 0.0
             for j in taxels[i].near:
                 if j >= 0 and state[j] != UNKNOWN:
-                    known += 1
+                    known, around = known + 1, around + touched[j]
                     for k in range(last + 1):
                         mean[k] += rise[j, k]
-                    around += touched[j]
-                number += j >= 0
-            if around >= 2 and 2 * around >= known:
+            wide = 0
+            for j in taxels[i].wide:
+                if j >= 0 and state[j] != UNKNOWN:
+                    wide, farther = wide + 1, farther + rise[j, last]
+            if around >= 2 and 2 * around >= known and mean[last] > 0.0:
                 filled[i] = True
+                inside = mean[last] / known
+                outside = (farther - mean[last]) / max(wide - known, 1)
+                more = 1.0 + PATCHES.steeper * max(inside - outside, 0.0) / inside
                 for k in range(last + 1):
-                    rise[i, k] = mean[k] / known
+                    rise[i, k] = more * mean[k] / known
     for i in range(n):
         if not touched[i] or label[i] >= 0:
             continue
@@ -187,13 +202,24 @@ def _label(record: Any, taxels: Any, touched: Any, rise: Any, state: Any, label:
                     label[j] = count
                     queue[size] = j
                     size += 1
-        _measure(record, taxels, queue[:size], rise, touched, patches[count])
+        for at in range(size):  # what reads less than the threshold, too, bears a part of the force
+            for j in taxels[queue[at]].near:
+                if j >= 0 and label[j] < 0 and state[j] != UNKNOWN:
+                    label[j] = n
+                    queue[size] = j
+                    size += 1
+        for at in range(size):
+            if label[queue[at]] == n:
+                label[queue[at]] = -1
+        _measure(record, taxels, queue[:size], rise, touched, filled, patches[count])
         count += 1
     return count
 
 
 @inner
-def _measure(record: Any, taxels: Any, members: Any, rise: Any, touched: Any, patch: Any) -> None:
+def _measure(
+    record: Any, taxels: Any, members: Any, rise: Any, touched: Any, filled: Any, patch: Any
+) -> None:
     """Writes a patch: its centre of pressure on the surface, the mean normal there, their covariance, and the force.
 
     The centre is a weighted mean of the taxels' points, raised from the chord to the surface: at a taxel the
@@ -209,8 +235,8 @@ def _measure(record: Any, taxels: Any, members: Any, rise: Any, touched: Any, pa
         normal = add(normal, scale(vector(taxels[i].axes[:, 2]), w))
     point = scale(point, 1.0 / total)
     normal = scale(normal, 1.0 / max(norm(normal), 1e-12))
-    raised, spread, closest = 0.0, 0.0, 1.0
-    bend = np.zeros((3, 3))
+    raised, spread, closest, edge = 0.0, 0.0, 1.0, (0.0, 0.0, 0.0)
+    bend, second = np.zeros((3, 3)), np.zeros((3, 3))
     for i in members:
         w = max(rise[i, last], 0.0) / total
         own, arm = vector(taxels[i].axes[:, 2]), sub(vector(taxels[i].point), point)
@@ -218,11 +244,14 @@ def _measure(record: Any, taxels: Any, members: Any, rise: Any, touched: Any, pa
         sideways = sub(own, scale(normal, along))
         raised += 0.5 * w * dot(arm, sideways) / max(along, 0.3)
         spread += 0.5 * w * dot(sideways, sideways)
+        edge = add(edge, scale(vector(taxels[i].edge), w))
         if touched[i]:
             closest = min(closest, along)
+        across = sub(arm, scale(normal, dot(arm, normal)))
         for a in range(3):
             for b in range(3):
                 bend[a, b] += w * taxels[i].bend[a, b]
+                second[a, b] += w * across[a] * across[b]
     point = add(point, scale(normal, raised))
     patch.flat, patch.total, patch.count = closest >= PATCHES.flat, total, 0
     store(point, patch.point)
@@ -241,7 +270,7 @@ def _measure(record: Any, taxels: Any, members: Any, rise: Any, touched: Any, pa
         variance = (record.noise * w) ** 2 + (record.threshold / 3.0) ** 2
         if touched[i]:
             patch.count += 1
-        else:
+        elif filled[i]:
             variance += (PATCHES.filled * w) ** 2
         for a in range(6):
             for b in range(6):
@@ -256,24 +285,27 @@ def _measure(record: Any, taxels: Any, members: Any, rise: Any, touched: Any, pa
     store(force, patch.force)
     patch.torque = -dot(moment, normal)
     cells = total * total / max(square, 1e-300)
-    sampled = PATCHES.sampled**2 * record.cell / cells
     turned = record.variance_normal + PATCHES.uneven**2 * spread
-    for a in range(3):
+    K = matrix(bend)
+    for k in range(
+        7
+    ):  # shifts of the centre along the surface, which the normal follows by the surface's bend
+        a = k % 3
         unit = (1.0 if a == 0 else 0.0, 1.0 if a == 1 else 0.0, 1.0 if a == 2 else 0.0)
-        tangent = sub(unit, scale(normal, dot(unit, normal)))
-        along = mul(
-            (
-                (bend[0, 0], bend[0, 1], bend[0, 2]),
-                (bend[1, 0], bend[1, 1], bend[1, 2]),
-                (bend[2, 0], bend[2, 1], bend[2, 2]),
-            ),
-            tangent,
-        )
-        store(tangent, J[:3])
-        store(sub(along, scale(normal, dot(along, normal))), J[3:])
+        if k < 3:
+            shift = scale(unit, PATCHES.sampled * math.sqrt(record.cell) / cells)
+        elif k < 6:
+            shift = scale(vector(second[a]), PATCHES.wide / math.sqrt(record.cell))
+        else:
+            shift = scale(edge, PATCHES.beyond * math.sqrt(record.cell))
+        shift = sub(shift, scale(normal, dot(shift, normal)))
+        turn = mul(K, shift)
+        store(shift, J[:3])
+        store(sub(turn, scale(normal, dot(turn, normal))), J[3:])
         for b in range(6):
             for c in range(6):
-                C[b, c] += sampled * J[b] * J[c]
+                C[b, c] += J[b] * J[c]
+    for a in range(3):
         for b in range(3):
             C[a, b] += record.variance_point * normal[a] * normal[b]
             C[3 + a, 3 + b] += turned * ((1.0 if a == b else 0.0) - normal[a] * normal[b])
