@@ -22,6 +22,7 @@ from handsight._kernels.touch.taxels import (
     NEAR,
     PATCH,
     PRESSED,
+    RIM,
     SURFACE,
     TAXEL,
     UNTOUCHED,
@@ -238,16 +239,15 @@ class TactileSurface:
         if np.shape(baseline) not in ((), self.shape):
             expected = f"expected a number or {self._shape_text().removesuffix(' numbers')}"
             raise InvalidInput(f"baseline: {expected}, got shape {np.shape(baseline)}")
-        return self.sensed(self.reading(values), np.asarray(baseline, dtype=np.float64))
+        n = len(self.points)
+        bases = np.broadcast_to(np.asarray(baseline, dtype=np.float64), self.shape).reshape(n, -1)
+        return self.sensed(self.reading(values).reshape(n, -1), bases)
 
     def sensed(self, values: Array, baseline: Array) -> "SkinTouch":
-        """Returns the same as `touch`, of a checked reading and baseline."""
-        n = len(self.points)
-        rise, states = np.empty((n, self.components)), np.empty((2, n), dtype=np.int64)
+        """Returns the same as `touch`, of a checked reading and baseline (n, components)."""
+        rise, states = np.empty_like(values), np.empty((2, len(values)), dtype=np.int64)
         patches = np.empty(MAX_PATCHES, dtype=PATCH)
-        bases = np.broadcast_to(baseline, self.shape).reshape(rise.shape)
-        given = values.reshape(rise.shape), bases, self.record, self.taxels
-        count = sense_taxels(*given, rise, states, patches)
+        count = sense_taxels(values, baseline, self.record, self.taxels, rise, states, patches)
         return SkinTouch(self, rise, states, patches[:count])
 
 
@@ -377,6 +377,20 @@ class SkinTouch:
         flat = np.append(self.patches["flat"], False)  # the last one is of taxels without a patch
         return (self.states[0] == PRESSED) & flat[self.states[1]]
 
+    @property
+    def strongest(self) -> int | None:
+        """The number of the patch that bears most; None without a patch."""
+        return int(self.patches["total"].argmax()) if len(self.patches) else None
+
+    def without(self, patch: int) -> "SkinTouch":
+        """Returns the same without the contacts of one patch, whose taxels are then no evidence."""
+        states, flat = self.states.copy(), self.patches.copy()
+        states[0, (states[1] == patch) & (states[0] == PRESSED)] = RIM
+        kept = np.arange(len(flat)) != patch
+        states[1, ~np.isin(states[1], np.flatnonzero(kept))] = -1
+        states[1, states[1] > patch] -= 1
+        return SkinTouch(self.surface, self.rise, states, flat[kept])
+
     def contacts(self, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None) -> Contacts | None:
         """Returns the contacts in the palm; None without a pressed taxel.
 
@@ -398,7 +412,7 @@ class SkinTouch:
         C[len(chosen) :] = patches["covariance"]
         C[len(chosen) :] += np.diag(record["variance_mount"])
         points = se3.apply(T, np.concatenate([taxels["point"], patches["point"]]))
-        normals = -np.concatenate([taxels["axes"][:, :, 2], patches["normal"]]) @ T[:3, :3].T
+        normals = np.concatenate([-taxels["axes"][:, :, 2], patches["normal"]]) @ T[:3, :3].T
         C = se3.rotate_covariance(T[:3, :3], C)
         if by_error is not None:
             for i in range(len(chosen), len(points)):

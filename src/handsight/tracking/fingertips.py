@@ -1,7 +1,7 @@
 """Contacts in the palm, with their complete covariance, from joint positions and raw wrenches."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from handsight import checks, se3
 from handsight._kernels.touch.contacts_to_palm import contacts_to_palm, mark_on_table
 from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
+from handsight._kernels.touch.taxels import PATCHES, put_patches
 from handsight._kernels.touch.tip_to_tip import TIP_TO_TIP
 from handsight.checks import Array
 from handsight.contact import REASON_NAMES, Contacts
@@ -17,6 +18,7 @@ from handsight.errors import InvalidInput
 from handsight.observation import ContactMeasurement, Observation
 from handsight.rig import Finger, Rig
 from handsight.tracking.joint_offsets import JointOffsets
+from handsight.tracking.skin import NOTHING, SkinContacts
 
 SILENT, WRENCH = np.full(6, np.nan), {(np.dtype(np.float64), (6,))}
 REASONS = (*("silent" if name == "invalid" else name for name in REASON_NAMES), "on the table")
@@ -44,6 +46,8 @@ class FingertipContacts:
     loads: Array | None = None
     """(n, 5) load of the object on each tip: tangential force (3,) along the palm's axes and normal force [N], torque
     about the normal [N m]; NaN where a tip does not measure it."""
+    doubts: Mapping[str, str] = field(default_factory=dict)
+    """By finger, how far its taxels and its wrench are from each other where they contradict each other."""
 
     def rejected_by(self, estimate: PoseEstimate) -> tuple[str, ...]:
         """Returns the fingers whose contacts are outliers of an estimate."""
@@ -63,12 +67,15 @@ class FingertipSensors:
         if table is not None:
             self._table = np.array([table.height, table.sigma_height, table.sigma_tilt], dtype=float)
 
-    def contacts(self, observation: Observation, offsets: JointOffsets | None = None) -> FingertipContacts:
+    def contacts(
+        self, observation: Observation, offsets: JointOffsets | None = None, skin: SkinContacts = NOTHING
+    ) -> FingertipContacts:
         """Returns what the fingertips measure; there is no contact where joint positions are missing.
 
         `offsets`: the estimated constant errors of the joints; None: zero, with the rig's sigma. Without T_world_palm
         the direction of gravity and the table's pose are unknown: the tips' weight (some 40 mN) stays in the readings,
-        and a finger that touches the table seems to touch the object. Raises InvalidInput for wrong joints or wrenches.
+        and a finger that touches the table seems to touch the object. `skin`: what the taxels measure; where they are on
+        a tip, they say where it touches, and its wrench how much. Raises InvalidInput for wrong joints or wrenches.
         """
         readings = self._readings(observation.wrenches)
         if observation.contacts:  # a contact that a tip has sensed directly replaces the one of its wrench
@@ -85,10 +92,12 @@ class FingertipSensors:
         by_error = hand.chains.jacobians(places.copy(), self._tips, hand.axes_palm) @ offsets.root
         T = observation.T_world_palm
         gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
-        records = np.empty(len(self.names), dtype=PALM_CONTACT)
+        records, by_tip = np.empty(len(self.names), dtype=PALM_CONTACT), by_error
+        by_error = by_error.copy() if skin.tips else by_error
         contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, records)
         if observation.contacts:
             put_sensed(self.rig, observation.contacts, Ts_palm_tip, by_error, records)
+        doubts = self._put_taxels(skin, Ts_palm_tip, by_tip, by_error, records) if skin.tips else {}
         if T is not None and self._table is not None:
             mark_on_table(np.array(T), self._table, ON_TABLE, records)
 
@@ -102,7 +111,31 @@ class FingertipSensors:
         gaps = zip(fingers, touching["gap"].tolist(), strict=True)
         near = tuple(name for name, gap in gaps if gap < TIP_TO_TIP.max_gap)
         loads = touching["load"].copy()
-        return FingertipContacts(fingers, contacts, reasons, by_error[records["reason"] == 0], near, loads)
+        return FingertipContacts(
+            fingers, contacts, reasons, by_error[records["reason"] == 0], near, loads, doubts
+        )
+
+    def _put_taxels(
+        self,
+        skin: SkinContacts,
+        Ts_palm_tip: Array,
+        by_tip: Array,
+        by_error: Array,
+        records: NDArray[np.void],
+    ) -> dict[str, str]:
+        """Writes the patches of taxels to their fingers' rows; returns the doubts."""
+        patches, fingers = np.concatenate(list(skin.patches().values())), list(skin.tips)
+        numbers = np.array([self.names.index(finger) for finger in fingers])
+        mounts = np.array(
+            [skin.touches[name][0].surface.record["variance_mount"][0] for name in skin.tips.values()]
+        )
+        conflicts = np.zeros((len(fingers), 2))
+        put_patches(numbers, patches, mounts, Ts_palm_tip, by_tip, by_error, records, conflicts)
+        return {
+            finger: f"its taxels and its wrench are {1e3 * distance:.1f} mm from each other"
+            for finger, (distance, chi2) in zip(fingers, conflicts.tolist(), strict=True)
+            if chi2 > PATCHES.conflict and len(skin.touches[skin.tips[finger]][0].patches) == 1
+        }
 
     def _readings(self, wrenches: Mapping[str, Array]) -> Array:
         """Returns (n, 6) the fingers' wrenches, NaN where a sensor has no reading; raises InvalidInput."""

@@ -44,16 +44,31 @@ SURFACE = np.dtype(
 PATCH = np.dtype(
     [
         ("point", float, 3),
-        ("normal", float, 3),  # outward
+        ("normal", float, 3),  # the direction in which the object pushes
         ("covariance", float, (6, 6)),  # of point and normal
         ("force", float, 3),  # of the object on the link, of three components only
-        ("torque", float),  # about the direction in which the object pushes
+        ("torque", float),  # about the normal
         ("total", float),  # sum of the readings along the normals
         ("count", np.int64),  # of touched taxels
         ("flat", bool),
+        ("three", bool),  # whether the surface has three components
     ]
 )
 """Taxels that touch each other, and the contact at their centre of pressure, in the link."""
+WATCHED = np.dtype(
+    [
+        ("mean", float, 3),  # of the scaled readings while nothing was touched
+        ("first", float, 3),  # the same, of the first readings
+        ("last", float, 3),  # the last reading
+        ("varied", bool),  # whether it has changed while nothing was touched
+        ("still", np.int64),  # readings since its last change
+        ("fault", np.int64),  # number in `FAULTS`
+    ]
+)
+"""What one taxel has read over time."""
+FAULTS = ("", "dead", "stuck", "at full scale", "drifting")
+"""Why a taxel is left out; one that drifts by little is used, from where it is by now."""
+NO_FAULT, DEAD, STUCK, FULL, DRIFTING = range(5)
 UNKNOWN, PRESSED, RIM, UNTOUCHED, FAR = range(5)
 """What a taxel says. UNKNOWN: nothing. PRESSED: a contact. RIM: touched, perhaps at its rim only. UNTOUCHED: the object
 is not here. FAR: untouched, but not beside a patch, where a curved surface is too far from the object to say more."""
@@ -73,9 +88,22 @@ class PatchOptions(NamedTuple):
     beyond: float = 0.58  # sigma of a patch at the edge, beyond which nothing is measured, in cells
     wide: float = 0.24  # sigma by uneven skin, in cells, of a patch whose variance is that of a cell
     uneven: float = 0.07  # sigma of the normal by such a patch, as a share of the normals' spread
+    conflict: float = 21.1  # χ² of three numbers, level 1e-4, above which a wrench contradicts a patch
 
 
 PATCHES = PatchOptions()
+
+
+class WatchOptions(NamedTuple):
+    """`WatchOptions` say how the readings of taxels are watched over time."""
+
+    min_rest: int = 5  # fewest readings of an untouched surface whose mean is used as its baseline
+    mean_rest: int = 50  # readings over which the mean is taken; after so many it follows
+    still: int = 50  # readings for which a touched taxel that is stuck does not change, while others do
+    drifted: float = 5.0  # a taxel that has drifted by so many thresholds is left out
+
+
+WATCH = WatchOptions()
 
 
 @entry
@@ -253,9 +281,10 @@ def _measure(
                 bend[a, b] += w * taxels[i].bend[a, b]
                 second[a, b] += w * across[a] * across[b]
     point = add(point, scale(normal, raised))
+    patch.three = last == 2
     patch.flat, patch.total, patch.count = closest >= PATCHES.flat, total, 0
     store(point, patch.point)
-    store(normal, patch.normal)
+    store(scale(normal, -1.0), patch.normal)
 
     # The covariance: of each reading, of the cells' size, of the surface's height, and of an uneven patch.
     C = patch.covariance
@@ -266,7 +295,7 @@ def _measure(
         w = max(rise[i, last], 0.0)
         own, arm = vector(taxels[i].axes[:, 2]), sub(vector(taxels[i].point), point)
         store(scale(sub(arm, scale(normal, dot(arm, normal))), 1.0 / total), J[:3])
-        store(scale(sub(own, scale(normal, dot(own, normal))), 1.0 / total), J[3:])
+        store(scale(sub(own, scale(normal, dot(own, normal))), -1.0 / total), J[3:])
         variance = (record.noise * w) ** 2 + (record.threshold / 3.0) ** 2
         if touched[i]:
             patch.count += 1
@@ -301,7 +330,7 @@ def _measure(
         shift = sub(shift, scale(normal, dot(shift, normal)))
         turn = mul(K, shift)
         store(shift, J[:3])
-        store(sub(turn, scale(normal, dot(turn, normal))), J[3:])
+        store(sub(scale(normal, dot(turn, normal)), turn), J[3:])
         for b in range(6):
             for c in range(6):
                 C[b, c] += J[b] * J[c]
@@ -309,3 +338,159 @@ def _measure(
         for b in range(3):
             C[a, b] += record.variance_point * normal[a] * normal[b]
             C[3 + a, 3 + b] += turned * ((1.0 if a == b else 0.0) - normal[a] * normal[b])
+
+
+@entry
+def watch_taxels(
+    readings: Any,
+    surface: Any,
+    states: Any,
+    rise: Any,
+    untouched: bool,
+    count: int,
+    watched: Any,
+    baseline: Any,
+) -> int:
+    """Returns the number of readings at rest so far, and updates `watched` (n,) and `baseline` (n, c).
+
+    `readings` (n, c) and their `states` and `rise` are those of `sense_taxels`; `untouched`: whether no other sensor
+    touches something. The hand is at rest where, besides, no two neighbouring taxels are touched. The baseline is NaN
+    for taxels that are left out, 0 before there are enough readings.
+    """
+    record, n, last = surface[0], readings.shape[0], readings.shape[1] - 1
+    rest, varied, touched, moving = untouched, 0, 0, 0
+    for i in range(n):
+        w = watched[i]
+        changed = False
+        for k in range(last + 1):
+            value = record.scale[k] * (readings[i, k] - record.offset[k])
+            changed = changed or (value != w.last[k] and not math.isnan(w.last[k]))
+            w.last[k] = value
+        w.still = 0 if changed else w.still + 1
+        if states[1, i] >= 0 and rise[i, last] >= record.threshold:
+            touched += 1
+            moving += w.still < WATCH.min_rest
+            for j in range(i):  # another one of the same patch
+                if (
+                    count >= WATCH.min_rest
+                    and states[1, j] == states[1, i]
+                    and rise[j, last] >= record.threshold
+                ):
+                    rest = False
+                    break
+    if rest:
+        count += 1
+    for i in range(n):
+        w = watched[i]
+        free = rest and (count <= WATCH.min_rest or not rise[i, last] >= record.threshold)
+        for k in range(last + 1):
+            if free and math.isfinite(w.last[k]):
+                w.mean[k] += (w.last[k] - w.mean[k]) / min(count, WATCH.mean_rest)
+                if count <= WATCH.mean_rest:
+                    w.first[k] = w.mean[k]
+        w.varied = w.varied or (rest and count > 1 and w.still == 0)
+        varied += w.varied
+    for i in range(n):
+        w, enough = watched[i], count >= WATCH.min_rest
+        away = abs(w.mean[last] - w.first[last])
+        w.fault = NO_FAULT
+        if enough and not w.varied and 2 * varied > n:
+            w.fault = DEAD
+        elif (enough and w.mean[last] >= record.full_scale) or (
+            touched and rise[i, last] >= record.full_scale
+        ):
+            w.fault = FULL
+        elif states[1, i] >= 0 and w.still >= WATCH.still and 2 * moving > touched:
+            w.fault = STUCK
+        elif away > record.threshold:
+            w.fault = DRIFTING
+        out = w.fault == DEAD or w.fault == STUCK or (w.fault == FULL and w.mean[last] >= record.full_scale)
+        out = out or away > WATCH.drifted * record.threshold
+        for k in range(last + 1):
+            baseline[i, k] = math.nan if enough and out else w.mean[k] if enough else 0.0
+    return count
+
+
+@entry
+def put_patches(
+    numbers: Any,
+    patches: Any,
+    mounts: Any,
+    Ts_palm_tip: Any,
+    by_error: Any,
+    moved: Any,
+    contacts: Any,
+    conflicts: Any,
+) -> None:
+    """Writes patches (k,) to the `contacts` (n) PALM_CONTACT of the tips `numbers` (k,) that they are on.
+
+    `mounts` (k, 6): variance of each surface's common error; `by_error` (n, 6, j): motion of the tips by the joints'
+    errors, which is that of a contact's point and normal in `moved` (n, 6, j), where patches' are written. A contact by
+    the tip's wrench keeps its load. `conflicts` (k, 2) get the distance between both [m] and its square in standard
+    deviations; 0 where there is one measurement. Patches and wrench that contradict each other are as uncertain as
+    they are far apart.
+    """
+    for k in range(len(numbers)):
+        patch, contact, T = patches[k], contacts[numbers[k]], Ts_palm_tip[numbers[k]]
+        J, before = by_error[numbers[k]], moved[numbers[k]]
+        R, C, old = matrix(T), np.zeros((6, 6)), contact.covariance
+        arm = mul(R, vector(patch.point))
+        point, normal = add(arm, vector(T[:3, 3])), mul(R, vector(patch.normal))
+        for i in range(6):
+            own = mul(R, vector(patch.covariance[i, :3])), mul(R, vector(patch.covariance[i, 3:]))
+            store(own[0], C[i, :3])
+            store(own[1], C[i, 3:])
+        for j in range(6):
+            column = mul(R, (C[0, j], C[1, j], C[2, j])), mul(R, (C[3, j], C[4, j], C[5, j]))
+            for i in range(3):
+                C[i, j], C[3 + i, j] = column[0][i], column[1][i]
+        for i in range(3):
+            C[i, i] += mounts[k, i]
+            for j in range(3):
+                C[3 + i, 3 + j] += mounts[k, 3] * ((1.0 if i == j else 0.0) - normal[i] * normal[j])
+        conflicts[k] = 0.0
+        measured = contact.reason == 0
+        apart = sub(vector(contact.point), point)
+        if measured:
+            S = np.empty((3, 3))
+            for i in range(3):
+                for j in range(3):
+                    S[i, j] = C[i, j] + old[i, j]
+                    for e in range(before.shape[1]):
+                        S[i, j] -= before[i, e] * before[j, e]
+            conflicts[k, 0] = norm(apart)
+            conflicts[k, 1] = _squared(S, apart)
+            if conflicts[k, 1] > PATCHES.conflict:
+                for i in range(3):
+                    for j in range(3):
+                        C[i, j] += apart[i] * apart[j]
+        for e in range(J.shape[1]):
+            turn = (J[3, e], J[4, e], J[5, e])
+            shifted = add((J[0, e], J[1, e], J[2, e]), cross(turn, arm))
+            turned = cross(turn, normal)
+            for i in range(3):
+                before[i, e], before[3 + i, e] = shifted[i], turned[i]
+        for i in range(6):
+            for j in range(6):
+                for e in range(J.shape[1]):
+                    C[i, j] += before[i, e] * before[j, e]
+                contact.covariance[i, j] = C[i, j]
+        store(point, contact.point)
+        store(normal, contact.normal)
+        force = mul(R, vector(patch.force))
+        along = dot(force, normal)
+        if not measured:
+            contact.load[:] = math.nan
+            if patch.three:
+                store(sub(force, scale(normal, along)), contact.load[:3])
+                contact.load[3], contact.load[4] = along, patch.torque
+        contact.reason = 0
+
+
+@inner
+def _squared(S: Any, v: Any) -> float:
+    """Returns v S⁻¹ v of a 3x3 covariance S and a vector v."""
+    a, b, c = vector(S[0]), vector(S[1]), vector(S[2])
+    first = cross(b, c)
+    determinant = dot(a, first)
+    return dot(v, (dot(first, v), dot(cross(c, a), v), dot(cross(a, b), v))) / max(determinant, 1e-300)
