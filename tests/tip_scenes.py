@@ -5,11 +5,13 @@ is a paraboloid, near Hertz's. Each taxel measures the force on its cell, one co
 constant offset, and a share that leaks to the neighbours.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from handsight import se3
 from handsight.contact import TactileSurface
+from handsight.tracking import FingertipSensors
 
 STIFFNESS = (1e7, 6e7)
 """Of the skin, from and to [N/m per m²]: 5 mm of foam, 1.5 mm of rubber."""
@@ -157,3 +159,50 @@ def pressed(shape, surface, rng, *, force=None, round_by=None, dead=1, place=Non
     values = read if surface.components == 3 else read[:, 2]
     middle = (fine * pressure[:, None]).sum(axis=0) / pressure.sum()
     return Press(values, point, -out, total, float(-moment @ out), middle)
+
+
+R_FINGER_PAD = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+"""From a shape's axes to those of a simulated finger: it points along z, its pad faces -y."""
+
+
+def with_taxels(rig, rng, *, components=3):
+    """A rig of the simulated hand with 30 taxels on each tip, and the shapes of its tips by finger."""
+    skin, shapes = dict(rig.skin), {}
+    for name, finger in rig.fingers.items():
+        x, y, z = finger.tip.semi_axes
+        shapes[name] = Shape((x, z, y), drawn_out=False)
+        found = tip(shapes[name], rng, components=components)
+        T = finger.T_frame_surface
+        R = T[:3, :3] @ R_FINGER_PAD
+        skin[name] = TactileSurface(
+            frame=finger.frame, points=found.points @ R.T + T[:3, 3], normals=found.normals @ R.T,
+            threshold=0.03, components=components, pitch=found.pitch,
+        )  # fmt: skip
+    return replace(rig, skin=skin), shapes
+
+
+def taxel_observations(rig, shapes, observations, seed, *, wrenches=False):
+    """Observations in which taxels read what the fingertips' wrenches say; without these unless `wrenches`."""
+    sensors = FingertipSensors(rig)
+    for k, observation in enumerate(observations):
+        rng = np.random.default_rng([seed, k])
+        found, readings = sensors.contacts(observation), dict(observation.skin)
+        Ts = dict(zip(rig.hand.tips, rig.hand.Ts_palm_tip(observation.joint_positions), strict=True))
+        for name, shape in shapes.items():
+            surface = rig.skin[name]
+            readings[name] = FLOOR * rng.normal(size=surface.shape)
+            if name not in found.fingers:
+                continue
+            i = found.fingers.index(name)
+            T = Ts[name] @ rig.fingers[name].T_frame_surface
+            place = R_FINGER_PAD.T @ se3.apply(se3.inverse(T), found.contacts.points_palm[i : i + 1])[0]
+            R = rig.fingers[name].T_frame_surface[:3, :3] @ R_FINGER_PAD
+            local = TactileSurface(
+                frame="tip", points=(surface.points - rig.fingers[name].T_frame_surface[:3, 3]) @ R,
+                normals=surface.normals @ R, x_axes=surface.taxels["axes"][:, :, 0] @ R, threshold=0.03,
+                components=surface.components, pitch=surface.pitch,
+            )  # fmt: skip
+            given = {"force": found.loads[i, 3], "round_by": 30.0, "dead": 0, "place": place}
+            readings[name] = np.nan_to_num(pressed(shape, local, rng, **given).readings)
+        wrench = observation.wrenches if wrenches else {}
+        yield replace(observation, skin=readings, wrenches=wrench)

@@ -380,7 +380,9 @@ class SkinTouch:
     @property
     def strongest(self) -> int | None:
         """The number of the patch that bears most; None without a patch."""
-        return int(self.patches["total"].argmax()) if len(self.patches) else None
+        if len(self.patches) < 2:  # the usual case, and the search takes long
+            return 0 if len(self.patches) else None
+        return int(self.patches["total"].argmax())
 
     def without(self, patch: int) -> "SkinTouch":
         """Returns the same without the contacts of one patch, whose taxels are then no evidence."""

@@ -124,7 +124,7 @@ class FingertipSensors:
         records: NDArray[np.void],
     ) -> dict[str, str]:
         """Writes the patches of taxels to their fingers' rows; returns the doubts."""
-        patches, fingers = np.concatenate(list(skin.patches().values())), list(skin.tips)
+        patches, fingers = skin.patches(), list(skin.tips)
         numbers = np.array([self.names.index(finger) for finger in fingers])
         mounts = np.array(
             [skin.touches[name][0].surface.record["variance_mount"][0] for name in skin.tips.values()]

@@ -173,7 +173,7 @@ class Follower:
         state.skin = skin = self.skin_sensors.observed(observation, state.skin, touched=touched)
         state.fingertips = touch = self.sensors.contacts(observation, state.offsets, skin)
         self._predict(state, observation.T_world_palm, stamp)
-        if skin.beside_fingers or not skin.tips.keys() <= observation.wrenches.keys():
+        if skin.bears or not skin.tips.keys() <= observation.wrenches.keys():
             state.weight.weigher.forget("the skin of the hand bears a part of it")
         else:
             state.weight.update(

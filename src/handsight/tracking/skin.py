@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks
-from handsight._kernels.touch.taxels import FAULTS, PRESSED, WATCHED, watch_taxels
+from handsight._kernels.touch.taxels import FAULTS, PATCH, PRESSED, WATCHED, watch_taxels
 from handsight.checks import Array
 from handsight.contact import Contacts, SkinTouch, TactileSurface
 from handsight.correction import SkinEvidence
@@ -114,23 +114,26 @@ class SkinContacts:
         return {name: faults for name, watched in self.watched.items() if (faults := watched.faults)}
 
     @property
+    def bears(self) -> bool:
+        """Whether anything is touched beside the contacts of fingers."""
+        tips = self.tips.values()
+        return any(len(touch.patches) > (name in tips) for name, (touch, _) in self.touches.items())
+
+    @property
     def beside_fingers(self) -> dict[str, tuple[SkinTouch, LinkPose]]:
         """By surface, what is touched beside the contacts of fingers."""
-        given, found = set(self.tips.values()), {}
+        given, found = self.tips.values(), {}
         for name, (touch, pose) in self.touches.items():
-            strongest = touch.strongest
-            rest = touch.without(strongest) if name in given and strongest is not None else touch
-            if len(rest.patches):
-                found[name] = rest, pose
+            if len(touch.patches) > (name in given):
+                found[name] = touch.without(touch.strongest or 0) if name in given else touch, pose
         return found
 
-    def patches(self) -> dict[str, NDArray[np.void]]:
-        """By finger, (1,) the record PATCH of its contact."""
-        found = {}
-        for finger, name in self.tips.items():
+    def patches(self) -> NDArray[np.void]:
+        """Returns the records PATCH of the fingers' contacts, in the order of `tips`."""
+        found = np.empty(len(self.tips), dtype=PATCH)
+        for i, name in enumerate(self.tips.values()):
             touch, _ = self.touches[name]
-            k = touch.strongest or 0
-            found[finger] = touch.patches[k : k + 1]
+            found[i] = touch.patches[touch.strongest or 0]
         return found
 
     def contacts(self) -> Contacts | None:
