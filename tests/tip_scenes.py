@@ -105,7 +105,7 @@ class Press:
 def pressed(shape, surface, rng, *, force=None, round_by=None, dead=1, place=None):
     """A press at a random place within the layout; `round_by` is the body's curvature, -20 to 80 /m without one."""
     if place is None:
-        inner = np.flatnonzero((surface.taxels["near"] >= 0).sum(axis=1) >= 5)
+        inner = np.flatnonzero((surface.taxels["near"] < len(surface.points)).sum(axis=1) >= 5)
         place = surface.points[rng.choice(inner)] + rng.uniform(-0.5, 0.5, 3) * surface.pitch
     value, gradient = shape.value(place)
     out = gradient / np.linalg.norm(gradient)
@@ -149,7 +149,7 @@ def pressed(shape, surface, rng, *, force=None, round_by=None, dead=1, place=Non
     own = np.einsum("nik,ni->nk", surface.taxels["axes"], cells) * [1, 1, -1]
     leaked = own.copy()
     for i, row in enumerate(surface.taxels["near"]):
-        near = row[row >= 0]
+        near = row[row < len(own)]
         leaked[near] += CROSSTALK * own[i]
         leaked[i] -= CROSSTALK * len(near) * own[i]
     read = leaked * (1 + NOISE * rng.normal(size=leaked.shape)) + FLOOR * rng.normal(size=leaked.shape)

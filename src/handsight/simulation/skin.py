@@ -35,10 +35,11 @@ SKIN = SkinOptions()
 
 PALM_GEOM = "robot0:C_palm0"
 """The geom that the array covers."""
+T_PALM_GRID = np.array([[1.0, 0, 0, 0.011], [0, 0, -1, -0.0111], [0, 1, 0, 0.045], [0, 0, 0, 1]])
+"""On the face of the palm's collision box that is towards -y."""
 PALM_SKIN = TactileSurface.grid(
     frame=PALM,
-    # On the face of the palm's collision box that is towards -y.
-    T_frame_grid=np.array([[1.0, 0, 0, 0.011], [0, 0, -1, -0.0111], [0, 1, 0, 0.045], [0, 0, 0, 1]]),
+    T_frame_grid=T_PALM_GRID,
     rows=20,
     columns=15,
     pitch=0.004,
@@ -139,7 +140,7 @@ class PalmSkin:
 
     def readings(self, T_palm_object: Array, force: float) -> dict[str, Array]:
         """Returns the array's readings (rows, columns) by its name [N]; `force` is the object's on the palm [N]."""
-        T_grid_object = se3.inverse(PALM_SKIN.T_frame_grid) @ T_palm_object
+        T_grid_object = se3.inverse(T_PALM_GRID) @ T_palm_object
         true = taxel_forces(PALM_SKIN, self._solid, T_grid_object, force, self._uneven)
         share, floor = self._noise.normal(size=(2, *PALM_SKIN.shape))
         read = true * (1 + self._share * share) + (SKIN.sigma * floor if self._share else 0.0) + self._offset

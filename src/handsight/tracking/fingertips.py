@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.touch.contacts_to_palm import contacts_to_palm, mark_on_table
+from handsight._kernels.touch.contacts_to_palm import contacts_to_palm, mark_on_table, put_patches
 from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
-from handsight._kernels.touch.taxels import PATCHES, put_patches
 from handsight._kernels.touch.tip_to_tip import TIP_TO_TIP
 from handsight.checks import Array
 from handsight.contact import REASON_NAMES, Contacts
@@ -23,6 +22,9 @@ from handsight.tracking.skin import NOTHING, SkinContacts
 SILENT, WRENCH = np.full(6, np.nan), {(np.dtype(np.float64), (6,))}
 REASONS = (*("silent" if name == "invalid" else name for name in REASON_NAMES), "on the table")
 """Why a finger has no contact, by the kernel's number; number 0 is a contact."""
+CONFLICT = 21.1
+"""χ² of the distance of a tip's patch and its wrench's contact, of level 1e-4 for three numbers, above which they
+contradict each other."""
 FREE, ON_TABLE = REASON_NAMES.index("free"), len(REASONS) - 1
 
 
@@ -74,8 +76,8 @@ class FingertipSensors:
 
         `offsets`: the estimated constant errors of the joints; None: zero, with the rig's sigma. Without T_world_palm
         the direction of gravity and the table's pose are unknown: the tips' weight (some 40 mN) stays in the readings,
-        and a finger that touches the table seems to touch the object. `skin`: what the taxels measure; where they are on
-        a tip, they say where it touches, and its wrench how much. Raises InvalidInput for wrong joints or wrenches.
+        and a finger that touches the table seems to touch the object. `skin`: what the taxels measure; those on a tip
+        say where it touches, and its wrench how much. Raises InvalidInput for wrong joints or wrenches.
         """
         readings = self._readings(observation.wrenches)
         if observation.contacts:  # a contact that a tip has sensed directly replaces the one of its wrench
@@ -123,19 +125,26 @@ class FingertipSensors:
         by_error: Array,
         records: NDArray[np.void],
     ) -> dict[str, str]:
-        """Writes the patches of taxels to their fingers' rows; returns the doubts."""
-        patches, fingers = skin.patches(), list(skin.tips)
-        numbers = np.array([self.names.index(finger) for finger in fingers])
-        mounts = np.array(
-            [skin.touches[name][0].surface.record["variance_mount"][0] for name in skin.tips.values()]
-        )
-        conflicts = np.zeros((len(fingers), 2))
-        put_patches(numbers, patches, mounts, Ts_palm_tip, by_tip, by_error, records, conflicts)
-        return {
-            finger: f"its taxels and its wrench are {1e3 * distance:.1f} mm from each other"
-            for finger, (distance, chi2) in zip(fingers, conflicts.tolist(), strict=True)
-            if chi2 > PATCHES.conflict and len(skin.touches[skin.tips[finger]][0].patches) == 1
-        }
+        """Writes the patches of taxels to their fingers' rows, and returns the doubts.
+
+        The error of the joints is common to patch and wrench, so it does not count in their distance. Where they
+        contradict each other, the contact is as uncertain as they are far from each other.
+        """
+        fingers, i = list(skin.tips), np.array([self.names.index(finger) for finger in skin.tips])
+        wrench, by_error[i] = records[i], by_tip[i]
+        put_patches(i, skin.patches(), self._fingers, Ts_palm_tip, by_error, records)
+        if not (both := wrench["reason"] == 0).any():
+            return {}
+        away = np.where(both[:, None], wrench["point"] - records["point"][i], 0.0)
+        J = by_error[i, :3]
+        S = wrench["covariance"][:, :3, :3] + records["covariance"][i, :3, :3] - 2 * J @ J.swapaxes(1, 2)
+        S[~both] = np.eye(3)
+        wrong = both & ((away * np.linalg.solve(S, away[:, :, None])[:, :, 0]).sum(axis=1) > CONFLICT)
+        for k in np.flatnonzero(wrong):
+            records["covariance"][i[k], :3, :3] += np.outer(away[k], away[k])
+        distance = 1e3 * np.linalg.norm(away, axis=1)
+        named = "its taxels and its wrench are {:.1f} mm from each other"
+        return {fingers[k]: named.format(distance[k]) for k in np.flatnonzero(wrong)}
 
     def _readings(self, wrenches: Mapping[str, Array]) -> Array:
         """Returns (n, 6) the fingers' wrenches, NaN where a sensor has no reading; raises InvalidInput."""

@@ -30,7 +30,7 @@ SKIN = SkinOptions()
 
 
 class LinkPose:
-    """A `LinkPose` is the pose in the palm of the link that carries a tactile surface, computed when it is asked for."""
+    """A `LinkPose` is the pose in the palm of a link with a tactile surface, computed when it is asked for."""
 
     def __init__(
         self, chains: Chains, joint_positions: Mapping[str, float] | None, sigma_joint: float
@@ -119,21 +119,12 @@ class SkinContacts:
         tips = self.tips.values()
         return any(len(touch.patches) > (name in tips) for name, (touch, _) in self.touches.items())
 
-    @property
-    def beside_fingers(self) -> dict[str, tuple[SkinTouch, LinkPose]]:
-        """By surface, what is touched beside the contacts of fingers."""
-        given, found = self.tips.values(), {}
-        for name, (touch, pose) in self.touches.items():
-            if len(touch.patches) > (name in given):
-                found[name] = touch.without(touch.strongest or 0) if name in given else touch, pose
-        return found
-
     def patches(self) -> NDArray[np.void]:
         """Returns the records PATCH of the fingers' contacts, in the order of `tips`."""
         found = np.empty(len(self.tips), dtype=PATCH)
         for i, name in enumerate(self.tips.values()):
             touch, _ = self.touches[name]
-            found[i] = touch.patches[touch.strongest or 0]
+            found[i] = touch.patches[touch.strongest]
         return found
 
     def contacts(self) -> Contacts | None:
@@ -147,9 +138,13 @@ class SkinContacts:
     def evidence(self) -> SkinEvidence | None:
         """Returns the evidence of what is touched beside the contacts of fingers; None where there is none."""
         found: SkinEvidence | None = None
-        for touch, pose in self.beside_fingers.values():
-            more = SkinEvidence.of(touch, pose.T_palm_frame, pose.by_error)
-            found = more if found is None else found.joined(more)
+        for name, (touch, pose) in self.touches.items():
+            given = touch.strongest if name in self.tips.values() else -1
+            if len(touch.patches) > (given >= 0):
+                T, J = pose.T_palm_frame, pose.by_error
+                contacts, sigmas = touch.contacts(T, J, given), touch.sigmas_common(J, given)
+                more = SkinEvidence(contacts, touch.outside(T), sigmas)
+                found = more if found is None else found.joined(more)
         return found
 
     def news(self, last: "SkinContacts") -> bool:

@@ -14,28 +14,26 @@ TAXEL = np.dtype(
     [
         ("point", float, 3),  # in the link [m]
         ("axes", float, (3, 3)),  # columns: the taxel's x and y, and the outward normal
+        ("bend", float, (3, 3)),  # change of the normal by that of the point [1/m]
         (
             "edge",
             float,
             3,
         ),  # mean unit vector to its neighbours: 0 amid them, of length 1 where they are on one side
-        ("bend", float, (3, 3)),  # change of the normal by that of the point [1/m]
-        ("near", np.int64, NEAR),  # neighbours; -1 ends the list
-        ("wide", np.int64, WIDE),  # those up to two taxels away; -1 ends the list
-        ("beside", np.int64, 4),  # the neighbour towards -x, +x, -y, +y; -1: none
+        ("near", np.int64, NEAR),  # neighbours; the number of taxels where there are fewer
+        ("wide", np.int64, WIDE),  # those up to two taxels away
+        ("beside", np.int64, 4),  # the neighbour towards -x, +x, -y, +y
     ]
 )
 """One taxel of a surface."""
 SURFACE = np.dtype(
     [
-        ("scale", float, 3),
-        ("offset", float, 3),
-        ("threshold", float),
-        ("full_scale", float),  # infinite where unknown
-        ("noise", float),  # relative
-        ("cell", float),  # area of a taxel [m²]
-        ("variance_point", float),
-        ("variance_normal", float),
+        *((name, float, 3) for name in ("scale", "offset")),
+        *(
+            (name, float)
+            for name in ("threshold", "full_scale", "noise", "variance_point", "variance_normal")
+        ),
+        ("pitch", float),  # side of a taxel [m]
         ("variance_mount", float, 6),  # of the common error, shift [m²] and turn [rad²]
         ("flat", bool),  # whether all normals are parallel
     ]
@@ -43,39 +41,36 @@ SURFACE = np.dtype(
 """What all taxels of a surface have in common; the names are those of `handsight.contact.TactileSurface`."""
 PATCH = np.dtype(
     [
-        ("point", float, 3),
-        ("normal", float, 3),  # the direction in which the object pushes
-        ("covariance", float, (6, 6)),  # of point and normal
-        ("force", float, 3),  # of the object on the link, of three components only
-        ("torque", float),  # about the normal
+        *(
+            (name, float, 3) for name in ("point", "normal", "force")
+        ),  # as those of a `handsight.contact.Contact`
+        ("covariance", float, (6, 6)),
+        ("torque", float),  # NaN, as the force is, unless the surface has three components
         ("total", float),  # sum of the readings along the normals
-        ("count", np.int64),  # of touched taxels
         ("flat", bool),
-        ("three", bool),  # whether the surface has three components
     ]
 )
 """Taxels that touch each other, and the contact at their centre of pressure, in the link."""
 WATCHED = np.dtype(
     [
-        ("mean", float, 3),  # of the scaled readings while nothing was touched
-        ("first", float, 3),  # the same, of the first readings
-        ("last", float, 3),  # the last reading
-        ("varied", bool),  # whether it has changed while nothing was touched
+        *(
+            (name, float, 3) for name in ("mean", "first", "last")
+        ),  # readings at rest, the first of these, the last one
+        ("varied", bool),  # whether it has changed at rest
         ("still", np.int64),  # readings since its last change
         ("fault", np.int64),  # number in `FAULTS`
     ]
 )
 """What one taxel has read over time."""
 FAULTS = ("", "dead", "stuck", "at full scale", "drifting")
-"""Why a taxel is left out; one that drifts by little is used, from where it is by now."""
-NO_FAULT, DEAD, STUCK, FULL, DRIFTING = range(5)
+_, DEAD, STUCK, FULL, DRIFTING = range(5)
 UNKNOWN, PRESSED, RIM, UNTOUCHED, FAR = range(5)
 """What a taxel says. UNKNOWN: nothing. PRESSED: a contact. RIM: touched, perhaps at its rim only. UNTOUCHED: the object
 is not here. FAR: untouched, but not beside a patch, where a curved surface is too far from the object to say more."""
 
 
-class PatchOptions(NamedTuple):
-    """`PatchOptions` are the constants of patches; the shares were fitted to simulated tips (`testbed/tips.py`)."""
+class TaxelOptions(NamedTuple):
+    """`TaxelOptions` are the constants of patches, fitted to simulated tips (`tests/tip_scenes.py`), and of faults."""
 
     flat: float = math.cos(
         math.radians(3.0)
@@ -88,22 +83,13 @@ class PatchOptions(NamedTuple):
     beyond: float = 0.58  # sigma of a patch at the edge, beyond which nothing is measured, in cells
     wide: float = 0.24  # sigma by uneven skin, in cells, of a patch whose variance is that of a cell
     uneven: float = 0.07  # sigma of the normal by such a patch, as a share of the normals' spread
-    conflict: float = 21.1  # χ² of three numbers, level 1e-4, above which a wrench contradicts a patch
-
-
-PATCHES = PatchOptions()
-
-
-class WatchOptions(NamedTuple):
-    """`WatchOptions` say how the readings of taxels are watched over time."""
-
     min_rest: int = 5  # fewest readings of an untouched surface whose mean is used as its baseline
     mean_rest: int = 50  # readings over which the mean is taken; after so many it follows
     still: int = 50  # readings for which a touched taxel that is stuck does not change, while others do
     drifted: float = 5.0  # a taxel that has drifted by so many thresholds is left out
 
 
-WATCH = WatchOptions()
+TAXELS = TaxelOptions()
 
 
 @entry
@@ -112,385 +98,217 @@ def sense_taxels(
 ) -> int:
     """Returns the number of patches, which are written to `patches` (p,), records PATCH.
 
-    `readings` and `baseline` (n, c), c = 1 or 3, NaN: unknown. `rise` (n, c) gets the scaled readings over the
-    baseline, `states` (2, n) what each taxel says and the number of its patch, or -1.
+    `readings` and `baseline` (n, c), c = 1 or 3, NaN: unknown. `rise` (n + 1, c) gets the scaled readings over the
+    baseline, 0 in its last row, `states` (2, n + 1) what each taxel says and the number of its patch, or -1.
     """
-    record, n = surface[0], len(taxels)
-    last = readings.shape[1] - 1
-    state, label = states[0], states[1]
-    touched = np.zeros(n, dtype=np.bool_)
+    record, n, last = surface[0], len(taxels), readings.shape[1] - 1
+    state, touched, isolated = states[0], np.zeros(n + 1, dtype=np.bool_), np.zeros(n + 1, dtype=np.bool_)
+    state[n], rise[n] = UNKNOWN, 0.0
     for i in range(n):
-        known = True
         for k in range(last + 1):
             value = record.scale[k] * (readings[i, k] - record.offset[k])
             rise[i, k] = value - baseline[i, k]
             if k == last and value >= record.full_scale and not math.isnan(baseline[i, k]):
                 rise[i, k] = record.full_scale
-            known = known and math.isfinite(rise[i, k])
-        state[i] = FAR if known else UNKNOWN
-        touched[i] = known and rise[i, last] >= record.threshold
-        if not known:
-            rise[i] = 0.0
-    _leave_out_isolated(taxels, touched, state)
-    _classify(record, taxels, touched, rise[:, last], state)
-    return _label(record, taxels, touched, rise, state, label, patches)
-
-
-@inner
-def _leave_out_isolated(taxels: Any, touched: Any, state: Any) -> None:
-    """Marks taxels that are touched alone as unknown, while others are touched together: they are stuck."""
-    isolated, together = np.zeros(len(taxels), dtype=np.bool_), False
-    for i in range(len(taxels)):
-        if touched[i]:
-            isolated[i] = True
-            for j in taxels[i].wide:
-                if j >= 0 and touched[j]:
-                    isolated[i] = False
-            together = together or not isolated[i]
-    if together:
-        for i in range(len(taxels)):
+        state[i] = FAR
+        if not math.isfinite(rise[i].sum()):
+            state[i], rise[i] = UNKNOWN, 0.0
+        touched[i] = rise[i, last] >= record.threshold
+    for i in range(n):
+        isolated[i] = touched[i] and not _sum(touched, taxels[i].wide)
+    if touched.sum() > isolated.sum():  # while others are touched together, an isolated one is stuck
+        for i in range(n):
             if isolated[i]:
                 touched[i], state[i] = False, UNKNOWN
-
-
-@inner
-def _classify(record: Any, taxels: Any, touched: Any, rise: Any, state: Any) -> None:
-    """Writes the state of each taxel.
-
-    With less than half of its strongest neighbour's rise, a taxel may be touched at its rim only. Taxels between
-    touched ones are covered too: they are dead, or lower than the others. On a curved surface the object is near only
-    beside a patch.
-    """
-    for i in range(len(taxels)):
-        if touched[i]:
+    for i in range(n):
+        near = taxels[i].near
+        if touched[i]:  # with less than half of its strongest neighbour's rise, perhaps at its rim only
             strongest = 0.0
-            for j in taxels[i].near:
-                if j >= 0:
-                    strongest = max(strongest, rise[j])
-            state[i] = PRESSED if rise[i] >= 0.5 * strongest else RIM
+            for j in near:
+                strongest = max(strongest, rise[j, last])
+            state[i] = PRESSED if rise[i, last] >= 0.5 * strongest else RIM
         elif state[i] == FAR:
+            # Taxels between touched ones are covered too: they are dead, or lower than the others.
             for axis in range(2):
                 ends = 0
-                for side in range(2):
-                    j, steps = taxels[i].beside[2 * axis + side], 0
-                    while j >= 0 and not touched[j] and steps < len(taxels):
-                        j, steps = taxels[j].beside[2 * axis + side], steps + 1
-                    ends += j >= 0 and touched[j]
-                if ends == 2:
-                    state[i] = UNKNOWN
-            if state[i] == FAR:
-                within = record.flat
-                if not within:
-                    for j in taxels[i].wide:
-                        within = within or (j >= 0 and touched[j])
-                    for j in taxels[i].near:
-                        within = within and not (j >= 0 and touched[j])
-                if within:
-                    state[i] = UNTOUCHED
+                for side in (2 * axis, 2 * axis + 1):
+                    j, steps = taxels[i].beside[side], 0
+                    while j < n and not touched[j] and steps < n:
+                        j, steps = taxels[j].beside[side], steps + 1
+                    ends += touched[j]
+                state[i] = UNKNOWN if ends == 2 else state[i]
+            if state[i] == FAR and (
+                record.flat or (_sum(touched, taxels[i].wide) and not _sum(touched, near))
+            ):
+                state[i] = UNTOUCHED
+    return _find_patches(record, taxels, touched, rise, states, patches)
 
 
 @inner
-def _label(record: Any, taxels: Any, touched: Any, rise: Any, state: Any, label: Any, patches: Any) -> int:
-    """Returns the number of patches: connected touched taxels, and dead ones between them."""
-    n, count, last = len(taxels), 0, rise.shape[1] - 1
-    queue, filled = np.empty(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
-    label[:] = -1
-    for i in range(n):  # a dead taxel reads about as its neighbours do
-        if state[i] == UNKNOWN:
-            around, known = 0, 0
-            mean, farther = np.zeros(last + 1), 0.0
-            for j in taxels[i].near:
-                if j >= 0 and state[j] != UNKNOWN:
-                    known, around = known + 1, around + touched[j]
-                    for k in range(last + 1):
-                        mean[k] += rise[j, k]
-            wide = 0
-            for j in taxels[i].wide:
-                if j >= 0 and state[j] != UNKNOWN:
-                    wide, farther = wide + 1, farther + rise[j, last]
-            if around >= 2 and 2 * around >= known and mean[last] > 0.0:
-                filled[i] = True
-                inside = mean[last] / known
-                outside = (farther - mean[last]) / max(wide - known, 1)
-                more = 1.0 + PATCHES.steeper * max(inside - outside, 0.0) / inside
-                for k in range(last + 1):
-                    rise[i, k] = more * mean[k] / known
+def _sum(values: Any, numbers: Any) -> float:
+    """Returns the sum of the values with these numbers."""
+    total = 0.0
+    for j in numbers:
+        total += values[j]
+    return total
+
+
+@inner
+def _find_patches(record: Any, taxels: Any, touched: Any, rise: Any, states: Any, patches: Any) -> int:
+    """Returns the number of patches: connected touched taxels, dead ones between them, and all around them.
+
+    What reads less than the threshold bears a part of the force, too. A dead taxel reads about as its neighbours do.
+    """
+    n, count, last, state, label = len(taxels), 0, rise.shape[1] - 1, states[0], states[1]
+    filled, members, known = np.zeros(n + 1, dtype=np.bool_), np.empty(n, dtype=np.int64), state != UNKNOWN
     for i in range(n):
-        if not touched[i] or label[i] >= 0:
+        near, wide = taxels[i].near, taxels[i].wide
+        if not known[i] and _sum(touched, near) >= max(2.0, 0.5 * _sum(known, near)):
+            inside, around = _sum(rise[:, last], near), _sum(rise[:, last], wide)
+            mean = inside / _sum(known, near)
+            farther = (around - inside) / max(_sum(known, wide) - _sum(known, near), 1.0)
+            more = (1.0 + TAXELS.steeper * max(mean - farther, 0.0) / mean) / _sum(known, near)
+            filled[i] = True
+            for k in range(last + 1):
+                rise[i, k] = more * _sum(rise[:, k], near)
+    label[:] = -1
+    for i in range(n):
+        if not touched[i] or label[i] >= 0 or count == len(patches):
             continue
-        if count == len(patches):
-            break
-        queue[0], size, done = i, 1, 0
-        label[i] = count
+        members[0], size, done, label[i] = i, 1, 0, count
         while done < size:
-            at = queue[done]
-            done += 1
+            at, done = members[done], done + 1
             for j in taxels[at].near:
-                if j >= 0 and label[j] < 0 and (touched[j] or (filled[j] and touched[at])):
-                    label[j] = count
-                    queue[size] = j
-                    size += 1
-        for at in range(size):  # what reads less than the threshold, too, bears a part of the force
-            for j in taxels[queue[at]].near:
-                if j >= 0 and label[j] < 0 and state[j] != UNKNOWN:
-                    label[j] = n
-                    queue[size] = j
-                    size += 1
-        for at in range(size):
-            if label[queue[at]] == n:
-                label[queue[at]] = -1
-        _measure(record, taxels, queue[:size], rise, touched, filled, patches[count])
+                if j < n and label[j] < 0 and (touched[j] or (filled[j] and touched[at])):
+                    label[j], members[size], size = count, j, size + 1
+        for at in members[:done]:
+            for j in taxels[at].near:
+                if label[j] < 0 and known[j]:
+                    label[j], members[size], size = count, j, size + 1
+        _measure(record, taxels, members[:size], rise, filled, touched, patches[count])
+        label[members[done:size]] = -1
         count += 1
     return count
 
 
 @inner
 def _measure(
-    record: Any, taxels: Any, members: Any, rise: Any, touched: Any, filled: Any, patch: Any
+    record: Any, taxels: Any, members: Any, rise: Any, filled: Any, touched: Any, patch: Any
 ) -> None:
     """Writes a patch: its centre of pressure on the surface, the mean normal there, their covariance, and the force.
 
     The centre is a weighted mean of the taxels' points, raised from the chord to the surface: at a taxel the
     surface's slope against the mean normal is n_t / n_z, and half of that times the taxel's distance is its depth.
     """
-    last = rise.shape[1] - 1
-    total, square = 0.0, 0.0
-    point, normal = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    for i in members:
-        w = max(rise[i, last], 0.0)
-        total, square = total + w, square + w * w
-        point = add(point, scale(vector(taxels[i].point), w))
-        normal = add(normal, scale(vector(taxels[i].axes[:, 2]), w))
-    point = scale(point, 1.0 / total)
+    m, last, cell = len(members), rise.shape[1] - 1, record.pitch
+    share, zero = np.empty(m), (0.0, 0.0, 0.0)
+    for k in range(m):
+        share[k] = max(rise[members[k], last], 0.0)
+    patch.total, patch.flat = share.sum(), True
+    share /= patch.total
+    point, normal, edge, bend = zero, zero, zero, np.zeros((3, 3))
+    for k in range(m):
+        taxel, w = taxels[members[k]], share[k]
+        point = add(point, scale(vector(taxel.point), w))
+        normal = add(normal, scale(vector(taxel.axes[:, 2]), w))
+        edge = add(edge, scale(vector(taxel.edge), w))
+        for a in range(9):
+            bend[a // 3, a % 3] += w * taxel.bend[a // 3, a % 3]
     normal = scale(normal, 1.0 / max(norm(normal), 1e-12))
-    raised, spread, closest, edge = 0.0, 0.0, 1.0, (0.0, 0.0, 0.0)
-    bend, second = np.zeros((3, 3)), np.zeros((3, 3))
-    for i in members:
-        w = max(rise[i, last], 0.0) / total
-        own, arm = vector(taxels[i].axes[:, 2]), sub(vector(taxels[i].point), point)
-        along = dot(own, normal)
-        sideways = sub(own, scale(normal, along))
-        raised += 0.5 * w * dot(arm, sideways) / max(along, 0.3)
-        spread += 0.5 * w * dot(sideways, sideways)
-        edge = add(edge, scale(vector(taxels[i].edge), w))
-        if touched[i]:
-            closest = min(closest, along)
-        across = sub(arm, scale(normal, dot(arm, normal)))
-        for a in range(3):
-            for b in range(3):
-                bend[a, b] += w * taxels[i].bend[a, b]
-                second[a, b] += w * across[a] * across[b]
+    raised, spread = 0.0, 0.0
+    for k in range(m):
+        own = vector(taxels[members[k]].axes[:, 2])
+        along, sideways = dot(own, normal), _across(own, normal)
+        arm = sub(vector(taxels[members[k]].point), point)
+        raised += 0.5 * share[k] * dot(arm, sideways) / max(along, 0.3)
+        spread += 0.5 * share[k] * dot(sideways, sideways)
+        patch.flat = patch.flat and (along >= TAXELS.flat or not touched[members[k]])
     point = add(point, scale(normal, raised))
-    patch.three = last == 2
-    patch.flat, patch.total, patch.count = closest >= PATCHES.flat, total, 0
-    store(point, patch.point)
-    store(scale(normal, -1.0), patch.normal)
 
-    # The covariance: of each reading, of the cells' size, of the surface's height, and of an uneven patch.
-    C = patch.covariance
-    C[:] = 0.0
-    J = np.empty(6)
-    force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    for i in members:
-        w = max(rise[i, last], 0.0)
-        own, arm = vector(taxels[i].axes[:, 2]), sub(vector(taxels[i].point), point)
-        store(scale(sub(arm, scale(normal, dot(arm, normal))), 1.0 / total), J[:3])
-        store(scale(sub(own, scale(normal, dot(own, normal))), -1.0 / total), J[3:])
-        variance = (record.noise * w) ** 2 + (record.threshold / 3.0) ** 2
-        if touched[i]:
-            patch.count += 1
-        elif filled[i]:
-            variance += (PATCHES.filled * w) ** 2
-        for a in range(6):
-            for b in range(6):
-                C[a, b] += variance * J[a] * J[b]
+    # Each row is the change of point and normal by one sigma of an independent error: first of each reading.
+    rows, force, moment, second = np.zeros((m + 11, 6)), zero, zero, np.zeros((3, 3))
+    for k in range(m):
+        i, w, axes = members[k], share[k] * patch.total, taxels[members[k]].axes
+        arm, own = sub(vector(taxels[i].point), point), vector(axes[:, 2])
+        relative = record.noise**2 + (TAXELS.filled**2 if filled[i] else 0.0)
+        sigma = math.sqrt(relative * w * w + (record.threshold / 3.0) ** 2) / patch.total
+        store(scale(_across(arm, normal), sigma), rows[k, :3])
+        store(scale(_across(own, normal), -sigma), rows[k, 3:])
+        for a in range(9):
+            second[a // 3, a % 3] += share[k] * arm[a // 3] * arm[a % 3]
         if last == 2:
-            shear = add(
-                scale(vector(taxels[i].axes[:, 0]), rise[i, 0]),
-                scale(vector(taxels[i].axes[:, 1]), rise[i, 1]),
-            )
+            shear = add(scale(vector(axes[:, 0]), rise[i, 0]), scale(vector(axes[:, 1]), rise[i, 1]))
             pushed = sub(shear, scale(own, rise[i, 2]))
             force, moment = add(force, pushed), add(moment, cross(arm, pushed))
-    store(force, patch.force)
-    patch.torque = -dot(moment, normal)
-    cells = total * total / max(square, 1e-300)
-    turned = record.variance_normal + PATCHES.uneven**2 * spread
-    K = matrix(bend)
-    for k in range(
-        7
-    ):  # shifts of the centre along the surface, which the normal follows by the surface's bend
-        a = k % 3
-        unit = (1.0 if a == 0 else 0.0, 1.0 if a == 1 else 0.0, 1.0 if a == 2 else 0.0)
-        if k < 3:
-            shift = scale(unit, PATCHES.sampled * math.sqrt(record.cell) / cells)
-        elif k < 6:
-            shift = scale(vector(second[a]), PATCHES.wide / math.sqrt(record.cell))
-        else:
-            shift = scale(edge, PATCHES.beyond * math.sqrt(record.cell))
-        shift = sub(shift, scale(normal, dot(shift, normal)))
-        turn = mul(K, shift)
-        store(shift, J[:3])
-        store(sub(scale(normal, dot(turn, normal)), turn), J[3:])
-        for b in range(6):
-            for c in range(6):
-                C[b, c] += J[b] * J[c]
+    # Then shifts of the centre, which the normal follows by the surface's bend: by the cells' size, by uneven skin, and
+    # at the edge. Last the normal's own error, and the height's, which is the only one out of the surface.
+    turned = math.sqrt(record.variance_normal + TAXELS.uneven**2 * spread)
+    store(scale(edge, TAXELS.beyond * cell), rows[m + 6, :3])
     for a in range(3):
-        for b in range(3):
-            C[a, b] += record.variance_point * normal[a] * normal[b]
-            C[3 + a, 3 + b] += turned * ((1.0 if a == b else 0.0) - normal[a] * normal[b])
+        rows[m + a, a] = TAXELS.sampled * cell * (share**2).sum()
+        rows[m + 3 + a, :3] = TAXELS.wide / cell * second[a]
+        rows[m + 7 + a, 3 + a] = turned
+    for k in range(m, m + 10):
+        shift = _across(vector(rows[k, :3]), normal)
+        store(shift, rows[k, :3])
+        store(_across(sub(vector(rows[k, 3:]), mul(matrix(bend), shift)), normal), rows[k, 3:])
+    store(scale(normal, math.sqrt(record.variance_point)), rows[m + 10, :3])
+    for a in range(6):
+        for b in range(6):
+            patch.covariance[a, b] = (rows[:, a] * rows[:, b]).sum()
+    store(point, patch.point)
+    store(scale(normal, -1.0), patch.normal)
+    store(force if last == 2 else (math.nan, math.nan, math.nan), patch.force)
+    patch.torque = -dot(moment, normal) if last == 2 else math.nan
+
+
+@inner
+def _across(v: Any, normal: Any) -> Any:
+    """Returns the part of a vector across a unit normal."""
+    return sub(v, scale(normal, dot(v, normal)))
 
 
 @entry
 def watch_taxels(
-    readings: Any,
-    surface: Any,
-    states: Any,
-    rise: Any,
-    untouched: bool,
-    count: int,
-    watched: Any,
-    baseline: Any,
+    readings: Any, surface: Any, states: Any, rise: Any, rest: bool, count: int, watched: Any, baseline: Any
 ) -> int:
     """Returns the number of readings at rest so far, and updates `watched` (n,) and `baseline` (n, c).
 
-    `readings` (n, c) and their `states` and `rise` are those of `sense_taxels`; `untouched`: whether no other sensor
-    touches something. The hand is at rest where, besides, no two neighbouring taxels are touched. The baseline is NaN
+    `readings` (n, c) and their `states` and `rise` are those of `sense_taxels`; `rest`: whether no other sensor
+    touches something. The surface is at rest where, besides, no two taxels of a patch are touched. The baseline is NaN
     for taxels that are left out, 0 before there are enough readings.
     """
-    record, n, last = surface[0], readings.shape[0], readings.shape[1] - 1
-    rest, varied, touched, moving = untouched, 0, 0, 0
+    record, n, last, moving = surface[0], readings.shape[0], readings.shape[1] - 1, 0
+    touched = (states[1, :n] >= 0) & (rise[:n, last] >= record.threshold)
+    rest = rest and (count < TAXELS.min_rest or touched.sum() <= 1 + states[1].max())
+    count, varied = count + rest, 0
     for i in range(n):
-        w = watched[i]
-        changed = False
+        w, changed = watched[i], False
+        free = rest and (count <= TAXELS.min_rest or not touched[i])
         for k in range(last + 1):
             value = record.scale[k] * (readings[i, k] - record.offset[k])
             changed = changed or (value != w.last[k] and not math.isnan(w.last[k]))
             w.last[k] = value
+            if free and math.isfinite(value):
+                w.mean[k] += (value - w.mean[k]) / min(count, TAXELS.mean_rest)
+                w.first[k] = w.mean[k] if count <= TAXELS.mean_rest else w.first[k]
         w.still = 0 if changed else w.still + 1
-        if states[1, i] >= 0 and rise[i, last] >= record.threshold:
-            touched += 1
-            moving += w.still < WATCH.min_rest
-            for j in range(i):  # another one of the same patch
-                if (
-                    count >= WATCH.min_rest
-                    and states[1, j] == states[1, i]
-                    and rise[j, last] >= record.threshold
-                ):
-                    rest = False
-                    break
-    if rest:
-        count += 1
+        w.varied = w.varied or (rest and changed)
+        varied += w.varied
+        moving += touched[i] and w.still < TAXELS.min_rest
+    enough = count >= TAXELS.min_rest
     for i in range(n):
         w = watched[i]
-        free = rest and (count <= WATCH.min_rest or not rise[i, last] >= record.threshold)
-        for k in range(last + 1):
-            if free and math.isfinite(w.last[k]):
-                w.mean[k] += (w.last[k] - w.mean[k]) / min(count, WATCH.mean_rest)
-                if count <= WATCH.mean_rest:
-                    w.first[k] = w.mean[k]
-        w.varied = w.varied or (rest and count > 1 and w.still == 0)
-        varied += w.varied
-    for i in range(n):
-        w, enough = watched[i], count >= WATCH.min_rest
-        away = abs(w.mean[last] - w.first[last])
-        w.fault = NO_FAULT
+        drift = abs(w.mean[last] - w.first[last]) / record.threshold
+        always_full = enough and w.mean[last] >= record.full_scale
+        w.fault = DRIFTING if drift > 1.0 else 0
         if enough and not w.varied and 2 * varied > n:
             w.fault = DEAD
-        elif (enough and w.mean[last] >= record.full_scale) or (
-            touched and rise[i, last] >= record.full_scale
-        ):
+        elif always_full or (touched[i] and rise[i, last] >= record.full_scale):
             w.fault = FULL
-        elif states[1, i] >= 0 and w.still >= WATCH.still and 2 * moving > touched:
+        elif touched[i] and w.still >= TAXELS.still and 2 * moving > touched.sum():
             w.fault = STUCK
-        elif away > record.threshold:
-            w.fault = DRIFTING
-        out = w.fault == DEAD or w.fault == STUCK or (w.fault == FULL and w.mean[last] >= record.full_scale)
-        out = out or away > WATCH.drifted * record.threshold
+        out = w.fault == DEAD or w.fault == STUCK or always_full or drift > TAXELS.drifted
         for k in range(last + 1):
-            baseline[i, k] = math.nan if enough and out else w.mean[k] if enough else 0.0
+            baseline[i, k] = math.nan if out else w.mean[k] if enough else 0.0
     return count
-
-
-@entry
-def put_patches(
-    numbers: Any,
-    patches: Any,
-    mounts: Any,
-    Ts_palm_tip: Any,
-    by_error: Any,
-    moved: Any,
-    contacts: Any,
-    conflicts: Any,
-) -> None:
-    """Writes patches (k,) to the `contacts` (n) PALM_CONTACT of the tips `numbers` (k,) that they are on.
-
-    `mounts` (k, 6): variance of each surface's common error; `by_error` (n, 6, j): motion of the tips by the joints'
-    errors, which is that of a contact's point and normal in `moved` (n, 6, j), where patches' are written. A contact by
-    the tip's wrench keeps its load. `conflicts` (k, 2) get the distance between both [m] and its square in standard
-    deviations; 0 where there is one measurement. Patches and wrench that contradict each other are as uncertain as
-    they are far apart.
-    """
-    for k in range(len(numbers)):
-        patch, contact, T = patches[k], contacts[numbers[k]], Ts_palm_tip[numbers[k]]
-        J, before = by_error[numbers[k]], moved[numbers[k]]
-        R, C, old = matrix(T), np.zeros((6, 6)), contact.covariance
-        arm = mul(R, vector(patch.point))
-        point, normal = add(arm, vector(T[:3, 3])), mul(R, vector(patch.normal))
-        for i in range(6):
-            own = mul(R, vector(patch.covariance[i, :3])), mul(R, vector(patch.covariance[i, 3:]))
-            store(own[0], C[i, :3])
-            store(own[1], C[i, 3:])
-        for j in range(6):
-            column = mul(R, (C[0, j], C[1, j], C[2, j])), mul(R, (C[3, j], C[4, j], C[5, j]))
-            for i in range(3):
-                C[i, j], C[3 + i, j] = column[0][i], column[1][i]
-        for i in range(3):
-            C[i, i] += mounts[k, i]
-            for j in range(3):
-                C[3 + i, 3 + j] += mounts[k, 3] * ((1.0 if i == j else 0.0) - normal[i] * normal[j])
-        conflicts[k] = 0.0
-        measured = contact.reason == 0
-        apart = sub(vector(contact.point), point)
-        if measured:
-            S = np.empty((3, 3))
-            for i in range(3):
-                for j in range(3):
-                    S[i, j] = C[i, j] + old[i, j]
-                    for e in range(before.shape[1]):
-                        S[i, j] -= before[i, e] * before[j, e]
-            conflicts[k, 0] = norm(apart)
-            conflicts[k, 1] = _squared(S, apart)
-            if conflicts[k, 1] > PATCHES.conflict:
-                for i in range(3):
-                    for j in range(3):
-                        C[i, j] += apart[i] * apart[j]
-        for e in range(J.shape[1]):
-            turn = (J[3, e], J[4, e], J[5, e])
-            shifted = add((J[0, e], J[1, e], J[2, e]), cross(turn, arm))
-            turned = cross(turn, normal)
-            for i in range(3):
-                before[i, e], before[3 + i, e] = shifted[i], turned[i]
-        for i in range(6):
-            for j in range(6):
-                for e in range(J.shape[1]):
-                    C[i, j] += before[i, e] * before[j, e]
-                contact.covariance[i, j] = C[i, j]
-        store(point, contact.point)
-        store(normal, contact.normal)
-        force = mul(R, vector(patch.force))
-        along = dot(force, normal)
-        if not measured:
-            contact.load[:] = math.nan
-            if patch.three:
-                store(sub(force, scale(normal, along)), contact.load[:3])
-                contact.load[3], contact.load[4] = along, patch.torque
-        contact.reason = 0
-
-
-@inner
-def _squared(S: Any, v: Any) -> float:
-    """Returns v S⁻¹ v of a 3x3 covariance S and a vector v."""
-    a, b, c = vector(S[0]), vector(S[1]), vector(S[2])
-    first = cross(b, c)
-    determinant = dot(a, first)
-    return dot(v, (dot(first, v), dot(cross(c, a), v), dot(cross(a, b), v))) / max(determinant, 1e-300)
