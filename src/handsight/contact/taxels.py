@@ -62,8 +62,8 @@ class TactileSurface:
     """Numbers a taxel: its pressure, or its force along x, along y and into the skin."""
     area: float | None = None
     """Of a taxel [m²]; None: the square of `pitch`."""
-    pitch: float | None = None
-    """Distance from taxel to taxel [m]; None: the median of those to the nearest neighbour."""
+    pitch: float = 0.0
+    """Distance from taxel to taxel [m]; 0: the median distance to the third nearest taxel."""
     full_scale: float | None = None
     """The largest scaled reading there is: such a taxel is pressed, unless it always reads that."""
     scale: ArrayLike = 1.0
@@ -101,7 +101,8 @@ class TactileSurface:
         if n > 1 and not distance.min() > 1e-5:
             i = int(distance.min(axis=1).argmin())
             raise InvalidInput(f"points[{i}]: expected a place of its own, got that of another taxel")
-        pitch = checked_pitch(np.median(distance.min(axis=1)) if self.pitch is None else self.pitch)
+        third = np.median(np.sort(distance, axis=1)[:, min(3, n - 1) - 1]) if n > 1 else np.inf
+        pitch = checked_pitch(third if self.pitch == 0 else self.pitch)
         _check_outward(points, normals, distance < 1.6 * pitch)
         checks.positive(self.threshold, "threshold")
         if most is not None and not checks.positive(most, "full_scale") > self.threshold:
@@ -181,7 +182,8 @@ class TactileSurface:
     @property
     def places_grid(self) -> Array:
         """(rows, columns, 3) positions of a grid's taxels in its frame [m]."""
-        return grid_places(*self.places, self.pitch)  # type: ignore[arg-type]
+        rows, columns = self.places
+        return grid_places(rows, columns, self.pitch)
 
     def reading(self, values: ArrayLike, name: str = "reading") -> Array:
         """Returns readings of the surface's `shape` as floats, NaN for none; raises InvalidInput for another shape."""
@@ -229,11 +231,11 @@ def TaxelArray(**fields: Any) -> TactileSurface:
     return TactileSurface.grid(**fields)
 
 
-def checked_pitch(pitch: ArrayLike) -> float:
+def checked_pitch(pitch: Any) -> float:
     """Returns a distance from taxel to taxel [m]; raises InvalidInput."""
     if not 2e-4 <= float(checks.finite(pitch, "pitch", ())) <= 0.05:
         raise InvalidInput(f"pitch: expected metres from 0.0002 to 0.05, got {pitch:g}")
-    return float(pitch)  # type: ignore[arg-type]
+    return float(pitch)
 
 
 def grid_places(rows: int, columns: int, pitch: float) -> Array:
@@ -307,12 +309,12 @@ class SkinTouch:
     @property
     def pressed(self) -> Mask:
         """(rows, columns) or (n,) taxels that are contacts, by themselves or as a part of a patch."""
-        return (self.states[0, :-1] == kernel.PRESSED).reshape(self.surface.places)
+        return np.reshape(self.states[0, :-1] == kernel.PRESSED, self.surface.places)
 
     @property
     def untouched(self) -> Mask:
         """The taxels that nothing covers; those that are neither are no evidence."""
-        return (self.states[0, :-1] >= kernel.UNTOUCHED).reshape(self.surface.places)
+        return np.reshape(self.states[0, :-1] >= kernel.UNTOUCHED, self.surface.places)
 
     @property
     def strongest(self) -> int:
@@ -356,7 +358,7 @@ class SkinTouch:
         """Returns the taxels (n + 1,) that are contacts by themselves: the pressed ones of flat patches."""
         flat = np.append(self.patches["flat"], False)  # the last one is of taxels without a patch
         flat[without] = False
-        return (self.states[0] == kernel.PRESSED) & flat[self.states[1]]
+        return np.asarray((self.states[0] == kernel.PRESSED) & flat[self.states[1]])
 
     def sigmas_common(self, by_error: ArrayLike | None = None, without: int = -1) -> Array:
         """Returns (6,) one standard deviation per axis of the common error of contacts of flat patches, shift [m] and
@@ -364,7 +366,8 @@ class SkinTouch:
         if not self._spread(without).any():
             return np.zeros(6)
         variance = self.surface.record[0]["variance_mount"]
-        return np.sqrt(variance if by_error is None else variance + (np.asarray(by_error) ** 2).sum(axis=1))
+        more = 0.0 if by_error is None else (np.asarray(by_error) ** 2).sum(axis=1)
+        return np.asarray(np.sqrt(variance + more))
 
     def outside(self, T_palm_frame: ArrayLike) -> Array:
         """Returns points (m, 3) in the palm that are not in the object: `CLEARANCE` above untouched taxels [m].
