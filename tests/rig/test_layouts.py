@@ -74,7 +74,7 @@ def test_any_surface_is_written_and_read_as_the_same(rig_with, tmp_path):
 
 def test_a_bent_grid_lies_on_its_cylinder(rig_with):
     surface = rig_with("frame: palm, rows: 5, columns: 7, pitch: 0.003, radius: 0.009").skin["a"]
-    to_axis = surface.points + [0, 0, 0.009]
+    to_axis = surface.points + np.array([0, 0, 0.009])
     np.testing.assert_allclose(np.hypot(to_axis[:, 0], to_axis[:, 2]), 0.009)
     np.testing.assert_allclose(surface.normals, to_axis * [1, 0, 1] / 0.009, atol=1e-12)
 

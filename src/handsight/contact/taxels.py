@@ -80,6 +80,8 @@ class TactileSurface:
     """Standard deviation of the height of the surface as a whole on its link [m]."""
     layout: Grid | None = None
     """The grid that the taxels are on, row by row; None: they are at any places."""
+    nominal: bool = False
+    """Whether the places are assumed by the number and the pitch of a product without published coordinates."""
     taxels: NDArray[np.void] = field(init=False, repr=False)
     """(n,) the taxels as records for the kernel."""
     record: NDArray[np.void] = field(init=False, repr=False)

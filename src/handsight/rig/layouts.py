@@ -46,6 +46,7 @@ class Layout(NamedTuple):
     frame: str | None = None
     """The link that a URDF states, and the sensor's pose in it."""
     T_frame_sensor: Array = np.eye(4)
+    nominal: bool = False
 
     @classmethod
     def of(cls, rows: Any, name: str, unit: float = 1.0, **fields: Any) -> "Layout":
@@ -83,7 +84,7 @@ class Layout(NamedTuple):
         """Returns the surface with the fields that are given; raises InvalidInput."""
         T = self.T_frame_sensor @ T_frame_sensor
         points = se3.apply(T, self.points)
-        fields = {"components": self.components, "frame": self.frame} | given
+        fields = {"components": self.components, "frame": self.frame, "nominal": self.nominal} | given
         if self.normals is None:
             fields["normals"] = _mesh_normals(points, fields["frame"], hand)
         else:
@@ -149,7 +150,7 @@ def by_name(name: str, pitch: float | None, radius: float | None) -> Layout:
         raise InvalidInput(
             f"pitch: expected the distance of {name}'s taxels [m], as it is not published, got none"
         )
-    return Layout.bent(rows, columns, pitch, radius or usual_radius, components)
+    return Layout.bent(rows, columns, pitch, radius or usual_radius, components)._replace(nominal=True)
 
 
 def _fitted_normals(points: Array) -> Array:

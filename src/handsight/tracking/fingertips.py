@@ -127,17 +127,22 @@ class FingertipSensors:
     ) -> dict[str, str]:
         """Writes the patches of taxels to their fingers' rows, and returns the doubts.
 
-        The error of the joints is common to patch and wrench, so it does not count in their distance. Where they
-        contradict each other, the contact is as uncertain as they are far from each other.
+        The joints' errors are common to patch and wrench, so they hardly count in their distance. Where they contradict
+        each other, the contact is as uncertain as they are far from each other.
         """
         fingers, i = list(skin.tips), np.array([self.names.index(finger) for finger in skin.tips])
-        wrench, by_error[i] = records[i], by_tip[i]
+        wrench, J_wrench, by_error[i] = records[i], by_error[i, :3], by_tip[i]
         put_patches(i, skin.patches(), self._fingers, Ts_palm_tip, by_error, records)
         if not (both := wrench["reason"] == 0).any():
             return {}
         away = np.where(both[:, None], wrench["point"] - records["point"][i], 0.0)
-        J = by_error[i, :3]
-        S = wrench["covariance"][:, :3, :3] + records["covariance"][i, :3, :3] - 2 * J @ J.swapaxes(1, 2)
+        common = J_wrench @ by_error[i, :3].swapaxes(1, 2)
+        S = (
+            wrench["covariance"][:, :3, :3]
+            + records["covariance"][i, :3, :3]
+            - common
+            - common.swapaxes(1, 2)
+        )
         S[~both] = np.eye(3)
         wrong = both & ((away * np.linalg.solve(S, away[:, :, None])[:, :, 0]).sum(axis=1) > CONFLICT)
         for k in np.flatnonzero(wrong):

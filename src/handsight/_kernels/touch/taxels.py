@@ -284,12 +284,11 @@ def watch_taxels(
     count, varied = count + rest, 0
     for i in range(n):
         w, changed = watched[i], False
-        free = rest and (count <= TAXELS.min_rest or not touched[i])
         for k in range(last + 1):
             value = record.scale[k] * (readings[i, k] - record.offset[k])
             changed = changed or (value != w.last[k] and not math.isnan(w.last[k]))
             w.last[k] = value
-            if free and math.isfinite(value):
+            if rest and math.isfinite(value):
                 w.mean[k] += (value - w.mean[k]) / min(count, TAXELS.mean_rest)
                 w.first[k] = w.mean[k] if count <= TAXELS.mean_rest else w.first[k]
         w.still = 0 if changed else w.still + 1
@@ -302,10 +301,10 @@ def watch_taxels(
         drift = abs(w.mean[last] - w.first[last]) / record.threshold
         always_full = enough and w.mean[last] >= record.full_scale
         w.fault = DRIFTING if drift > 1.0 else 0
-        if enough and not w.varied and 2 * varied > n:
-            w.fault = DEAD
-        elif always_full or (touched[i] and rise[i, last] >= record.full_scale):
+        if always_full or (touched[i] and rise[i, last] >= record.full_scale):
             w.fault = FULL
+        elif enough and not w.varied and 2 * varied > n:
+            w.fault = DEAD
         elif touched[i] and w.still >= TAXELS.still and 2 * moving > touched.sum():
             w.fault = STUCK
         out = w.fault == DEAD or w.fault == STUCK or always_full or drift > TAXELS.drifted
