@@ -5,14 +5,20 @@ is a paraboloid, near Hertz's. Each taxel measures the force on its cell, one co
 constant offset, and a share that leaks to the neighbours.
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from handsight import se3
+from handsight.checks import Array
 from handsight.contact import TactileSurface
+from handsight.observation import Observation
+from handsight.rig import Rig
 from handsight.tracking import FingertipSensors
 
+Rng = np.random.Generator
 STIFFNESS = (1e7, 6e7)
 """Of the skin, from and to [N/m per m²]: 5 mm of foam, 1.5 mm of rubber."""
 FORCE = (0.5, 5.0)
@@ -31,20 +37,20 @@ STEP = 5e-4
 
 @dataclass(frozen=True)
 class Shape:
-    """A superellipsoid-free shape of a tip: an ellipsoid whose half towards -y is drawn out to a cylinder."""
+    """The shape of a tip: an ellipsoid, whose half towards -y may be drawn out to a cylinder."""
 
     axes: tuple[float, float, float]
     """Half sizes along x (across the finger), y (along it), z (out of its pad) [m]."""
     drawn_out: bool
 
-    def value(self, points):
+    def value(self, points: Array) -> tuple[Array, Array]:
         """Zero on the surface, negative inside, and its gradient."""
         scaled = points / np.square(self.axes)
         if self.drawn_out:
             scaled = np.where(points[..., 1:2] < 0, scaled * [1, 0, 1], scaled)
         return (points * scaled).sum(axis=-1) - 1, 2 * scaled
 
-    def on_surface(self, points, direction):
+    def on_surface(self, points: Array, direction: Array) -> tuple[Array, Array]:
         """Points moved along a direction to the surface, and their normals; NaN where the line misses it."""
         for _ in range(20):
             value, gradient = self.value(points)
@@ -64,7 +70,9 @@ HELD_OUT = ("finger", "egg")
 """Shapes that no constant was chosen on."""
 
 
-def tip(shape, rng, *, taxels=30, pitch=0.0047, components=3, **fields):
+def tip(
+    shape: Shape, rng: Rng, *, taxels: int = 30, pitch: float = 0.0047, components: int = 3, **fields: Any
+) -> TactileSurface:
     """A tip's surface: the places farthest from each other among many, a pitch apart, around its pad's middle."""
     many = rng.normal(size=(4000, 3))
     many /= np.linalg.norm(many, axis=1, keepdims=True)
@@ -75,12 +83,12 @@ def tip(shape, rng, *, taxels=30, pitch=0.0047, components=3, **fields):
             places[:, 0] / np.hypot(many[:, 0], many[:, 2]), places[:, 1],
             places[:, 2] / np.hypot(many[:, 0], many[:, 2])]), places)  # fmt: skip
     order = np.argsort(np.linalg.norm(places - [0, 0, shape.axes[2]], axis=1))
-    chosen = []
+    chosen: list[Array] = []
     for place in places[order]:
         if len(chosen) < taxels and all(np.linalg.norm(place - other) > 0.93 * pitch for other in chosen):
             chosen.append(place)
     gradient = shape.value(np.array(chosen))[1]
-    given = {"frame": "tip", "threshold": 0.03, "components": components, "pitch": pitch} | fields
+    given: Any = {"frame": "tip", "threshold": 0.03, "components": components, "pitch": pitch} | fields
     return TactileSurface(points=np.array(chosen), normals=gradient, **given)
 
 
@@ -102,8 +110,21 @@ class Press:
     """(3,) centre of pressure, on the chord [m]."""
 
 
-def pressed(shape, surface, rng, *, force=None, round_by=None, dead=1, place=None):
-    """A press at a random place within the layout; `round_by` is the body's curvature, -20 to 80 /m without one."""
+def pressed(
+    shape: Shape,
+    surface: TactileSurface,
+    rng: Rng,
+    *,
+    force: float | None = None,
+    round_by: float | None = None,
+    dead: int = 1,
+    place: Array | None = None,
+) -> Press:
+    """A press at a random place within the layout; `round_by` is the body's curvature, -20 to 80 /m without one.
+
+    On a tip that is drawn out to a cylinder it is 15 /m or more: a flat body touches it along a line, which has no
+    point that is touched first.
+    """
     if place is None:
         inner = np.flatnonzero((surface.taxels["near"] < len(surface.points)).sum(axis=1) >= 5)
         place = surface.points[rng.choice(inner)] + rng.uniform(-0.5, 0.5, 3) * surface.pitch
@@ -114,7 +135,8 @@ def pressed(shape, surface, rng, *, force=None, round_by=None, dead=1, place=Non
     out = gradient / np.linalg.norm(gradient)
     stiffness = np.exp(rng.uniform(*np.log(STIFFNESS)))
     newtons = np.exp(rng.uniform(*np.log(FORCE))) if force is None else force
-    curvature = rng.uniform(-20, 80) if round_by is None else round_by
+    least = 15 if shape.drawn_out else -20
+    curvature = rng.uniform(least, 80) if round_by is None else round_by
     x = np.cross(out, [1.0, 0, 0] if abs(out[0]) < 0.9 else [0, 1.0, 0])
     x /= np.linalg.norm(x)
     y = np.cross(out, x)
@@ -161,11 +183,27 @@ def pressed(shape, surface, rng, *, force=None, round_by=None, dead=1, place=Non
     return Press(values, point, -out, total, float(-moment @ out), middle)
 
 
+def errors(patch: np.void, truth: Press) -> dict[str, float]:
+    """Errors of a patch: point [mm], normal [deg], force [share], and the squared one per degree of freedom."""
+    n, error = patch["normal"], patch["point"] - truth.point
+    tangent = np.linalg.svd(n[None])[2][1:]
+    change = np.concatenate([error, tangent @ (n - truth.normal)])
+    to_five = np.zeros((5, 6))
+    to_five[:3, :3], to_five[3:, 3:] = np.eye(3), tangent
+    squared = change @ np.linalg.solve(to_five @ patch["covariance"] @ to_five.T, change) / 5
+    return {
+        "point": 1e3 * np.linalg.norm(error),
+        "normal": np.degrees(np.arccos(np.clip(n @ truth.normal, -1, 1))),
+        "force": np.linalg.norm(patch["force"] - truth.force) / np.linalg.norm(truth.force),
+        "nees": squared,
+    }
+
+
 R_FINGER_PAD = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """From a shape's axes to those of a simulated finger: it points along z, its pad faces -y."""
 
 
-def with_taxels(rig, rng, *, components=3):
+def with_taxels(rig: Rig, rng: Rng, *, components: Any = 3) -> tuple[Rig, dict[str, Shape]]:
     """A rig of the simulated hand with 30 taxels on each tip, and the shapes of its tips by finger."""
     skin, shapes = dict(rig.skin), {}
     for name, finger in rig.fingers.items():
@@ -181,17 +219,24 @@ def with_taxels(rig, rng, *, components=3):
     return replace(rig, skin=skin), shapes
 
 
-def taxel_observations(rig, shapes, observations, seed, *, wrenches=False):
+def taxel_observations(
+    rig: Rig,
+    shapes: dict[str, Shape],
+    observations: Iterable[Observation],
+    seed: int,
+    *,
+    wrenches: bool = False,
+) -> Iterator[Observation]:
     """Observations in which taxels read what the fingertips' wrenches say; without these unless `wrenches`."""
     sensors = FingertipSensors(rig)
     for k, observation in enumerate(observations):
         rng = np.random.default_rng([seed, k])
         found, readings = sensors.contacts(observation), dict(observation.skin)
-        Ts = dict(zip(rig.hand.tips, rig.hand.Ts_palm_tip(observation.joint_positions), strict=True))
+        Ts = dict(zip(rig.hand.tips, rig.hand.Ts_palm_tip(observation.joint_positions or {}), strict=True))
         for name, shape in shapes.items():
             surface = rig.skin[name]
             readings[name] = FLOOR * rng.normal(size=surface.shape)
-            if name not in found.fingers:
+            if name not in found.fingers or found.contacts is None or found.loads is None:
                 continue
             i = found.fingers.index(name)
             T = Ts[name] @ rig.fingers[name].T_frame_surface
@@ -202,7 +247,7 @@ def taxel_observations(rig, shapes, observations, seed, *, wrenches=False):
                 normals=surface.normals @ R, x_axes=surface.taxels["axes"][:, :, 0] @ R, threshold=0.03,
                 components=surface.components, pitch=surface.pitch,
             )  # fmt: skip
-            given = {"force": found.loads[i, 3], "round_by": 30.0, "dead": 0, "place": place}
+            given: Any = {"force": found.loads[i, 3], "round_by": 30.0, "dead": 0, "place": place}
             readings[name] = np.nan_to_num(pressed(shape, local, rng, **given).readings)
         wrench = observation.wrenches if wrenches else {}
         yield replace(observation, skin=readings, wrenches=wrench)

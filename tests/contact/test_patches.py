@@ -10,7 +10,7 @@ from handsight import se3
 from handsight.contact import TactileSurface
 from handsight.correction import SkinEvidence
 from handsight.errors import InvalidInput
-from tip_scenes import HELD_OUT, SHAPES, pressed, tip
+from tip_scenes import HELD_OUT, SHAPES, errors, pressed, tip
 
 BALL = SHAPES["ball"]
 
@@ -28,16 +28,7 @@ def judged(components, count=120, seed=77):
             if k % 10 == 0:
                 surface = tip(SHAPES[name], rng, components=components)
             truth = pressed(SHAPES[name], surface, rng)
-            patch = strongest(surface.touch(truth.readings))
-            n, error = patch["normal"], patch["point"] - truth.point
-            tangent = np.linalg.svd(n[None])[2][1:]
-            change = np.concatenate([error, tangent @ (n - truth.normal)])
-            to_five = np.zeros((5, 6))
-            to_five[:3, :3], to_five[3:, 3:] = np.eye(3), tangent
-            squared = change @ np.linalg.solve(to_five @ patch["covariance"] @ to_five.T, change) / 5
-            force = np.linalg.norm(patch["force"] - truth.force) / np.linalg.norm(truth.force)
-            angle = np.degrees(np.arccos(np.clip(n @ truth.normal, -1, 1)))
-            rows.append((1e3 * np.linalg.norm(error), angle, force, squared))
+            rows.append(list(errors(strongest(surface.touch(truth.readings)), truth).values()))
     return np.array(rows).T
 
 

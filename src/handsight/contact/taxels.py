@@ -75,7 +75,7 @@ class TactileSurface:
     sigma_point: float = 1.5e-4
     """Standard deviation of a taxel's height, as skin is uneven and soft [m]; sideways it is known to its cell."""
     sigma_normal: float | None = None
-    """Standard deviation of a contact's normal [rad]; None: 4° on a flat surface, 1° on a curved one."""
+    """Standard deviation of a contact's normal [rad]; None: 4° on a flat surface, 0.8° on a curved one."""
     sigma_mount: float = 5e-4
     """Standard deviation of the height of the surface as a whole on its link [m]."""
     layout: Grid | None = None
@@ -110,7 +110,7 @@ class TactileSurface:
         if most is not None and not checks.positive(most, "full_scale") > self.threshold:
             raise InvalidInput(f"full_scale: expected more than the threshold, got {most:g}")
         flat = bool((normals @ _unit(normals.sum(axis=0)) > math.cos(FLAT)).all())
-        sigma_normal = math.radians(4.0 if flat else 1.0) if self.sigma_normal is None else self.sigma_normal
+        sigma_normal = math.radians(4.0 if flat else 0.8) if self.sigma_normal is None else self.sigma_normal
         for name, sigma in (("sigma_point", self.sigma_point), ("sigma_mount", self.sigma_mount)):
             checks.sigma_point(sigma, name)
         record, taxels = (

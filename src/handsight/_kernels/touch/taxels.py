@@ -79,9 +79,9 @@ class TaxelOptions(NamedTuple):
     steeper: float = 0.35
     """The reading of a dead taxel is above the mean of its neighbours by this share of what that is above the mean of
     those up to two taxels away."""
-    sampled: float = 0.2  # sigma of the centre by the cells' size, in cells of a patch of one taxel
-    beyond: float = 0.58  # sigma of a patch at the edge, beyond which nothing is measured, in cells
-    wide: float = 0.24  # sigma by uneven skin, in cells, of a patch whose variance is that of a cell
+    sampled: float = 0.21  # sigma of the centre by the cells' size, in cells of a patch of one taxel
+    beyond: float = 0.5  # sigma of a patch at the edge, beyond which nothing is measured, in cells
+    wide: float = 0.14  # sigma by uneven skin, in cells, of a patch whose variance is that of a cell
     uneven: float = 0.07  # sigma of the normal by such a patch, as a share of the normals' spread
     min_rest: int = 5  # fewest readings of an untouched surface whose mean is used as its baseline
     mean_rest: int = 50  # readings over which the mean is taken; after so many it follows
@@ -252,7 +252,7 @@ def _measure(
         shift = _across(vector(rows[k, :3]), normal)
         store(shift, rows[k, :3])
         store(_across(sub(vector(rows[k, 3:]), mul(matrix(bend), shift)), normal), rows[k, 3:])
-    store(scale(normal, math.sqrt(record.variance_point)), rows[m + 10, :3])
+    store(scale(normal, math.sqrt(record.variance_point * (share**2).sum())), rows[m + 10, :3])
     for a in range(6):
         for b in range(6):
             patch.covariance[a, b] = (rows[:, a] * rows[:, b]).sum()
