@@ -8,6 +8,9 @@ import pytest
 import handsight as hs
 import tip_scenes
 from handsight import se3
+from handsight.contact import TactileSurface
+from handsight.errors import InvalidInput
+from handsight.recording import RecordingWriter, open_recording
 from handsight.tracking import FingertipSensors, SkinContacts, SkinSensors
 
 
@@ -113,6 +116,33 @@ def test_a_second_patch_on_a_tip_is_evidence_beside_the_fingers_contact(can):
     assert len(skin.contacts()) == 2
 
 
+def test_readings_of_any_shape_are_the_same_after_a_recording(can, taxels, tmp_path):
+    rig, _, observations = taxels
+    flat = TactileSurface.grid(
+        frame=rig.hand.palm,
+        T_frame_grid=np.eye(4),
+        rows=2,
+        columns=3,
+        pitch=0.004,
+        threshold=0.1,
+        components=3,
+    )
+    topics = replace(rig.topics, wrenches={}, skin={name: f"/{name}" for name in (*rig.skin, "flat")})
+    rig = replace(rig, skin=dict(rig.skin) | {"flat": flat}, topics=topics)
+    more = np.arange(18.0).reshape(2, 3, 3)
+    given = [
+        replace(each, stamp=1000 + each.stamp, skin=dict(each.skin) | {"flat": more})
+        for each in observations[-20:]
+    ]
+    with RecordingWriter(tmp_path / "taxels.mcap", rig) as writer:
+        for each in given:
+            writer.write(each)
+    heard = list(open_recording(tmp_path / "taxels.mcap", rig).observations())
+    assert len(heard) == len(given)
+    for name in rig.skin:
+        np.testing.assert_allclose(heard[-1].skin[name], given[-1].skin[name], atol=1e-6)
+
+
 class Watch:
     """A surface of the palm whose readings are observed one after the other."""
 
@@ -185,3 +215,14 @@ def test_a_touch_before_any_other_is_no_baseline_once_there_is_one(can):
         touch = watch.read(watch.press(2))  # no fingertip says that something is touched
     assert touch.pressed[2]
     assert np.abs(watch.skin.watched["a"].baseline).max() < 2e-3
+
+
+def test_counts_without_a_scale_are_refused_with_the_surfaces_name(can, taxels):
+    rig, _, observations = taxels
+    name = next(iter(rig.fingers))
+    counts = replace(observations[-1], skin={name: 1e4 * observations[-1].skin[name]})
+    expected = (
+        rf"observation\.skin\['{name}'\]: expected newtons, after the rig's scale and offset, got a force of"
+    )
+    with pytest.raises(InvalidInput, match=expected):
+        hs.Tracker(rig, can.model).update(counts)

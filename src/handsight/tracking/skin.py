@@ -20,10 +20,11 @@ from handsight.rig import Rig
 
 
 class SkinOptions(NamedTuple):
-    """`SkinOptions` say when readings of tactile surfaces are news."""
+    """`SkinOptions` say which readings of tactile surfaces are news, and which are none."""
 
     changed_share: float = 0.3
     """The pose is corrected again when more than this share of the taxels that are or were pressed has changed."""
+    max_force: float = 1000.0  # of a patch of three-axis taxels; more is in another unit [N]
 
 
 SKIN = SkinOptions()
@@ -204,6 +205,10 @@ class SkinSensors:
             readings = readings.reshape(len(surface.points), -1)
             known = watched.get(name) or Watched.first(surface)
             touch = surface.sensed(readings, known.baseline)
+            if surface.components == 3 and len(touch.patches) and touch.patches["total"][0] > SKIN.max_force:
+                expected = "expected newtons, after the rig's scale and offset"
+                came = f"a force of {touch.patches['total'][0]:.0f} (counts without a scale?)"
+                raise InvalidInput(f"observation.skin[{name!r}]: {expected}, got {came}")
             watched[name] = known.after(readings, touch, untouched=not touched)
             if self._joints[name] and (joints is None or not self._joints[name] <= joints.keys()):
                 continue
