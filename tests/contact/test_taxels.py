@@ -163,4 +163,8 @@ def test_a_baseline_of_another_shape_is_reported():
 def test_the_former_name_gives_the_same_surface_with_a_warning():
     with pytest.warns(DeprecationWarning, match=r"TactileSurface\.grid"):
         array = TaxelArray(**FIELDS)
+    with pytest.warns(DeprecationWarning, match=r"layout\.rows"):
+        assert array.rows == 6
+    with pytest.warns(DeprecationWarning, match=r"SkinTouch\.surface"):
+        assert ARRAY.touch(block()).array is ARRAY
     np.testing.assert_array_equal(array.points, ARRAY.points)

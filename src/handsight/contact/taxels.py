@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
+from handsight._deprecated import renamed_members
 from handsight._kernels.touch import taxels as kernel
 from handsight.checks import Array, Indices, Mask
 from handsight.contact.contacts import Contacts
@@ -43,6 +44,7 @@ class Grid(NamedTuple):
     columns: int
 
 
+@renamed_members(rows="layout.rows", columns="layout.columns", T_frame_grid="layout.T_frame_grid")
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TactileSurface:
     """A `TactileSurface` has the taxels of one link of the hand; wrong fields raise InvalidInput."""
@@ -295,6 +297,7 @@ def _records(points: Array, axes: Array, distance: Array, pitch: float) -> NDArr
     return records
 
 
+@renamed_members(array="surface")
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinTouch:
     """A `SkinTouch` says which taxels of a surface are touched at one instant."""
