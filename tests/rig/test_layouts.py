@@ -116,6 +116,16 @@ def test_a_product_without_coordinates_has_its_published_count(rig_with, name, c
     assert len(rig_with(f"frame: palm, layout: '{name}'").skin["a"].points) == count
 
 
+def test_taxels_without_normals_have_those_of_their_links_mesh(rig_with):
+    box = '<link name="palm"><visual><geometry><box size="0.02 0.04 0.01"/></geometry></visual></link>'
+    urdf = URDF.replace('<link name="palm"/>', box)
+    table = "[[0, 0, 0.005], [0, 0.004, 0.005], [0.01, 0.004, 0], [0.01, 0, 0.0]]"
+    surface = rig_with(f"frame: palm, taxels: {table}", urdf).skin["a"]
+    np.testing.assert_allclose(surface.normals, [[0, 0, 1], [0, 0, 1], [1, 0, 0], [1, 0, 0]], atol=1e-9)
+    with pytest.raises(InvalidFile, match=r"points\[1\]: expected taxels within 5 mm of the mesh of 'palm'"):
+        rig_with("frame: palm, taxels: [[0, 0, 0.005], [0, 0, 0.05]]", urdf)
+
+
 WRONG = {
     "frame: palm": "expected one of rows (with columns, pitch), taxels, file, urdf, layout, got none",
     "rows: 3, columns: 3, pitch: 0.004": "frame: expected the link that the taxels are on, got none",
@@ -140,7 +150,7 @@ def test_a_wrong_layout_is_refused_with_the_line_of_the_rig(rig_with, lines):
 
 
 def test_a_file_of_another_kind_is_refused(rig_with, tmp_path):
-    for content in ("x,y\nz,w\n", "1,2,abc\n", "", "[1, 2", "{}"):
+    for content in ("x,y\nz,w\n", "1,2,abc\n", "", "[1, 2", "{}", "[1, 2]", '[[1, 2, "a"]]', "3"):
         (tmp_path / "a.csv").write_text(content)
         (tmp_path / "a.json").write_text(content)
         for name in ("a.csv", "a.json"):

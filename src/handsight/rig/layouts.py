@@ -51,12 +51,10 @@ class Layout(NamedTuple):
     @classmethod
     def of(cls, rows: Any, name: str, unit: float = 1.0, **fields: Any) -> "Layout":
         """Returns the layout of a table: x, y, z of each taxel, then its normal, then its x; raises InvalidInput."""
-        numbers = [len(row) for row in rows] if isinstance(rows, list) else []
-        wrong = next(
-            (k for k, count in enumerate(numbers) if count not in (3, 6, 9) or count != numbers[0]), None
-        )
-        if not numbers or wrong is not None:
-            came = "none" if wrong is None else f"{numbers[wrong]} in row {wrong + 1}"
+        numbers = [len(row) if isinstance(row, list) else 0 for row in rows] if isinstance(rows, list) else []
+        wrong = [k for k, count in enumerate(numbers) if count not in (3, 6, 9) or count != numbers[0]]
+        if not numbers or wrong:
+            came = f"{numbers[wrong[0]]} in row {wrong[0] + 1}" if wrong else "none"
             raise InvalidInput(f"{name}: expected 3, 6 or 9 numbers for each taxel, got {came}")
         table = checks.finite(rows, name, (len(rows), numbers[0]))
         parts: Any = [table[:, k : k + 3] for k in range(3, numbers[0], 3)]
@@ -69,11 +67,8 @@ class Layout(NamedTuple):
         if radius is None:
             flat = [np.tile(np.eye(3)[k], (len(places), 1)) for k in (2, 0)]
             return cls(places, flat[0], flat[1], components, (rows, columns))
-        sine, cosine, zero = (
-            np.sin(places[:, 0] / radius),
-            np.cos(places[:, 0] / radius),
-            np.zeros(len(places)),
-        )
+        angle, zero = places[:, 0] / radius, np.zeros(len(places))
+        sine, cosine = np.sin(angle), np.cos(angle)
         if columns * pitch > 6.3 * radius:
             raise InvalidInput(f"radius: expected one that {columns} columns fit around, got {radius:g}")
         points = np.column_stack([radius * sine, places[:, 1], radius * (cosine - 1)])
