@@ -17,6 +17,7 @@ from handsight._kernels.image import depth_covariance
 from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
+from handsight.copies import shallow_copy
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import UNKNOWN, candidates_at
@@ -126,6 +127,12 @@ class DepthTracker:
         self._start = None if start is None else se3.rounded(start, "start")
         self._belief: _Belief | None = None
         self._searched, self._absent = -np.inf, "not found"
+
+    def restarted(self, stamp: float, T_camera_object: Array) -> "DepthTracker":
+        """Returns a tracker that has followed nothing yet, and looks at a pose only in an image of that stamp [s]."""
+        other = shallow_copy(self)
+        other._start, other._belief, other._searched = se3.rounded(T_camera_object, "start"), None, stamp
+        return other
 
     def update(
         self,
