@@ -118,11 +118,10 @@ def _too_near(
 ) -> str:
     """Returns what a reason ends with where the object would be wider than the image and is found ten times as far."""
     z = float(np.median(scene.depth[scene.depth > 0])) if scene.depth.any() else np.inf
-    wide = model.diameter * scene.camera.matrix[0, 0] > min(scene.camera.size) * z
-    if not wide or 10 * z > REGION.max_range:
+    if model.diameter * scene.camera.matrix[0, 0] < min(scene.camera.size) * z or 10 * z > REGION.max_range:
         return ""
     found = locate(model, 10 * scene.depth, scene.camera, mask=wanted, hand=hand, noise=noise)
-    return "" if found.reason else "; it is found if depth is ten times as large: another unit? (--depth-scale)"
+    return "" if found.reason else "; ten times as far it is found: depth in another unit (--depth-scale)?"
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +193,8 @@ def recognition_of(
     support = odds + [(log_odds(found[name].candidates) + pixels[name] / size).max() for name in detected]
     weights = np.exp(support - support.max(initial=-np.inf))
     some = found[detected[int(weights.argmax())]].probability if detected else 0.0
-    weights *= some / max(weights.sum(), 1.0)
-    scores = dict.fromkeys(found, 0.0) | dict(zip(detected, weights.tolist(), strict=True))
+    shares = (some * weights / max(weights.sum(), 1.0)).tolist()
+    scores = dict.fromkeys(found, 0.0) | dict(zip(detected, shares, strict=True))
     order = sorted(scores, key=lambda name: -scores[name])
     best = f"{order[0]} is the likeliest, with a probability of {scores[order[0]]:.2f}"
     reason = f"nothing there looks like one of them; {best}" if 1 - some >= scores[order[0]] else None

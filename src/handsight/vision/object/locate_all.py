@@ -140,6 +140,8 @@ def _checked_counts(models: Mapping[str, ObjectModel], counts: Mapping[str, int]
     """Returns the most instances of each model whose number is given; raises InvalidInput."""
     if not models:
         raise InvalidInput("models: expected at least one, got none")
+    if not isinstance(counts or {}, Mapping):
+        raise InvalidInput(f"counts: expected a number by name, got {type(counts).__name__}")
     limits = {name: checks.integer(n, f"counts[{name!r}]", 10_000) for name, n in (counts or {}).items()}
     if wrong := next((name for name in limits if name not in models), None):
         raise InvalidInput(f"counts: expected names of models, got {wrong!r:.80}")
