@@ -183,6 +183,23 @@ def test_touch_says_which_of_two_equal_objects_is_in_the_hand(can, twin):
     assert trackers[1].state == "tracking"
 
 
+def test_a_pose_from_outside_counts_where_the_images_do_not_show_the_object(can):
+    """Blank images show nothing; the poses of another estimator come with them, and between them."""
+    rig = rig_with_images(can.rig)
+    images = pictures(rig, can.model, can.samples[:30], every=2, wrong=np.eye(4))
+    blank, shown = hs.Tracker(rig, can.model), hs.Tracker(rig, can.model)
+    T_camera_world = se3.inverse(rig.camera.T_mount_camera)
+    off = se3.compose(np.eye(3), np.array([0.03, 0.0, 0.0]))
+    for observation, sample in zip(images, can.samples, strict=False):
+        T = T_camera_world @ observation.T_world_palm @ sample.T_palm_object
+        depth = observation.depth
+        nothing = None if depth is None else np.full_like(depth, np.nan)
+        blank.update(replace(observation, depth=nothing, vision=PoseMeasurement(T)))
+        shown.update(replace(observation, vision=PoseMeasurement(off @ T)))
+    assert apart(blank.estimate.T_palm_object, can.samples[29].T_palm_object, can.model) < 0.01
+    assert apart(shown.estimate.T_palm_object, can.samples[29].T_palm_object, can.model) < 0.01
+
+
 def apart(T, T_true, model):
     """How far apart the middles of the object at two poses are [m]."""
     return np.linalg.norm((T - T_true)[:3] @ np.append(model.center_object, 1.0))

@@ -282,7 +282,7 @@ class DepthTracker:
         own = pose.covariance - predicted.shared @ predicted.shared.T
         if off @ np.linalg.solve(P - predicted.changed + R, off) < DEPTH_TRACKER.unchanged:
             P, own = P - predicted.changed, own - predicted.changed
-        gain = np.linalg.solve(P + R, P).T
+        gain = self._gain(pose.T_a_b, P, R)
         keep = np.eye(6) - gain
         shared = keep @ predicted.shared + gain @ np.linalg.cholesky(R)
         covariance = keep @ own @ keep.T + shared @ shared.T
@@ -301,6 +301,23 @@ class DepthTracker:
             independent=independent,
             shared=shared,
         )
+
+    def _gain(self, T_camera_object: Array, P: Array, R: Array) -> Array:
+        """Returns the gain (6, 6) of a measurement of the object's origin with covariance R, before which it is P.
+
+        Each eigenvector of R (of shifts, and of radius times turns, of the centre) is weighed by itself. A direction
+        that no point observes is a little different in each image, and Kalman's gain takes two of them for an
+        observation: the object would turn with the noise.
+        """
+        D, radius = self.model.diameter, self.model.radius
+        S = se3.point_jacobian(T_camera_object[:3, :3] @ self.model.center_object)
+        S = S * np.repeat([1.0, radius], 3)[:, None]
+        variances, V = np.linalg.eigh(S @ R @ S.T)
+        # R has what is known without any point, which the image does not say once more.
+        unknown = np.repeat(np.square(UNKNOWN) * D**2, 3) ** -1.0 @ V**2
+        variances = 1 / np.maximum(1 / variances - unknown, 1e-3 * unknown)
+        before = np.einsum("ji,jk,ki->i", V, S @ P @ S.T, V)
+        return np.asarray(np.linalg.solve(S, V * (before / (before + variances))) @ V.T @ S)
 
     def _unknown(self, image: _Image, T_camera_object: Array, *, lost: bool) -> _Belief:
         """Returns the belief that the object is about there, and as good as unknown."""

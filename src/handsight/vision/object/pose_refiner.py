@@ -114,7 +114,7 @@ class PoseRefiner:
         one_point = float(self.noise.sigma(z[:1])[0] ** 2 + self.noise.bias(z[:1])[0] ** 2)
         depth_term.refine_poses(*record, points, stages, self.model.diameter, one_point * known, candidate)
         sides, center = appearance_of(self.model).sides, self.model.center_object
-        pose_score.score_all(self.camera.record, image[1:], sides, center, candidates)
+        pose_score.score_all(self.camera.record, image[1:], sides, center, candidates, pose_score.NOT_ASKED)
         # A little more support is noise, or the model's error: what does not move must not creep.
         gain = 1 + REFINER.creep * np.arange(len(candidates))
         best = int(np.argmax(candidates["explained"] * gain - 2 * candidates["passed"]))
