@@ -373,8 +373,8 @@ def locator(
                 each = {name: _found_beside(frame, model, name, noise)[0] for name, model in asked.items()}
                 if len(models) > 1:
                     extent = LOCATE.max_plane * max(model.diameter for model in asked.values())
-                    scene = scene_of(camera, depth, wanted=mask, hand=hand, extent=extent)
-                    recognition = recognition_of(asked, each, scene)
+                    here = scene_of(camera, depth, wanted=mask, hand=hand, extent=extent)
+                    recognition = recognition_of(asked, each, here)
             else:
                 recognition = recognise(asked, depth, camera, mask=mask, hand=hand, noise=noise)
                 each = recognition.found

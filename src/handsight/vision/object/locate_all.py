@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
+from handsight._kernels.image import pose_score
 from handsight._kernels.image.pose_score import POSE_SCORE
 from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.camera import Camera, Depth
