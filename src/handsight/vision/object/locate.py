@@ -56,8 +56,7 @@ class LocateOptions(NamedTuple):
     max_starts: int = 100
     compared: int = 4000  # pixels of an image by which objects are compared that would explain the same ones
     support: tuple[float, float] = (20.0, 0.033)
-    """Those pixels by which the logarithms of two objects' weights differ by 1, and what is added to them per pixel
-    that any object explains. Rounded from fits to drawn images of seed 300 and to real frames, which agree."""
+    """Pixels by which logarithms of two objects' weights differ by 1, and what is added per pixel that any explains."""
 
 
 LOCATE = LocateOptions()
@@ -98,8 +97,8 @@ def locate(
     given = None if start is None else _checked_starts(start)
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
     if not len(scene.sizes):
-        reason = scene.reason + _too_near(model, scene, wanted, hand, noise)
-        return ObjectDetection.nowhere(reason, None if given is None else _nowhere(given))
+        starts = None if given is None else _nowhere(given)
+        return ObjectDetection.nowhere(scene.reason + _too_near(model, scene, wanted, hand, noise), starts)
     refined = None if given is None else _refined(model, scene, given, noise)
     found = first_pose(model, scene, noise=noise, given=refined, prior=prior)
     if given is not None and refined is not None:
@@ -184,22 +183,21 @@ def recognition_of(
     points = scene.camera.points(scene.depth)[::step, ::step][inside].astype(np.float64)
     pixels, explained = dict[str, Array](), np.zeros(len(points))
     for name in detected:
-        modes = found[name].candidates
-        distances = surface_distances(models[name], points, modes["bound"].max(), modes)
-        each = np.maximum(1 - (distances / modes["bound"][:, None]) ** 2, 0)
+        modes, bound = found[name].candidates, found[name].candidates["bound"][:, None]
+        each = np.maximum(1 - (surface_distances(models[name], points, bound.max(), modes) / bound) ** 2, 0)
         pixels[name], explained = step**2 * each.sum(axis=1), np.maximum(explained, each.max(axis=0))
     size = LOCATE.support[0] + LOCATE.support[1] * step**2 * explained.sum()
-    odds = logit([found[name].probability for name in detected])
-    support = odds + [(log_odds(found[name].candidates) + pixels[name] / size).max() for name in detected]
+    support = logit([found[name].probability for name in detected])
+    support += [(log_odds(found[name].candidates) + pixels[name] / size).max() for name in detected]
     weights = np.exp(support - support.max(initial=-np.inf))
     some = found[detected[int(weights.argmax())]].probability if detected else 0.0
-    shares = (some * weights / max(weights.sum(), 1.0)).tolist()
-    scores = dict.fromkeys(found, 0.0) | dict(zip(detected, shares, strict=True))
+    shares = some * weights / max(weights.sum(), 1.0)
+    scores = dict.fromkeys(found, 0.0) | dict(zip(detected, shares.tolist(), strict=True))
     order = sorted(scores, key=lambda name: -scores[name])
     best = f"{order[0]} is the likeliest, with a probability of {scores[order[0]]:.2f}"
-    reason = f"nothing there looks like one of them; {best}" if 1 - some >= scores[order[0]] else None
-    reason = reason if len(scene.sizes) else scene.reason
-    return Recognition({n: scores[n] for n in order}, 1 - some, {n: found[n] for n in order}, reason)
+    reason = f"nothing there looks like one of them; {best}" if len(scene.sizes) else scene.reason
+    why = reason if 1 - some >= scores[order[0]] else None
+    return Recognition({n: scores[n] for n in order}, 1 - some, {n: found[n] for n in order}, why)
 
 
 def search_mask(camera: Camera, box: Box | None, mask: Mask | None) -> Mask | None:
