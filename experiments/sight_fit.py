@@ -34,6 +34,9 @@ RIGHT = 0.1
 ANYWHERE, BOX, MASK = TOLD
 DRAWN_SHARE = 0.375
 """Weight of a bin of drawn pictures against a real scene's: all bins together count about as much as three scenes."""
+ABSENT = 2.0
+"""Weight of a drawn search for an object that is not there against one that is: what nobody has asked to be claimed
+is worse than what is not answered."""
 PENALTY = 4e-4
 """On the sum of the squared weights, against the mean log likelihood of a search."""
 LEVELS = (0.1, 0.2, 0.3, 0.4, LOCATE.min_probability)
@@ -129,7 +132,8 @@ def fitted(searches: list[Search]) -> Array:
     """Returns the weights (5,) of the largest likelihood, less a penalty on large ones: few scenes cannot tell
     whether touching neighbours, say, never look like a surface that goes on."""
     counts = Counter((one.group, one.there) for one in searches)
-    shares = np.array([(1 if one.real else DRAWN_SHARE) / counts[one.group, one.there] for one in searches])
+    groups = [1 if one.real else DRAWN_SHARE * (1 if one.there else ABSENT) for one in searches]
+    shares = np.array([w / counts[one.group, one.there] for w, one in zip(groups, searches, strict=True)])
 
     def loss(weights: Array) -> float:
         likelihoods = [p[right].sum() for p, right in (of_places(weights, one) for one in searches)]

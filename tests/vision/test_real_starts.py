@@ -40,7 +40,7 @@ def test_given_poses_that_are_right_are_called_so_and_wrong_ones_are_not(most):
             rows.append((judged.right[0], judged.right[1], (judged.right & wrong).sum()))
     truth, near, claimed = np.array(rows, float).T
     assert len(rows) >= 10
-    assert truth.mean() > 0.85
+    assert truth.mean() > 0.8
     assert near.mean() > 0.7
     assert claimed.sum() == 0
 

@@ -69,7 +69,7 @@ BESIDE = (150, 300, 600, 1200)
 TURNED = 3
 """Before this stage the best candidates are also turned to where the surface is nearly the same."""
 
-EVIDENCE = np.array([-3.1, 8.56, -2.84, -6.3, -8.77])
+EVIDENCE = -3.71, 8.82, -2.23, -6.47, -8.38
 """The weights of the columns of `evidence_of` in the log odds that the object is there (`experiments/sight_fit.py`)."""
 
 
