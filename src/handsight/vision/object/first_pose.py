@@ -199,19 +199,28 @@ def slid(
 
     Points on walls do not tell where the walls end: pixels do that see past them, and those that are explained.
     """
-    T, center = poses_of(candidate)[0], model.center_object
     covariance = pose_covariances(model, scene.camera, observed, candidate, noise)[0]
-    units = np.repeat([1.0, model.radius], 3)  # radius times a turn is a shift
-    covariance = GaussianPose(T, covariance).at_point(center).covariance * np.outer(units, units)
-    least = np.linalg.eigh(covariance)[1][:, -1 - len(model.symmetries.axes)] / units
-    steps = model.diameter * np.array(FIRST_POSE.slides)[:, None] * least
-    R = se3.rotation_exp(steps[:, 3:]) @ T[:3, :3]
-    tried = np.repeat(candidate, len(steps))
-    tried["pose"]["rotation"] = R
-    tried["pose"]["position"] = T[:3, :3] @ center + T[:3, 3] + steps[:, :3] - R @ center
+    tried, _ = slides_of(model, candidate, covariance)
     score_candidates(model, scene, tried)
     best = int(tried["score"].argmax())
     return tried[best : best + 1]
+
+
+def slides_of(
+    model: ObjectModel, candidate: Candidates, covariance: Array, rank: int = 1
+) -> tuple[Candidates, Array]:
+    """Returns CANDIDATE (s,) that are CANDIDATE (1,) slid along the direction that its covariance (6, 6) knows least
+    (by rank: second least), and the derivative (6,) of how far [m] by (δp, δθ) of the object's origin."""
+    T, center = poses_of(candidate)[0], model.center_object
+    J = se3.point_jacobian(T[:3, :3] @ center)
+    J[3:] *= model.radius  # radius times a turn is a shift
+    least = np.linalg.eigh(J @ covariance @ J.T)[1][:, -rank - len(model.symmetries.axes)]
+    steps = model.diameter * np.array(FIRST_POSE.slides)[:, None] * least
+    R = se3.rotation_exp(steps[:, 3:] / model.radius) @ T[:3, :3]
+    tried = np.repeat(candidate, len(steps))
+    tried["pose"]["rotation"] = R
+    tried["pose"]["position"] = T[:3, :3] @ center + T[:3, 3] + steps[:, :3] - R @ center
+    return tried, J.T @ least
 
 
 def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *, effort: int = -1) -> None:
