@@ -13,7 +13,7 @@ NAMED = os.environ.get("HANDSIGHT_DATA")
 DATA = Path(NAMED) if NAMED else Path(__file__).parents[3] / "shared" / "data"
 
 
-@pytest.mark.parametrize("name", ["sight_real", "sight_frames", "sight_following"])
+@pytest.mark.parametrize("name", ["sight_real", "sight_frames", "sight_following", "sight_held"])
 def test_without_data_the_program_says_so(name, tmp_path, monkeypatch):
     monkeypatch.setenv("HANDSIGHT_DATA", str(tmp_path))
     told = printed(name, tmp_path / "output")

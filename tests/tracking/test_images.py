@@ -40,8 +40,13 @@ def seen(can):
     return rig, pictures(rig, can.model, can.samples, every=5)
 
 
-def pictures(rig, model, samples, *, every, late=0, wrong=WRONG, way=lambda stamp: np.zeros(3)):
-    """Observations with drawn images; `way(stamp)`: where the hand, the object in it, has gone by then [m]."""
+def pictures(rig, model, samples, *, every, late=0, wrong=WRONG, way=lambda stamp: np.zeros(3), twin=None):
+    """Observations with drawn images; `way(stamp)`: where the hand, the object in it, has gone by then [m].
+
+    `twin`: how far from the object, as it first stands, another like it stands [m]; None: there is none.
+    """
+    beside = samples[0].observation.T_world_palm @ samples[0].T_palm_object
+    beside[:3, 3] += np.zeros(3) if twin is None else twin
     camera, shape = Camera.of(rig.camera), rig.hand.shape()
     T_camera_world = se3.inverse(rig.camera.T_mount_camera) @ wrong
     rng, out, taken = np.random.default_rng(0), [], []
@@ -52,6 +57,7 @@ def pictures(rig, model, samples, *, every, late=0, wrong=WRONG, way=lambda stam
             (T_world_palm, shape.vertices_palm(observation.joint_positions), shape.faces),
             (T_world_palm @ sample.T_palm_object, model.vertices, model.faces),
             (np.eye(4), TABLE, SQUARE),
+            *([] if twin is None else [(beside, model.vertices, model.faces)]),
         ]
         vertices, faces, count = [], [], 0
         for T, points, triangles in parts:
@@ -160,6 +166,43 @@ def test_touch_is_fused_with_images(can, seen):
     expected = WRONG[:3, :3] @ tracker.smoother.pivot  # where the truth's pivot is seen
     off = expected + WRONG[:3, 3] - tracker.smoother.pivot - bias[:3]
     assert np.linalg.norm(off) < 4 * np.sqrt(covariance.diagonal()[:3].sum()) < 0.05
+
+
+@pytest.mark.parametrize("twin", [(0.0, -0.15, 0.0), (0.15, 0.0, 0.0)])
+def test_touch_says_which_of_two_equal_objects_is_in_the_hand(can, twin):
+    """Both stand in view, and images alone follow the one that is not gripped."""
+    rig = rig_with_images(can.rig)
+    images = pictures(rig, can.model, can.samples, every=2, twin=np.array(twin))
+    trackers = hs.Tracker(rig, can.model), hs.Tracker(rig, can.model)
+    for observation, sample in zip(images, can.samples, strict=True):
+        trackers[0].update(observation)
+        trackers[1].update(replace(observation, wrenches=sample.observation.wrenches))
+    off = [apart(each.estimate.T_palm_object, can.samples[-1].T_palm_object, can.model) for each in trackers]
+    assert off[0] > 0.14
+    assert off[1] < 0.004
+    assert trackers[1].state == "tracking"
+
+
+def test_a_pose_from_outside_counts_where_the_images_do_not_show_the_object(can):
+    """Blank images show nothing; the poses of another estimator come with them, and between them."""
+    rig = rig_with_images(can.rig)
+    images = pictures(rig, can.model, can.samples[:30], every=2, wrong=np.eye(4))
+    blank, shown = hs.Tracker(rig, can.model), hs.Tracker(rig, can.model)
+    T_camera_world = se3.inverse(rig.camera.T_mount_camera)
+    off = se3.compose(np.eye(3), np.array([0.03, 0.0, 0.0]))
+    for observation, sample in zip(images, can.samples, strict=False):
+        T = T_camera_world @ observation.T_world_palm @ sample.T_palm_object
+        depth = observation.depth
+        nothing = None if depth is None else np.full_like(depth, np.nan)
+        blank.update(replace(observation, depth=nothing, vision=PoseMeasurement(T)))
+        shown.update(replace(observation, vision=PoseMeasurement(off @ T)))
+    assert apart(blank.estimate.T_palm_object, can.samples[29].T_palm_object, can.model) < 0.01
+    assert apart(shown.estimate.T_palm_object, can.samples[29].T_palm_object, can.model) < 0.01
+
+
+def apart(T, T_true, model):
+    """How far apart the middles of the object at two poses are [m]."""
+    return np.linalg.norm((T - T_true)[:3] @ np.append(model.center_object, 1.0))
 
 
 def test_images_are_not_used_if_switched_off_or_without_intrinsics(can, seen):

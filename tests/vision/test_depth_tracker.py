@@ -223,6 +223,21 @@ def test_a_jug_whose_handle_is_hidden_stays_uncertain_and_a_can_is_not():
         assert set(states[5:]) == {"uncertain" if name == "jug" else "tracking"}, name
 
 
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_turn_that_no_image_shows_stays_where_it_was_and_is_not_known(seed):
+    """The directions that two images do not observe differ by noise: together they must not seem to observe the turn."""
+    table, followed = Table(seed, jug()), hs.ObjectModel.from_mesh(*jug())
+    eye = se3.inverse(table.T_camera_table)[:3, 3]
+    T = table.T_camera_table @ at(turn=np.arctan2(eye[1], eye[0]) + np.pi)  # the handle behind the body
+    tracker = DepthTracker(followed, CAMERA, start=T)
+    for k in range(30):
+        sighting = tracker.update(k * DT, table.depth(se3.inverse(table.T_camera_table) @ T))
+        turned = (T[:3, :3].T @ sighting.T_camera_object[:3, :3])[1, 0]
+        assert abs(turned) < np.sin(np.deg2rad(3))
+        axis = T[:3, 2]
+        assert axis @ sighting.covariance[3:, 3:] @ axis > 0.5**2
+
+
 def test_a_late_image_is_answered_and_changes_nothing():
     table = Table(6)
     first, second = table.tracker(at()), table.tracker(at())

@@ -282,7 +282,7 @@ def test_explained_pixels_are_those_of_the_silhouette():
         scene = scene_of(CAMERA, np.where(np.isfinite(depth), depth, 0), wanted=labels == 0)
         look, sides = candidates_at(T[None]), appearance_of(model()).sides
         look["bound"], image = 0.006, (scene.depth, scene.labels)
-        pose_score.score_all(CAMERA.record, image, sides, model().center_object, look)
+        pose_score.score_all(CAMERA.record, image, sides, model().center_object, look, pose_score.NOT_ASKED)
         assert look["explained"][0] == pytest.approx((labels == 0).sum(), rel=0.15)
         assert look["passed"][0] + look["hidden"][0] < 0.1 * look["expected"][0]
 
@@ -295,7 +295,7 @@ def test_nothing_is_under_the_table():
     lifts = [T_camera_table[:3, :3] @ [0.08, 0.08, height] for height in (0.05, -0.12)]
     looks = candidates_at(np.stack([T] + [se3.compose(np.eye(3), lift) @ T for lift in lifts]))
     looks["bound"], image = 0.006, (scene.depth, scene.labels)
-    pose_score.score_all(CAMERA.record, image, sides, model().center_object, looks)
+    pose_score.score_all(CAMERA.record, image, sides, model().center_object, looks, pose_score.NOT_ASKED)
     share = looks["passed"] / looks["expected"]
     assert share[0] < 0.15
     assert share[1:].min() > 0.8
@@ -344,7 +344,14 @@ def share_beside(model, T, depth):
     candidate, sides = candidates_at(T[None]), appearance_of(model).sides
     scene = scene_of(CAMERA, depth, extent=1.5 * model.diameter)
     candidate["bound"] = 0.006
-    pose_score.score_all(CAMERA.record, (scene.depth, scene.labels), sides, model.center_object, candidate)
+    pose_score.score_all(
+        CAMERA.record,
+        (scene.depth, scene.labels),
+        sides,
+        model.center_object,
+        candidate,
+        pose_score.NOT_ASKED,
+    )
     assert candidate["unexplained"][0] == 0
     image, before = (CAMERA.rays, scene.depth, scene.labels), candidate["score"][0]
     outline.follow_outlines(CAMERA.record, model.record[:2], image, 1500, candidate)
@@ -382,7 +389,14 @@ def test_what_is_out_of_the_image_is_no_evidence():
     shifted[0, 3] += 160 / 300 * T[2, 3]  # its centre is on the image's edge, or beyond
     candidates = candidates_at(np.stack([T, shifted]))
     candidates["bound"], sides = 0.006, appearance_of(model).sides
-    pose_score.score_all(CAMERA.record, (scene.depth, scene.labels), sides, model.center_object, candidates)
+    pose_score.score_all(
+        CAMERA.record,
+        (scene.depth, scene.labels),
+        sides,
+        model.center_object,
+        candidates,
+        pose_score.NOT_ASKED,
+    )
     assert 0.4 < candidates["expected"][1] / candidates["expected"][0] < 1
 
 

@@ -13,7 +13,7 @@ from handsight.objects import propose_symmetries
 from handsight.vision import STRUCTURED_LIGHT
 from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, poses_of
 from handsight.vision.object.appearance import appearance_of
-from handsight.vision.object.first_pose import first_pose, slid
+from handsight.vision.object.first_pose import first_pose, slid, spread_of_modes
 from handsight.vision.object.region import observed_points, scene_of
 from sight_scenes import CAMERA, bowl, drawn, looking, mssd, mug, noisy, on_table
 
@@ -149,6 +149,25 @@ def test_a_handle_that_is_visible_decides_and_one_that_is_hidden_does_not():
     assert np.mean(right) > 0.75
     assert len(sure) > 1
     assert max(sure) < 0.7, sure
+
+
+def test_a_mode_is_as_wide_as_the_spins_that_fit_as_well_and_turns_of_a_box_are_modes_by_themselves():
+    """Small steps lead from each spin of a mug to the others; a far one, or one at another place, is not meant."""
+
+    def spread(model, angles, places=(0, 0, 0, 0)):
+        turns = np.deg2rad(angles)[:, None] * np.array([0, 0, 1.0])
+        T = se3.compose(np.eye(3), np.array([0, 0, 0.5]))
+        Ts = T @ se3.compose(se3.rotation_exp(turns), np.zeros((len(turns), 3)))
+        return spread_of_modes(model, Ts, np.full(len(Ts), 1 / len(Ts)), np.array(places))
+
+    near, far = np.deg2rad([20.0, 40.0])
+    found = spread(shell("mug"), [0, 20, 40, 180])
+    assert found[:, 5, 5] == pytest.approx(
+        [(near**2 + far**2) / 3, 2 * near**2 / 3, (near**2 + far**2) / 3, 0]
+    )
+    assert spread(shell("mug"), [0, 20, 40, 180], (0, 1, 1, 1))[0] == pytest.approx(0)
+    box = hs.ObjectModel.box((0.05, 0.053, 0.08))
+    assert spread(box, [0, 90, 180, 270]) == pytest.approx(0, abs=1e-9)
 
 
 def test_a_pose_slides_to_where_walls_end():

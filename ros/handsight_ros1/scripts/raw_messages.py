@@ -17,7 +17,9 @@ def ros2_name(kind):
 
 def heard(topic, message, now):
     """Returns the raw message of an AnyMsg that came `now` [s]."""
-    return RawMessage(topic, ros2_name(message._connection_header["type"]), "ros1", now, message._buff)
+    header = message._connection_header
+    kind, definition = ros2_name(header["type"]), header.get("message_definition", "")
+    return RawMessage(topic, kind, "ros1", now, message._buff, definition)
 
 
 def bytes_of(kind):

@@ -4,7 +4,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -182,11 +182,9 @@ def locate(
     if is_recording(images):
         if csv:
             raise InvalidInput("--output: expected JSON lines of a recording, got BOP's .csv")
-        if depth_camera is not None:
-            raise InvalidInput(f"--depth-camera: expected beside depth images, got it beside {images}")
-        for option, given in (("detections", detections), ("start", start), ("targets", targets)):
-            if given is not None:
-                raise InvalidInput(f"--{option}: expected beside depth images, got it beside {images}")
+        alone = {"depth-camera": depth_camera, "detections": detections, "start": start, "targets": targets}
+        for option in (option for option, given in alone.items() if given is not None):
+            raise InvalidInput(f"--{option}: expected beside depth images, got it beside {images}")
         robot, rig_path = find_rig(images, rig)
         models = find_models(names, robot, rig_path)
         noise = STRUCTURED_LIGHT if robot.camera is None else PRESETS[robot.camera.depth_camera]
@@ -372,7 +370,7 @@ def locator(
         if counts is None or (len(models) == 1 and not counts and max(most.values(), default=1) == 1):
             recognition = None
             if beside or len(models) == 1:
-                each = {name: _found_beside(frame, model, name, noise) for name, model in asked.items()}
+                each = {name: _found_beside(frame, model, name, noise)[0] for name, model in asked.items()}
                 recognition = None if len(models) == 1 else recognition_of(each)
             else:
                 recognition = recognise(asked, depth, camera, mask=mask, hand=hand, noise=noise)
@@ -383,7 +381,9 @@ def locator(
                 frame=frame, model=model, found=each[name], seconds=seconds, recognition=recognition
             )
         if beside:
-            found = {name: _each_beside(frame, model, name, noise) for name, model in asked.items()}
+            found = {
+                name: _found_beside(frame, model, name, noise, each=True) for name, model in asked.items()
+            }
         scene = locate_all(asked, depth, camera, counts=most, found=found, mask=mask, hand=hand, noise=noise)
         judged = {name: each[0].starts for name, each in (found or {}).items() if each}
         starts = {name: one for name, one in judged.items() if one is not None}
@@ -393,31 +393,29 @@ def locator(
     return locate_in
 
 
-def _each_beside(
-    frame: "Frame", model: "ObjectModel", name: str, noise: "DepthNoise"
+def _found_beside(
+    frame: "Frame", model: "ObjectModel", name: str, noise: "DepthNoise", *, each: bool = False
 ) -> "list[ObjectDetection]":
-    """Returns where an object is by each of the detections in an image, or by the poses that were given."""
-    from handsight.vision.object.first_pose_source import MAX_DETECTIONS
-
-    if frame.detections is None:
-        return [_found_beside(frame, model, name, noise)]
-    mine = [each for each in frame.detections if each.label in ("", name)]
-    best = sorted(mine, key=lambda each: -(each.score or 1.0))[:MAX_DETECTIONS]
-    return [_found_beside(replace(frame, detections=(each,)), model, name, noise) for each in best]
-
-
-def _found_beside(frame: "Frame", model: "ObjectModel", name: str, noise: "DepthNoise") -> "ObjectDetection":
-    """Returns where an object is in an image, by what other programs say of it."""
+    """Returns where an object is in an image by what other programs say of it: the likeliest place, or, with `each`,
+    that of each of the best detections by itself."""
     from handsight.observation import Detection2D
     from handsight.vision import locate_detected
+    from handsight.vision.object.first_pose_source import MAX_DETECTIONS
 
-    detections, start = frame.detections, (frame.starts or {}).get(name)
-    anywhere = (Detection2D(),)
-    mine = [each for each in (anywhere if detections is None else detections) if each.label in ("", name)]
-    camera, mask, hand = frame.camera, frame.wanted, frame.hand
-    return locate_detected(
-        model, frame.depth, camera, detections=mine, mask=mask, start=start, hand=hand, noise=noise
+    known = (Detection2D(),) if frame.detections is None else frame.detections
+    mine = sorted((one for one in known if one.label in ("", name)), key=lambda one: -(one.score or 1.0))
+    groups = [[one] for one in mine[:MAX_DETECTIONS]] if each else [mine]
+    located = partial(
+        locate_detected,
+        model,
+        frame.depth,
+        frame.camera,
+        mask=frame.wanted,
+        start=(frame.starts or {}).get(name),
+        hand=frame.hand,
+        noise=noise,
     )
+    return [located(detections=group) for group in groups]
 
 
 def draw(panels: "Sequence[Located | LocatedAll]", path: Path) -> str:

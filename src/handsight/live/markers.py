@@ -80,8 +80,7 @@ class Markers:
                 yield self._marker("open", ARROW, stamp, (0.003, 0.008, 0.01), RED, ends, number=k)
                 continue
             axis = turn / np.linalg.norm(turn)
-            side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-            side *= 1.2 * model.radius / np.linalg.norm(side)
+            side = 1.2 * model.radius * se3.perpendicular(axis)
             angles = np.linspace(0, 1.5 * np.pi, 40)[:, None]
             arc = at[:3, 3] + np.cos(angles) * side + np.sin(angles) * np.cross(axis, side)
             yield self._marker("open", LINE_STRIP, stamp, (0.003, 0, 0), RED, arc, number=k)

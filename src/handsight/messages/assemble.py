@@ -66,7 +66,7 @@ class ObservationAssembler:
             self._joints[tuple(measurement.value)] = measurement
             self.due = stamp
         elif topic.role == "wrench":
-            finger = topic.finger
+            finger = measurement.part
             sensor = self._sensors.setdefault(finger, WrenchSensor())
             full = self._rig.fingers[finger].full_scale if finger in self._rig.fingers else None
             fault = sensor.read(measurement.value, stamp, full, self._sensors.values())
@@ -77,7 +77,7 @@ class ObservationAssembler:
                 self._report.fingers[finger] = f"{fault}: a dead sensor? left out"
                 topic.used, topic.stuck = topic.used - 1, topic.stuck + 1
         elif topic.role in self._touch:
-            self._touch[topic.role][topic.finger] = stamp, measurement.value
+            self._touch[topic.role][measurement.part] = stamp, measurement.value
         elif topic.role == "tf":
             self.tree.put(measurement.value, stamp)
         elif topic.role == "truth":

@@ -307,4 +307,4 @@ def publisher_of(measurement: Measurement) -> tuple[str, tuple[str, ...]]:
     topic, value = measurement.topic, measurement.value
     if topic.role == "joints":
         return topic.name, tuple(value)
-    return topic.name, value[:2] if topic.role == "tf" else ()
+    return topic.name, value[:2] if topic.role == "tf" else (measurement.part,)

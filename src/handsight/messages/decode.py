@@ -12,25 +12,19 @@ import numpy as np
 
 from handsight.checks import MAX_DISTANCE, MAX_LOAD, Array
 from handsight.errors import InvalidInput, MissingExtra
-from handsight.messages import images
+from handsight.messages import definitions, images
+from handsight.messages.contacts import contacts
 from handsight.messages.detections import DEFINITIONS, KINDS, detections
 from handsight.messages.fast import FastReader, StampedTransform
+from handsight.messages.taxels import readings
 from handsight.messages.topics import MessageRejected, RawMessage, Role, RosMessage, RosType, TopicReport
-from handsight.observation import VISION_FRAMES, ContactMeasurement, PoseMeasurement
+from handsight.observation import VISION_FRAMES, PoseMeasurement
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-
-SHADOW_CONTACT = """\
-std_msgs/Header header
-geometry_msgs/Vector3 tangential_force
-geometry_msgs/Point contact_position
-geometry_msgs/Vector3 contact_normal
-float64 f_normal
-float64 l_torque
-"""
-"""Definition of ShadowContactStateStamped; its vectors are in the fingertip's frame if the header names none."""
+MAX_DEFINITION = 1 << 16
+"""Length of the longest definition of a type that is read [characters]."""
 
 
 @dataclass(slots=True, eq=False)
@@ -44,9 +38,11 @@ class Measurement:
     log_time: float
     """When it was recorded or received [s]."""
     value: Any
-    """By the topic's role. joints: positions by name. wrench: (6,). contact: `ContactMeasurement` or None. skin:
-    (rows, columns). vision: `PoseMeasurement`. truth: (4, 4). color, depth, mask: image. detections: `Detection2D`s.
+    """By the topic's role. joints: positions by name. wrench: (6,). contact: `ContactMeasurement` or None. skin: the
+    readings. vision: `PoseMeasurement`. truth: (4, 4). color, depth, mask: image. detections: `Detection2D`s.
     info: `Camera`. tf: parent, child, `T_parent_child` (4, 4)."""
+    part: str = ""
+    """The finger of a wrench or a contact, or the tactile surface."""
     restarts: bool = False
     """Whether it is the first measurement of all, or the first after the clock of the joint states was set back."""
 
@@ -62,16 +58,16 @@ def decode(
     frames: Mapping[str, str],
     fast: Mapping[str, FastReader] | None = None,
 ) -> list[Measurement]:
-    """Returns the measurements in a message: none, one, or one for each transform of /tf.
+    """Returns the measurements in a message: none, one, or one for each transform of /tf, finger or tactile surface.
 
-    Each is counted as a message of the topic; a message that cannot be used is counted with its reason. `frames`: the
-    frame ids of world, palm and camera. `fast`: a reader for each encoding, to be kept from message to message. Raises
+    Each is counted as a message of the topic; what cannot be used is counted with its reason. `frames`: the frame ids
+    of world, palm and camera. `fast`: a reader for each encoding, to be kept from message to message. Raises
     MissingExtra.
     """
     role, reader = topic.role, fast.get(raw.encoding) if fast else None
     value: object
     try:
-        if raw.type not in topic.expected:
+        if not topic.accepts(raw):
             raise MessageRejected(f"expected {' or '.join(topic.expected)}, got {raw.type or 'no type'}")
         if role in ("tf", "tf_static"):
             return _transforms(raw, topic, reader)
@@ -83,13 +79,36 @@ def decode(
             message = _deserialized(raw)
             # A message without a header has stamp 0, and gets its log time later.
             stamp = _seconds(message) if hasattr(message, "header") else 0.0
+            if role == "skin":
+                return _surfaces(raw, message, topic, stamp)
+            if role == "contact":
+                found = contacts(message, topic.tips, frames["palm"])
+                topic.messages += len(found)
+                stamp = stamp or max(
+                    (_seconds(each) for each in getattr(message, "contacts", ())), default=0.0
+                )
+                return [Measurement(topic, stamp, raw.log_time, each, finger) for finger, each in found]
             value = READERS[role](message, topic, frames)
         topic.messages += 1
-        return [Measurement(topic, stamp, raw.log_time, value)]
+        return [Measurement(topic, stamp, raw.log_time, value, topic.finger)]
     except (MessageRejected, InvalidInput) as error:
         topic.messages += 1
         topic.reject(error if isinstance(error, MessageRejected) else MessageRejected(str(error)))
         return []
+
+
+def _surfaces(raw: RawMessage, message: RosMessage, topic: TopicReport, stamp: float) -> list[Measurement]:
+    """Returns the readings of each tactile surface in a message; those that cannot be used are rejected."""
+    found = list[Measurement]()
+    for source in topic.surfaces:
+        topic.messages += 1
+        try:
+            values, own = readings(message, source)
+            found.append(Measurement(topic, stamp or own, raw.log_time, values, source.name))
+        except (MessageRejected, InvalidInput) as error:
+            of = f"skin {source.name}: " if len(topic.surfaces) > 1 else ""
+            topic.reject(MessageRejected(f"{of}{error}", nan=getattr(error, "nan", False)))
+    return found
 
 
 def _transforms(raw: RawMessage, topic: TopicReport, reader: FastReader | None) -> list[Measurement]:
@@ -116,12 +135,12 @@ def _transforms(raw: RawMessage, topic: TopicReport, reader: FastReader | None) 
 
 
 def _deserialized(raw: RawMessage) -> RosMessage:
-    store = typestore(raw.encoding)
     kind = RosType.TF if raw.type == RosType.TF_ROS1 else raw.type
     expected = f"expected a {kind}, got {len(raw.data)} bytes that are none"
     # The shortest message is a count. There may be many empty ones, and errors of rosbags are slow.
     if len(raw.data) < 4:
         raise MessageRejected(expected)
+    store = _store_of(raw)
     reason = ""
     for layout in KINDS[raw.encoding] if raw.type == RosType.DETECTIONS else (kind,):
         try:
@@ -134,20 +153,52 @@ def _deserialized(raw: RawMessage) -> RosMessage:
     raise MessageRejected(f"{expected} ({reason})")
 
 
+def _store_of(raw: RawMessage) -> "Typestore":
+    """Returns types with that of a message: as its own definition says, if it is no type of ROS itself."""
+    store = typestore(raw.encoding)
+    if raw.definition and (raw.type in definitions.DEFINITIONS or raw.type not in store.types):
+        return _defined(raw.encoding, raw.type, raw.definition)
+    return store
+
+
+@lru_cache(64)
+def _defined(encoding: str, kind: str, definition: str) -> "Typestore":
+    """Returns rosbags' types with one that a definition gives, and those it is made of; raises MessageRejected."""
+    typesys = rosbags_module("rosbags.typesys")
+    if len(definition) > MAX_DEFINITION:
+        raise MessageRejected(f"expected a definition of {kind} within {MAX_DEFINITION} characters")
+    store: Typestore = typesys.get_typestore(_stores()[encoding])
+    idl = definition.lstrip().startswith(("====", "module", "#include", "//")) and "struct" in definition
+    try:
+        types = (
+            typesys.get_types_from_idl(definition) if idl else typesys.get_types_from_msg(definition, kind)
+        )
+        store.register({name: each for name, each in types.items() if name not in store.types})
+    except Exception as error:  # a parser that raises anything: the text is no definition
+        raise MessageRejected(
+            f"expected a definition of {kind}, got one that is none ({str(error)[:80]})"
+        ) from None
+    return store
+
+
 @lru_cache
 def typestore(encoding: str) -> "Typestore":
     """Returns rosbags' message types for an encoding, `cdr` or `ros1`; raises MessageRejected, MissingExtra."""
     typesys = rosbags_module("rosbags.typesys")
-    stores = {"cdr": typesys.Stores.ROS2_HUMBLE, "ros1": typesys.Stores.ROS1_NOETIC}
-    if encoding not in stores:
+    if encoding not in _stores():
         raise MessageRejected(f"expected messages encoded as cdr or ros1, got {encoding[:20]!r}")
-    store: Typestore = typesys.get_typestore(stores[encoding])
+    store: Typestore = typesys.get_typestore(_stores()[encoding])
     if RosType.TF not in store.types:  # ROS 1's own messages have only its predecessor
         store.register(typesys.get_types_from_msg("geometry_msgs/TransformStamped[] transforms", RosType.TF))
-    store.register(typesys.get_types_from_msg(SHADOW_CONTACT, RosType.CONTACT))
-    for kind, definition in DEFINITIONS[encoding].items():
+    for kind, definition in (DEFINITIONS[encoding] | definitions.DEFINITIONS).items():
         store.register(typesys.get_types_from_msg(definition, kind))
     return store
+
+
+def _stores() -> dict[str, Any]:
+    """Returns rosbags' sets of types, by encoding; raises MissingExtra."""
+    stores = rosbags_module("rosbags.typesys").Stores
+    return {"cdr": stores.ROS2_HUMBLE, "ros1": stores.ROS1_NOETIC}
 
 
 def rosbags_module(name: str) -> ModuleType:
@@ -243,54 +294,9 @@ def _pose(message: RosMessage, topic: TopicReport, frames: Mapping[str, str]) ->
     return measured.T_frame_object
 
 
-def _contact(message: RosMessage, tip: str, palm: str) -> ContactMeasurement | None:
-    """Returns the contact of a ShadowContactStateStamped; None: nothing is touched.
-
-    `tip`: the body that the fingertip moves with; `palm`: the palm's frame id.
-    """
-    p, n = message.contact_position, message.contact_normal
-    point, normal, force = np.array([p.x, p.y, p.z]), np.array([n.x, n.y, n.z]), float(message.f_normal)
-    if not np.isfinite([*point, *normal, force]).all():
-        raise MessageRejected("position, normal or force is not finite", nan=True)
-    named = message.header.frame_id.lstrip("/")
-    frame = {"": "tip", palm.lstrip("/"): "palm", tip: tip}.get(named)
-    if frame is None:
-        valid = f"none (the tip's own), {tip!r}, {palm!r}"
-        raise MessageRejected(f"unknown frame {named[:60]!r}; valid: {valid}")
-    return ContactMeasurement(point, normal, frame, force) if force > 0 and normal.any() else None
-
-
-def _taxel_reading(message: RosMessage, shape: tuple[int, int]) -> Array:
-    """Returns (rows, columns) of a Float32MultiArray or an Image; NaN where a taxel has no finite reading.
-
-    The numbers are row by row from the grid's corner at -x, -y; an array's layout may state the shape or be empty.
-    """
-    expected = f"expected {shape[0]} x {shape[1]} taxels"
-    if hasattr(message, "encoding"):
-        pixels = images.values(message, ("mono8", "8UC1", "mono16", "16UC1", "32FC1"))
-        values = pixels[..., 0].astype(np.float64)
-        if values.shape != shape:
-            raise MessageRejected(f"{expected}, got {values.shape[0]} x {values.shape[1]}")
-    else:
-        sizes = [int(each.size) for each in message.layout.dim]
-        sizes = [size for size in sizes if size != 1] if len(sizes) > 2 else sizes
-        data = np.asarray(message.data, dtype=np.float64)[int(message.layout.data_offset) :]
-        if len(sizes) == 2 and tuple(sizes) != shape:
-            raise MessageRejected(f"{expected}, got {sizes[0]} x {sizes[1]}")
-        if len(data) != shape[0] * shape[1]:
-            raise MessageRejected(f"{expected}, got {len(data)} numbers")
-        values = data.reshape(shape)
-    values = np.where(np.isfinite(values), values, np.nan)
-    if np.isnan(values).all():
-        raise MessageRejected("no taxel has a finite reading", nan=True)
-    return values
-
-
 READERS: dict[Role, Callable[[RosMessage, TopicReport, Mapping[str, str]], object]] = {
     "joints": lambda message, *_: _positions(message.name, message.position.tolist()),
     "wrench": lambda message, *_: _wrench((*_xyz(message.wrench.force), *_xyz(message.wrench.torque))),
-    "contact": lambda message, topic, frames: _contact(message, topic.body, frames["palm"]),
-    "skin": lambda message, topic, _: _taxel_reading(message, topic.shape),
     "vision": _pose,
     "truth": _pose,
     "color": lambda message, *_: images.color(message),

@@ -161,7 +161,7 @@ def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -
         known = report.topics.get(topic)
         if known is None:
             lacking.append(f"{what} on {topic}{_nearest(topic, report.others)}")
-        elif known.type not in known.expected:
+        elif known.type not in known.expected and not known.used:
             expected = " or ".join(known.expected)
             lacking.append(f"{what} on {topic}: expected {expected}, got {known.type or 'no type'}")
         elif report.ended and not known.messages:

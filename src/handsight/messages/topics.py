@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, Protocol
 
+from handsight.messages.definitions import CONTACTS, PLAIN_TAXELS, SHADOW, TAXELS
 from handsight.rig import Rig
 
 Role = Literal[
@@ -29,7 +30,7 @@ class RosType:
 
     JOINTS = "sensor_msgs/msg/JointState"
     WRENCH = "geometry_msgs/msg/WrenchStamped"
-    CONTACT = "sr_robot_msgs/msg/ShadowContactStateStamped"
+    CONTACT = SHADOW
     ARRAY = "std_msgs/msg/Float32MultiArray"
     POSE = "geometry_msgs/msg/PoseStamped"
     POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -75,6 +76,17 @@ class RosMessage(Protocol):
         """Returns the field of that name; raises AttributeError where the type has none."""
 
 
+class TaxelSource(NamedTuple):
+    """A `TaxelSource` says where a tactile surface's readings are in a message."""
+
+    name: str
+    """The surface's."""
+    field: str
+    """Path into the message; empty: the message is nothing but the readings."""
+    shape: tuple[int, ...]
+    """Of its readings, such as rows and columns."""
+
+
 class RawMessage(NamedTuple):
     """A `RawMessage` is one serialised message of a file or of a running robot."""
 
@@ -86,6 +98,8 @@ class RawMessage(NamedTuple):
     log_time: float
     """When it was recorded or received [s]."""
     data: bytes
+    definition: str = ""
+    """The definition of its type, as the recording or the publisher gives it; empty: not given."""
 
 
 class MessageRejected(Exception):
@@ -100,7 +114,8 @@ class MessageRejected(Exception):
 class TopicReport:
     """A `TopicReport` counts the messages of one topic, or the transforms of /tf.
 
-    Once no message waits any more, `messages` is the sum of the counts from `used` to `stuck`.
+    Once no message waits any more, `messages` is the sum of the counts from `used` to `stuck`. A message about several
+    fingers or tactile surfaces counts once for each.
     """
 
     name: str
@@ -109,11 +124,11 @@ class TopicReport:
     expected: tuple[str, ...]
     """The types that its messages may have."""
     finger: str = ""
-    """The finger of a wrench or a contact, or the name of a tactile array."""
-    body: str = ""
-    """The body of the hand to which the fingertip of a contact is fixed."""
-    shape: tuple[int, int] = (0, 0)
-    """Rows and columns of a tactile array."""
+    """The finger of a wrench."""
+    tips: dict[str, str] = field(default_factory=dict)
+    """The body to which the fingertip of a contact is fixed, by finger."""
+    surfaces: tuple[TaxelSource, ...] = ()
+    """Where the readings of tactile surfaces are in a message."""
     type: str = ""
     messages: int = 0
     used: int = 0
@@ -144,6 +159,11 @@ class TopicReport:
     """Whether the difference was added to its stamps, because they are of another clock."""
     unstamped: bool = False
     """Whether its stamps are all 0, so that log times are used instead."""
+
+    def accepts(self, raw: RawMessage) -> bool:
+        """Returns whether a message is of a type that is expected here, or has a path into it and its definition."""
+        paths = any(surface.field for surface in self.surfaces)
+        return raw.type in self.expected or (paths and bool(raw.definition))
 
     def reject(self, error: MessageRejected) -> None:
         """Counts a message as `nan` or `bad`, with its reason."""
@@ -185,12 +205,17 @@ def rig_topics(rig: Rig) -> dict[str, TopicReport]:
     found = [TopicReport(topics.joint_states, "joints", (RosType.JOINTS,))]
     wrenches = topics.wrenches.items()
     found += [TopicReport(topic, "wrench", (RosType.WRENCH,), name) for name, topic in wrenches]
+    tips: dict[str, dict[str, str]] = {topic: {} for topic in topics.contacts.values()}
     for name, topic in topics.contacts.items():
-        body = rig.fingers[name].frame if name in rig.fingers else ""
-        found.append(TopicReport(topic, "contact", (RosType.CONTACT,), name, body))
+        tips[topic][name] = rig.fingers[name].frame if name in rig.fingers else ""
+    found += [TopicReport(topic, "contact", CONTACTS, tips=bodies) for topic, bodies in tips.items()]
+    surfaces: dict[str, list[TaxelSource]] = {topic: [] for topic in topics.skin.values()}
     for name, topic in topics.skin.items():
         shape = rig.skin[name].shape if name in rig.skin else (0, 0)
-        found.append(TopicReport(topic, "skin", (RosType.ARRAY, RosType.IMAGE), name, shape=shape))
+        surfaces[topic].append(TaxelSource(name, topics.skin_fields.get(name, ""), shape))
+    for topic, sources in surfaces.items():
+        types = PLAIN_TAXELS if any(not each.field for each in sources) else TAXELS
+        found.append(TopicReport(topic, "skin", types, surfaces=tuple(sources)))
     others: tuple[tuple[Role, str | None, tuple[str, ...]], ...] = (
         ("tf", tf, transforms),
         ("tf_static", tf and f"{tf}_static", transforms),

@@ -92,28 +92,23 @@ def _result(row: list[str]) -> BopResult:
     names = BOP_COLUMNS.split(",")
     if len(row) != len(names):
         raise ValueError(f"expected {len(names)} columns, {BOP_COLUMNS}, got {len(row)}")
-    keys = list[int]()
-    for name, cell in zip(names[:3], row, strict=False):
-        try:
-            keys.append(int(cell))
-        except ValueError:
-            raise ValueError(f"{name}: expected a whole number, got {cell[:40]!r}") from None
     numbers = dict[str, Array]()
-    for name, k, count in (("score", 3, 1), ("time", 6, 1), ("R", 4, 9), ("t", 5, 3)):
+    for name, cell, count in zip(names, row, (1, 1, 1, 1, 9, 3, 1), strict=True):
+        is_integer = name.endswith("_id")
         try:
-            numbers[name] = np.array([float(word) for word in row[k].split()])
+            numbers[name] = np.array([int(cell)] if is_integer else [float(word) for word in cell.split()])
         except ValueError:
             numbers[name] = np.zeros(0)
-        if len(numbers[name]) != count or not np.isfinite(numbers[name]).all():
-            plural = "s" if count > 1 else ""
-            raise ValueError(f"{name}: expected {count} finite number{plural}, got {row[k][:60]!r}")
+        if len(numbers[name]) != count or not np.isfinite(numbers[name].astype(float)).all():
+            kind = "a whole number" if is_integer else f"{count} finite number{'s' * (count > 1)}"
+            raise ValueError(f"{name}: expected {kind}, got {cell[: 40 if is_integer else 60]!r}")
     try:
         R = se3.rounded(se3.compose(numbers["R"].reshape(3, 3), np.zeros(3)), "R")[:3, :3]
     except InvalidInput:
         raise ValueError(f"R: expected a rotation, got {row[4][:60]!r}") from None
     T = se3.check(se3.compose(R, 1e-3 * numbers["t"]), "t")
     score, seconds = float(numbers["score"][0]), float(numbers["time"][0])
-    scene, image, number = keys
+    scene, image, number = (int(numbers[name][0]) for name in names[:3])
     return BopResult(scene, image, number, score, T, seconds if seconds >= 0 else None)
 
 

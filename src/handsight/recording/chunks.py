@@ -62,6 +62,8 @@ class Source(ABC):
         """The types of all topics in the file, by topic."""
         self.channels: dict[object, tuple[str, str, str]] = {}
         """Topic, type and encoding, by the channel's key in the file."""
+        self.definitions: dict[str, str] = {}
+        """The definitions of types that the file carries, by type."""
         self.truncated: str | None = None
         """Where the file ends too early; None: it is complete."""
         self.packed = False
@@ -69,15 +71,19 @@ class Source(ABC):
         self.damage: dict[int, str] = {}
         """Sentences about what could not be read, by the position of its first byte."""
 
-    def define(self, key: object, topic: str, kind: str, encoding: str) -> None:
-        """Adds the channel with that key in the file: topic, type (as ROS 1 or ROS 2 writes it) and encoding."""
+    def define(self, key: object, topic: str, kind: str, encoding: str, definition: str = "") -> None:
+        """Adds the channel with that key in the file, its type as ROS 1 or ROS 2 writes it."""
         package, _, rest = kind.partition("/")
-        self.topics[topic] = f"{package}/msg/{rest}" if rest and "/" not in rest else kind
+        self.topics[topic] = kind = f"{package}/msg/{rest}" if rest and "/" not in rest else kind
+        if definition:
+            self.definitions[kind] = definition
         self.channels[key] = topic, self.topics[topic], encoding
 
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """Yields the messages on the wanted topics in order of log time; each call starts at the beginning."""
         for raw in self.stored(wanted):
+            if raw.type in self.definitions:
+                raw = raw._replace(definition=self.definitions[raw.type])
             if self.packed:
                 most = CHUNKS.spare_message + CHUNKS.max_expansion * len(raw.data)
                 data, _ = unpacked(raw.data, "zstd", min(CHUNKS.max_unpacked, most))

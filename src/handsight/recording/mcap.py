@@ -24,7 +24,7 @@ class McapSource(ChunkedSource):
     MAGIC = b"\x89MCAP0\r\n"
 
     def __init__(self, path: Path) -> None:
-        self._schemas: dict[int, str] = {}
+        self._schemas: dict[int, tuple[str, str]] = {}
         super().__init__(path)
 
     def _index(self) -> Iterator[Chunk]:
@@ -81,11 +81,17 @@ class McapSource(ChunkedSource):
         with suppress(struct.error, UnicodeDecodeError):
             key = int.from_bytes(data[:2], "little")
             if op == SCHEMA:
-                self._schemas[key], _ = _text(data, 2)
+                name, at = _text(data, 2)
+                _, at = _text(data, at)
+                with suppress(
+                    struct.error, UnicodeDecodeError
+                ):  # the type is known without its definition, too
+                    self._schemas[key] = name, ""
+                    self._schemas[key] = name, _text(data, at)[0]
             else:
                 topic, at = _text(data, 4)
-                kind = self._schemas.get(int.from_bytes(data[2:4], "little"), "")
-                self.define(key, topic, kind, _text(data, at)[0])
+                kind, definition = self._schemas.get(int.from_bytes(data[2:4], "little"), ("", ""))
+                self.define(key, topic, kind, _text(data, at)[0], definition)
 
 
 def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[int, int, int]]:

@@ -68,7 +68,8 @@ class Rosbag1Source(ChunkedSource):
         about = _fields(data)
         if b"conn" in fields and b"topic" in fields and b"type" in about:
             topic, kind = (name.decode("utf-8", "replace") for name in (fields[b"topic"], about[b"type"]))
-            self.define(fields[b"conn"], topic, kind, "ros1")
+            definition = about.get(b"message_definition", b"").decode("utf-8", "replace")
+            self.define(fields[b"conn"], topic, kind, "ros1", definition)
 
 
 def _records(data: bytes | mmap.mmap, at: int, stop: int) -> Iterator[tuple[Fields, int, int]]:

@@ -41,12 +41,15 @@ class SqliteSource(Source):
             tables = sorted(str(name) for (name,) in self._base.execute(real))
             if not {"topics", "messages"} <= set(tables):
                 raise InvalidFile(f"the tables {', '.join(tables[:12]) or '(none)'}")
-            for table in ("topics", "messages"):
+            for table in {"topics", "messages", "message_definitions"} & set(tables):
                 computed = "SELECT max(hidden) FROM pragma_table_xinfo(?)"
                 if self._base.execute(computed, (table,)).fetchone()[0]:
                     raise InvalidFile(f"the table {table} with columns that are computed")
             for key, *about in self._base.execute("SELECT id, name, type, serialization_format FROM topics"):
                 self.define(key, *map(str, about))
+            if "message_definitions" in tables:  # since ROS 2 Iron
+                query = "SELECT topic_type, encoded_message_definition FROM message_definitions"
+                self.definitions |= {str(kind): str(text) for kind, text in self._base.execute(query) if text}
         except (*BROKEN, InvalidFile) as error:
             self._base.close()
             raise InvalidFile(f"{path}: expected a rosbag 2 in sqlite3, got: {error}") from None

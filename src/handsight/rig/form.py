@@ -20,9 +20,10 @@ from handsight.checks import Array
 from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
 from handsight.contact.fingertips import LARGEST
 from handsight.contact.taxels import TaxelArray
-from handsight.errors import HandsightError
+from handsight.errors import HandsightError, InvalidInput
 from handsight.msgspec_errors import alternatives
 from handsight.objects import ObjectSpec
+from handsight.rig import message_field
 from handsight.rig.rig import DepthCamera, Finger, MountedCamera
 
 VERSION = 1
@@ -226,6 +227,10 @@ class FingerForm(Section, kw_only=True):
 class SkinForm(Form, kw_only=True):
     frame: Text
     pose: LinkPoseForm | None = None
+    topic: Text | None = None
+    message_field: Annotated[Text | None, key("path to its readings in a message, as sensors[0].forces")] = (
+        field(name="field", default=None)
+    )
     rows: int
     columns: int
     pitch: float
@@ -238,10 +243,14 @@ class SkinForm(Form, kw_only=True):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.array()
+        try:
+            message_field.steps(self.message_field or "data")
+        except InvalidInput as error:
+            raise ValueError(f"field: {error}") from None
 
     def array(self) -> TaxelArray:
         """Returns the part of the rig; raises InvalidInput for a size that no array has."""
-        given = {name: value for name, value in self.given().items() if name != "pose"}
+        given = {k: value for k, value in self.given().items() if k not in ("pose", "topic", "message_field")}
         return TaxelArray(T_frame_grid=(self.pose or LinkPoseForm()).matrix(), **given)
 
 

@@ -77,6 +77,14 @@ def _topics(form: RigForm, file: YamlFile) -> Topics:
         for name in given.get(kind, ()):
             if name not in known:
                 raise file.error(("topics", kind, name), f"unknown {what}{checks.suggestion(name, known)}")
+    for name, array in arrays.items():
+        if array.topic is not None and name in given.get("skin", ()):
+            raise file.error(("skin", name, "topic"), "expected here or in topics.skin, got both")
     by_wrench = [name for name in form.fingers if name not in given.get("contacts", ())]
-    defaults = {"wrenches": {name: f"/{name}/wrench" for name in by_wrench}}
-    return Topics(**(defaults | {"skin": {name: f"/{name}/taxels" for name in arrays}} | given))
+    skin = {name: array.topic or f"/{name}/taxels" for name, array in arrays.items()} | given.pop("skin", {})
+    paths = {name: array.message_field for name, array in arrays.items() if array.message_field is not None}
+    return Topics(
+        **({"wrenches": {name: f"/{name}/wrench" for name in by_wrench}} | given),
+        skin=skin,
+        skin_fields=paths,
+    )

@@ -22,6 +22,7 @@ from handsight.msgspec_errors import field_name
 from handsight.objects import ObjectSpec
 from handsight.objects.model import check_friction
 from handsight.representation import short_repr
+from handsight.rig import message_field
 
 DepthCamera = Literal["structured_light", "time_of_flight", "stereo"]
 """How a camera measures depth; `handsight.vision.depth_noise` has the errors of each."""
@@ -178,9 +179,11 @@ class Topics:
     wrenches: Mapping[str, str] = field(default_factory=dict)
     """By finger: WrenchStamped."""
     contacts: Mapping[str, str] = field(default_factory=dict)
-    """By finger, of tips that sense contacts themselves: ShadowContactStateStamped."""
+    """By finger, of tips that sense contacts themselves: ShadowContactStateStamped, TactileContact(s), or ITS."""
     skin: Mapping[str, str] = field(default_factory=dict)
-    """By tactile array: Float32MultiArray or Image."""
+    """By tactile array: a MultiArray, Image or TactileState, or any message with a path in `skin_fields`."""
+    skin_fields: Mapping[str, str] = field(default_factory=dict)
+    """By tactile array: the path to its readings in the message, such as `sensors[sensor_pos=3].forces[0:30]`."""
     vision: str | None = "/vision/object"
     """PoseStamped or PoseWithCovarianceStamped."""
     tf: str | None = "/tf"
@@ -193,6 +196,14 @@ class Topics:
     """Image that is not 0, or the object's label, where it is."""
     truth: str | None = None
     """PoseStamped of the true pose in the palm, which is only compared with."""
+
+    def __post_init__(self) -> None:
+        """Raises InvalidInput for a path that cannot lead into a message."""
+        for name, path in self.skin_fields.items():
+            try:
+                message_field.steps(path)
+            except InvalidInput as error:
+                raise InvalidInput(f"skin_fields[{name!r}]: {error}") from None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -256,11 +267,18 @@ def _check_unique(rig: Rig) -> None:
     """Raises NotUnique where two fingers have one body or pose, or two topics one name."""
     frames: dict[FieldPath, str] = {("fingers", name, "frame"): f.frame for name, f in rig.fingers.items()}
     topics, named = dict[FieldPath, str](), dict[FieldPath, str]()
+    pathless = [name for name in rig.topics.skin if name not in rig.topics.skin_fields]
     for kind, topic in ((item.name, getattr(rig.topics, item.name)) for item in fields(rig.topics)):
         if isinstance(topic, str):
             topics["topics", kind] = topic
-        elif topic is not None:
-            named |= {("topics", kind, name): each for name, each in topic.items()}
+        elif topic is not None and kind != "skin_fields":
+            # One message may be about several fingers' contacts, or about surfaces at different paths.
+            several = {} if kind == "wrenches" else {each: name for name, each in reversed(topic.items())}
+            named |= {
+                ("topics", kind, name): each
+                for name, each in topic.items()
+                if several.get(each, name) == name or (kind == "skin" and name in pathless)
+            }
     topics |= named
     for kind, values in (("body", frames), ("topic", topics)):
         owners = dict[str, FieldPath]()

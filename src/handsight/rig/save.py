@@ -35,7 +35,7 @@ def text(rig: Rig) -> str:
         "version": form.VERSION,
         "hand": _values(form.HandForm, rig, file=_file_name(rig.hand.file), palm=rig.hand.palm),
         "fingers": {name: _finger(finger) for name, finger in rig.fingers.items()},
-        "skin": {k: _values(form.SkinForm, v, pose=_pose(v.T_frame_grid)) for k, v in rig.skin.items()},
+        "skin": {name: _surface(name, rig) for name in rig.skin},
         "camera": None if rig.camera is None else _camera(rig.camera),
         "table": None if rig.table is None else _values(form.TableForm, rig.table),
         "world": _values(form.WorldForm, rig, palm_from=rig.world_from or "nowhere"),
@@ -69,6 +69,11 @@ def _values(kind: type[Form], part: object, **given: object) -> Values:
         value: Any = given[key.name] if key.name in given else getattr(part, key.name, None)
         values[key.text] = np.rad2deg(value) if key.text.endswith("_deg") and value is not None else value
     return values
+
+
+def _surface(name: str, rig: Rig) -> Values:
+    array, field = rig.skin[name], rig.topics.skin_fields.get(name)
+    return _values(form.SkinForm, array, pose=_pose(array.T_frame_grid), message_field=field)
 
 
 def _finger(finger: Finger) -> Values:

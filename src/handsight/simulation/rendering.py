@@ -6,21 +6,20 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from handsight import se3
+from handsight.camera import Depth
 from handsight.checks import Array
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.simulation.camera import CALIBRATED_CAMERA
 from handsight.simulation.scenario import Sample, Scenario
 from handsight.simulation.scene import IMAGE_SIZE, PALM, SCENE, SimulatedScene, mujoco_module, scene
+from handsight.vision.pixels import Color
 
 if TYPE_CHECKING:
     from mujoco.gl_context import GLContext
 
-
-Color = NDArray[np.uint8]
-Depth = NDArray[np.float32]
 Rgba = tuple[float, float, float, float]
 """Red, green, blue and opacity, each 0 to 1."""
 

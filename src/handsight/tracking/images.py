@@ -21,7 +21,7 @@ from handsight.tracking.hints import SearchHints
 from handsight.tracking.smoother import STILL, Motion
 from handsight.vision import FirstPoseSource, PalmDetection
 from handsight.vision.depth_noise import PRESETS
-from handsight.vision.object.depth_tracker import HIDDEN, DepthTracker
+from handsight.vision.object.depth_tracker import HIDDEN, DepthTracker, Sighting
 from handsight.vision.palm.hand_in_image import HandInImage
 
 
@@ -30,6 +30,8 @@ class ImageOptions(NamedTuple):
 
     correlation_time: float = 1.0
     """Images within this time share their errors, which come from smoothing, bias and the visible side [s]."""
+    twin_distance: float = 0.4
+    """How far from where touch has it an object is followed that may be another one like it [diameters]."""
     palm_period: float = 0.5
     """Time between two searches for a palm that was detected; in between, its pose follows from the joints [s]."""
     sigma_palm_position: float = 0.01
@@ -162,11 +164,13 @@ class ImageVision:
             then = self.history.at(stamp - camera.latency)
             if then is not None:
                 vision, hand = self._images.observe(stamp, observation.depth, then, from_palm, T_palm_object)
-                observation = replace(observation, vision=vision)
-        vision, by_images = observation.vision, self._images is not None and observation.depth is None
-        if by_images and vision is not None and vision.frame == "camera":
+                # Where the image does not show the object, a pose from outside may still know where it is.
+                if vision is not None or observation.vision is None or observation.vision.frame != "camera":
+                    observation = replace(observation, vision=vision)
+        vision, followed = observation.vision, self._images is not None and not self._images.lost
+        if followed and observation.depth is None and vision is not None and vision.frame == "camera":
             # This camera's images are the better measurement, so poses that come between them are left out.
-            observation, vision = replace(observation, vision=None), None
+            observation = replace(observation, vision=None)
         return ImageResult(observation, hand)
 
 
@@ -179,7 +183,8 @@ class ObjectInImages:
         self._camera = Camera.of(camera)
         self.tracker = DepthTracker(model, self._camera, noise=PRESETS[camera.depth_camera])
         self._hand = HandInImage(rig)
-        self._lost = True
+        self.lost = True
+        """Whether the last image did not show the object."""
         self._detected_at = self._palm_searched_at = -np.inf
         self.counts = {"looked_at": 0, "object_seen": 0, "hand_sought": 0, "hand_seen": 0}
         """The number of images, of those in which the object was detected, of searches for the palm, and of detections
@@ -203,15 +208,28 @@ class ObjectInImages:
         # Touch only says where to search for a lost object: a search that started from touch each time would return
         # what touch has measured as if the camera had measured it too.
         expected = None if T_palm_object is None or T_camera_palm is None else T_camera_palm @ T_palm_object
-        found = self.tracker.update(
-            stamp,
-            image,
-            hand=mask,
-            T_camera_palm=T_camera_palm,
-            gripped=expected is not None,
-            expected=expected if self._lost else None,
-        )
-        self._lost = found.T_camera_object is None
+
+        def updated(tracker: DepthTracker, hint: Array | None) -> Sighting:
+            return tracker.update(
+                stamp,
+                image,
+                hand=mask,
+                T_camera_palm=T_camera_palm,
+                gripped=expected is not None,
+                expected=hint,
+            )
+
+        found = updated(self.tracker, expected if self.lost else None)
+        if (
+            expected is not None
+            and self._distance(found, expected) > IMAGES.twin_distance * self.tracker.model.diameter
+        ):
+            # What is followed is not in the hand: it is another object of the kind, if one is seen in the hand, too.
+            other = self.tracker.restarted(stamp, expected)
+            in_hand = updated(other, None)
+            if in_hand.T_camera_object is not None:
+                self.tracker, found = other, in_hand
+        self.lost = found.T_camera_object is None
         # The pose of an object that is nearly hidden is only the predicted one, not a measurement.
         if found.T_camera_object is None or found.covariance is None or found.reason == HIDDEN:
             return None, view
@@ -220,6 +238,11 @@ class ObjectInImages:
         sharing = max(1.0, IMAGES.correlation_time / max(stamp - self._detected_at, 1e-3))
         self._detected_at = stamp
         return PoseMeasurement(found.T_camera_object, "camera", sharing * found.covariance, stamp), view
+
+    def _distance(self, found: Sighting, expected: Array) -> float:
+        """Returns how far the middle of a found object is from where it is expected [m]; 0 for one that is lost."""
+        T, center = found.T_camera_object, np.append(self.tracker.model.center_object, 1.0)
+        return 0.0 if T is None else float(np.linalg.norm((T - expected)[:3] @ center))
 
     def _observe_hand(
         self, stamp: float, depth: Depth, then: Instant, from_palm: CameraFromPalm

@@ -67,17 +67,11 @@ class Moment:
     def now(cls, tracker: Tracker) -> "Moment":
         """Returns the moment of a tracker after the last observation that it has processed."""
         vision = tracker.vision.in_palm(tracker.processed, tracker.T_world_palm)
-        return cls._from_tracker(tracker, tracker.processed, vision)
+        return cls.of(tracker, tracker.processed, vision)
 
     @classmethod
-    def of(cls, step: Step, observation: Observation) -> "Moment":
-        """Returns the moment of a step of a replay and the observation of its stamp."""
-        return cls._from_tracker(step, observation, step.T_palm_object_vision)
-
-    @classmethod
-    def _from_tracker(
-        cls, known: Tracker | Step, observation: Observation | None, T_vision: Array | None
-    ) -> "Moment":
+    def of(cls, known: Tracker | Step, observation: Observation | None, T_vision: Array | None) -> "Moment":
+        """Returns the moment of a tracker, or of a step of a replay, by its observation and vision's pose (4, 4)."""
         names = "stamp state reason estimate sigma fingertips T_world_palm slip skin"
         return cls(
             **{name: getattr(known, name) for name in names.split()},

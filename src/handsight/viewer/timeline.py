@@ -84,7 +84,7 @@ def follow(
             image = picture(tracker.rig, observation, tracker.vision.camera_from_palm, step.T_world_palm)
             if image is not None:
                 last_image, pending = step.stamp, image.packed()
-        moment = Moment.of(step, observation).after(last, pending)
+        moment = Moment.of(step, observation, step.T_palm_object_vision).after(last, pending)
         if timeline.append(moment):
             last, pending = moment, None
             yield moment

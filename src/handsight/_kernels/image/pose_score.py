@@ -28,6 +28,8 @@ class ScoreWeights(NamedTuple):
 
 
 POSE_SCORE = ScoreWeights(passed=2.0, hidden=0.3, unexplained=1.0, min_expected=30.0)
+NOT_ASKED = np.empty((0, 0, 2))
+"""In place of an array in which `score_all` says what hides each sample."""
 MIN_FACING = 0.12
 """Least cosine between a sample's normal and the direction to the camera for the sample to be visible."""
 
@@ -79,12 +81,13 @@ def finish_score(weights: ScoreWeights, candidate: Any) -> None:
 
 
 @entry
-def score_all(camera: Any, image: Any, sides: Any, center: Any, candidates: Any) -> None:
+def score_all(camera: Any, image: Any, sides: Any, center: Any, candidates: Any, hidden: Any) -> None:
     """Fills in the score of CANDIDATE (k,) and the pixels that it is made of, none of which is unexplained.
 
     image: depth (h, w) [m] and labels (h, w) of segments, `TABLE`, `HAND` or `OUT`. sides: samples and normals
     (2, m, 3), directions (d, 3), visible (d, m / 8) in bits, area of a sample [m²].
-    center: the object's (3,).
+    center: the object's (3,). hidden (k, m, 2): is filled, where something hides a sample, with the number of the pixel
+    there, row by row, and how many the sample has; `NOT_ASKED`: neither is.
     """
     samples, directions, visible, area = sides
     height, width = image[0].shape
@@ -105,7 +108,10 @@ def score_all(camera: Any, image: Any, sides: Any, center: Any, candidates: Any)
                     continue
                 pixels = density * cosine / (P[2] * P[2])
                 if -0.5 < u < width - 0.5 and -0.5 < v < height - 0.5:
+                    before = candidate.hidden
                     _add(image, (u, v, P[2], pixels), candidate.bound, candidate)
+                    if candidate.hidden > before and len(hidden):
+                        hidden[k, m, 0], hidden[k, m, 1] = int(v + 0.5) * width + int(u + 0.5), pixels
                 else:
                     candidate.expected += POSE_SCORE.unknown * pixels
         finish_score(POSE_SCORE, candidate)

@@ -17,6 +17,7 @@ from handsight._kernels.image import depth_covariance
 from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
+from handsight.copies import shallow_copy
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import UNKNOWN, candidates_at, center_depths
@@ -48,7 +49,6 @@ class DepthTrackerOptions(NamedTuple):
     rms_weight: tuple[float, float] = (4.0, 1.5)
     """Of what is above that, and the most that it takes from the log odds: a model, or a camera's noise, may be other
     than they are declared."""
-    given: float = 0.85  # log odds of a pose that is given, before an image
     most: float = 2.0  # log odds that images before add to those of one
     uncertain: float = 0.08  # shift of its surface beyond which a pose is uncertain [diameters]
     lost: float = 0.12  # and beyond which a hidden object is lost [diameters]
@@ -142,6 +142,12 @@ class DepthTracker:
         self._belief: _Belief | None = None
         self._searched = -np.inf
 
+    def restarted(self, stamp: float, T_camera_object: Array) -> "DepthTracker":
+        """Returns a tracker that has followed nothing yet, and looks at a pose only in an image of that stamp [s]."""
+        other = shallow_copy(self)
+        other._start, other._belief, other._searched = se3.rounded(T_camera_object, "start"), None, stamp
+        return other
+
     def update(
         self,
         stamp: float,
@@ -205,9 +211,7 @@ class DepthTracker:
         last = self._belief
         if last is None:
             hint = self._start if hint is None else hint
-            if hint is None:
-                return None
-            return replace(self._unknown(image, hint, lost=False), odds=DEPTH_TRACKER.given)
+            return None if hint is None else self._unknown(image, hint, lost=False)
         dt = max(image.stamp - last.stamp, 0.0)
         pose, drift = last.pose_camera_object, DEPTH_TRACKER.drift
         covariance, independent, shared = pose.covariance, last.independent, last.shared
@@ -243,7 +247,7 @@ class DepthTracker:
             shared,
             much - little if known else np.zeros((6, 6)),
             last.observed,
-            last.odds if hint is None else DEPTH_TRACKER.given,
+            last.odds if hint is None else 0.0,
         )
 
     def _refined(self, image: _Image, predicted: _Belief) -> RefinedPose:
@@ -270,7 +274,8 @@ class DepthTracker:
         """Returns why the object is lost; empty if it is not."""
         if predicted.odds < 0:
             share, rms = support_share(refined.candidate), refined.candidate["rms"][0]
-            return f"it explains {100 * share:.0f} % of what is seen there, to {1000 * rms:.1f} mm"
+            far = f", {1000 * rms:.1f} mm off" if share > DEPTH_TRACKER.min_fit else ""
+            return f"it explains {100 * share:.0f} % of what is seen there{far}"
         limit, pose = DEPTH_TRACKER.lost * self.model.diameter, predicted.pose_camera_object
         hidden = not _is_enough(refined) and (predicted.lost or surface_shift(self.model, pose) > limit)
         return HIDDEN if hidden else ""
@@ -309,7 +314,7 @@ class DepthTracker:
         own = pose.covariance - predicted.shared @ predicted.shared.T
         if off @ np.linalg.solve(P - predicted.changed + R, off) < DEPTH_TRACKER.unchanged:
             P, own = P - predicted.changed, own - predicted.changed
-        gain = np.linalg.solve(P + R, P).T
+        gain = self._gain(pose.T_a_b, P, R)
         keep = np.eye(6) - gain
         shared = keep @ predicted.shared + gain @ np.linalg.cholesky(R)
         covariance = keep @ own @ keep.T + shared @ shared.T
@@ -329,6 +334,23 @@ class DepthTracker:
             independent=independent,
             shared=shared,
         )
+
+    def _gain(self, T_camera_object: Array, P: Array, R: Array) -> Array:
+        """Returns the gain (6, 6) of a measurement of the object's origin with covariance R, before which it is P.
+
+        Each eigenvector of R (of shifts, and of radius times turns, of the centre) is weighed by itself. A direction
+        that no point observes is a little different in each image, and Kalman's gain takes two of them for an
+        observation: the object would turn with the noise.
+        """
+        D, radius = self.model.diameter, self.model.radius
+        S = se3.point_jacobian(T_camera_object[:3, :3] @ self.model.center_object)
+        S = S * np.repeat([1.0, radius], 3)[:, None]
+        variances, V = np.linalg.eigh(S @ R @ S.T)
+        # R has what is known without any point, which the image does not say once more.
+        unknown = np.repeat(np.square(UNKNOWN) * D**2, 3) ** -1.0 @ V**2
+        variances = 1 / np.maximum(1 / variances - unknown, 1e-3 * unknown)
+        before = np.einsum("ji,jk,ki->i", V, S @ P @ S.T, V)
+        return np.asarray(np.linalg.solve(S, V * (before / (before + variances))) @ V.T @ S)
 
     def _unknown(self, image: _Image, T_camera_object: Array, *, lost: bool) -> _Belief:
         """Returns the belief that the object is about there, and as good as unknown."""

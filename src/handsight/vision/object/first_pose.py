@@ -49,6 +49,8 @@ class FirstPoseOptions(NamedTuple):
     """Poses whose centres are nearer to each other are of one place [diameters]."""
     score_weight: float = 1.5  # of the score in the logarithm of a mode's weight among those of its place
     passed: float = 2.0  # cost of a pixel that the camera sees past, against one that such a mode explains
+    step: float = 0.3  # between poses of one place that may be one unobserved motion [diameters]
+    least_spread: float = 0.02  # weight of such a pose, as a share of the likeliest one's
     support: tuple[float, float] = (30.0, 0.018)
     """Those pixels by which that logarithm differs by 1, and what is added to them per expected pixel: neighbouring
     pixels have errors in common, and so has all of the surface."""
@@ -187,6 +189,7 @@ def first_pose(
     found, covariances = found[order], covariances[order]
     weights = np.exp(log_weights[order] - log_weights.max(initial=-np.inf))
     weights /= max(weights.sum(), 1.0)
+    covariances += spread_of_modes(model, poses_of(found), weights, places[order])
     # Of several places all may be right: objects may be equal.
     probability = float(probabilities(best[:1]).sum())
     return ObjectDetection(poses_of(found), covariances, weights, found, probability)
@@ -199,28 +202,19 @@ def slid(
 
     Points on walls do not tell where the walls end: pixels do that see past them, and those that are explained.
     """
-    covariance = pose_covariances(model, scene.camera, observed, candidate, noise)[0]
-    tried, _ = slides_of(model, candidate, covariance)
-    score_candidates(model, scene, tried)
-    best = int(tried["score"].argmax())
-    return tried[best : best + 1]
-
-
-def slides_of(
-    model: ObjectModel, candidate: Candidates, covariance: Array, rank: int = 1
-) -> tuple[Candidates, Array]:
-    """Returns CANDIDATE (s,) that are CANDIDATE (1,) slid along the direction that its covariance (6, 6) knows least
-    (by rank: second least), and the derivative (6,) of how far [m] by (δp, δθ) of the object's origin."""
     T, center = poses_of(candidate)[0], model.center_object
-    J = se3.point_jacobian(T[:3, :3] @ center)
-    J[3:] *= model.radius  # radius times a turn is a shift
-    least = np.linalg.eigh(J @ covariance @ J.T)[1][:, -rank - len(model.symmetries.axes)]
+    covariance = pose_covariances(model, scene.camera, observed, candidate, noise)[0]
+    units = np.repeat([1.0, model.radius], 3)  # radius times a turn is a shift
+    covariance = GaussianPose(T, covariance).at_point(center).covariance * np.outer(units, units)
+    least = np.linalg.eigh(covariance)[1][:, -1 - len(model.symmetries.axes)] / units
     steps = model.diameter * np.array(FIRST_POSE.slides)[:, None] * least
-    R = se3.rotation_exp(steps[:, 3:] / model.radius) @ T[:3, :3]
+    R = se3.rotation_exp(steps[:, 3:]) @ T[:3, :3]
     tried = np.repeat(candidate, len(steps))
     tried["pose"]["rotation"] = R
     tried["pose"]["position"] = T[:3, :3] @ center + T[:3, 3] + steps[:, :3] - R @ center
-    return tried, J.T @ least
+    score_candidates(model, scene, tried)
+    best = int(tried["score"].argmax())
+    return tried[best : best + 1]
 
 
 def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *, effort: int = -1) -> None:
@@ -228,7 +222,7 @@ def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *
     effort of a stage."""
     appearance, camera, image = appearance_of(model), scene.camera, (scene.depth, scene.labels)
     sides = appearance.sides if BESIDE[effort] == BESIDE[-1] else appearance.few_sides
-    pose_score.score_all(camera.record, image, sides, model.center_object, candidates)
+    pose_score.score_all(camera.record, image, sides, model.center_object, candidates, pose_score.NOT_ASKED)
     around = camera.rays, *image
     outline.follow_outlines(camera.record, model.record[:2], around, BESIDE[effort], candidates)
     candidates["explained"][candidates["bound"] > FIRST_POSE.max_bound * model.diameter] = 0
@@ -277,6 +271,26 @@ def places_of(model: ObjectModel, candidates: Candidates) -> NDArray[np.int64]:
             near = np.linalg.norm(centers - centers[first], axis=1) <= FIRST_POSE.place * model.diameter
             numbers[near & (numbers < 0)] = numbers.max() + 1
     return numbers
+
+
+def spread_of_modes(model: ObjectModel, Ts: Array, weights: Array, places: NDArray[np.int64]) -> Array:
+    """Returns the covariances (k, 6, 6) of the poses (k, 4, 4) that may be meant by each: of those of its place that
+    are reached from it by small steps, as the spins of a mug are that hide its handle.
+
+    Only likely poses of the first one's place count. The turns of a box are far apart: each is a mode by itself.
+    """
+    spread = np.zeros((len(Ts), 6, 6))
+    likely = np.flatnonzero((places == 0) & (weights > FIRST_POSE.least_spread * weights.max(initial=0.0)))
+    if len(likely) < 2:
+        return spread
+    nearest = np.array([[model.nearest(Ts[j], Ts[i]) for j in likely] for i in likely])
+    moved = se3.apply(nearest, model.points_object) - se3.apply(Ts[likely], model.points_object)[:, None]
+    near = np.linalg.norm(moved, axis=-1).max(axis=-1) < FIRST_POSE.step * model.diameter
+    linked = np.linalg.matrix_power(near.astype(float), len(likely)) > 0
+    off = se3.difference(nearest, Ts[likely][:, None])
+    share = linked * weights[likely] / (linked * weights[likely]).sum(axis=1, keepdims=True)
+    spread[likely] = np.einsum("ij,ija,ijb->iab", share, off, off)
+    return spread
 
 
 def mode_support(candidates: Candidates, pixels: float) -> Array:

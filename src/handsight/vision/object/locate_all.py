@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
-from handsight._kernels.image import depth_term
+from handsight._kernels.image import depth_term, pose_score
 from handsight._kernels.image.pose_score import POSE_SCORE
 from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.camera import Camera, Depth
@@ -167,19 +167,22 @@ class _Pool:
         matrix = np.diag([1 / step, 1 / step, 1]) @ scene.camera.matrix
         camera = Camera(matrix, depth.shape[::-1], scene.camera.lens)
         self.coarse = replace(scene, camera=camera, depth=depth, labels=labels)
-        self.inside = labels >= 0
-        self.index = np.cumsum(self.inside).reshape(labels.shape) - 1
-        self.points = camera.points(depth)[self.inside].astype(np.float64)
+        self.inside = labels.reshape(-1) >= 0
+        self.points = camera.points(depth).reshape(-1, 3)[self.inside].astype(np.float64)
         self.searches, self.names, self.source = list[_Search](), list[str](), list[_Search]()
         self.candidates, self.cost = np.zeros(0, dtype=CANDIDATE), np.zeros(0)
         self.explained = self.around = np.zeros((0, len(self.points)), dtype=np.float32)
-        self.hiding, self.hidden = np.zeros((0, FEW), dtype=np.int64), np.zeros((0, FEW))
+        self.hidden = np.zeros((0, FEW, 2))
         self.distances = dict[int, Distances]()
 
     def add(self, searches: Sequence[_Search]) -> None:
         """Adds the candidates of searches, but those that cannot gain, whatever hides them."""
         for each in searches:
             model, some = self.models[each.name], each.detection.candidates.copy()
+            sides, hidden = appearance_of(model).few_sides, np.zeros((len(some), FEW, 2))
+            image = self.coarse.depth, self.coarse.labels
+            pose_score.score_all(self.coarse.camera.record, image, sides, model.center_object, some, hidden)
+            hidden[..., 1] *= self.inside[hidden[..., 0].astype(int)]
             score_candidates(model, self.coarse, some, effort=0)
             cost = POSE_SCORE.passed * some["passed"] + LOCATE_ALL.expected * some["expected"]
             keep = some["explained"] > LOCATE_ALL.rejected * (cost - LOCATE_ALL.expected * some["hidden"])
@@ -189,39 +192,21 @@ class _Pool:
             distances = surface_distances(model, self.points, within, some)
             explained = np.maximum(1 - (distances / some["bound"][:, None].astype(np.float32)) ** 2, 0)
             around = (np.isfinite(distances) & (explained == 0)).astype(np.float32)
-            for T, bound in zip(poses_of(some), some["bound"], strict=True):
-                hiding, hidden = self.hidden_pixels(model, T, bound)
-                self.hiding, self.hidden = np.vstack([self.hiding, hiding]), np.vstack([self.hidden, hidden])
             self.searches.append(each)
             self.names += [each.name] * len(some)
             self.source += [each] * len(some)
             self.candidates = np.concatenate([self.candidates, each.detection.candidates[keep]])
-            self.cost = np.append(self.cost, cost)
+            self.cost, self.hidden = np.append(self.cost, cost), np.concatenate([self.hidden, hidden[keep]])
             self.explained = np.concatenate([self.explained, explained])
             self.around = np.concatenate([self.around, around])
         self.total = self.explained.sum(axis=1)
 
-    def hidden_pixels(self, model: ObjectModel, T: Array, bound: float) -> tuple[NDArray[np.int64], Array]:
-        """Returns for each sample of the surface (m,) the point of the grid that hides it, and its pixels."""
-        (samples, normals), directions, packed, area = appearance_of(model).few_sides
-        camera, image = self.coarse.camera, self.coarse.depth
-        hiding, hidden = np.zeros(len(samples), dtype=np.int64), np.zeros(len(samples))
-        P, n = se3.apply(T, samples), normals @ T[:3, :3].T
-        way = -T[:3, :3].T @ se3.apply(T, model.center_object[None])[0]
-        uv, cosine = camera.project(P).round(), -(n * P).sum(axis=1) / np.linalg.norm(P, axis=1)
-        bits = np.unpackbits(packed[(directions @ way).argmax()], count=len(samples), bitorder="little")
-        there = bits.astype(bool) & (cosine > 0)
-        there &= (uv >= 0).all(axis=1) & (uv < camera.size).all(axis=1)  # NaN is neither
-        (columns, rows), z = uv[there].astype(int).T, P[there, 2]
-        observed, focal = image[rows, columns], camera.matrix[0, 0] * camera.matrix[1, 1]
-        behind = (observed > 0) & (observed < z - bound) & self.inside[rows, columns]
-        hiding[there] = np.where(behind, self.index[rows, columns], 0)
-        hidden[there] = np.where(behind, area * focal * cosine[there] / z**2, 0.0)
-        return hiding, hidden
-
     def costs(self, owned: Mask, which: slice = slice(None)) -> Array:
         """Returns what candidates (k,) cost by pixels that they should explain, where others own some points (n,)."""
-        excused = (self.hidden[which] * owned[self.hiding[which]]).sum(axis=1)
+        excuses = np.zeros(len(self.inside), dtype=bool)
+        excuses[self.inside] = owned
+        hiding, hidden = self.hidden[which, :, 0].astype(int), self.hidden[which, :, 1]
+        excused = (hidden * excuses[hiding]).sum(axis=1)
         return np.asarray(self.cost[which] - (POSE_SCORE.hidden + LOCATE_ALL.expected) * excused)
 
     def value(self, chosen: list[int]) -> float:
@@ -247,6 +232,11 @@ class _Pool:
         gains[chosen] = -np.inf
         return np.asarray(gains)
 
+    def overlap(self, n: int, chosen: list[int]) -> Mask:
+        """Returns which of the chosen candidates (k,) share so many pixels with the n-th that one of both goes."""
+        same = np.minimum(self.explained[n], self.explained[chosen]).sum(axis=1)
+        return np.asarray(same > LOCATE_ALL.overlap * np.minimum(self.total[n], self.total[chosen]))
+
     def best(self, limits: Mapping[str, int], start: list[int], banned: Collection[int] = ()) -> list[int]:
         """Returns the candidates that explain the image best together, at most so many of a name, none that is banned.
 
@@ -258,39 +248,37 @@ class _Pool:
         def one_more(rest: list[int]) -> list[int]:
             """Returns the candidates and the one that the value gains most by."""
             gains, counted = self.gains(rest), Counter(names[rest].tolist())
-            for name in {name for name, most in limits.items() if counted[name] >= most}:
-                gains[names == name] = -np.inf
+            gains[[counted[name] >= limits.get(name, np.inf) for name in self.names]] = -np.inf
             gains[list(banned)] = -np.inf
             return [*rest, int(gains.argmax())] if gains.max(initial=-np.inf) > -np.inf else rest
 
+        def raised(option: list[int]) -> bool:
+            """Returns whether an option has a higher value than what is chosen, and then chooses it."""
+            nonlocal chosen, value
+            if not (now := self.value(option)) > value + 1e-6:
+                return False
+            chosen, value = option, now
+            return True
+
         alone = self.total - self.costs(np.ones(len(self.points), dtype=bool))
+        alone[[limits.get(name, 1) == 0 for name in self.names]] = -np.inf
+        likely = np.argsort(-alone)[: LOCATE_ALL.exchanged]
         while True:
             before = value
-            while (now := self.value(option := one_more(chosen))) > value + 1e-6:
-                chosen, value = option, now
+            while raised(one_more(chosen)):
+                pass
             if banned:
                 return chosen
             for n in chosen:
                 rest = [other for other in chosen if other != n]
-                for option in (rest, one_more(rest)):
-                    if (now := self.value(option)) > value + 1e-6:
-                        chosen, value = option, now
-            alone[[limits.get(name, 1) == 0 for name in self.names]] = -np.inf
-            order = np.argsort(-alone)[: LOCATE_ALL.exchanged]
-            for n in order[alone[order] > 0].tolist():
-                same = np.minimum(self.explained[n], self.explained[chosen]).sum(axis=1)
-                least = LOCATE_ALL.overlap * np.minimum(self.total[n], self.total[chosen])
-                rest = [
-                    m
-                    for m, k, most in zip(chosen, same, least, strict=True)
-                    if k < most and names[m] != names[n]
-                ]
-                if n not in chosen and len(rest) < len(chosen):
-                    option = [*rest, n]
-                    for _ in range(len(chosen) - len(rest)):
-                        option = one_more(option)
-                        if (now := self.value(option)) > value + 1e-6:
-                            chosen, value = option, now
+                raised(rest)
+                raised(one_more(rest))
+            for n in likely[alone[likely] > 0].tolist():
+                same = self.overlap(n, chosen) | (names[chosen] == names[n])
+                option = [*np.array(chosen)[~same].tolist(), n]
+                for _ in range(same.sum() if n not in chosen else 0):
+                    option = one_more(option)
+                    raised(option)
             if value <= before:
                 return chosen
 
@@ -341,11 +329,9 @@ class _Pool:
         chosen, banned = list(chosen), list[int]()
         # Where nothing else is, an object is there if `locate` finds it.
         for each in self.searches:
-            n = self.source.index(each) if len(each.detection.candidates) else -1
-            if each.detection.probability >= LOCATE.min_probability and n >= 0:
-                same = np.minimum(self.explained[n], self.explained[chosen]).sum(axis=1)
-                free = (same <= LOCATE_ALL.overlap * np.minimum(self.total[n], self.total[chosen])).all()
-                if free and each.name not in {self.names[m] for m in chosen} and limits.get(each.name, 1):
+            if each.detection.probability >= LOCATE.min_probability and limits.get(each.name, 1):
+                n = self.source.index(each)
+                if each.name not in {self.names[m] for m in chosen} and not self.overlap(n, chosen).any():
                     chosen.append(n)
         tried = set(chosen)
         while chosen:
@@ -373,29 +359,27 @@ class _Pool:
 def _answer(pool: _Pool, limits: Mapping[str, int], chosen: list[int]) -> SceneDetection:
     """Returns the chosen candidates as instances, each searched without the pixels of the others."""
     owner, names = pool.owners(chosen), [pool.names[n] for n in chosen]
-    detections = [pool.searched(chosen, k, owner).detection for k in range(len(chosen))]
-    own = logit([each.probability for each in detections])
-    bodies = [
-        (pool.models[name], each.candidates[:1].copy()) for name, each in zip(names, detections, strict=True)
-    ]
-    places = [distances_in(pool.scene, *body) for body in bodies]
-    pixels, instances = owners(pool.scene, places), list[ObjectInstance]()
-    for k, (model, candidate) in enumerate(bodies):
-        explained = pixels == k
-        score_candidates(model, pool.scene, candidate, effort=0)  # with what others hide
-        odds = pool.odds(limits, chosen, k, owner)
-        rivals = [value for n, value in odds.items() if n != chosen[k]]
-        probability = detections[k].probability
+    again = [pool.searched(chosen, k, owner) for k in range(len(chosen))]
+    odds = [pool.odds(limits, chosen, k, owner) for k in range(len(chosen))]
+    now, searches = list[int](), list(pool.searches)
+    for each in again:
+        now.append(len(pool.names))
+        pool.add([each])
+    pixels, instances = pool.owners(now), list[ObjectInstance]()
+    for k, (name, search) in enumerate(zip(names, again, strict=True)):
+        found, explained, candidate = search.detection, pixels == k, search.detection.candidates[:1].copy()
+        score_candidates(pool.models[name], pool.scene, candidate, effort=0)  # with what others hide
+        rivals = [value for n, value in odds[k].items() if n != chosen[k]]
+        probability = found.probability
         if rivals:
-            probability = float(probabilities(np.array([own[k], *rivals]))[0])
+            probability = float(probabilities(np.array([logit(probability), *rivals]))[0])
         few = explained.sum() < LOCATE_ALL.visible * candidate["expected"][0]
-        if few or probability < LOCATE.min_probability:
-            continue
-        instances.append(ObjectInstance(names[k], detections[k], probability, explained))
+        if not few and probability >= LOCATE.min_probability:
+            instances.append(ObjectInstance(name, found, probability, explained))
     missing = dict[str, str]()
     for name in pool.models:
         if not any(each.name == name for each in instances):
-            p = max((each.detection.probability for each in pool.searches if each.name == name), default=0.0)
+            p = max((each.detection.probability for each in searches if each.name == name), default=0.0)
             why = f"the likeliest pose of {name} is right with a probability of {p:.2f} only"
             likely_alone = p >= LOCATE.min_probability
             missing[name] = f"other objects explain the image where {name} would be" if likely_alone else why

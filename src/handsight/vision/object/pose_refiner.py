@@ -14,8 +14,8 @@ from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import Candidates, candidates_at, center_depths, pose_covariances, poses_of
 from handsight.vision.depth_noise import DepthNoise
-from handsight.vision.object.appearance import Sides, appearance_of
-from handsight.vision.object.first_pose import explained_within, slides_of
+from handsight.vision.object.appearance import appearance_of
+from handsight.vision.object.first_pose import explained_within
 from handsight.vision.object.region import REGION
 
 
@@ -28,10 +28,6 @@ class RefinerOptions(NamedTuple):
     max_pixels: int = 2000  # pixels of the window that they are chosen from
     creep: float = 0.04  # more explained pixels that a moved pose must have than one at rest
     good: float = 0.7  # fit of a pose, for points farther from the expected one not to be tried
-    slide: float = 0.03  # sigma
-    passed: float = (
-        0.05  # share of the expected pixels that the camera sees past, above which the pose slides
-    )
     continued: float = 3.0  # pixels against a pose that one counts for where the surface goes on beside it
     covariance_points: int = 50  # of these points, by which the covariance is computed
 
@@ -100,15 +96,6 @@ class PoseRefiner:
         candidate, points = best
         some = np.ascontiguousarray(points[:: max(len(points) // REFINER.covariance_points, 1)])
         covariance = pose_covariances(self.model, self.camera, some, candidate, self.noise)[0]
-        for rank in (1, 2):
-            if candidate["passed"][0] < REFINER.passed * (candidate["explained"] + candidate["passed"])[0]:
-                break
-            tried, way = slides_of(self.model, candidate, covariance, rank)
-            candidate = self._scored(tried, appearance_of(self.model).few_sides)
-            along = covariance @ way
-            covariance = covariance - np.outer(along, along) / (
-                way @ along + (REFINER.slide * self.model.diameter) ** 2
-            )
         return RefinedPose(GaussianPose(poses_of(candidate)[0], covariance), candidate, len(points))
 
     def _moved(
@@ -126,18 +113,14 @@ class PoseRefiner:
         candidates["bound"] = explained_within(self.noise, z)
         one_point = float(self.noise.sigma(z[:1])[0] ** 2 + self.noise.bias(z[:1])[0] ** 2)
         depth_term.refine_poses(*record, points, stages, self.model.diameter, one_point * known, candidate)
-        return self._scored(candidates, appearance_of(self.model).sides, REFINER.creep), points.copy()
-
-    def _scored(self, candidates: Candidates, sides: Sides, creep: float = 0.0) -> Candidates:
-        """Returns the one of CANDIDATE (k,) that the image supports best, (1,), scored; a later one must be better."""
-        image, center = (self.camera.rays, self._depth, self._labels), self.model.center_object
-        pose_score.score_all(self.camera.record, image[1:], sides, center, candidates)
+        sides, center = appearance_of(self.model).sides, self.model.center_object
+        pose_score.score_all(self.camera.record, image[1:], sides, center, candidates, pose_score.NOT_ASKED)
         # A little more support is noise, or the model's error: what does not move must not creep.
-        gain = 1 + creep * np.arange(len(candidates))
+        gain = 1 + REFINER.creep * np.arange(len(candidates))
         best = int(np.argmax(candidates["explained"] * gain - 2 * candidates["passed"]))
         candidate = candidates[best : best + 1]
-        outline.find_continued(self.camera.record, self.model.record[:2], image, self._window, candidate)
-        return candidate
+        outline.find_continued(self.camera.record, record, image, self._window, candidate)
+        return candidate, points.copy()
 
     def _take(self, T: Array, depth: Depth, hand: Mask | None, table: Array | None) -> None:
         """Copies the box of the image around the object's silhouette at a pose, and clears the last one."""

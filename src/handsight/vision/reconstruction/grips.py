@@ -32,23 +32,17 @@ class GripOptions(NamedTuple):
     most: int = 8  # grips that are kept; one takes 60 MB
     on_surface: float = 0.006  # depth so near to the surface shows it [m]
     behind: float = 0.012  # depth so far behind it contradicts it [m]
-    min_agreement: float = (
-        0.6  # share of the depths on the surface or behind it that are on it, or the grip is new
-    )
+    min_agreement: float = 0.6  # share on it of the depths on it or behind it, or the grip is new
     min_points: int = 60  # of a surface, in an image, that can show a new grip
-    max_gap: float = (
-        0.035  # from a fingertip's centre to what it holds: tip, hole around it and errors of joints [m]
-    )
+    max_gap: float = 0.035  # from a fingertip's centre to what it holds: tip, hole, errors of joints [m]
     slack: float = 0.015  # what is held is nearer to the grip's middle than the fingertips, but for this [m]
     max_cut: float = 0.01  # share of the surface's points that may be at the edge of what is fused
     starts: int = 2000  # poses of which a registration starts
     spread: float = 0.02  # of their positions [m]
     points: int = 500  # that are registered
     best: int = 30  # of the poses of the coarse stage that are refined
-    distinct: tuple[float, float] = (
-        0.01,
-        float(np.deg2rad(10)),
-    )  # two poses are not the same beyond this [m, rad]
+    distinct: tuple[float, float] = (0.01, float(np.deg2rad(10)))
+    """Two poses are not the same beyond this [m, rad]."""
     clearly_worse: float = 0.1  # by so much cost a pose is not a rival of the best one
     odd: float = 0.008  # so far from its own surface a symmetry takes no point into free space [m]
     max_odd: float = 0.02  # share of the points that may be so, by noise
@@ -133,9 +127,8 @@ class InHandReconstruction:
         others = [(grip, surface) for grip, surface, _ in found if surface is not None]
         left = [(grip, why) for grip, surface, why in found if surface is None]
         if not others:
-            raise InvalidInput(
-                f"recording: {left[0][1] if left else 'expected an object in the hand, got none'}"
-            )
+            why = left[0][1] if left else "expected an object in the hand, got none"
+            raise InvalidInput(f"recording: {why}")
         first, surface = others.pop(0)
         while others:
             results = [_joined(first, surface, grip, own) for grip, own in others]
