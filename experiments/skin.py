@@ -143,7 +143,7 @@ def draw_reading(axes: Any, rng: np.random.Generator) -> None:
     array = skin_scenes.palm_array()
     scene = skin_scenes.box_on_skin(rng, array)
     touch, half = scene.touch(array), np.array(scenes.BOX) / 2
-    extent = 1e3 * array.pitch * np.array([-array.columns, array.columns, -array.rows, array.rows]) / 2
+    extent = 1e3 * array.pitch * np.repeat(array.shape[::-1], 2) * [-1, 1, -1, 1] / 2
     axes.imshow(
         scene.readings, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=scene.readings.max()
     )

@@ -13,4 +13,5 @@ import scenes as scenes
 import sight_scenes as sight_scenes
 import sight_sequences as sight_sequences
 import skin_scenes as skin_scenes
+import tip_scenes as tip_scenes
 import views_around as views_around

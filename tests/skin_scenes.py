@@ -7,7 +7,7 @@ import numpy as np
 import handsight as hs
 import scenes
 from handsight import se3
-from handsight.contact.taxels import SkinTouch, TaxelArray
+from handsight.contact.taxels import SkinTouch, TactileSurface
 from handsight.simulation.skin import SKIN, Solid, taxel_forces
 
 VISION = (0.03 * np.sqrt(3), np.deg2rad(6) * np.sqrt(3))
@@ -35,14 +35,14 @@ class SkinScene:
     across: np.ndarray
     """(3,) unit, in the palm: across the object's edge that is on the array."""
 
-    def touch(self, array: TaxelArray) -> SkinTouch:
+    def touch(self, array: TactileSurface) -> SkinTouch:
         """What the array says."""
         return array.touch(self.readings)
 
 
-def palm_array(pitch: float = 0.004) -> TaxelArray:
+def palm_array(pitch: float = 0.004) -> TactileSurface:
     """60 x 80 mm, in the palm's own axes."""
-    return TaxelArray(
+    return TactileSurface.grid(
         frame="palm", T_frame_grid=np.eye(4), rows=round(0.08 / pitch), columns=round(0.06 / pitch), pitch=pitch,
         threshold=0.015,
     )  # fmt: skip
@@ -53,7 +53,7 @@ def box_solid(size: np.ndarray) -> Solid:
     return Solid(np.vstack([np.eye(3), -np.eye(3)]), np.tile(np.asarray(size) / 2, 2))
 
 
-def box_on_skin(rng: np.random.Generator, array: TaxelArray, *, springs: float = SKIN.foam) -> SkinScene:
+def box_on_skin(rng: np.random.Generator, array: TactileSurface, *, springs: float = SKIN.foam) -> SkinScene:
     """The box lies flat, one of its long edges on the array, the ends of which may be beyond it."""
     size = np.array(scenes.BOX)
     yaw, edge = np.deg2rad(rng.uniform(-25, 25)) + np.pi * rng.integers(2), rng.uniform(-0.015, 0.015)
@@ -71,7 +71,7 @@ def box_on_skin(rng: np.random.Generator, array: TaxelArray, *, springs: float =
     return _measured(scenes.box(), box_solid(size), T, tips, array, across, rng, springs)
 
 
-def can_on_skin(rng: np.random.Generator, array: TaxelArray, *, end: bool = True) -> SkinScene:
+def can_on_skin(rng: np.random.Generator, array: TactileSurface, *, end: bool = True) -> SkinScene:
     """The can lies across the array; with one `end` on it, or beyond it with both."""
     radius, height = scenes.CAN["radius"], scenes.CAN["height"]
     yaw = np.deg2rad(rng.uniform(-25, 25)) + np.pi * rng.integers(2)
@@ -96,7 +96,7 @@ def _measured(
     solid: Solid,
     T: np.ndarray,
     tips: tuple[np.ndarray, np.ndarray],
-    array: TaxelArray,
+    array: TactileSurface,
     across: np.ndarray,
     rng: np.random.Generator,
     springs: float = SKIN.foam,

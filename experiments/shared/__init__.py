@@ -14,4 +14,5 @@ from testbed import scenes as scenes
 from testbed import sight as sight
 from testbed import sight_scenes as sight_scenes
 from testbed import skin_scenes as skin_scenes
+from testbed import tip_scenes as tip_scenes
 from testbed import ycb as ycb

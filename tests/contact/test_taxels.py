@@ -9,11 +9,19 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from handsight import se3
-from handsight.contact import TaxelArray
+from handsight.contact import TactileSurface, TaxelArray
 from handsight.contact.taxels import CLEARANCE, MAX_CONTACTS
 from handsight.errors import InvalidInput
 
-ARRAY = TaxelArray(frame="palm", T_frame_grid=np.eye(4), rows=6, columns=9, pitch=0.004, threshold=0.1)
+FIELDS = {
+    "frame": "palm",
+    "T_frame_grid": np.eye(4),
+    "rows": 6,
+    "columns": 9,
+    "pitch": 0.004,
+    "threshold": 0.1,
+}
+ARRAY = TactileSurface.grid(**FIELDS)
 T = se3.random(np.random.default_rng(1), spread=0.2)
 
 
@@ -104,7 +112,7 @@ def test_a_taxel_at_full_scale_is_pressed_whatever_its_baseline():
 
 
 def test_of_many_taxels_the_outermost_are_kept():
-    array = replace(ARRAY, rows=20, columns=20)
+    array = TactileSurface.grid(**FIELDS | {"rows": 20, "columns": 20})
     contacts = array.touch(np.ones((20, 20))).contacts(np.eye(4))
     assert len(contacts) == MAX_CONTACTS
     corners = np.abs(contacts.points_palm[:, :2]).min(axis=1) > 0.0379
@@ -138,7 +146,7 @@ def test_no_taxel_is_both_pressed_and_untouched(reading):
 )
 def test_what_is_no_array_is_reported(field, value, message):
     with pytest.raises(InvalidInput, match=message):
-        replace(ARRAY, **{field: value})
+        TactileSurface.grid(**FIELDS | {field: value})
 
 
 @pytest.mark.parametrize("reading", [np.zeros((9, 6)), np.zeros(54), [[1, 2]], [[1, 2], [3]], "much", None])
@@ -150,3 +158,13 @@ def test_readings_of_another_shape_are_reported(reading):
 def test_a_baseline_of_another_shape_is_reported():
     with pytest.raises(InvalidInput, match=r"baseline: expected a number or 6 rows of 9, got shape \(9,\)"):
         ARRAY.touch(block(), np.zeros(9))
+
+
+def test_the_former_name_gives_the_same_surface_with_a_warning():
+    with pytest.warns(DeprecationWarning, match=r"TactileSurface\.grid"):
+        array = TaxelArray(**FIELDS)
+    with pytest.warns(DeprecationWarning, match=r"layout\.rows"):
+        assert array.rows == 6
+    with pytest.warns(DeprecationWarning, match=r"SkinTouch\.surface"):
+        assert ARRAY.touch(block()).array is ARRAY
+    np.testing.assert_array_equal(array.points, ARRAY.points)

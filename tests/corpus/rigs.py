@@ -4,6 +4,7 @@ import random
 import re
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from handsight.contact import (
     contacts_from_wrenches,
 )
 from handsight.hand import Hand
+from handsight.rig import layouts
 from tests.corpus.door import NUMBERS, Case, Door, check_covariance, check_pose, spoilt_text, spoilt_value
 
 URDF = """<robot name="pinch">
@@ -62,8 +64,40 @@ table: {height: 0.0, sigma_height: 0.003, sigma_tilt_deg: 1}
 world: {palm_from: tf, gravity: [0.0, 0.0, -9.81]}
 topics: {vision: /vision, wrenches: {one: /a, two: /b}}
 objects: {can: {cylinder: {radius: 0.033, height: 0.122}}}
+skin:
+  pad: {frame: one, rows: 4, columns: 3, pitch: 0.004, radius: 0.02, components: 3, scale: [1, 1, 0.5], threshold: 0.1}
+  tip: {frame: two, taxels: [[0, 0, 0.01, 0, 0, 1], [0, 0.004, 0.01, 0, 0.1, 1]], unit: m, threshold: 0.1}
 """
 FOLDER = tempfile.TemporaryDirectory()
+
+
+SENSORS = """<robot name="hand"><link name="palm"/>
+  <sensor name="pad"><parent link="palm"/><origin xyz="0 0 0.03" rpy="0 1.5 0"/>
+    <tactile><array rows="2" cols="3" order="row-major" size="0.005 0.004" offset="0.001 0"/></tactile></sensor>
+  <sensor name="list"><parent link="palm"/><tactile><taxel idx="0" xyz="0.01 0 0" rpy="0 0.3 0"/>
+    <taxel idx="1" xyz="0.01 0.004 0" rpy="0 0 0"/></tactile></sensor></robot>"""
+TABLES = {
+    "a.csv": "x,y,z,nx,ny,nz\n0,0,10,0,0,1\n0,4,10,0,0.1,1\n4,0,10,0.1,0,1\n",
+    "a.json": '{"points": [[0, 0, 10, 0, 0, 1], [0, 4, 10, 0, 0.1, 1], [4, 0, 10, 0.1, 0, 1]]}',
+}
+
+
+def surface_spoilt(rng: random.Random) -> None:
+    """Reads a layout of taxels from a damaged file or URDF, and touches it."""
+    name = rng.choice([*TABLES, "sensors.urdf"])
+    text = spoilt_text(TABLES[name], rng) if name in TABLES else spoilt_xml(SENSORS, rng)
+    path = Path(FOLDER.name) / name
+    path.write_bytes(text.encode("utf-8", "replace"))
+    read = (
+        layouts.from_file(name, path.parent, 1e-3)
+        if name in TABLES
+        else layouts.from_urdf(rng.choice(["pad", "list"]), SimpleNamespace(file=str(path)))
+    )
+    surface = read.surface(np.eye(4), None, {"frame": "palm", "threshold": 0.1})
+    contacts = surface.touch(np.ones(surface.shape)).contacts(np.eye(4))
+    assert contacts is not None
+    for each in contacts.covariance:
+        check_covariance(each)
 
 
 def hand(text: str) -> None:
@@ -144,6 +178,7 @@ def touch_spoilt(rng: random.Random) -> None:
 
 
 DOORS = [
+    Door("a layout of taxels", surface_spoilt, 200),
     Door("urdf", lambda rng: hand(spoilt_xml(URDF, rng)), 100),
     Door("mjcf", lambda rng: hand(spoilt_xml(MJCF, rng)), 100),
     Door("rig.yaml", lambda rng: rig(spoilt_text(RIG, rng)), 60),

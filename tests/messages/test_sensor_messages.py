@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from handsight.contact import TaxelArray
+from handsight.contact import TactileSurface
 from handsight.errors import InvalidInput
 from handsight.messages import ObservationStream, RawMessage
 from handsight.messages.decode import typestore
@@ -36,7 +36,7 @@ HAND_DEFINITION = "\n".join(
 
 
 def grid(rows=2, columns=3):
-    return TaxelArray(
+    return TactileSurface.grid(
         frame="palm", T_frame_grid=np.eye(4), rows=rows, columns=columns, pitch=0.004, threshold=0.1
     )
 

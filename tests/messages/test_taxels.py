@@ -6,14 +6,16 @@ from types import SimpleNamespace as Message
 import numpy as np
 import pytest
 
-from handsight.contact import TaxelArray
+from handsight.contact import TactileSurface
 from handsight.messages import ObservationStream, RawMessage, RosType
 from handsight.messages.decode import typestore
 from handsight.messages.encode import header, taxel_fields
 from messages.ros import START, Messages, raw, rig
 
 M = Messages()
-TAXELS = TaxelArray(frame="palm", T_frame_grid=np.eye(4), rows=2, columns=3, pitch=0.004, threshold=0.1)
+TAXELS = TactileSurface.grid(
+    frame="palm", T_frame_grid=np.eye(4), rows=2, columns=3, pitch=0.004, threshold=0.1
+)
 READING = np.arange(6.0).reshape(2, 3)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from handsight import se3
-from handsight.contact import Ellipsoid, Sphere, TaxelArray, WrenchCalibration
+from handsight.contact import Ellipsoid, Sphere, TactileSurface, WrenchCalibration
 from handsight.hand import Hand
 from handsight.objects import ObjectSpec
 from handsight.rig import Finger, MountedCamera, Rig, Table, Topics
@@ -106,7 +106,7 @@ def full(folder, seed=0, numbers=(0.1, 0.7, 0.004), world_from="joints"):
             mask="/labels",
         ),
         skin={
-            "the palm": TaxelArray(
+            "the palm": TactileSurface.grid(
                 frame="palm",
                 T_frame_grid=se3.random(rng, spread=0.05),
                 rows=3,

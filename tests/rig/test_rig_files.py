@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handsight.contact import Ellipsoid, Sphere, TaxelArray, WrenchCalibration
+from handsight.contact import Ellipsoid, Sphere, TactileSurface, WrenchCalibration
+from handsight.contact.taxels import Grid
 from handsight.errors import InvalidFile, MissingExtra
 from handsight.hand import Hand
 from handsight.objects import ObjectSpec
@@ -18,13 +19,13 @@ from handsight.rig import Finger, MountedCamera, Rig, Table, Topics
 from handsight.rig.save import text, write
 from rig.rigs import TIPS, URDF, full, hand, rig_text
 
-VALUES = (Rig, Finger, MountedCamera, Table, Topics, ObjectSpec, TaxelArray, WrenchCalibration)
+VALUES = (Rig, Finger, MountedCamera, Table, Topics, ObjectSpec, TactileSurface, WrenchCalibration)
 
 
 def leaves(value, path=""):
     """(path, value) of everything in a rig."""
     if isinstance(value, VALUES):
-        for item in dataclasses.fields(value):
+        for item in (item for item in dataclasses.fields(value) if item.init):
             yield from leaves(getattr(value, item.name), f"{path}.{item.name}")
     elif isinstance(value, Hand):
         yield from leaves({"palm": value.palm, "tips": value.tips, "joints": value.joint_names}, path)
@@ -33,6 +34,8 @@ def leaves(value, path=""):
         yield f"{path}.kind", type(value).__name__
         for name in ("semi_axes", "cap", "max_friction", "min_force", "T_surface_sensor"):
             yield f"{path}.{name}", getattr(value, name)
+    elif isinstance(value, Grid):
+        yield from leaves(value._asdict(), path)
     elif isinstance(value, dict):
         yield f"{path}.keys", list(value)
         for key, part in value.items():

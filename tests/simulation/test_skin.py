@@ -73,7 +73,9 @@ def test_the_power_grasp_presses_the_can_on_the_skin(simulated):
     reading = last.observation.skin["palm"] - samples[0].observation.skin["palm"]
     assert reading.max() > 0.1
     # Along its axis the can ends on the array, near its end in the palm.
-    end = se3.apply(se3.inverse(PALM_SKIN.T_frame_grid) @ last.T_palm_object, np.array([[0, 0, 0.061]]))[0]
+    end = se3.apply(
+        se3.inverse(PALM_SKIN.layout.T_frame_grid) @ last.T_palm_object, np.array([[0, 0, 0.061]])
+    )[0]
     pressed = PALM_SKIN.places_grid[reading > 0.05]
     assert abs(pressed[:, 0].max() - end[0]) < 0.006
 

@@ -236,8 +236,9 @@ def _print_rig(rig: "Rig", name: str) -> None:
             kind = c.depth_camera.replace("_", " ")
             rows.append(("", f"{c.size[0]} x {c.size[1]} pixels, {lens}; depth by {kind}"))
     for name, array in rig.skin.items():
-        size = f"{array.rows} x {array.columns} taxels, {1e3 * array.pitch:g} mm apart"
         topic = rig.topics.skin.get(name, "nothing")
+        size = f"{' x '.join(map(str, array.shape))} taxels, {1e3 * array.pitch:.3g} mm apart"
+        size += " (nominal)" if array.nominal else ""
         rows.append((f"skin {name}", f"{size}, on {array.frame}; readings on {topic}"))
     rows.append(("vision", f"poses on {rig.topics.vision}" if rig.topics.vision else "none"))
     if rig.table is not None:

@@ -370,6 +370,8 @@ class TrackResult:
                 )
         if pressed := sum(step.skin.pressed for step in self.steps):
             yield f"tactile arrays: pressed in {pressed} of {len(self.steps)} poses"
+        for name, faults in self.steps[-1].skin.faults.items() if self.steps else ():
+            yield f"skin {name}: {faults}"
         if slips := self.slips:
             first = slips[0][0] - self.steps[0].stamp
             times = "once" if len(slips) == 1 else f"{len(slips)} times"

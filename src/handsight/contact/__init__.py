@@ -16,7 +16,7 @@ from handsight.contact.fingertips import (
 )
 from handsight.contact.sensing import contact_from_wrench, contacts_from_wrenches
 from handsight.contact.tables import COLUMNS_HELP, convert
-from handsight.contact.taxels import SkinTouch, TaxelArray
+from handsight.contact.taxels import SkinTouch, TactileSurface, TaxelArray
 
 __all__ = [
     "COLUMNS_HELP",
@@ -31,6 +31,7 @@ __all__ = [
     "Reason",
     "SkinTouch",
     "Sphere",
+    "TactileSurface",
     "TaxelArray",
     "WrenchCalibration",
     "calibrate_wrench",

@@ -1,171 +1,387 @@
-"""Tactile arrays: a flat grid of taxels on a link, and the evidence of its readings on the object's pose.
+"""Tactile surfaces: the taxels of one link, on a flat grid or on any curved surface, and what their readings say.
 
-Frame `grid`: origin in the middle of the grid, x along a row (the column's number grows), y along a column (the row's
-number grows), +z out of the skin, towards what touches the skin. A pressed taxel is a contact with the link's normal;
-an untouched one is a point that the object does not cover. A dead, stuck or half covered taxel is no evidence.
+A reading has one number a taxel, its pressure, or three: the force on it along the taxel's own x and y, and into the
+skin. Pressed taxels that touch each other are a patch. Where the surface is flat, each pressed taxel is a contact with
+the surface's normal, as a face may lie on it; where it is curved, a patch is one contact, at its centre of pressure. An
+untouched taxel is a point that the object does not cover. A dead, stuck or half covered taxel is no evidence.
+
+Frame `grid` of a flat grid: origin in its middle, x along a row (the column's number grows), y along a column (the
+row's number grows), +z out of the skin.
 """
 
+import math
+import warnings
 from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
+from handsight._deprecated import renamed_members
+from handsight._kernels.touch import taxels as kernel
 from handsight.checks import Array, Indices, Mask
 from handsight.contact.contacts import Contacts
 from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 
-MAX_CONTACTS = 32
-"""Contacts of one array at most: the pressed taxels that are farthest from each other."""
+MAX_CONTACTS, MAX_PATCHES = 32, 16
+"""Contacts of flat patches of one surface at most, the pressed taxels that are farthest from each other; and patches of
+one surface at most."""
 CLEARANCE, SIGMA_CLEARANCE = 5e-4, 3e-4
 """Height above an untouched taxel at which there is no object, as a face that lies on the skin is at no depth in it,
 and its standard deviation [m]. A can's side is that high 6 mm beside the line where it touches."""
+MOST_TAXELS, FLAT = 4096, math.radians(3.0)
+"""Taxels of one surface at most; the angle up to which normals are parallel [rad]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class TaxelArray:
-    """A `TaxelArray` is a flat grid of taxels on a link of the hand; wrong fields raise InvalidInput."""
+class Grid(NamedTuple):
+    """A `Grid` is the layout of a flat grid of taxels."""
 
-    frame: str
-    """Body of the hand's file to which the array is fixed."""
     T_frame_grid: Array
     """(4, 4) pose of the grid in the body."""
     rows: int
     columns: int
-    pitch: float
-    """Distance from taxel to taxel, along rows and columns [m]."""
+
+
+@renamed_members(rows="layout.rows", columns="layout.columns", T_frame_grid="layout.T_frame_grid")
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class TactileSurface:
+    """A `TactileSurface` has the taxels of one link of the hand; wrong fields raise InvalidInput."""
+
+    frame: str
+    """Body of the hand's file to which the taxels are fixed."""
+    points: Array
+    """(n, 3) positions of the taxels in the body [m]."""
+    normals: Array
+    """(n, 3) outward normals, of any length."""
     threshold: float
-    """Least rise of a touched taxel's reading over its baseline, in the unit of the readings."""
+    """Least rise of a touched taxel's reading over its baseline, in the unit of the scaled readings."""
+    x_axes: Array | None = None
+    """(n, 3) the taxels' own x, of any length, across the normal; None: the body's x, or its y where that is along the
+    normal. The taxel's y completes it to a right-handed frame."""
+    components: Literal[1, 3] = 1
+    """Numbers a taxel: its pressure, or its force along x, along y and into the skin."""
+    area: float | None = None
+    """Of a taxel [m²]; None: the square of `pitch`."""
+    pitch: float = 0.0
+    """Distance from taxel to taxel [m]; 0: the median distance to the third nearest taxel."""
     full_scale: float | None = None
-    """The largest reading there is: such a taxel is pressed, unless it always reads that."""
+    """The largest scaled reading there is: such a taxel is pressed, unless it always reads that."""
+    scale: ArrayLike = 1.0
+    """Factor from `reading - offset` to newtons, or to the unit of the pressure: a number or one for each component."""
+    offset: ArrayLike = 0.0
+    """Reading of an untouched taxel, before that is measured: a number or one for each component."""
+    noise: float = 0.05
+    """Standard deviation of a reading, as a share of it."""
     sigma_point: float = 1.5e-4
     """Standard deviation of a taxel's height, as skin is uneven and soft [m]; sideways it is known to its cell."""
-    sigma_normal: float = np.deg2rad(4.0)
-    """Standard deviation of a contact's normal [rad]."""
+    sigma_normal: float | None = None
+    """Standard deviation of a contact's normal [rad]; None: 4° on a flat surface, 0.8° on a curved one."""
     sigma_mount: float = 5e-4
-    """Standard deviation of the height of the array as a whole on its link [m]."""
+    """Standard deviation of the height of the surface as a whole on its link [m]."""
+    layout: Grid | None = None
+    """The grid that the taxels are on, row by row; None: they are at any places."""
+    nominal: bool = False
+    """Whether the places are assumed by the number and the pitch of a product without published coordinates."""
+    taxels: NDArray[np.void] = field(init=False, repr=False)
+    """(n,) the taxels as records for the kernel."""
+    record: NDArray[np.void] = field(init=False, repr=False)
+    """(1,) the other fields as a record."""
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        se3.check(self.T_frame_grid, "T_frame_grid")
-        most = 4096  # taxels
-        for name in ("rows", "columns"):
-            value = getattr(self, name)
-            integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
-            if not integer or not 1 <= value <= most:
-                expected = f"expected a whole number from 1 to {most}"
-                raise InvalidInput(f"{name}: {expected}, got {checks.brief(value)}")
-        if self.rows * self.columns > most:
-            raise InvalidInput(f"rows: expected at most {most} taxels, got {self.rows * self.columns}")
-        if not 2e-4 <= float(checks.finite(self.pitch, "pitch", ())) <= 0.05:
-            raise InvalidInput(f"pitch: expected metres from 0.0002 to 0.05, got {self.pitch:g}")
+        points = checks.position(self.points, "points", (None, 3))
+        n, most = len(points), self.full_scale
+        if not 1 <= n <= MOST_TAXELS:
+            raise InvalidInput(f"points: expected 1 to {MOST_TAXELS} taxels, got {n}")
+        if (extent := float(np.ptp(points, axis=0).max())) > 0.5:
+            raise InvalidInput(f"points: expected metres, within 0.5 m, got {extent:g} (millimetres?)")
+        normals = checks.unit(self.normals, "normals", (n, 3))
+        if self.components not in (1, 3):
+            raise InvalidInput(f"components: expected 1 or 3, got {checks.brief(self.components)}")
+        distance = np.linalg.norm(points[:, None] - points, axis=2) + np.diag(np.full(n, np.inf))
+        if n > 1 and not distance.min() > 1e-5:
+            i = int(distance.min(axis=1).argmin())
+            raise InvalidInput(f"points[{i}]: expected a place of its own, got that of another taxel")
+        third = np.median(np.sort(distance, axis=1)[:, min(3, n - 1) - 1]) if n > 1 else np.inf
+        pitch = checked_pitch(third if self.pitch == 0 else self.pitch)
+        _check_outward(points, normals, distance < 1.6 * pitch)
         checks.positive(self.threshold, "threshold")
-        most_read = self.full_scale
-        if most_read is not None and not checks.positive(most_read, "full_scale") > self.threshold:
-            raise InvalidInput(f"full_scale: expected more than the threshold, got {most_read:g}")
-        checks.sigma_point(self.sigma_point, "sigma_point")
-        checks.sigma_normal(self.sigma_normal, "sigma_normal")
-        checks.sigma_point(self.sigma_mount, "sigma_mount")
+        if most is not None and not checks.positive(most, "full_scale") > self.threshold:
+            raise InvalidInput(f"full_scale: expected more than the threshold, got {most:g}")
+        flat = bool((normals @ _unit(normals.sum(axis=0)) > math.cos(FLAT)).all())
+        sigma_normal = math.radians(4.0 if flat else 0.8) if self.sigma_normal is None else self.sigma_normal
+        for name, sigma in (("sigma_point", self.sigma_point), ("sigma_mount", self.sigma_mount)):
+            checks.sigma_point(sigma, name)
+        record, taxels = (
+            np.ones(1, dtype=kernel.SURFACE),
+            _records(points, self._axes(normals), distance, pitch),
+        )
+        for name in ("scale", "offset"):
+            value, shape = getattr(self, name), (self.components,)
+            record[name][0, : self.components] = checks.finite(
+                value, name, shape if checks.ndim(value) else ()
+            )
+        if not record["scale"].all() or not 0 <= float(checks.finite(self.noise, "noise", ())) <= 1:
+            raise InvalidInput(
+                f"scale, noise: expected no 0, and a share up to 1, got {self.scale}, {self.noise}"
+            )
+        # Two opposite sides may differ in height by the mount's error too, as soft skin gives way more where it is
+        # pressed more; so the surface may also be turned.
+        width = pitch + float(np.ptp(points @ taxels["axes"][0][:, :2], axis=0).min())
+        values: dict[str, Any] = {
+            "threshold": self.threshold,
+            "full_scale": np.inf if most is None else most,
+            "noise": self.noise,
+            "pitch": pitch if self.area is None else math.sqrt(checks.positive(self.area, "area")),
+            "variance_point": self.sigma_point**2,
+            "variance_normal": checks.sigma_normal(sigma_normal, "sigma_normal") ** 2,
+            "variance_mount": self.sigma_mount**2 * np.repeat([1.0, 4 / width**2], 3),
+            "flat": flat,
+        }
+        for name, value in values.items():
+            record[name] = value
+        values = {"points": points, "normals": normals, "pitch": pitch, "taxels": taxels, "record": record}
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def _axes(self, normals: Array) -> Array:
+        """Returns (n, 3, 3) the taxels' axes, in columns; raises InvalidInput for an x along the normal."""
+        x = np.where(np.abs(normals[:, :1]) < 0.9, [1.0, 0, 0], [0.0, 1, 0])
+        if self.x_axes is not None:
+            x = checks.unit(self.x_axes, "x_axes", normals.shape)
+        x = x - (x * normals).sum(axis=1)[:, None] * normals
+        if (along := np.flatnonzero(np.linalg.norm(x, axis=1) < 0.05)).size:
+            raise InvalidInput(
+                f"x_axes[{along[0]}]: expected a direction across the normal, got one along it"
+            )
+        return np.stack([_unit(x), np.cross(normals, _unit(x)), normals], axis=2)
+
+    @classmethod
+    def grid(
+        cls, *, frame: str, T_frame_grid: ArrayLike, rows: int, columns: int, pitch: float, **fields: Any
+    ) -> "TactileSurface":
+        """Returns a flat grid of taxels, `pitch` apart [m]; raises InvalidInput.
+
+        `T_frame_grid` (4, 4): pose of the grid in the body. `fields`: the other fields of a surface.
+        """
+        T = se3.check(T_frame_grid, "T_frame_grid")
+        points = se3.apply(T, grid_places(rows, columns, pitch).reshape(-1, 3))
+        x_axes, normals = (np.tile(T[:3, k], (len(points), 1)) for k in (0, 2))
+        fields |= {"frame": frame, "pitch": pitch, "layout": Grid(T, int(rows), int(columns))}
+        return cls(points=points, normals=normals, x_axes=x_axes, **fields)
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """The number of rows and of columns."""
-        return self.rows, self.columns
+    def places(self) -> tuple[int, ...]:
+        """The rows and columns of a grid, or the number of taxels."""
+        return (len(self.points),) if self.layout is None else self.layout[1:]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of a reading: `places`, then 3 for three components."""
+        return self.places if self.components == 1 else (*self.places, 3)
 
     @property
     def places_grid(self) -> Array:
-        """(rows, columns, 3) positions of the taxels in the grid's frame [m]."""
-        x = self.pitch * (np.arange(self.columns) - (self.columns - 1) / 2)
-        y = self.pitch * (np.arange(self.rows) - (self.rows - 1) / 2)
-        return np.stack([*np.meshgrid(x, y), np.zeros(self.shape)], axis=2)
+        """(rows, columns, 3) positions of a grid's taxels in its frame [m]."""
+        rows, columns = self.places
+        return grid_places(rows, columns, self.pitch)
 
     def reading(self, values: ArrayLike, name: str = "reading") -> Array:
-        """Returns readings (rows, columns) as floats, NaN for none; raises InvalidInput for another shape."""
+        """Returns readings of the surface's `shape` as floats, NaN for none; raises InvalidInput for another shape."""
         try:
             array = np.asarray(values)
         except ValueError:  # rows of different length
             array = np.zeros(0)
         if array.dtype.kind not in "fiu" or array.shape != self.shape:
-            expected = f"expected {self.rows} rows of {self.columns} numbers"
-            raise InvalidInput(f"{name}: {expected}, got {checks.brief(values)} of shape {array.shape}")
+            came = f"{checks.brief(values)} of shape {array.shape}"
+            raise InvalidInput(f"{name}: expected {self._expected} numbers, got {came}")
         return array.astype(np.float64)
 
+    @property
+    def _expected(self) -> str:
+        rows = "" if self.layout is None else f"{self.layout.rows} rows of "
+        return f"{rows}{self.places[-1]}{' times 3' if self.components == 3 else ''}"
+
     def touch(self, values: ArrayLike, baseline: ArrayLike = 0.0) -> "SkinTouch":
-        """Returns which taxels are pressed, and which are untouched, by their readings (rows, columns).
+        """Returns which taxels are pressed, which are untouched, and the patches, by readings of the surface's `shape`.
 
-        `baseline`: their readings while untouched, a number or (rows, columns). A taxel with NaN or infinity in either
-        is neither. Raises InvalidInput.
+        `baseline`: the scaled readings while untouched, a number or of that shape. A taxel with NaN or infinity in
+        either is neither. Raises InvalidInput.
         """
-        reading = self.reading(values)
         if np.shape(baseline) not in ((), self.shape):
-            expected = f"expected a number or {self.rows} rows of {self.columns}"
-            raise InvalidInput(f"baseline: {expected}, got shape {np.shape(baseline)}")
-        rise = reading - np.asarray(baseline, dtype=np.float64)
-        known = np.isfinite(rise)
-        rise = np.where(known, rise, 0.0)
-        if self.full_scale is not None:
-            rise = np.where(known & (reading >= self.full_scale), self.full_scale, rise)
-        touched = known & (rise >= self.threshold)
-        isolated = touched & ~_neighbours(touched, 2).any(axis=0)
-        if touched.sum() > isolated.sum():  # while others are touched together, an isolated one is stuck
-            known, touched = known & ~isolated, touched & ~isolated
-        # With less than half of its strongest neighbour's rise, a taxel may be touched at its rim only.
-        pressed = touched & (rise >= 0.5 * _neighbours(rise, 1).max(axis=0))
-        # Taxels between touched ones are covered too: they are dead, or lower than the others.
-        covered = np.zeros_like(touched)
-        for axis in (0, 1):
-            before = np.maximum.accumulate(touched, axis=axis)
-            after = np.flip(np.maximum.accumulate(np.flip(touched, axis), axis=axis), axis)
-            covered |= before & after
-        return SkinTouch(self, pressed, known & ~covered)
+            came = np.shape(baseline)
+            raise InvalidInput(f"baseline: expected a number or {self._expected}, got shape {came}")
+        values, bases = (
+            self.reading(values),
+            np.broadcast_to(np.asarray(baseline, dtype=np.float64), self.shape),
+        )
+        return self.sensed(*(each.reshape(len(self.points), -1) for each in (values, bases)))
+
+    def sensed(self, values: Array, baseline: Array) -> "SkinTouch":
+        """Returns the same as `touch`, of a checked reading and baseline (n, components)."""
+        n, c = values.shape
+        rise, states = np.empty((n + 1, c)), np.empty((2, n + 1), dtype=np.int64)
+        patches = np.empty(MAX_PATCHES, dtype=kernel.PATCH)
+        count = kernel.sense_taxels(values, baseline, self.record, self.taxels, rise, states, patches)
+        return SkinTouch(self, rise, states, patches[:count])
 
 
-def _neighbours(values: Array | Mask, distance: int) -> Array:
-    """Returns (n, rows, columns) the values of each taxel's neighbours within `distance` taxels, 0 beyond the rim."""
-    rows, columns = values.shape
-    padded, size = np.pad(values, distance), 2 * distance + 1
-    shifts = [(i, j) for i in range(size) for j in range(size) if (i, j) != (distance, distance)]
-    return np.stack([padded[i : i + rows, j : j + columns] for i, j in shifts])
+def TaxelArray(**fields: Any) -> TactileSurface:
+    """Returns a flat grid of taxels. Deprecated: it is `TactileSurface.grid`."""
+    warnings.warn("TaxelArray is now TactileSurface.grid", DeprecationWarning, 2)
+    return TactileSurface.grid(**fields)
 
 
+def checked_pitch(pitch: Any) -> float:
+    """Returns a distance from taxel to taxel [m]; raises InvalidInput."""
+    if not 2e-4 <= float(checks.finite(pitch, "pitch", ())) <= 0.05:
+        raise InvalidInput(f"pitch: expected metres from 0.0002 to 0.05, got {pitch:g}")
+    return float(pitch)
+
+
+def grid_places(rows: int, columns: int, pitch: float) -> Array:
+    """Returns (rows, columns, 3) positions about the middle of a flat grid, in its frame [m]; raises InvalidInput."""
+    for name, value in (("rows", rows), ("columns", columns)):
+        integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if not integer or not 1 <= value <= MOST_TAXELS:
+            expected = f"expected a whole number from 1 to {MOST_TAXELS}"
+            raise InvalidInput(f"{name}: {expected}, got {checks.brief(value)}")
+    if rows * columns > MOST_TAXELS:
+        raise InvalidInput(f"rows: expected at most {MOST_TAXELS} taxels, got {rows * columns}")
+    x, y = (checked_pitch(pitch) * (np.arange(count) - (count - 1) / 2) for count in (columns, rows))
+    return np.stack([*np.meshgrid(x, y), np.zeros((rows, columns))], axis=2)
+
+
+def _check_outward(points: Array, normals: Array, near: Mask) -> None:
+    """Raises InvalidInput where a normal is opposite to those of its neighbours, or where all point inward.
+
+    A surface whose normals point outward is the wider, the farther out it is; a palm may be a little hollow.
+    """
+    wrong = np.flatnonzero((near @ normals * normals).sum(axis=1) < -0.5 * near.sum(axis=1).clip(min=1))
+    arms, expected = points - points.mean(axis=0), "expected normals that point out of the link"
+    if len(wrong):
+        raise InvalidInput(f"normals[{wrong[0]}]: {expected}, got one against its neighbours'")
+    if (normals * arms).sum() < -0.3 * np.linalg.norm(arms, axis=1).sum():
+        raise InvalidInput(f"normals: {expected}, got normals that point into it")
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True).clip(min=1e-12))
+
+
+def _records(points: Array, axes: Array, distance: Array, pitch: float) -> NDArray[np.void]:
+    """Returns TAXEL records (n,): neighbours by `distance` (n, n), of which those that face elsewhere do not count."""
+    n, records, normals = len(points), np.zeros(len(points), dtype=kernel.TAXEL), axes[:, :, 2]
+    records["point"], records["axes"], records["beside"] = points, axes, n
+    facing = normals @ normals.T > 0.3
+    for name, reach, most in (("near", 1.5, kernel.NEAR), ("wide", 2.9, kernel.WIDE)):
+        reached = np.where(facing & (distance < reach * pitch), distance, np.inf)
+        order = np.argsort(reached, axis=1, kind="stable")[:, :most]
+        records[name] = n
+        records[name][:, :n] = np.where(np.isfinite(np.take_along_axis(reached, order, axis=1)), order, n)
+    for i, row in enumerate(records):
+        near = row["near"][row["near"] < n]
+        if not len(near):
+            continue
+        row["edge"] = _unit(points[near] - points[i]).mean(axis=0)
+        arms, turns = ((values[near] - values[i]) @ axes[i][:, :2] for values in (points, normals))
+        for k, along in enumerate((-arms[:, 0], arms[:, 0], -arms[:, 1], arms[:, 1])):
+            cosine = along / np.linalg.norm(arms, axis=1).clip(min=1e-12)
+            row["beside"][k] = near[cosine.argmax()] if cosine.max() > 0.85 else n
+        # Least squares, across the normal, with a weak pull to a flat surface.
+        K = np.linalg.solve(arms.T @ arms + 1e-2 * pitch**2 * np.eye(2), arms.T @ turns)
+        row["bend"] = axes[i][:, :2] @ K.T @ axes[i][:, :2].T
+    return records
+
+
+@renamed_members(array="surface")
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinTouch:
-    """A `SkinTouch` says which taxels of an array are touched at one instant."""
+    """A `SkinTouch` says which taxels of a surface are touched at one instant."""
 
-    array: TaxelArray = field(repr=False)
-    pressed: Mask
-    """(rows, columns) taxels that are contacts."""
-    untouched: Mask
-    """(rows, columns) taxels that nothing covers; those that are neither are no evidence."""
+    surface: TactileSurface = field(repr=False)
+    rise: Array = field(repr=False)
+    """(n + 1, components) scaled readings over the baseline, 0 where unknown and in the last row; those of dead taxels
+    within a patch are estimated from their neighbours'."""
+    states: Indices = field(repr=False)
+    """(2, n + 1) what each taxel says, and the number of its patch, -1 for none (`_kernels/touch/taxels.py`)."""
+    patches: NDArray[np.void] = field(repr=False)
+    """(p,) records PATCH of taxels that touch each other, in the link."""
 
-    def contacts(self, T_palm_frame: ArrayLike) -> Contacts | None:
-        """Returns the pressed taxels as contacts in the palm, at most `MAX_CONTACTS`; None without a pressed one.
+    @property
+    def pressed(self) -> Mask:
+        """(rows, columns) or (n,) taxels that are contacts, by themselves or as a part of a patch."""
+        return np.reshape(self.states[0, :-1] == kernel.PRESSED, self.surface.places)
 
-        `T_palm_frame` (4, 4): the pose of the link. Their covariances are without the array's common error
-        `sigma_mount`, which `handsight.SkinEvidence.of` adds.
+    @property
+    def untouched(self) -> Mask:
+        """The taxels that nothing covers; those that are neither are no evidence."""
+        return np.reshape(self.states[0, :-1] >= kernel.UNTOUCHED, self.surface.places)
+
+    @property
+    def strongest(self) -> int:
+        """The number of the patch that bears most."""
+        return int(self.patches["total"].argmax()) if len(self.patches) > 1 else 0
+
+    def contacts(
+        self, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None, without: int = -1
+    ) -> Contacts | None:
+        """Returns the contacts in the palm; None without a pressed taxel.
+
+        Of flat patches they are at most `MAX_CONTACTS` pressed taxels, of the others their centres of pressure.
+        `T_palm_frame` (4, 4): the pose of the link. `by_error` (6, j): the shift [m] and the turn [rad] of the link by
+        one standard deviation of each of j joint errors. `without`: the number of a patch to leave out. The covariances
+        of flat patches are without the error that the taxels have in common (`sigmas_common`).
         """
-        array, T_palm_grid = self.array, self._T_palm_grid(T_palm_frame)
-        places = array.places_grid[self.pressed]
-        if not len(places):
+        surface, T = self.surface, se3.check(T_palm_frame, "T_palm_frame")
+        chosen = np.flatnonzero(self._spread(without))
+        patches = self.patches[~self.patches["flat"] & (np.arange(len(self.patches)) != without)]
+        if not len(chosen) and not len(patches):
             return None
-        points = se3.apply(T_palm_grid, places[_farthest_points(places, MAX_CONTACTS)])
-        R = T_palm_grid[:3, :3]
-        sideways = array.pitch**2 / 12
-        covariance = np.zeros((6, 6))
-        covariance[:3, :3] = R @ np.diag([sideways, sideways, array.sigma_point**2]) @ R.T
-        covariance[3:, 3:] = array.sigma_normal**2 * np.eye(3)
-        n = len(points)
-        return Contacts(points, np.tile(-R[:, 2], (n, 1)), covariance=np.tile(covariance, (n, 1, 1)))
+        chosen = chosen[_farthest_points(surface.points[chosen], MAX_CONTACTS)]
+        taxels, record, n = surface.taxels[chosen], surface.record[0], len(chosen)
+        C = np.zeros((n + len(patches), 6, 6))
+        sideways = record["pitch"] ** 2 / 12
+        heights = taxels["axes"] * [sideways, sideways, record["variance_point"]]
+        C[:n, :3, :3] = heights @ taxels["axes"].swapaxes(1, 2)
+        C[:n, 3:, 3:] = record["variance_normal"] * np.eye(3)
+        C[n:] = patches["covariance"] + np.diag(record["variance_mount"])
+        points = se3.apply(T, np.concatenate([taxels["point"], patches["point"]]))
+        normals = np.concatenate([-taxels["axes"][:, :, 2], patches["normal"]]) @ T[:3, :3].T
+        C = se3.rotate_covariance(T[:3, :3], C)
+        for k in range(n, len(C) if by_error is not None else n):
+            J = np.array(by_error)
+            J[:3] -= se3.skew(points[k] - T[:3, 3]) @ J[3:]
+            J[3:] = -se3.skew(normals[k]) @ J[3:]
+            C[k] += J @ J.T
+        return Contacts(points, normals, covariance=C)
+
+    def _spread(self, without: int = -1) -> Mask:
+        """Returns the taxels (n + 1,) that are contacts by themselves: the pressed ones of flat patches."""
+        flat = np.append(self.patches["flat"], False)  # the last one is of taxels without a patch
+        flat[without] = False
+        return np.asarray((self.states[0] == kernel.PRESSED) & flat[self.states[1]])
+
+    def sigmas_common(self, by_error: ArrayLike | None = None, without: int = -1) -> Array:
+        """Returns (6,) one standard deviation per axis of the common error of contacts of flat patches, shift [m] and
+        turn [rad]; zeros where there is none. The arguments are those of `contacts`."""
+        if not self._spread(without).any():
+            return np.zeros(6)
+        variance = self.surface.record[0]["variance_mount"]
+        more = 0.0 if by_error is None else (np.asarray(by_error) ** 2).sum(axis=1)
+        return np.asarray(np.sqrt(variance + more))
 
     def outside(self, T_palm_frame: ArrayLike) -> Array:
-        """Returns points (m, 3) in the palm that are not in the object: `CLEARANCE` above untouched taxels [m]."""
-        places = self.array.places_grid[self.untouched] + [0.0, 0.0, CLEARANCE]
-        return se3.apply(self._T_palm_grid(T_palm_frame), places)
+        """Returns points (m, 3) in the palm that are not in the object: `CLEARANCE` above untouched taxels [m].
 
-    def _T_palm_grid(self, T_palm_frame: ArrayLike) -> Array:
-        return np.asarray(se3.check(T_palm_frame, "T_palm_frame") @ self.array.T_frame_grid)
+        Of a curved surface they are of taxels beside a patch only, as the object is near nowhere else.
+        """
+        taxels = self.surface.taxels[self.states[0, :-1] == kernel.UNTOUCHED]
+        points = taxels["point"] + CLEARANCE * taxels["axes"][:, :, 2]
+        return se3.apply(se3.check(T_palm_frame, "T_palm_frame"), points)
 
 
 def _farthest_points(places: Array, count: int) -> Indices:

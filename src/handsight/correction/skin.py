@@ -54,14 +54,8 @@ class SkinEvidence:
         `T_palm_frame` (4, 4): the pose of the array's link. `by_error` (6, j): the shift [m] and the turn [rad] of the
         link in the palm by one standard deviation of each of j joint errors; None: the link is fixed in the palm.
         """
-        array = touch.array
-        # The heights of two opposite sides may differ by this error too, as soft skin gives way more where it is
-        # pressed more; so the array may also be turned.
-        turn = 2 * array.sigma_mount / (array.pitch * min(array.shape))
-        variance = np.repeat([array.sigma_mount**2, turn**2], 3)
-        if by_error is not None:
-            variance = variance + (np.asarray(by_error) ** 2).sum(axis=1)
-        return cls(touch.contacts(T_palm_frame), touch.outside(T_palm_frame), np.sqrt(variance))
+        contacts, untouched = touch.contacts(T_palm_frame, by_error), touch.outside(T_palm_frame)
+        return cls(contacts, untouched, touch.sigmas_common(by_error))
 
     def joined(self, other: SkinEvidence) -> SkinEvidence:
         """Returns the taxels of both; the common error is the larger one of the two, axis by axis."""

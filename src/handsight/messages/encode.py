@@ -7,7 +7,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact.taxels import TaxelArray
+from handsight.contact.taxels import TactileSurface
 from handsight.errors import InvalidInput
 from handsight.observation import ContactMeasurement
 
@@ -70,12 +70,13 @@ def contact_fields(contact: ContactMeasurement | None, stamp: float, palm: str) 
     return {"header": header(stamp, frame), "f_normal": force, **place, **unknown}
 
 
-def taxel_fields(values: Array, array: TaxelArray | None, name: str) -> dict[str, object]:
-    """Returns the fields of a Float32MultiArray of an array's readings (rows, columns); raises InvalidInput."""
+def taxel_fields(values: Array, array: TactileSurface | None, name: str) -> dict[str, object]:
+    """Returns the fields of a Float32MultiArray of a surface's readings, in its shape; raises InvalidInput."""
     if array is None:
         raise InvalidInput(f"skin[{name!r}]: expected a tactile array of the rig, got none of that name")
-    clean = array.reading(values, f"skin[{name!r}]")
-    (rows, columns), data = clean.shape, clean.astype(np.float32).ravel()
-    sides = ("rows", rows, data.size), ("columns", columns, columns)
-    dim = [Message(label=label, size=size, stride=stride) for label, size, stride in sides]
+    data = array.reading(values, f"skin[{name!r}]").astype(np.float32)
+    labels = ("rows", "columns") if array.layout else ("taxels",)
+    sides = zip((*labels, "components"), data.shape, data.strides, strict=False)
+    dim = [Message(label=label, size=size, stride=step // 4 * size) for label, size, step in sides]
+    data = data.ravel()
     return {"layout": Message(dim=dim, data_offset=0), "data": data}

@@ -19,11 +19,12 @@ from handsight.camera import check_lens
 from handsight.checks import Array
 from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
 from handsight.contact.fingertips import LARGEST
-from handsight.contact.taxels import TaxelArray
+from handsight.contact.taxels import TactileSurface
 from handsight.errors import HandsightError, InvalidInput
+from handsight.hand import Hand
 from handsight.msgspec_errors import alternatives
 from handsight.objects import ObjectSpec
-from handsight.rig import message_field
+from handsight.rig import layouts, message_field
 from handsight.rig.rig import DepthCamera, Finger, MountedCamera
 
 VERSION = 1
@@ -225,33 +226,74 @@ class FingerForm(Section, kw_only=True):
 
 
 class SkinForm(Form, kw_only=True):
-    frame: Text
+    """A `SkinForm` is a tactile surface, whose places are those of a grid, a table, a file, a URDF or a product."""
+
+    frame: Text | None = None
     pose: LinkPoseForm | None = None
     topic: Text | None = None
     message_field: Annotated[Text | None, key("path to its readings in a message, as sensors[0].forces")] = (
         field(name="field", default=None)
     )
-    rows: int
-    columns: int
-    pitch: float
+    rows: int | None = None
+    columns: int | None = None
+    pitch: float | None = None
+    radius: Annotated[Positive | None, key(metres=0.5)] = None
+    taxels: list[list[float]] | None = None
+    file: Text | None = None
+    unit: Literal["m", "mm"] = "m"
+    urdf: Text | None = None
+    layout: Text | None = None
+    components: Literal[1, 3] | None = None
     threshold: Positive
     full_scale: Positive | None = None
+    scale: float | list[float] | None = None
+    offset: float | list[float] | None = None
+    area: Positive | None = None
+    noise: Annotated[float, Meta(gt=0, le=1)] | None = None
     sigma_point: Annotated[Positive | None, key(metres=LARGEST)] = None
     sigma_normal: Annotated[float, Meta(gt=0, le=180)] | None = field(name="sigma_normal_deg", default=None)
     sigma_mount: Annotated[Positive | None, key(metres=LARGEST)] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.array()
         try:
             message_field.steps(self.message_field or "data")
         except InvalidInput as error:
             raise ValueError(f"field: {error}") from None
+        kinds = [
+            name for name in ("rows", "taxels", "file", "urdf", "layout") if getattr(self, name) is not None
+        ]
+        if len(kinds) != 1:
+            expected = "expected one of rows (with columns, pitch), taxels, file, urdf, layout"
+            raise ValueError(f"{expected}, got {' and '.join(kinds) or 'none'}")
+        if self.frame is None and self.urdf is None:
+            raise ValueError("frame: expected the link that the taxels are on, got none")
+        if self.rows is not None:
+            self.surface(Path(), None)
 
-    def array(self) -> TaxelArray:
-        """Returns the part of the rig; raises InvalidInput for a size that no array has."""
-        given = {k: value for k, value in self.given().items() if k not in ("pose", "topic", "message_field")}
-        return TaxelArray(T_frame_grid=(self.pose or LinkPoseForm()).matrix(), **given)
+    def surface(self, folder: Path, hand: Hand | None) -> TactileSurface:
+        """Returns the part of the rig; raises InvalidInput. A file's path begins at the folder."""
+        given = self.given()
+        places = {name: given.pop(name, None) for name in PLACES}
+        unit = 1e-3 if self.unit == "mm" else 1.0
+        if self.rows is not None:
+            found = layouts.Layout.bent(self.rows, places["columns"], self.pitch, self.radius)
+        elif self.taxels is not None:
+            found = layouts.Layout.of(self.taxels, "taxels", unit)
+        elif self.file is not None:
+            found = layouts.from_file(self.file, folder, unit)
+        elif self.urdf is not None and hand is not None:
+            found = layouts.from_urdf(self.urdf, hand)
+        else:
+            found = layouts.by_name(self.layout or "", self.pitch, self.radius)
+        return found.surface((self.pose or LinkPoseForm()).matrix(), hand, given)
+
+
+PLACES = (
+    *("pose", "topic", "message_field", "rows", "columns", "radius", "taxels", "file"),
+    *("unit", "urdf", "layout"),
+)
+"""Keys of a `SkinForm` that are no fields of a surface."""
 
 
 class VisionNoiseForm(Form):

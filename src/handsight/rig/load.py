@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from handsight import checks
-from handsight.errors import HandsightError, InvalidInput, MissingExtra
+from handsight.contact import TactileSurface
+from handsight.errors import HandsightError, InvalidFile, InvalidInput, MissingExtra
 from handsight.hand import Hand, find_file
 from handsight.hand.paths import PACKAGE
 from handsight.msgspec_errors import FieldPath
-from handsight.rig.form import VERSION, FramesForm, RigForm, WorldForm
+from handsight.rig.form import VERSION, FramesForm, RigForm, SkinForm, WorldForm, keys
 from handsight.rig.rig import NotUnique, Rig, Table, Topics
 from handsight.rig.yaml_file import YamlFile
 
@@ -22,9 +23,11 @@ def load(path: Path) -> Rig:
         raise file.error(("version",), f"expected {VERSION}, got {checks.brief(version)}")
     form = file.read(RigForm)
     world = form.world or WorldForm()
+    hand = _hand(form, file)
+    skin = {name: _surface(name, each, file, hand) for name, each in (form.skin or {}).items()}
     try:
         return Rig(
-            hand=_hand(form, file),
+            hand=hand,
             fingers={name: finger.finger() for name, finger in form.fingers.items()},
             camera=None if form.camera is None else form.camera.camera(),
             table=None if form.table is None else Table(**form.table.given()),
@@ -33,7 +36,7 @@ def load(path: Path) -> Rig:
             frames=(form.frames or FramesForm()).given(),
             topics=_topics(form, file),
             objects={name: entry.entry(path.parent) for name, entry in (form.objects or {}).items()},
-            skin={name: array.array() for name, array in (form.skin or {}).items()},
+            skin=skin,
             **form.hand.sigmas(),
         )
     except NotUnique as error:
@@ -43,6 +46,17 @@ def load(path: Path) -> Rig:
             if str(error).startswith(place := f"skin[{name!r}].frame: "):
                 raise file.error(("skin", name, "frame"), str(error).removeprefix(place)) from None
         raise
+
+
+def _surface(name: str, form: SkinForm, file: YamlFile, hand: Hand) -> TactileSurface:
+    """Returns a tactile surface; an error is about the key that it begins with."""
+    try:
+        return form.surface(file.path.parent, hand)
+    except (InvalidInput, InvalidFile) as error:
+        argument, _, message = str(error).partition(": ")
+        if argument in (key.text for key in keys(SkinForm)):
+            raise file.error(("skin", name, argument), message) from None
+        raise file.error(("skin", name), str(error)) from None
 
 
 def _hand(form: RigForm, file: YamlFile) -> Hand:

@@ -14,7 +14,7 @@ import numpy as np
 from handsight import checks, se3
 from handsight.camera import Camera, check_lens
 from handsight.checks import Array
-from handsight.contact import Fingertip, TaxelArray, WrenchCalibration
+from handsight.contact import Fingertip, TactileSurface, WrenchCalibration
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.msgspec_errors import FieldPath as FieldPath
@@ -232,7 +232,7 @@ class Rig:
     topics: Topics = field(default_factory=Topics)
     objects: Mapping[str, ObjectSpec] = field(default_factory=dict)
     """Objects by name."""
-    skin: Mapping[str, TaxelArray] = field(default_factory=dict)
+    skin: Mapping[str, TactileSurface] = field(default_factory=dict)
     """Tactile arrays on links, by name."""
 
     __repr__ = short_repr

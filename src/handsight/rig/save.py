@@ -72,8 +72,16 @@ def _values(kind: type[Form], part: object, **given: object) -> Values:
 
 
 def _surface(name: str, rig: Rig) -> Values:
-    array, field = rig.skin[name], rig.topics.skin_fields.get(name)
-    return _values(form.SkinForm, array, pose=_pose(array.T_frame_grid), message_field=field)
+    """Returns the values of a grid, or of taxels at any places: point, normal and x axis of each."""
+    surface = rig.skin[name]
+    given: Values = dict.fromkeys(("pose", "rows", "columns", "taxels", "layout"))
+    if surface.layout is not None:
+        T, given["rows"], given["columns"] = surface.layout
+        given["pose"] = _pose(T)
+    else:
+        axes = surface.taxels["axes"]
+        given["taxels"] = np.column_stack([surface.points, axes[:, :, 2], axes[:, :, 0]])
+    return _values(form.SkinForm, surface, **given, message_field=rig.topics.skin_fields.get(name))
 
 
 def _finger(finger: Finger) -> Values:

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact.taxels import TaxelArray
+from handsight.contact.taxels import TactileSurface
 from handsight.simulation.scenario import Scenario
 from handsight.simulation.scene import CAN_SIZE, PALM, convex_hull
 
@@ -35,10 +35,11 @@ SKIN = SkinOptions()
 
 PALM_GEOM = "robot0:C_palm0"
 """The geom that the array covers."""
-PALM_SKIN = TaxelArray(
+T_PALM_GRID = np.array([[1.0, 0, 0, 0.011], [0, 0, -1, -0.0111], [0, 1, 0, 0.045], [0, 0, 0, 1]])
+"""On the face of the palm's collision box that is towards -y."""
+PALM_SKIN = TactileSurface.grid(
     frame=PALM,
-    # On the face of the palm's collision box that is towards -y.
-    T_frame_grid=np.array([[1.0, 0, 0, 0.011], [0, 0, -1, -0.0111], [0, 1, 0, 0.045], [0, 0, 0, 1]]),
+    T_frame_grid=T_PALM_GRID,
     rows=20,
     columns=15,
     pitch=0.004,
@@ -101,7 +102,7 @@ def spring_forces(gaps: Array, force: float, stiffness: float) -> Array:
 
 
 def taxel_forces(
-    array: TaxelArray,
+    array: TactileSurface,
     solid: Solid,
     T_grid_object: Array,
     force: float,
@@ -139,7 +140,7 @@ class PalmSkin:
 
     def readings(self, T_palm_object: Array, force: float) -> dict[str, Array]:
         """Returns the array's readings (rows, columns) by its name [N]; `force` is the object's on the palm [N]."""
-        T_grid_object = se3.inverse(PALM_SKIN.T_frame_grid) @ T_palm_object
+        T_grid_object = se3.inverse(T_PALM_GRID) @ T_palm_object
         true = taxel_forces(PALM_SKIN, self._solid, T_grid_object, force, self._uneven)
         share, floor = self._noise.normal(size=(2, *PALM_SKIN.shape))
         read = true * (1 + self._share * share) + (SKIN.sigma * floor if self._share else 0.0) + self._offset

@@ -1,13 +1,13 @@
 """Contacts in the palm, with their complete covariance, from joint positions and raw wrenches."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.touch.contacts_to_palm import contacts_to_palm, mark_on_table
+from handsight._kernels.touch.contacts_to_palm import contacts_to_palm, mark_on_table, put_patches
 from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
 from handsight._kernels.touch.tip_to_tip import TIP_TO_TIP
 from handsight.checks import Array
@@ -17,10 +17,14 @@ from handsight.errors import InvalidInput
 from handsight.observation import ContactMeasurement, Observation
 from handsight.rig import Finger, Rig
 from handsight.tracking.joint_offsets import JointOffsets
+from handsight.tracking.skin import NOTHING, SkinContacts
 
 SILENT, WRENCH = np.full(6, np.nan), {(np.dtype(np.float64), (6,))}
 REASONS = (*("silent" if name == "invalid" else name for name in REASON_NAMES), "on the table")
 """Why a finger has no contact, by the kernel's number; number 0 is a contact."""
+CONFLICT = 21.1
+"""χ² of the distance of a tip's patch and its wrench's contact, of level 1e-4 for three numbers, above which they
+contradict each other."""
 FREE, ON_TABLE = REASON_NAMES.index("free"), len(REASONS) - 1
 
 
@@ -44,6 +48,8 @@ class FingertipContacts:
     loads: Array | None = None
     """(n, 5) load of the object on each tip: tangential force (3,) along the palm's axes and normal force [N], torque
     about the normal [N m]; NaN where a tip does not measure it."""
+    doubts: Mapping[str, str] = field(default_factory=dict)
+    """By finger, how far its taxels and its wrench are from each other where they contradict each other."""
 
     def rejected_by(self, estimate: PoseEstimate) -> tuple[str, ...]:
         """Returns the fingers whose contacts are outliers of an estimate."""
@@ -63,12 +69,15 @@ class FingertipSensors:
         if table is not None:
             self._table = np.array([table.height, table.sigma_height, table.sigma_tilt], dtype=float)
 
-    def contacts(self, observation: Observation, offsets: JointOffsets | None = None) -> FingertipContacts:
+    def contacts(
+        self, observation: Observation, offsets: JointOffsets | None = None, skin: SkinContacts = NOTHING
+    ) -> FingertipContacts:
         """Returns what the fingertips measure; there is no contact where joint positions are missing.
 
         `offsets`: the estimated constant errors of the joints; None: zero, with the rig's sigma. Without T_world_palm
         the direction of gravity and the table's pose are unknown: the tips' weight (some 40 mN) stays in the readings,
-        and a finger that touches the table seems to touch the object. Raises InvalidInput for wrong joints or wrenches.
+        and a finger that touches the table seems to touch the object. `skin`: what the taxels measure; those on a tip
+        say where it touches, and its wrench how much. Raises InvalidInput for wrong joints or wrenches.
         """
         readings = self._readings(observation.wrenches)
         if observation.contacts:  # a contact that a tip has sensed directly replaces the one of its wrench
@@ -85,10 +94,12 @@ class FingertipSensors:
         by_error = hand.chains.jacobians(places.copy(), self._tips, hand.axes_palm) @ offsets.root
         T = observation.T_world_palm
         gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
-        records = np.empty(len(self.names), dtype=PALM_CONTACT)
+        records, by_tip = np.empty(len(self.names), dtype=PALM_CONTACT), by_error
+        by_error = by_error.copy() if skin.tips else by_error
         contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, records)
         if observation.contacts:
             put_sensed(self.rig, observation.contacts, Ts_palm_tip, by_error, records)
+        doubts = self._put_taxels(skin, Ts_palm_tip, by_tip, by_error, records) if skin.tips else {}
         if T is not None and self._table is not None:
             mark_on_table(np.array(T), self._table, ON_TABLE, records)
 
@@ -102,7 +113,43 @@ class FingertipSensors:
         gaps = zip(fingers, touching["gap"].tolist(), strict=True)
         near = tuple(name for name, gap in gaps if gap < TIP_TO_TIP.max_gap)
         loads = touching["load"].copy()
-        return FingertipContacts(fingers, contacts, reasons, by_error[records["reason"] == 0], near, loads)
+        return FingertipContacts(
+            fingers, contacts, reasons, by_error[records["reason"] == 0], near, loads, doubts
+        )
+
+    def _put_taxels(
+        self,
+        skin: SkinContacts,
+        Ts_palm_tip: Array,
+        by_tip: Array,
+        by_error: Array,
+        records: NDArray[np.void],
+    ) -> dict[str, str]:
+        """Writes the patches of taxels to their fingers' rows, and returns the doubts.
+
+        The joints' errors are common to patch and wrench, so they hardly count in their distance. Where they contradict
+        each other, the contact is as uncertain as they are far from each other.
+        """
+        fingers, i = list(skin.tips), np.array([self.names.index(finger) for finger in skin.tips])
+        wrench, J_wrench, by_error[i] = records[i], by_error[i, :3], by_tip[i]
+        put_patches(i, skin.patches(), self._fingers, Ts_palm_tip, by_error, records)
+        if not (both := wrench["reason"] == 0).any():
+            return {}
+        away = np.where(both[:, None], wrench["point"] - records["point"][i], 0.0)
+        common = J_wrench @ by_error[i, :3].swapaxes(1, 2)
+        S = (
+            wrench["covariance"][:, :3, :3]
+            + records["covariance"][i, :3, :3]
+            - common
+            - common.swapaxes(1, 2)
+        )
+        S[~both] = np.eye(3)
+        wrong = both & ((away * np.linalg.solve(S, away[:, :, None])[:, :, 0]).sum(axis=1) > CONFLICT)
+        for k in np.flatnonzero(wrong):
+            records["covariance"][i[k], :3, :3] += np.outer(away[k], away[k])
+        distance = 1e3 * np.linalg.norm(away, axis=1)
+        named = "its taxels and its wrench are {:.1f} mm from each other"
+        return {fingers[k]: named.format(distance[k]) for k in np.flatnonzero(wrong)}
 
     def _readings(self, wrenches: Mapping[str, Array]) -> Array:
         """Returns (n, 6) the fingers' wrenches, NaN where a sensor has no reading; raises InvalidInput."""

@@ -169,11 +169,11 @@ class Follower:
             observation = replace(observation, T_world_palm=T)
 
         # Contacts, and the prediction: where the object would be by now.
-        state.fingertips = touch = self.sensors.contacts(observation, state.offsets)
-        touched = touch.contacts is not None
-        state.skin = self.skin_sensors.observed(observation, state.skin, touched=touched)
+        touched = state.fingertips.contacts is not None  # at the last observation
+        state.skin = skin = self.skin_sensors.observed(observation, state.skin, touched=touched)
+        state.fingertips = touch = self.sensors.contacts(observation, state.offsets, skin)
         self._predict(state, observation.T_world_palm, stamp)
-        if state.skin.pressed:
+        if skin.bears or not skin.tips.keys() <= observation.wrenches.keys():
             state.weight.weigher.forget("the skin of the hand bears a part of it")
         else:
             state.weight.update(

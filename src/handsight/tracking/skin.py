@@ -1,116 +1,167 @@
-"""A rig's tactile arrays over time; the baseline of each is what it read while nothing was touched."""
+"""A rig's tactile surfaces over time: baselines at rest, faulty taxels, and which patches are fingers' contacts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from handsight import checks
-from handsight.checks import Array, Mask
-from handsight.contact import Contacts
-from handsight.contact.taxels import SkinTouch
+from handsight._kernels.touch.taxels import FAULTS, PATCH, PRESSED, WATCHED, watch_taxels
+from handsight.checks import Array
+from handsight.contact import Contacts, SkinTouch, TactileSurface
 from handsight.correction import SkinEvidence
 from handsight.errors import InvalidInput
+from handsight.hand.chains import Chains
 from handsight.observation import Observation
 from handsight.rig import Rig
 
 
 class SkinOptions(NamedTuple):
-    """`SkinOptions` say how readings of tactile arrays are used."""
+    """`SkinOptions` say which readings of tactile surfaces are news, and which are none."""
 
-    min_baseline: int = 5  # fewest readings of an untouched array whose mean is used as its baseline
-    max_baseline: int = 50  # most readings that are averaged
     changed_share: float = 0.3
     """The pose is corrected again when more than this share of the taxels that are or were pressed has changed."""
+    max_force: float = 1000.0  # of a patch of three-axis taxels; more is in another unit [N]
 
 
 SKIN = SkinOptions()
 
 
-class ArrayPose(NamedTuple):
-    """An `ArrayPose` is the pose in the palm of the link that carries a tactile array."""
+class LinkPose:
+    """A `LinkPose` is the pose in the palm of a link with a tactile surface, computed when it is asked for."""
 
-    T_palm_frame: Array
-    """(4, 4)"""
-    by_error: Array | None
-    """(6, j) change of the pose for one sigma of each joint's error; None: the link is fixed in the palm."""
+    def __init__(
+        self, chains: Chains, joint_positions: Mapping[str, float] | None, sigma_joint: float
+    ) -> None:
+        """`joint_positions`: of all joints of the chains; `sigma_joint`: of each joint's error [rad]."""
+        self._chains, self._joints, self._sigma_joint = chains, joint_positions, sigma_joint
+
+    @cached_property
+    def T_palm_frame(self) -> Array:
+        """(4, 4)"""
+        return np.asarray(self._placed[0][0])
+
+    @cached_property
+    def by_error(self) -> Array | None:
+        """(6, j) change of the pose for one sigma of each joint's error; None: the link is fixed in the palm."""
+        if not self._chains.joints:
+            return None
+        Ts, axes = self._placed
+        J = self._chains.jacobians(Ts[:, :3, 3].copy(), np.zeros(1, dtype=np.int64), axes)[0]
+        return np.asarray(self._sigma_joint * J)
+
+    @cached_property
+    def _placed(self) -> tuple[Array, Array]:
+        return self._chains.poses(self._joints or {})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Untouched:
-    """An `Untouched` is the sum of an array's readings while nothing was touched."""
+class Watched:
+    """A `Watched` is what is known of a surface's taxels by their readings so far."""
 
     count: int
-    """The number of readings."""
-    total: Array
-    """(rows, columns) their sum."""
-    varied: Mask
-    """(rows, columns) whether the taxel has ever changed."""
-    last: Array
-    """(rows, columns) the last reading."""
+    """The number of readings while nothing was touched."""
+    taxels: NDArray[np.void]
+    """(n,) records WATCHED."""
+    baseline: Array
+    """(n, components) the scaled readings while nothing is touched; NaN for taxels that are left out."""
 
     @classmethod
-    def first(cls, reading: Array) -> "Untouched":
-        """Returns the sum of one reading (rows, columns)."""
-        return cls(1, reading, np.zeros(reading.shape, dtype=bool), reading)
+    def first(cls, surface: TactileSurface) -> "Watched":
+        """Returns what is known before any reading."""
+        taxels = np.zeros(len(surface.points), dtype=WATCHED)
+        taxels["last"] = np.nan
+        return cls(0, taxels, np.zeros((len(taxels), surface.components)))
 
-    def after(self, reading: Array) -> "Untouched":
-        """Returns the sum with one more reading (rows, columns)."""
-        varied = self.varied | (reading != self.last)
-        return Untouched(self.count + 1, self.total + reading, varied, reading)
+    def after(self, readings: Array, touch: SkinTouch, *, untouched: bool) -> "Watched":
+        """Returns what is known after one more reading (n, components), and what it says."""
+        taxels, baseline = self.taxels.copy(), np.empty_like(self.baseline)
+        given = readings, touch.surface.record, touch.states, touch.rise, untouched, self.count
+        return Watched(watch_taxels(*given, taxels, baseline), taxels, baseline)
 
-    def baseline(self, full_scale: float | None) -> Array | float:
-        """Returns (rows, columns) the mean reading, NaN for dead and stuck taxels; 0 if there were too few readings.
-
-        A taxel is stuck at full scale, and dead if it never changes while most others do.
-        """
-        if self.count < SKIN.min_baseline:
-            return 0.0
-        mean = self.total / self.count
-        dead = ~self.varied if self.varied.mean() > 0.5 else np.zeros_like(self.varied)
-        if full_scale is not None:
-            dead |= mean >= full_scale
-        return np.where(dead, np.nan, mean)
+    @property
+    def faults(self) -> str:
+        """The taxels that are dead, stuck, at full scale or drifting, for a person; empty where there are none."""
+        found = []
+        for k, name in enumerate(FAULTS):
+            if k and len(numbers := np.flatnonzero(self.taxels["fault"] == k)):
+                more = f" and {len(numbers) - 12} more" if len(numbers) > 12 else ""
+                found.append(f"{name}: taxel {', '.join(map(str, numbers[:12]))}{more}")
+        return "; ".join(found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinContacts:
-    """A `SkinContacts` is what all tactile arrays measure at one instant."""
+    """A `SkinContacts` is what all tactile surfaces measure at one instant."""
 
-    touches: Mapping[str, tuple[SkinTouch, ArrayPose]] = field(default_factory=dict)
-    """By array, which taxels are pressed, and where the array is; without arrays whose link's pose is unknown."""
-    untouched: Mapping[str, Untouched] = field(default_factory=dict)
-    """By array, the sum of its readings so far while nothing was touched."""
+    touches: Mapping[str, tuple[SkinTouch, LinkPose]] = field(default_factory=dict)
+    """By surface, which taxels are pressed, and where it is; without those whose link's pose is unknown."""
+    watched: Mapping[str, Watched] = field(default_factory=dict)
+    """By surface, what is known of its taxels by their readings so far."""
+    tips: Mapping[str, str] = field(default_factory=dict)
+    """By finger, the surface on its tip that is touched: its strongest patch is the finger's contact."""
 
     @property
     def pressed(self) -> bool:
         """Whether any taxel is pressed."""
-        return any(touch.pressed.any() for touch, _ in self.touches.values())
+        return any(len(touch.patches) for touch, _ in self.touches.values())
+
+    @property
+    def faults(self) -> dict[str, str]:
+        """By surface, which taxels are faulty, by their numbers; without surfaces on which none is."""
+        return {name: faults for name, watched in self.watched.items() if (faults := watched.faults)}
+
+    @property
+    def bears(self) -> bool:
+        """Whether anything is touched beside the contacts of fingers."""
+        tips = self.tips.values()
+        return any(len(touch.patches) > (name in tips) for name, (touch, _) in self.touches.items())
+
+    def patches(self) -> NDArray[np.void]:
+        """Returns the records PATCH of the fingers' contacts, in the order of `tips`."""
+        found = np.empty(len(self.tips), dtype=PATCH)
+        for i, name in enumerate(self.tips.values()):
+            touch, _ = self.touches[name]
+            found[i] = touch.patches[touch.strongest]
+        return found
 
     def contacts(self) -> Contacts | None:
-        """Returns the pressed taxels' contacts in the palm; None where no taxel is pressed."""
+        """Returns the contacts in the palm, those of fingers too; None where no taxel is pressed."""
         found: Contacts | None = None
         for touch, pose in self.touches.values():
-            more = touch.contacts(pose.T_palm_frame)
+            more = touch.contacts(pose.T_palm_frame, pose.by_error)
             found = more if found is None else found if more is None else found.joined(more)
         return found
 
     def evidence(self) -> SkinEvidence | None:
-        """Returns the evidence of the arrays on which a taxel is pressed; None where there is none."""
+        """Returns the evidence of what is touched beside the contacts of fingers; None where there is none."""
         found: SkinEvidence | None = None
-        for touch, pose in self.touches.values():
-            if touch.pressed.any():
-                more = SkinEvidence.of(touch, pose.T_palm_frame, pose.by_error)
+        for name, (touch, pose) in self.touches.items():
+            given = touch.strongest if name in self.tips.values() else -1
+            if len(touch.patches) > (given >= 0):
+                T, J = pose.T_palm_frame, pose.by_error
+                contacts, sigmas = touch.contacts(T, J, given), touch.sigmas_common(J, given)
+                more = SkinEvidence(contacts, touch.outside(T), sigmas)
                 found = more if found is None else found.joined(more)
         return found
 
     def news(self, last: "SkinContacts") -> bool:
-        """Returns whether many other taxels are pressed than in `last`, the value at the last correction."""
+        """Returns whether many other taxels are pressed than in `last`, the value at the last correction.
+
+        The contacts of fingers are compared elsewhere.
+        """
         if self.touches.keys() != last.touches.keys():
             return True
         for name, (touch, _) in self.touches.items():
-            now, then = touch.pressed, last.touches[name][0].pressed
+            if name in self.tips.values():
+                continue
+            before = last.touches[name][0]
+            if not len(touch.patches) and not len(before.patches):
+                continue
+            now, then = touch.states[0] == PRESSED, before.states[0] == PRESSED
             if (now != then).sum() > SKIN.changed_share * (now | then).sum():
                 return True
         return False
@@ -120,49 +171,51 @@ NOTHING = SkinContacts()
 
 
 class SkinSensors:
-    """A `SkinSensors` reads a rig's tactile arrays."""
+    """A `SkinSensors` reads a rig's tactile surfaces."""
 
     def __init__(self, rig: Rig) -> None:
-        """The frame of each array must be a body of the rig's hand."""
+        """The frame of each surface must be a body of the rig's hand."""
         self.rig = rig
         self._chains = {
-            name: rig.hand.chains_to({f"skin[{name!r}].frame": array.frame})
-            for name, array in rig.skin.items()
+            name: rig.hand.chains_to({f"skin[{name!r}].frame": surface.frame})
+            for name, surface in rig.skin.items()
         }
+        self._joints = {name: frozenset(chains.joints) for name, chains in self._chains.items()}
+        fingers = {finger.frame: name for name, finger in rig.fingers.items()}
+        self._fingers = {name: fingers.get(surface.frame) for name, surface in rig.skin.items()}
         self._sigma_joint = float(np.hypot(rig.sigma_joint_offset, rig.sigma_joint))
 
     def observed(
         self, observation: Observation, before: SkinContacts = NOTHING, *, touched: bool
     ) -> SkinContacts:
-        """Returns what the arrays measure now; arrays on links whose joints are missing are left out.
+        """Returns what the surfaces measure now; those on links whose joints are missing are left out.
 
         `before` is what they measured at the last observation. `touched`: whether a fingertip touches something; then
-        an array may be touched, too, so its reading is not added to its baseline. Raises InvalidInput.
+        a surface may be touched, too, so its reading is not added to its baseline. Raises InvalidInput.
         """
         if not isinstance(observation.skin, Mapping):
             came = checks.brief(observation.skin)
             raise InvalidInput(f"observation.skin: expected a mapping from array to readings, got {came}")
-        touches, untouched = dict[str, tuple[SkinTouch, ArrayPose]](), dict(before.untouched)
-        for name, array in self.rig.skin.items():
+        touches, watched = dict[str, tuple[SkinTouch, LinkPose]](), dict(before.watched)
+        tips, joints = dict[str, str](), observation.joint_positions
+        for name, surface in self.rig.skin.items():
             if name not in observation.skin:
                 continue
-            reading = array.reading(observation.skin[name], f"observation.skin[{name!r}]")
-            known = untouched.get(name)
-            if not touched and (known is None or known.count < SKIN.max_baseline):
-                clean = np.where(np.isfinite(reading), reading, 0.0)
-                untouched[name] = known = Untouched.first(clean) if known is None else known.after(clean)
-            touch = array.touch(reading, 0.0 if known is None else known.baseline(array.full_scale))
-            if (pose := self._pose(name, observation.joint_positions)) is not None:
-                touches[name] = touch, pose
-        return SkinContacts(touches, untouched)
-
-    def _pose(self, name: str, joint_positions: Mapping[str, float] | None) -> ArrayPose | None:
-        """Returns the pose of an array's link; None where joints are missing."""
-        chains = self._chains[name]
-        if not chains.joints:
-            return ArrayPose(chains.homes[0], None)
-        if joint_positions is None or not joint_positions.keys() >= set(chains.joints):
-            return None
-        Ts, axes = chains.poses(joint_positions)
-        J = chains.jacobians(Ts[:, :3, 3].copy(), np.zeros(1, dtype=np.int64), axes)[0]
-        return ArrayPose(Ts[0], self._sigma_joint * J)
+            readings = surface.reading(observation.skin[name], f"observation.skin[{name!r}]")
+            readings = readings.reshape(len(surface.points), -1)
+            known = watched.get(name) or Watched.first(surface)
+            touch = surface.sensed(readings, known.baseline)
+            if surface.components == 3 and len(touch.patches) and touch.patches["total"][0] > SKIN.max_force:
+                expected = "expected newtons, after the rig's scale and offset"
+                came = f"a force of {touch.patches['total'][0]:.0f} (counts without a scale?)"
+                raise InvalidInput(f"observation.skin[{name!r}]: {expected}, got {came}")
+            watched[name] = known.after(readings, touch, untouched=not touched)
+            if self._joints[name] and (joints is None or not self._joints[name] <= joints.keys()):
+                continue
+            touches[name] = touch, LinkPose(self._chains[name], joints, self._sigma_joint)
+            finger = self._fingers[name]
+            if finger is not None and len(touch.patches) and joints is not None:
+                other = touches[tips[finger]][0] if finger in tips else None
+                if other is None or other.patches["total"].max() < touch.patches["total"].max():
+                    tips[finger] = name
+        return SkinContacts(touches, watched, tips)

@@ -11,7 +11,14 @@ import numpy as np
 from handsight import se3
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices
-from handsight.contact import Contacts, Sphere, WrenchCalibration, contact_from_wrench, contacts_from_wrenches
+from handsight.contact import (
+    Contacts,
+    Sphere,
+    TactileSurface,
+    WrenchCalibration,
+    contact_from_wrench,
+    contacts_from_wrenches,
+)
 from handsight.correction import PosePrior, correct_pose
 from handsight.hand import Hand
 from handsight.objects import ObjectModel
@@ -79,7 +86,7 @@ def sense() -> None:
 
 
 def track() -> None:
-    """Tracks a box in a hand of three fingers, by touch and by poses that vision measured."""
+    """Tracks a box in a hand of three fingers, by touch, one of them by taxels, and by poses that vision measured."""
     hand = _hand()
     if hand is None:
         return
@@ -95,13 +102,18 @@ def track() -> None:
         )
         for name, turn in inward.items()
     }
-    rig = Rig(hand=hand, fingers=fingers, table=Table(height=-0.2))
+    T_frame_grid = fingers["left"].T_frame_surface @ se3.compose(np.eye(3), np.array([0, 0, 0.01]))
+    taxels = TactileSurface.grid(
+        frame="left", T_frame_grid=T_frame_grid, rows=2, columns=2, pitch=1e-3, threshold=0.1
+    )
+    rig = Rig(hand=hand, fingers=fingers, table=Table(height=-0.2), skin={"left": taxels})
     follower, joints = Follower(rig, _touched_box()[0], TrackerSettings()), dict.fromkeys(hand.moving, 0.0)
     state = follower.initial(None, JointOffsets.of(rig))
     wrenches = dict.fromkeys(fingers, np.array([0, 0, -1.0, 0, 0, 0]))
     measured = PoseMeasurement(np.eye(4), "world")
     for stamp, vision in ((0.0, measured), (0.1, measured), (0.2, None)):
-        state, _ = follower.step(state, Observation(stamp, joints, wrenches, vision, np.eye(4)))
+        observation = Observation(stamp, joints, wrenches, vision, np.eye(4), skin={"left": np.ones((2, 2))})
+        state, _ = follower.step(state, observation)
     follower.joint_offsets(state)
 
 

@@ -125,6 +125,25 @@ def contacts_to_palm(
 
 
 @entry
+def put_patches(
+    numbers: Any, patches: Any, fingers: Any, Ts_palm_tip: Any, by_error: Any, contacts: Any
+) -> None:
+    """Writes `patches` (k) PATCH of taxels to the `contacts` (n) PALM_CONTACT of the tips `numbers` (k).
+
+    `by_error` (n, 6, j): as in `contacts_to_palm`. A contact that the tip's wrench gave keeps its load.
+    """
+    for k in range(len(numbers)):
+        patch, contact, i = patches[k], contacts[numbers[k]], numbers[k]
+        contact.point[:], contact.normal[:] = patch.point, patch.normal
+        contact.covariance[:] = patch.covariance
+        _to_palm(fingers[i], Ts_palm_tip[i], Ts_palm_tip[i], by_error[i], contact)
+        if contact.reason != CONTACT:
+            force, n = mul(matrix(Ts_palm_tip[i]), vector(patch.force)), vector(contact.normal)
+            store(sub(force, scale(n, dot(force, n))), contact.load[:3])
+            contact.load[3], contact.load[4], contact.reason = dot(force, n), patch.torque, CONTACT
+
+
+@entry
 def mark_on_table(T_world_palm: Any, table: Any, reason: int, contacts: Any) -> None:
     """Writes `reason` to those of the contacts (n) PALM_CONTACT that are on the table and not on the object.
 

@@ -1,0 +1,313 @@
+"""Readings of a tactile surface to pressed and untouched taxels, and to patches of taxels that touch each other."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from handsight._kernels.math.vec3 import add, cross, dot, matrix, mul, norm, scale, store, sub, vector
+from handsight._kernels.runtime.compilation import entry, inner
+
+NEAR, WIDE = 8, 24
+"""Most neighbours of a taxel that touch it, and most of those up to two taxels away."""
+TAXEL = np.dtype(
+    [
+        ("point", float, 3),  # in the link [m]
+        ("axes", float, (3, 3)),  # columns: the taxel's x and y, and the outward normal
+        ("bend", float, (3, 3)),  # change of the normal by that of the point [1/m]
+        (
+            "edge",
+            float,
+            3,
+        ),  # mean unit vector to its neighbours: 0 amid them, of length 1 where they are on one side
+        ("near", np.int64, NEAR),  # neighbours; the number of taxels where there are fewer
+        ("wide", np.int64, WIDE),  # those up to two taxels away
+        ("beside", np.int64, 4),  # the neighbour towards -x, +x, -y, +y
+    ]
+)
+"""One taxel of a surface."""
+SURFACE = np.dtype(
+    [
+        *((name, float, 3) for name in ("scale", "offset")),
+        *(
+            (name, float)
+            for name in ("threshold", "full_scale", "noise", "variance_point", "variance_normal")
+        ),
+        ("pitch", float),  # side of a taxel [m]
+        ("variance_mount", float, 6),  # of the common error, shift [m²] and turn [rad²]
+        ("flat", bool),  # whether all normals are parallel
+    ]
+)
+"""What all taxels of a surface have in common; the names are those of `handsight.contact.TactileSurface`."""
+PATCH = np.dtype(
+    [
+        *(
+            (name, float, 3) for name in ("point", "normal", "force")
+        ),  # as those of a `handsight.contact.Contact`
+        ("covariance", float, (6, 6)),
+        ("torque", float),  # NaN, as the force is, unless the surface has three components
+        ("total", float),  # sum of the readings along the normals
+        ("flat", bool),
+    ]
+)
+"""Taxels that touch each other, and the contact at their centre of pressure, in the link."""
+WATCHED = np.dtype(
+    [
+        *(
+            (name, float, 3) for name in ("mean", "first", "last")
+        ),  # readings at rest, the first of these, the last one
+        ("varied", bool),  # whether it has changed at rest
+        ("still", np.int64),  # readings since its last change
+        ("fault", np.int64),  # number in `FAULTS`
+    ]
+)
+"""What one taxel has read over time."""
+FAULTS = ("", "dead", "stuck", "at full scale", "drifting")
+_, DEAD, STUCK, FULL, DRIFTING = range(5)
+UNKNOWN, PRESSED, RIM, UNTOUCHED, FAR = range(5)
+"""What a taxel says. UNKNOWN: nothing. PRESSED: a contact. RIM: touched, perhaps at its rim only. UNTOUCHED: the object
+is not here. FAR: untouched, but not beside a patch, where a curved surface is too far from the object to say more."""
+
+
+class TaxelOptions(NamedTuple):
+    """`TaxelOptions` are the constants of patches, fitted to simulated tips (`tests/tip_scenes.py`), and of faults."""
+
+    flat: float = math.cos(
+        math.radians(3.0)
+    )  # of the angle between the normals of a flat patch and their mean
+    filled: float = 0.5  # sigma of the reading that a dead taxel is given, as a share of it
+    steeper: float = 0.35
+    """The reading of a dead taxel is above the mean of its neighbours by this share of what that is above the mean of
+    those up to two taxels away."""
+    sampled: float = 0.21  # sigma of the centre by the cells' size, in cells of a patch of one taxel
+    beyond: float = 0.5  # sigma of a patch at the edge, beyond which nothing is measured, in cells
+    wide: float = 0.14  # sigma by uneven skin, in cells, of a patch whose variance is that of a cell
+    uneven: float = 0.07  # sigma of the normal by such a patch, as a share of the normals' spread
+    min_rest: int = 5  # fewest readings of an untouched surface whose mean is used as its baseline
+    mean_rest: int = 50  # readings over which the mean is taken; after so many it follows
+    still: int = 50  # readings for which a touched taxel that is stuck does not change, while others do
+    drifted: float = 5.0  # a taxel that has drifted by so many thresholds is left out
+
+
+TAXELS = TaxelOptions()
+
+
+@entry
+def sense_taxels(
+    readings: Any, baseline: Any, surface: Any, taxels: Any, rise: Any, states: Any, patches: Any
+) -> int:
+    """Returns the number of patches, which are written to `patches` (p,), records PATCH.
+
+    `readings` and `baseline` (n, c), c = 1 or 3, NaN: unknown. `rise` (n + 1, c) gets the scaled readings over the
+    baseline, 0 in its last row, `states` (2, n + 1) what each taxel says and the number of its patch, or -1.
+    """
+    record, n, last = surface[0], len(taxels), readings.shape[1] - 1
+    state, touched, isolated = states[0], np.zeros(n + 1, dtype=np.bool_), np.zeros(n + 1, dtype=np.bool_)
+    state[n], rise[n] = UNKNOWN, 0.0
+    for i in range(n):
+        for k in range(last + 1):
+            value = record.scale[k] * (readings[i, k] - record.offset[k])
+            rise[i, k] = value - baseline[i, k]
+            if k == last and value >= record.full_scale and not math.isnan(baseline[i, k]):
+                rise[i, k] = record.full_scale
+        state[i] = FAR
+        if not math.isfinite(rise[i].sum()):
+            state[i], rise[i] = UNKNOWN, 0.0
+        touched[i] = rise[i, last] >= record.threshold
+    for i in range(n):
+        isolated[i] = touched[i] and not _sum(touched, taxels[i].wide)
+    if touched.sum() > isolated.sum():  # while others are touched together, an isolated one is stuck
+        for i in range(n):
+            if isolated[i]:
+                touched[i], state[i] = False, UNKNOWN
+    for i in range(n):
+        near = taxels[i].near
+        if touched[i]:  # with less than half of its strongest neighbour's rise, perhaps at its rim only
+            strongest = 0.0
+            for j in near:
+                strongest = max(strongest, rise[j, last])
+            state[i] = PRESSED if rise[i, last] >= 0.5 * strongest else RIM
+        elif state[i] == FAR:
+            # Taxels between touched ones are covered too: they are dead, or lower than the others.
+            for axis in range(2):
+                ends = 0
+                for side in (2 * axis, 2 * axis + 1):
+                    j, steps = taxels[i].beside[side], 0
+                    while j < n and not touched[j] and steps < n:
+                        j, steps = taxels[j].beside[side], steps + 1
+                    ends += touched[j]
+                state[i] = UNKNOWN if ends == 2 else state[i]
+            if state[i] == FAR and (
+                record.flat or (_sum(touched, taxels[i].wide) and not _sum(touched, near))
+            ):
+                state[i] = UNTOUCHED
+    return _find_patches(record, taxels, touched, rise, states, patches)
+
+
+@inner
+def _sum(values: Any, numbers: Any) -> float:
+    """Returns the sum of the values with these numbers."""
+    total = 0.0
+    for j in numbers:
+        total += values[j]
+    return total
+
+
+@inner
+def _find_patches(record: Any, taxels: Any, touched: Any, rise: Any, states: Any, patches: Any) -> int:
+    """Returns the number of patches: connected touched taxels, dead ones between them, and all around them.
+
+    What reads less than the threshold bears a part of the force, too. A dead taxel reads about as its neighbours do.
+    """
+    n, count, last, state, label = len(taxels), 0, rise.shape[1] - 1, states[0], states[1]
+    filled, members, known = np.zeros(n + 1, dtype=np.bool_), np.empty(n, dtype=np.int64), state != UNKNOWN
+    for i in range(n):
+        near, wide = taxels[i].near, taxels[i].wide
+        if not known[i] and _sum(touched, near) >= max(2.0, 0.5 * _sum(known, near)):
+            inside, around = _sum(rise[:, last], near), _sum(rise[:, last], wide)
+            mean = inside / _sum(known, near)
+            farther = (around - inside) / max(_sum(known, wide) - _sum(known, near), 1.0)
+            more = (1.0 + TAXELS.steeper * max(mean - farther, 0.0) / mean) / _sum(known, near)
+            filled[i] = True
+            for k in range(last + 1):
+                rise[i, k] = more * _sum(rise[:, k], near)
+    label[:] = -1
+    for i in range(n):
+        if not touched[i] or label[i] >= 0 or count == len(patches):
+            continue
+        members[0], size, done, label[i] = i, 1, 0, count
+        while done < size:
+            at, done = members[done], done + 1
+            for j in taxels[at].near:
+                if j < n and label[j] < 0 and (touched[j] or (filled[j] and touched[at])):
+                    label[j], members[size], size = count, j, size + 1
+        for at in members[:done]:
+            for j in taxels[at].near:
+                if label[j] < 0 and known[j]:
+                    label[j], members[size], size = count, j, size + 1
+        _measure(record, taxels, members[:size], rise, filled, touched, patches[count])
+        label[members[done:size]] = -1
+        count += 1
+    return count
+
+
+@inner
+def _measure(
+    record: Any, taxels: Any, members: Any, rise: Any, filled: Any, touched: Any, patch: Any
+) -> None:
+    """Writes a patch: its centre of pressure on the surface, the mean normal there, their covariance, and the force.
+
+    The centre is a weighted mean of the taxels' points, raised from the chord to the surface: at a taxel the
+    surface's slope against the mean normal is n_t / n_z, and half of that times the taxel's distance is its depth.
+    """
+    m, last, cell = len(members), rise.shape[1] - 1, record.pitch
+    share, zero = np.empty(m), (0.0, 0.0, 0.0)
+    for k in range(m):
+        share[k] = max(rise[members[k], last], 0.0)
+    patch.total, patch.flat = share.sum(), True
+    share /= patch.total
+    point, normal, edge, bend = zero, zero, zero, np.zeros((3, 3))
+    for k in range(m):
+        taxel, w = taxels[members[k]], share[k]
+        point = add(point, scale(vector(taxel.point), w))
+        normal = add(normal, scale(vector(taxel.axes[:, 2]), w))
+        edge = add(edge, scale(vector(taxel.edge), w))
+        for a in range(9):
+            bend[a // 3, a % 3] += w * taxel.bend[a // 3, a % 3]
+    normal = scale(normal, 1.0 / max(norm(normal), 1e-12))
+    raised, spread = 0.0, 0.0
+    for k in range(m):
+        own = vector(taxels[members[k]].axes[:, 2])
+        along, sideways = dot(own, normal), _across(own, normal)
+        arm = sub(vector(taxels[members[k]].point), point)
+        raised += 0.5 * share[k] * dot(arm, sideways) / max(along, 0.3)
+        spread += 0.5 * share[k] * dot(sideways, sideways)
+        patch.flat = patch.flat and (along >= TAXELS.flat or not touched[members[k]])
+    point = add(point, scale(normal, raised))
+
+    # Each row is the change of point and normal by one sigma of an independent error: first of each reading.
+    rows, force, moment, second = np.zeros((m + 11, 6)), zero, zero, np.zeros((3, 3))
+    for k in range(m):
+        i, w, axes = members[k], share[k] * patch.total, taxels[members[k]].axes
+        arm, own = sub(vector(taxels[i].point), point), vector(axes[:, 2])
+        relative = record.noise**2 + (TAXELS.filled**2 if filled[i] else 0.0)
+        sigma = math.sqrt(relative * w * w + (record.threshold / 3.0) ** 2) / patch.total
+        store(scale(_across(arm, normal), sigma), rows[k, :3])
+        store(scale(_across(own, normal), -sigma), rows[k, 3:])
+        for a in range(9):
+            second[a // 3, a % 3] += share[k] * arm[a // 3] * arm[a % 3]
+        if last == 2:
+            shear = add(scale(vector(axes[:, 0]), rise[i, 0]), scale(vector(axes[:, 1]), rise[i, 1]))
+            pushed = sub(shear, scale(own, rise[i, 2]))
+            force, moment = add(force, pushed), add(moment, cross(arm, pushed))
+    # Then shifts of the centre, which the normal follows by the surface's bend: by the cells' size, by uneven skin, and
+    # at the edge. Last the normal's own error, and the height's, which is the only one out of the surface.
+    turned = math.sqrt(record.variance_normal + TAXELS.uneven**2 * spread)
+    store(scale(edge, TAXELS.beyond * cell), rows[m + 6, :3])
+    for a in range(3):
+        rows[m + a, a] = TAXELS.sampled * cell * (share**2).sum()
+        rows[m + 3 + a, :3] = TAXELS.wide / cell * second[a]
+        rows[m + 7 + a, 3 + a] = turned
+    for k in range(m, m + 10):
+        shift = _across(vector(rows[k, :3]), normal)
+        store(shift, rows[k, :3])
+        store(_across(sub(vector(rows[k, 3:]), mul(matrix(bend), shift)), normal), rows[k, 3:])
+    store(scale(normal, math.sqrt(record.variance_point * (share**2).sum())), rows[m + 10, :3])
+    for a in range(6):
+        for b in range(6):
+            patch.covariance[a, b] = (rows[:, a] * rows[:, b]).sum()
+    store(point, patch.point)
+    store(scale(normal, -1.0), patch.normal)
+    store(force if last == 2 else (math.nan, math.nan, math.nan), patch.force)
+    patch.torque = -dot(moment, normal) if last == 2 else math.nan
+
+
+@inner
+def _across(v: Any, normal: Any) -> Any:
+    """Returns the part of a vector across a unit normal."""
+    return sub(v, scale(normal, dot(v, normal)))
+
+
+@entry
+def watch_taxels(
+    readings: Any, surface: Any, states: Any, rise: Any, rest: bool, count: int, watched: Any, baseline: Any
+) -> int:
+    """Returns the number of readings at rest so far, and updates `watched` (n,) and `baseline` (n, c).
+
+    `readings` (n, c) and their `states` and `rise` are those of `sense_taxels`; `rest`: whether no other sensor
+    touches something. The surface is at rest where, besides, no two taxels of a patch are touched. The baseline is NaN
+    for taxels that are left out, 0 before there are enough readings.
+    """
+    record, n, last, moving = surface[0], readings.shape[0], readings.shape[1] - 1, 0
+    touched = (states[1, :n] >= 0) & (rise[:n, last] >= record.threshold)
+    rest = rest and (count < TAXELS.min_rest or touched.sum() <= 1 + states[1].max())
+    count, varied = count + rest, 0
+    for i in range(n):
+        w, changed = watched[i], False
+        for k in range(last + 1):
+            value = record.scale[k] * (readings[i, k] - record.offset[k])
+            changed = changed or (value != w.last[k] and not math.isnan(w.last[k]))
+            w.last[k] = value
+            if rest and math.isfinite(value):
+                w.mean[k] += (value - w.mean[k]) / min(count, TAXELS.mean_rest)
+                w.first[k] = w.mean[k] if count <= TAXELS.mean_rest else w.first[k]
+        w.still = 0 if changed else w.still + 1
+        w.varied = w.varied or (rest and changed)
+        varied += w.varied
+        moving += touched[i] and w.still < TAXELS.min_rest
+    enough = count >= TAXELS.min_rest
+    for i in range(n):
+        w = watched[i]
+        drift = abs(w.mean[last] - w.first[last]) / record.threshold
+        always_full = enough and w.mean[last] >= record.full_scale
+        w.fault = DRIFTING if drift > 1.0 else 0
+        if always_full or (touched[i] and rise[i, last] >= record.full_scale):
+            w.fault = FULL
+        elif enough and not w.varied and 2 * varied > n:
+            w.fault = DEAD
+        elif touched[i] and w.still >= TAXELS.still and 2 * moving > touched.sum():
+            w.fault = STUCK
+        out = w.fault == DEAD or w.fault == STUCK or always_full or drift > TAXELS.drifted
+        for k in range(last + 1):
+            baseline[i, k] = math.nan if out else w.mean[k] if enough else 0.0
+    return count

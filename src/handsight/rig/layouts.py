@@ -1,0 +1,236 @@
+"""Where the taxels of a surface are: in a table, in a file, on a sensor of a URDF, or by the name of a product."""
+
+import csv
+import json
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from handsight import checks, se3
+from handsight.checks import Array
+from handsight.contact.taxels import MOST_TAXELS, Grid, TactileSurface, grid_places
+from handsight.errors import InvalidInput
+from handsight.files import read_bytes
+from handsight.hand import Hand, find_file
+from handsight.hand.robot_xml import Element, read_xml
+
+PRODUCTS: dict[str, tuple[int, int, float | None, float | None, int]] = {
+    "xela:fingertip": (6, 5, 0.0047, 0.012, 3),
+    "xela:phalanx": (4, 4, 0.0047, None, 3),
+    "xela:palm": (6, 4, 0.0047, None, 3),
+    "inspire:tip": (3, 3, None, None, 1),
+    "inspire:nail": (12, 8, None, None, 1),
+    "inspire:pad": (10, 8, None, None, 1),
+    "inspire:palm": (8, 14, None, None, 1),
+}
+"""Rows, columns, pitch [m], radius about the finger [m] and components of products without published coordinates. A
+pitch that is not published must be in the rig; the radius of a curved one is an assumption."""
+ON_LINK = 0.005
+"""Farthest distance of a taxel from its link's mesh, which gives its normal [m]."""
+
+
+class Layout(NamedTuple):
+    """A `Layout` has the places of taxels in the axes of their sensor."""
+
+    points: Array
+    """(n, 3) [m]"""
+    normals: Array | None = None
+    """(n, 3) outward; None: they are those of the link's mesh."""
+    x_axes: Array | None = None
+    """(n, 3) the taxels' own x; None: not stated."""
+    components: int = 1
+    grid: tuple[int, int] | None = None
+    """Rows and columns of a flat grid, whose frame is the sensor's."""
+    frame: str | None = None
+    """The link that a URDF states, and the sensor's pose in it."""
+    T_frame_sensor: Array = np.eye(4)
+    nominal: bool = False
+
+    @classmethod
+    def of(cls, rows: Any, name: str, unit: float = 1.0, **fields: Any) -> "Layout":
+        """Returns the layout of a table: x, y, z of each taxel, then its normal, then its x; raises InvalidInput."""
+        numbers = [len(row) if isinstance(row, list) else 0 for row in rows] if isinstance(rows, list) else []
+        wrong = [k for k, count in enumerate(numbers) if count not in (3, 6, 9) or count != numbers[0]]
+        if not numbers or wrong:
+            came = f"{numbers[wrong[0]]} in row {wrong[0] + 1}" if wrong else "none"
+            raise InvalidInput(f"{name}: expected 3, 6 or 9 numbers for each taxel, got {came}")
+        table = checks.finite(rows, name, (len(rows), numbers[0]))
+        parts: Any = [table[:, k : k + 3] for k in range(3, numbers[0], 3)]
+        return cls(unit * table[:, :3], *parts, **fields)
+
+    @classmethod
+    def bent(cls, rows: Any, columns: Any, pitch: Any, radius: float | None, components: int = 1) -> "Layout":
+        """Returns a grid of taxels, bent about its y with a radius [m]; None: flat. Raises InvalidInput."""
+        places = grid_places(rows, columns, pitch).reshape(-1, 3)
+        if radius is None:
+            flat = [np.tile(np.eye(3)[k], (len(places), 1)) for k in (2, 0)]
+            return cls(places, flat[0], flat[1], components, (rows, columns))
+        angle, zero = places[:, 0] / radius, np.zeros(len(places))
+        sine, cosine = np.sin(angle), np.cos(angle)
+        if columns * pitch > 6.3 * radius:
+            raise InvalidInput(f"radius: expected one that {columns} columns fit around, got {radius:g}")
+        points = np.column_stack([radius * sine, places[:, 1], radius * (cosine - 1)])
+        normals, x_axes = np.column_stack([sine, zero, cosine]), np.column_stack([cosine, zero, -sine])
+        return cls(points, normals, x_axes, components)
+
+    def surface(self, T_frame_sensor: Array, hand: Hand | None, given: dict[str, Any]) -> TactileSurface:
+        """Returns the surface with the fields that are given; raises InvalidInput."""
+        T = self.T_frame_sensor @ T_frame_sensor
+        points = se3.apply(T, self.points)
+        fields = {"components": self.components, "frame": self.frame, "nominal": self.nominal} | given
+        if self.normals is None:
+            fields["normals"] = _mesh_normals(points, fields["frame"], hand)
+        else:
+            fields["normals"] = self.normals @ T[:3, :3].T
+        if self.x_axes is not None:
+            fields["x_axes"] = self.x_axes @ T[:3, :3].T
+        if self.grid is not None:
+            fields["layout"] = Grid(T, *self.grid)
+        return TactileSurface(points=points, **fields)
+
+
+def from_file(name: str, folder: Path, unit: float) -> Layout:
+    """Returns the layout of a file: CSV, with or without a line of names, or JSON, a list of rows or of `points`.
+
+    `unit`: of the file [m]. Raises InvalidInput.
+    """
+    path = find_file(name, folder)
+    try:
+        text = read_bytes(path, 1 << 20, path.name).decode("utf-8-sig")
+        if path.suffix.lower() == ".json":
+            value = json.loads(text)
+            rows = value.get("points", value.get("taxels")) if isinstance(value, dict) else value
+        else:
+            lines = [line for line in csv.reader(text.splitlines()) if line]
+            named = bool(lines) and not lines[0][0].strip().lstrip("+-.")[:1].isdigit()
+            rows = [[float(cell) for cell in line] for line in lines[named:]]
+    except (ValueError, RecursionError, csv.Error) as error:
+        raise InvalidInput(
+            f"file: {path.name}: expected numbers in CSV or JSON, got other text ({error})"
+        ) from None
+    return Layout.of(rows, f"file: {path.name}", unit)
+
+
+def by_name(name: str, pitch: float | None, radius: float | None) -> Layout:
+    """Returns the layout of a product, `paxini:VARIANT` or one of `PRODUCTS`; raises InvalidInput.
+
+    Coordinates of PaXini's are read from the installed package `paxini-sdk`, without importing it; their normals are
+    those of planes through the nearest taxels. The others are nominal: their maker states counts and pitch alone.
+    """
+    maker, _, variant = name.partition(":")
+    if maker == "paxini":
+        spec = find_spec("paxini_sdk")
+        if spec is None or spec.origin is None:
+            raise InvalidInput("layout: expected the package paxini-sdk (pip install paxini-sdk), got none")
+        known: dict[str, Any] = {}
+        for path in sorted((Path(spec.origin).parent / "data").glob("*_points.json")):
+            value = json.loads(read_bytes(path, 1 << 20, path.name))
+            known |= dict.fromkeys(
+                (value["vendor_part_code"], value["sensor_model"].split("GEN3-")[-1]), value
+            )
+        if variant not in known:
+            raise InvalidInput(f"layout: unknown variant {variant!r}{checks.suggestion(variant, known)}")
+        points = 1e-3 * np.array(
+            [[each[f"{axis}_mm"] for axis in "xyz"] for each in known[variant]["points"]]
+        )
+        return Layout(points, _fitted_normals(points), components=3)
+    if name not in PRODUCTS:
+        raise InvalidInput(
+            f"layout: unknown layout {name!r}{checks.suggestion(name, [*PRODUCTS, 'paxini:VARIANT'])}"
+        )
+    rows, columns, usual_pitch, usual_radius, components = PRODUCTS[name]
+    if (pitch := pitch or usual_pitch) is None:
+        raise InvalidInput(
+            f"pitch: expected the distance of {name}'s taxels [m], as it is not published, got none"
+        )
+    return Layout.bent(rows, columns, pitch, radius or usual_radius, components)._replace(nominal=True)
+
+
+def _fitted_normals(points: Array) -> Array:
+    """Returns (n, 3) the normals of planes through the seven nearest points, away from a fitted sphere's centre."""
+    solution = np.linalg.lstsq(np.column_stack([2 * points, np.ones(len(points))]), (points**2).sum(axis=1))[
+        0
+    ]
+    near = np.argsort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, :7]
+    arms = points[near] - points[near].mean(axis=1, keepdims=True)
+    normals = np.linalg.svd(arms)[2][:, 2]
+    return np.asarray(normals * np.sign((normals * (points - solution[:3])).sum(axis=1))[:, None])
+
+
+def from_urdf(name: str, hand: Hand) -> Layout:
+    """Returns the layout of `<sensor name><tactile>` in a hand's URDF; raises InvalidInput.
+
+    An `<array>` is read row by row; of a list each `<taxel>` has the number `idx`. Source: urdf_tactile.
+    """
+    root = read_xml(find_file(hand.file))
+    found = {each.get("name"): each for each in root.all("sensor") if each.find("tactile") is not None}
+    if name not in found:
+        raise InvalidInput(f"urdf: unknown tactile sensor {name!r}{checks.suggestion(name, found)}")
+    sensor, tactile, parent = found[name], found[name].find("tactile"), found[name].find("parent")
+    assert tactile is not None
+    array, taxels = (
+        tactile.find("array"),
+        sorted(tactile.all("taxel"), key=lambda each: _numbers(each, "idx", 1)[0]),
+    )
+    T = _origin(sensor.find("origin"))
+    fields: Any = {"frame": "" if parent is None else parent.get("link"), "T_frame_sensor": T}
+    if not taxels and array is not None:
+        rows, columns = (int(_numbers(array, key, 1)[0]) for key in ("rows", "cols"))
+        step = _numbers(array, "spacing" if array.get("spacing") else "size", 2)
+        if not 1 <= rows * columns <= MOST_TAXELS:
+            raise InvalidInput(f"urdf: {name}: expected 1 to {MOST_TAXELS} taxels, got {rows} x {columns}")
+        by_column = array.get("order").startswith("col")
+        down, along = np.indices((rows, columns)).reshape(2, -1, order="F" if by_column else "C")
+        Ts = np.tile(np.eye(4), (rows * columns, 1, 1))
+        Ts[:, :2, 3] = np.stack([along, down], axis=1) * step
+        Ts[:, :2, 3] += _numbers(array, "offset", 2) if array.get("offset") else 0.0
+    elif [_numbers(each, "idx", 1)[0] for each in taxels] == list(range(len(taxels))) and taxels:
+        Ts = np.array([_origin(each) for each in taxels])
+    else:
+        numbers = ", ".join(each.get("idx") for each in taxels) or "none"
+        raise InvalidInput(f"urdf: {name}: expected an array, or taxels with idx 0, 1, ..., got {numbers}")
+    return Layout(Ts[:, :3, 3], Ts[:, :3, 2], Ts[:, :3, 0], **fields)
+
+
+def _origin(element: Element | None) -> Array:
+    """Returns the pose (4, 4) of `xyz` and `rpy`."""
+    if element is None:
+        return np.eye(4)
+    xyz, (roll, pitch, yaw) = (
+        _numbers(element, key, 3) if element.get(key) else np.zeros(3) for key in ("xyz", "rpy")
+    )
+    turns = (
+        se3.rotation_exp(angle * axis)
+        for angle, axis in zip((yaw, pitch, roll), np.eye(3)[::-1], strict=True)
+    )
+    first, second, third = turns
+    return se3.compose(first @ second @ third, xyz)
+
+
+def _numbers(element: Element, key: str, count: int) -> Array:
+    """Returns the numbers of an attribute; raises InvalidFile with the line."""
+    try:
+        return checks.finite([float(each) for each in element.get(key).split()], key, (count,))
+    except (ValueError, InvalidInput):
+        raise element.error(f"expected {count} numbers for {key}, got {element.get(key)[:40]!r}") from None
+
+
+def _mesh_normals(points: Array, frame: str, hand: Hand | None) -> Array:
+    """Returns (n, 3) the normals of a link's mesh at points on it (n, 3); raises InvalidInput."""
+    import trimesh  # takes long to load, and most layouts have normals
+
+    mesh = None if hand is None else hand.link_meshes().get(frame)
+    if mesh is None:
+        raise InvalidInput(
+            f"normals: expected three more numbers for each taxel, as {frame!r} has no mesh, got none"
+        )
+    shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    _, distance, face = trimesh.proximity.closest_point_naive(shape, points)  # type: ignore[no-untyped-call]
+    if not distance.max() <= ON_LINK:
+        expected = (
+            f"expected taxels within {1e3 * ON_LINK:g} mm of the mesh of {frame!r}, which gives their normals"
+        )
+        raise InvalidInput(f"points[{distance.argmax()}]: {expected}, got {1e3 * distance.max():.3g} mm")
+    return np.asarray(shape.face_normals[face])

@@ -1,0 +1,158 @@
+"""Layouts of taxels in a rig: by grid, table, file, URDF sensor or product; wrong ones are refused in one sentence."""
+
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handsight import se3
+from handsight.errors import InvalidFile
+from handsight.rig import Rig
+from handsight.rig.save import text
+from rig.rigs import full
+
+BALL = np.array([[0.006 * np.sin(a) * np.cos(b), 0.006 * np.sin(a) * np.sin(b), 0.006 * np.cos(a)]
+                 for a in (0.4, 0.9) for b in np.arange(0, 2 * np.pi, np.pi / 3)])  # fmt: skip
+ROWS = np.column_stack([BALL, BALL / 0.006])
+URDF = """<robot name="hand">
+  <link name="palm"/><link name="index_tip"/><link name="thumb_tip"/>
+  <joint name="a" type="revolute"><parent link="palm"/><child link="index_tip"/><axis xyz="0 0 1"/>
+    <origin xyz="0.05 0 0.1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="b" type="revolute"><parent link="palm"/><child link="thumb_tip"/><axis xyz="0 1 0"/>
+    <origin xyz="-0.05 0 0.1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <sensor name="pad"><parent link="index_tip"/><origin xyz="0 0 0.034" rpy="0 1.5707963267948966 0"/>
+    <tactile><array rows="2" cols="3" order="ORDER" size="0.005 0.004" offset="0.001 0"/></tactile></sensor>
+  <sensor name="list"><parent link="palm"/><tactile>
+    <taxel idx="1" xyz="0.01 0.004 0" rpy="0 0 0"/><taxel idx="0" xyz="0.01 0 0" rpy="0 0.3 0"/></tactile></sensor>
+</robot>"""
+
+
+@pytest.fixture
+def rig_with(tmp_path):
+    """`rig_with(lines)`: the rig of a file with these lines for a surface `skin.a`."""
+    pytest.importorskip("mujoco")
+
+    def read(lines, urdf=None):
+        rig = full(tmp_path, 0, (0.1, 0.1, 0.1), None)
+        content = text(replace(rig, skin={}, topics=replace(rig.topics, skin={})))
+        if urdf is not None:
+            (tmp_path / "sensors.urdf").write_text(urdf)
+            content = content.replace(rig.hand.file, str(tmp_path / "sensors.urdf"))
+            name = content.split("file: ")[1].split("\n")[0].split("   ")[0]
+            content = content.replace(name, json.dumps(str(tmp_path / "sensors.urdf")), 1)
+        path = tmp_path / "rig.yaml"
+        path.write_text(content + "skin:\n  a: {" + lines + ", threshold: 0.1}\n")
+        return Rig.from_file(path)
+
+    return read
+
+
+def test_a_table_a_csv_in_millimetres_and_json_are_the_same_layout(rig_with, tmp_path):
+    table = rig_with(f"frame: palm, taxels: {ROWS.tolist()}").skin["a"]
+    lines = ["x,y,z,nx,ny,nz", *(",".join(map(str, row)) for row in ROWS * [1e3, 1e3, 1e3, 1, 1, 1])]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    (tmp_path / "a.json").write_text(json.dumps({"points": ROWS.tolist()}))
+    by_csv = rig_with("frame: palm, file: a.csv, unit: mm").skin["a"]
+    by_json = rig_with("frame: palm, file: a.json, components: 3").skin["a"]
+    for other in (by_csv, by_json):
+        np.testing.assert_allclose(other.points, BALL, atol=1e-12)
+        np.testing.assert_allclose(other.normals, table.normals, atol=1e-12)
+    assert (table.shape, by_json.shape) == ((12,), (12, 3))
+
+
+def test_any_surface_is_written_and_read_as_the_same(rig_with, tmp_path):
+    pose = "pose: {position: [0, 0.01, 0.02], quaternion_xyzw: [0, 1, 0, 1]}"
+    rig = rig_with(f"frame: palm, {pose}, rows: 4, columns: 4, pitch: 0.004, radius: 0.01, components: 3")
+    (tmp_path / "again.yaml").write_text(text(rig))
+    again, surface = Rig.from_file(tmp_path / "again.yaml").skin["a"], rig.skin["a"]
+    np.testing.assert_allclose(again.points, surface.points, atol=1e-11)
+    np.testing.assert_allclose(again.taxels["axes"], surface.taxels["axes"], atol=1e-10)
+    assert again.pitch == pytest.approx(surface.pitch)
+
+
+def test_a_bent_grid_lies_on_its_cylinder(rig_with):
+    surface = rig_with("frame: palm, rows: 5, columns: 7, pitch: 0.003, radius: 0.009").skin["a"]
+    to_axis = surface.points + np.array([0, 0, 0.009])
+    np.testing.assert_allclose(np.hypot(to_axis[:, 0], to_axis[:, 2]), 0.009)
+    np.testing.assert_allclose(surface.normals, to_axis * [1, 0, 1] / 0.009, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", ["row-major", "column-major"])
+def test_the_sensors_of_a_urdf_have_their_taxels_in_the_order_of_the_data(rig_with, order):
+    surface = rig_with("urdf: pad", URDF.replace("ORDER", order)).skin["a"]
+    assert surface.frame == "index_tip"
+    np.testing.assert_allclose(surface.normals, np.tile([1.0, 0, 0], (6, 1)), atol=1e-12)
+    step = [0, 0, -0.005] if order == "row-major" else [0, 0.004, 0]
+    np.testing.assert_allclose(surface.points[1] - surface.points[0], step, atol=1e-12)
+    np.testing.assert_allclose(surface.points[0], [0, 0, 0.033], atol=1e-12)
+    listed = rig_with("urdf: list", URDF).skin["a"]
+    np.testing.assert_allclose(listed.points, [[0.01, 0, 0], [0.01, 0.004, 0]], atol=1e-12)
+    np.testing.assert_allclose(listed.normals[0], se3.rotation_exp(np.array([0, 0.3, 0]))[:, 2], atol=1e-12)
+
+
+def test_a_product_is_read_from_the_makers_package_where_it_is_installed(rig_with, tmp_path, monkeypatch):
+    with pytest.raises(InvalidFile, match=r"skin\.a\.layout: expected the package paxini-sdk \(pip install"):
+        rig_with("frame: palm, layout: 'paxini:DP-X'")
+    folder = tmp_path / "site/paxini_sdk/data"
+    folder.mkdir(parents=True)
+    (folder.parent / "__init__.py").write_text("raise RuntimeError('it must not be imported')")
+    points = [dict(zip(("x_mm", "y_mm", "z_mm"), 1e3 * point, strict=True)) for point in BALL]
+    value = {"vendor_part_code": "PXSR-1", "sensor_model": "PX6AX-GEN3-DP-X", "points": points}
+    (folder / "pxsr_1_points.json").write_text(json.dumps(value))
+    monkeypatch.setattr(sys, "path", [str(tmp_path / "site"), *sys.path])
+    surface = rig_with("frame: palm, layout: 'paxini:DP-X'").skin["a"]
+    np.testing.assert_allclose(surface.points, BALL, atol=1e-12)
+    assert (surface.normals * BALL).sum(axis=1).min() > 0.8 * 0.006
+    assert surface.shape == (12, 3)
+    with pytest.raises(InvalidFile, match=r"layout: unknown variant 'DP-Y'"):
+        rig_with("frame: palm, layout: 'paxini:DP-Y'")
+
+
+@pytest.mark.parametrize(("name", "count"), [("xela:fingertip", 30), ("xela:phalanx", 16), ("xela:palm", 24)])
+def test_a_product_without_coordinates_has_its_published_count(rig_with, name, count):
+    assert rig_with(f"frame: palm, layout: '{name}'").skin["a"].shape[-1] == 3
+    assert len(rig_with(f"frame: palm, layout: '{name}'").skin["a"].points) == count
+
+
+def test_taxels_without_normals_have_those_of_their_links_mesh(rig_with):
+    box = '<link name="palm"><visual><geometry><box size="0.02 0.04 0.01"/></geometry></visual></link>'
+    urdf = URDF.replace('<link name="palm"/>', box)
+    table = "[[0, 0, 0.005], [0, 0.004, 0.005], [0.01, 0.004, 0], [0.01, 0, 0.0]]"
+    surface = rig_with(f"frame: palm, taxels: {table}", urdf).skin["a"]
+    np.testing.assert_allclose(surface.normals, [[0, 0, 1], [0, 0, 1], [1, 0, 0], [1, 0, 0]], atol=1e-9)
+    with pytest.raises(InvalidFile, match=r"points\[1\]: expected taxels within 5 mm of the mesh of 'palm'"):
+        rig_with("frame: palm, taxels: [[0, 0, 0.005], [0, 0, 0.05]]", urdf)
+
+
+WRONG = {
+    "frame: palm": "expected one of rows (with columns, pitch), taxels, file, urdf, layout, got none",
+    "rows: 3, columns: 3, pitch: 0.004": "frame: expected the link that the taxels are on, got none",
+    "frame: palm, taxels: [[0, 0, 0, 0, 0]]": "taxels: expected 3, 6 or 9 numbers for each taxel, got 5 in row 1",
+    "frame: palm, taxels: [[0, 0, 0], [0, 0, 0.004]]": "as 'palm' has no mesh",
+    f"frame: palm, taxels: {(ROWS * [1, 1, 1, -1, -1, -1]).tolist()}": "got normals that point into it",
+    f"frame: palm, taxels: {(ROWS * [1e3, 1e3, 1e3, 1, 1, 1]).tolist()}": "(millimetres?)",
+    "frame: palm, layout: 'xela:tip'": "layout: unknown layout 'xela:tip'",
+    "frame: palm, layout: 'inspire:pad'": "pitch: expected the distance of inspire:pad's taxels [m]",
+    "frame: palm, urdf: pad": "urdf: unknown tactile sensor 'pad'",
+    "frame: palm, file: none.csv": "none.csv",
+    "frame: palm, rows: 3, columns: 30, pitch: 0.004, radius: 0.01": "radius: expected one that 30 columns fit around",
+    "frame: palm, rows: 3, columns: 3, pitch: 0.004, scale: 0": "scale, noise: expected no 0",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("lines", WRONG)
+def test_a_wrong_layout_is_refused_with_the_line_of_the_rig(rig_with, lines):
+    with pytest.raises(InvalidFile, match=r"rig\.yaml:\d+: skin") as raised:
+        rig_with(lines)
+    assert WRONG[lines] in str(raised.value)
+
+
+def test_a_file_of_another_kind_is_refused(rig_with, tmp_path):
+    for content in ("x,y\nz,w\n", "1,2,abc\n", "", "[1, 2", "{}", "[1, 2]", '[[1, 2, "a"]]', "3"):
+        (tmp_path / "a.csv").write_text(content)
+        (tmp_path / "a.json").write_text(content)
+        for name in ("a.csv", "a.json"):
+            with pytest.raises(InvalidFile, match=rf"skin\.a\.file: {name}: expected"):
+                rig_with(f"frame: palm, file: {name}")

@@ -1,0 +1,253 @@
+"""Curved fingertips with taxels that press on an object: an elastic skin, sampled finely, with known contact. Synthetic.
+
+The skin is a bed of springs (an elastic foundation; Johnson 1985, chapter 4.3), so that the pressure under a round body
+is a paraboloid, near Hertz's. Each taxel measures the force on its cell, one component or three; readings have noise, a
+constant offset, and a share that leaks to the neighbours.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.contact import TactileSurface
+from handsight.observation import Observation
+from handsight.rig import Rig
+from handsight.tracking import FingertipSensors
+
+Rng = np.random.Generator
+STIFFNESS = (1e7, 6e7)
+"""Of the skin, from and to [N/m per m²]: 5 mm of foam, 1.5 mm of rubber."""
+FORCE = (0.5, 5.0)
+"""Of a contact, from and to [N]."""
+FRICTION = 0.5
+"""The largest tangential force, as a share of the normal one; torsion is this times a quarter of the patch's radius."""
+CROSSTALK = 0.03
+"""Share of a taxel's force that each neighbour reads."""
+NOISE, FLOOR = 0.05, 2e-3
+"""Of a reading, as a share and in newtons."""
+UNEVEN = 1.5e-4
+"""Of each taxel's height [m]."""
+STEP = 5e-4
+"""Between samples of the skin [m]."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The shape of a tip: an ellipsoid, whose half towards -y may be drawn out to a cylinder."""
+
+    axes: tuple[float, float, float]
+    """Half sizes along x (across the finger), y (along it), z (out of its pad) [m]."""
+    drawn_out: bool
+
+    def value(self, points: Array) -> tuple[Array, Array]:
+        """Zero on the surface, negative inside, and its gradient."""
+        scaled = points / np.square(self.axes)
+        if self.drawn_out:
+            scaled = np.where(points[..., 1:2] < 0, scaled * [1, 0, 1], scaled)
+        return (points * scaled).sum(axis=-1) - 1, 2 * scaled
+
+    def on_surface(self, points: Array, direction: Array) -> tuple[Array, Array]:
+        """Points moved along a direction to the surface, and their normals; NaN where the line misses it."""
+        for _ in range(20):
+            value, gradient = self.value(points)
+            slope = gradient @ direction
+            points = points - np.where(np.abs(slope) > 20, value / slope, np.nan)[..., None] * direction
+        gradient = self.value(points)[1]
+        return points, gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
+
+
+SHAPES = {
+    "capsule": Shape((0.011, 0.011, 0.011), drawn_out=True),
+    "ball": Shape((0.013, 0.013, 0.013), drawn_out=False),
+    "finger": Shape((0.010, 0.014, 0.012), drawn_out=True),
+    "egg": Shape((0.012, 0.017, 0.013), drawn_out=False),
+}
+HELD_OUT = ("finger", "egg")
+"""Shapes that no constant was chosen on."""
+
+
+def tip(
+    shape: Shape, rng: Rng, *, taxels: int = 30, pitch: float = 0.0047, components: int = 3, **fields: Any
+) -> TactileSurface:
+    """A tip's surface: the places farthest from each other among many, a pitch apart, around its pad's middle."""
+    many = rng.normal(size=(4000, 3))
+    many /= np.linalg.norm(many, axis=1, keepdims=True)
+    places = many * shape.axes
+    if shape.drawn_out:
+        places[:, 1] -= np.where(many[:, 1] < 0, 0.02 * rng.random(len(many)), 0)
+        places = np.where(places[:, 1:2] < 0, np.column_stack([
+            places[:, 0] / np.hypot(many[:, 0], many[:, 2]), places[:, 1],
+            places[:, 2] / np.hypot(many[:, 0], many[:, 2])]), places)  # fmt: skip
+    order = np.argsort(np.linalg.norm(places - [0, 0, shape.axes[2]], axis=1))
+    chosen: list[Array] = []
+    for place in places[order]:
+        if len(chosen) < taxels and all(np.linalg.norm(place - other) > 0.93 * pitch for other in chosen):
+            chosen.append(place)
+    gradient = shape.value(np.array(chosen))[1]
+    given: Any = {"frame": "tip", "threshold": 0.03, "components": components, "pitch": pitch} | fields
+    return TactileSurface(points=np.array(chosen), normals=gradient, **given)
+
+
+@dataclass(frozen=True)
+class Press:
+    """One contact of a tip with a round or flat body."""
+
+    readings: np.ndarray
+    """(n,) or (n, 3) [N]"""
+    point: np.ndarray
+    """(3,) where the body touches first [m]."""
+    normal: np.ndarray
+    """(3,) the body's outward normal there."""
+    force: np.ndarray
+    """(3,) of the body on the tip [N]."""
+    torque: float
+    """About `normal`, at the point [N m]."""
+    center: np.ndarray
+    """(3,) centre of pressure, on the chord [m]."""
+
+
+def pressed(
+    shape: Shape,
+    surface: TactileSurface,
+    rng: Rng,
+    *,
+    force: float | None = None,
+    round_by: float | None = None,
+    dead: int = 1,
+    place: Array | None = None,
+) -> Press:
+    """A press at a random place within the layout; `round_by` is the body's curvature, -20 to 80 /m without one.
+
+    On a tip that is drawn out to a cylinder it is 15 /m or more: a flat body touches it along a line, which has no
+    point that is touched first.
+    """
+    if place is None:
+        inner = np.flatnonzero((surface.taxels["near"] < len(surface.points)).sum(axis=1) >= 5)
+        place = surface.points[rng.choice(inner)] + rng.uniform(-0.5, 0.5, 3) * surface.pitch
+    value, gradient = shape.value(place)
+    out = gradient / np.linalg.norm(gradient)
+    point, out = shape.on_surface(place, out)
+    value, gradient = shape.value(point)
+    out = gradient / np.linalg.norm(gradient)
+    stiffness = np.exp(rng.uniform(*np.log(STIFFNESS)))
+    newtons = np.exp(rng.uniform(*np.log(FORCE))) if force is None else force
+    least = 15 if shape.drawn_out else -20
+    curvature = rng.uniform(least, 80) if round_by is None else round_by
+    x = np.cross(out, [1.0, 0, 0] if abs(out[0]) < 0.9 else [0, 1.0, 0])
+    x /= np.linalg.norm(x)
+    y = np.cross(out, x)
+    grid = np.arange(-0.01, 0.01 + STEP / 2, STEP)
+    u, v = np.meshgrid(grid, grid)
+    fine, normals = shape.on_surface(point + u[..., None] * x + v[..., None] * y, out)
+    fine, normals = fine.reshape(-1, 3), normals.reshape(-1, 3)
+    known = np.isfinite(fine).all(axis=1)
+    fine, normals = fine[known], normals[known]
+    arms = fine - point
+    r2 = (arms**2).sum(axis=1) - (arms @ out) ** 2
+    # The skin's own height errors are those of the nearest taxel.
+    distance = np.linalg.norm(fine[:, None] - surface.points, axis=2)
+    nearest, far = distance.argmin(axis=1), distance.min(axis=1) > 0.85 * surface.pitch
+    gap = 0.5 * curvature * r2 - arms @ out + (UNEVEN * rng.normal(size=len(surface.points)))[nearest]
+    cosine = normals @ out
+    area = STEP**2 / cosine.clip(0.2)
+    low, high = 0.0, 0.01
+    for _ in range(50):  # the depth at which the springs bear the force
+        depth = (low + high) / 2
+        push = stiffness * np.maximum(depth - gap, 0) * cosine**2 * area
+        low, high = (depth, high) if push.sum() < newtons else (low, depth)
+    pressure = stiffness * np.maximum(depth - gap, 0) * cosine * area
+    side = rng.uniform(0, 2 * np.pi)
+    share = FRICTION * rng.random()
+    spin = FRICTION * rng.uniform(-1, 1) / np.sqrt(r2[pressure > 0].max(initial=1e-6))
+    drag = share * (np.cos(side) * x + np.sin(side) * y) + 0.25 * spin * np.cross(out, arms)
+    pushed = -pressure[:, None] * normals + pressure[:, None] * drag
+    cells = np.zeros((len(surface.points), 3))
+    np.add.at(cells, nearest[~far], pushed[~far])
+    total, moment = pushed.sum(axis=0), np.cross(arms, pushed).sum(axis=0)
+    own = np.einsum("nik,ni->nk", surface.taxels["axes"], cells) * [1, 1, -1]
+    leaked = own.copy()
+    for i, row in enumerate(surface.taxels["near"]):
+        near = row[row < len(own)]
+        leaked[near] += CROSSTALK * own[i]
+        leaked[i] -= CROSSTALK * len(near) * own[i]
+    read = leaked * (1 + NOISE * rng.normal(size=leaked.shape)) + FLOOR * rng.normal(size=leaked.shape)
+    strong = np.argsort(-read[:, 2])[:7]
+    if dead:
+        read[rng.choice(strong if rng.random() < 0.5 else len(read))] = np.nan
+    values = read if surface.components == 3 else read[:, 2]
+    middle = (fine * pressure[:, None]).sum(axis=0) / pressure.sum()
+    return Press(values, point, -out, total, float(-moment @ out), middle)
+
+
+def errors(patch: np.void, truth: Press) -> dict[str, float]:
+    """Errors of a patch: point [mm], normal [deg], force [share], and the squared one per degree of freedom."""
+    n, error = patch["normal"], patch["point"] - truth.point
+    tangent = np.linalg.svd(n[None])[2][1:]
+    change = np.concatenate([error, tangent @ (n - truth.normal)])
+    to_five = np.zeros((5, 6))
+    to_five[:3, :3], to_five[3:, 3:] = np.eye(3), tangent
+    squared = change @ np.linalg.solve(to_five @ patch["covariance"] @ to_five.T, change) / 5
+    return {
+        "point": 1e3 * np.linalg.norm(error),
+        "normal": np.degrees(np.arccos(np.clip(n @ truth.normal, -1, 1))),
+        "force": np.linalg.norm(patch["force"] - truth.force) / np.linalg.norm(truth.force),
+        "nees": squared,
+    }
+
+
+R_FINGER_PAD = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+"""From a shape's axes to those of a simulated finger: it points along z, its pad faces -y."""
+
+
+def with_taxels(rig: Rig, rng: Rng, *, components: Any = 3) -> tuple[Rig, dict[str, Shape]]:
+    """A rig of the simulated hand with 30 taxels on each tip, and the shapes of its tips by finger."""
+    skin, shapes = dict(rig.skin), {}
+    for name, finger in rig.fingers.items():
+        x, y, z = finger.tip.semi_axes
+        shapes[name] = Shape((x, z, y), drawn_out=False)
+        found = tip(shapes[name], rng, components=components)
+        T = finger.T_frame_surface
+        R = T[:3, :3] @ R_FINGER_PAD
+        skin[name] = TactileSurface(
+            frame=finger.frame, points=found.points @ R.T + T[:3, 3], normals=found.normals @ R.T,
+            threshold=0.03, components=components, pitch=found.pitch,
+        )  # fmt: skip
+    return replace(rig, skin=skin), shapes
+
+
+def taxel_observations(
+    rig: Rig,
+    shapes: dict[str, Shape],
+    observations: Iterable[Observation],
+    seed: int,
+    *,
+    wrenches: bool = False,
+) -> Iterator[Observation]:
+    """Observations in which taxels read what the fingertips' wrenches say; without these unless `wrenches`."""
+    sensors = FingertipSensors(rig)
+    for k, observation in enumerate(observations):
+        rng = np.random.default_rng([seed, k])
+        found, readings = sensors.contacts(observation), dict(observation.skin)
+        Ts = dict(zip(rig.hand.tips, rig.hand.Ts_palm_tip(observation.joint_positions or {}), strict=True))
+        for name, shape in shapes.items():
+            surface = rig.skin[name]
+            readings[name] = FLOOR * rng.normal(size=surface.shape)
+            if name not in found.fingers or found.contacts is None or found.loads is None:
+                continue
+            i = found.fingers.index(name)
+            T = Ts[name] @ rig.fingers[name].T_frame_surface
+            place = R_FINGER_PAD.T @ se3.apply(se3.inverse(T), found.contacts.points_palm[i : i + 1])[0]
+            R = rig.fingers[name].T_frame_surface[:3, :3] @ R_FINGER_PAD
+            local = TactileSurface(
+                frame="tip", points=(surface.points - rig.fingers[name].T_frame_surface[:3, 3]) @ R,
+                normals=surface.normals @ R, x_axes=surface.taxels["axes"][:, :, 0] @ R, threshold=0.03,
+                components=surface.components, pitch=surface.pitch,
+            )  # fmt: skip
+            given: Any = {"force": found.loads[i, 3], "round_by": 30.0, "dead": 0, "place": place}
+            readings[name] = np.nan_to_num(pressed(shape, local, rng, **given).readings)
+        wrench = observation.wrenches if wrenches else {}
+        yield replace(observation, skin=readings, wrenches=wrench)
