@@ -45,7 +45,7 @@ class DepthTrackerOptions(NamedTuple):
     """Share of explained pixels among them and those against a pose at which an image says neither that it is right nor
     that it is wrong."""
     fit_weight: float = 6.0  # of what is above or below it in the log odds that the pose is right
-    max_rms: float = 1.1  # of the distances of the explained pixels, above which it contradicts [their sigma]
+    max_rms: float = 1.3  # of the distances of the explained pixels, above which it contradicts [their sigma]
     rms_weight: tuple[float, float] = (4.0, 1.5)
     """Of what is above that, and the most that it takes from the log odds: a model, or a camera's noise, may be other
     than they are declared."""
