@@ -6,14 +6,17 @@ import random
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
 
+import handsight as hs
+from handsight import se3
 from handsight.camera import Camera
 from handsight.recording.bop import Hints
 from handsight.recording.frames import Beside, Frame, Unread, open_frames
-from handsight.vision import read_camera, read_color, read_depth
+from handsight.vision import locate_all, read_camera, read_color, read_depth
 from handsight.vision.object.locate import search_mask
 from tests.corpus.door import Case, Door, check_sentence, spoilt_bytes, spoilt_value
 
@@ -133,7 +136,41 @@ def spoilt(value: object, rng: random.Random) -> bytes:
     return json.dumps(spoilt_value(value, rng), default=str).encode()
 
 
+TURNED = se3.rotation_exp(np.array([0.4, 0.5, 0.2]))
+BOXES = {name: hs.ObjectModel.box(size) for name, size in (("a", (0.2, 0.3, 0.1)), ("b", (0.1, 0.1, 0.1)))}
+
+
+def several(rng: random.Random | None) -> None:
+    """Locates all of two boxes in an image of one of them, and asserts that no pixel is explained twice."""
+    lens = Camera(np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), (64, 48))
+    depth = lens.draw(BOXES["a"].vertices @ TURNED.T + [0, 0, 0.6], BOXES["a"].faces).depth
+    depth = np.where(np.isfinite(depth) & (depth > 0), depth, 1.5).astype(np.float32)
+    given: dict[str, Any] = {"counts": {"a": 2}, "box": [2, 1, 60, 40], "table": [0, 0, -1, 1.5]}
+    given |= {name: np.ones(depth.shape, bool) for name in ("mask", "hand")}
+    given["hand"][:, 5:] = False
+    if rng is not None:
+        which = rng.choice([*given, "depth", "models"])
+        if which == "depth":
+            which, unit = "", rng.choice([1e-3, 0.1, 1.0, 10.0, 1e3])
+            odd = rng.choice([np.nan, np.inf, -1.0, 0.0, 1e30])
+            depth = np.where(
+                np.random.default_rng(rng.getrandbits(32)).random(depth.shape) < 0.2, odd, unit * depth
+            )
+            depth = depth[rng.choice([0, 0, 1]) :]
+        elif which in ("mask", "hand"):
+            kind = rng.choice([float, np.int8, np.uint16, str, object])
+            given[which] = given[which][rng.choice([0, 0, 1]) :].astype(kind)
+        elif which in given:
+            given[which] = spoilt_value(given[which], rng)
+        given = {name: value for name, value in given.items() if name == which or rng.random() < 0.5}
+    answer = locate_all(BOXES, depth, lens, **given)
+    assert {each.name for each in answer.instances} | set(answer.missing) == set(BOXES)
+    assert (np.sum([each.pixels for each in answer.instances], axis=0) <= 1).all()
+    assert all(0 <= each.probability <= 1 for each in answer.instances)
+
+
 DOORS = [
+    Door("locate_all", several, 60),
     Door("detections", lambda rng: hints("detections", spoilt(FOUND, rng)), 300),
     Door("targets", lambda rng: hints("targets", spoilt(TARGETS, rng)), 100),
     Door("start", lambda rng: hints("start", spoilt_bytes(POSES.encode(), rng)), 200),
@@ -143,6 +180,7 @@ DOORS = [
     Door("read_camera", lambda rng: camera(spoilt_value(CAMERA, rng)), 300),
 ]
 CASES = [
+    Case("an image for locate_all as it should be", lambda: several(None), None),
     Case(
         "detections as they should be",
         lambda: hints("detections", json.dumps(FOUND).encode(), good=True),

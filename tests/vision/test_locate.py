@@ -11,7 +11,7 @@ import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.gaussian_pose import GaussianPose
-from handsight.vision import FirstPoseSource, locate, recognise
+from handsight.vision import DepthTracker, FirstPoseSource, locate, recognise
 from handsight.vision.object.first_pose import probabilities
 from handsight.vision.object.locate import LOCATE, score_log_odds, search_mask, surface_distance
 from sight_scenes import CAMERA, drawn, letter, looking, mssd, noisy, on_table
@@ -136,6 +136,30 @@ def test_what_is_no_such_image_is_said(name, change, message):
     arguments = {"depth": depth} | {name: change(depth)}
     with pytest.raises(InvalidInput, match=message):
         locate(models()["letter"], arguments.pop("depth"), CAMERA, **arguments)
+
+
+def test_depth_ten_times_too_small_is_doubted():
+    """By `locate`, and by what follows an object; nothing is said of an object that is in no unit there."""
+    _, depth = picture("letter")
+    found = locate(models()["letter"], depth / 10, CAMERA)
+    doubt = "; ten times as far it is found: depth in another unit (--depth-scale)?"
+    assert found.reason is not None
+    assert found.reason.endswith(doubt)
+    lost = DepthTracker(models()["letter"], CAMERA).update(0.0, depth / 10)
+    assert (lost.state, lost.reason) == ("lost", f"not found: {found.reason}")
+    reason = locate(hs.ObjectModel.sphere(0.1), depth / 10, CAMERA).reason
+    assert reason is not None
+    assert doubt not in reason
+
+
+def test_who_asks_for_an_object_twice_has_no_more_of_it():
+    """The probability that none of them is there does not fall with the number of objects that could be meant."""
+    _, depth = picture("tin")
+    once = recognise({"a": models()["brick"]}, depth, CAMERA)
+    twice = recognise({name: models()["brick"] for name in "abc"}, depth, CAMERA)
+    assert twice.none == pytest.approx(once.none)
+    assert sum(twice.scores.values()) == pytest.approx(once.scores["a"])
+    assert twice.scores["b"] == pytest.approx(twice.scores["c"])
 
 
 def test_recognition_wants_models():

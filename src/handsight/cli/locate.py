@@ -349,7 +349,7 @@ def locator(
     from handsight.recording.detections import Located, LocatedAll
     from handsight.vision import locate_all
     from handsight.vision.object.first_pose import first_pose
-    from handsight.vision.object.locate import recognise, recognition_of
+    from handsight.vision.object.locate import LOCATE, recognise, recognition_of
     from handsight.vision.object.region import scene_of
 
     matrix = np.array([[64, 0, 32], [0, 64, 24], [0, 0, 1.0]])
@@ -371,7 +371,10 @@ def locator(
             recognition = None
             if beside or len(models) == 1:
                 each = {name: _found_beside(frame, model, name, noise)[0] for name, model in asked.items()}
-                recognition = None if len(models) == 1 else recognition_of(each)
+                if len(models) > 1:
+                    extent = LOCATE.max_plane * max(model.diameter for model in asked.values())
+                    here = scene_of(camera, depth, wanted=mask, hand=hand, extent=extent)
+                    recognition = recognition_of(asked, each, here)
             else:
                 recognition = recognise(asked, depth, camera, mask=mask, hand=hand, noise=noise)
                 each = recognition.found

@@ -95,3 +95,13 @@ def distinct(
     limits = np.array([*about, model.radius, spacing * model.diameter])
     order = np.argsort(-score, kind="stable")
     return candidates[kept[: distinct_poses.distinct_candidates(group, limits, candidates, order, kept)]]
+
+
+def surface_distances(
+    model: ObjectModel, points: Array, within: float, candidates: Candidates
+) -> NDArray[np.float32]:
+    """Returns the distances (k, n) [m] of points (n, 3) from the surface at CANDIDATE (k,); infinity where they are not
+    `within` it [m]."""
+    distances = np.empty((len(candidates), len(points)), dtype=np.float32)
+    depth_term.surface_distances(*model.record[:2], points, within, candidates, distances)
+    return distances

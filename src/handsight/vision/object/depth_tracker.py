@@ -140,7 +140,7 @@ class DepthTracker:
         self._T_object_center[:3, 3] = model.center_object
         self._start = None if start is None else se3.rounded(start, "start")
         self._belief: _Belief | None = None
-        self._searched = -np.inf
+        self._searched, self._absent = -np.inf, "not found"
 
     def restarted(self, stamp: float, T_camera_object: Array) -> "DepthTracker":
         """Returns a tracker that has followed nothing yet, and looks at a pose only in an image of that stamp [s]."""
@@ -183,7 +183,7 @@ class DepthTracker:
 
     def _observed(self, image: _Image, hint: Array | None) -> Sighting:
         """Returns where the object is near its expected pose, else anywhere in the image, and makes that the belief."""
-        predicted, refined, reason = self._predicted(image, hint), None, "not found"
+        predicted, refined, reason = self._predicted(image, hint), None, ""
         if predicted is not None:
             refined = self._refined(image, predicted)
             predicted = self._weighed(predicted, refined)
@@ -193,7 +193,7 @@ class DepthTracker:
             if found is None:
                 self._belief = predicted and replace(predicted, lost=True)
                 candidate = np.zeros(1, dtype=CANDIDATE) if refined is None else refined.candidate
-                return Sighting(image.stamp, None, None, "lost", reason, candidate)
+                return Sighting(image.stamp, None, None, "lost", reason or self._absent, candidate)
             predicted, refined = found
         enough = _is_enough(refined)
         self._belief = belief = self._fused(predicted, refined) if enough else predicted
@@ -289,6 +289,7 @@ class DepthTracker:
         found = self.source(
             self.model, image.depth, self.camera, hand=image.hand, table=image.table, noise=noise
         )
+        self._absent = f"not found: {found.reason}" if found.reason else "not found"
         expected = found.candidates["expected"]
         if found.probability > DEPTH_TRACKER.likely:
             expected = expected - found.candidates["hidden"]

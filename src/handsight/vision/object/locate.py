@@ -16,7 +16,13 @@ from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import NOTHING_KNOWN, Candidates, candidates_at, poses_of
+from handsight.vision.candidates import (
+    NOTHING_KNOWN,
+    Candidates,
+    candidates_at,
+    poses_of,
+    surface_distances,
+)
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose import (
     JudgedStarts,
@@ -24,10 +30,9 @@ from handsight.vision.object.first_pose import (
     first_pose,
     log_odds,
     logit,
-    probabilities,
 )
 from handsight.vision.object.pose_refiner import PoseRefiner
-from handsight.vision.object.region import Scene, scene_of
+from handsight.vision.object.region import REGION, Scene, scene_of
 
 Box = Sequence[float] | Array
 """u0, v0, u1, v1: the first column and row, and the last, all included [pixels]."""
@@ -49,6 +54,9 @@ class LocateOptions(NamedTuple):
     max_moved: float = 0.1  # a pose that is right is moved by at most that on the image [diameters]
     rival_level: float = 0.05  # odds of a pose against another one below which that other one is better
     max_starts: int = 100
+    compared: int = 4000  # pixels of an image by which objects are compared that would explain the same ones
+    support: tuple[float, float] = (20.0, 0.033)
+    """Pixels by which logarithms of two objects' weights differ by 1, and what is added per pixel that any explains."""
 
 
 LOCATE = LocateOptions()
@@ -89,18 +97,30 @@ def locate(
     given = None if start is None else _checked_starts(start)
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
     if not len(scene.sizes):
-        return ObjectDetection.nowhere(scene.reason, None if given is None else _nowhere(given))
+        starts = None if given is None else _nowhere(given)
+        return ObjectDetection.nowhere(scene.reason + _too_near(model, scene, wanted, hand, noise), starts)
     refined = None if given is None else _refined(model, scene, given, noise)
     found = first_pose(model, scene, noise=noise, given=refined, prior=prior)
     if given is not None and refined is not None:
         found = replace(found, starts=_judged(model, given, refined, found, prior))
     if found.probability >= LOCATE.min_probability:
         return found
-    if not len(found.candidates):
-        return ObjectDetection.nowhere("no surface there is large enough to tell its shape", found.starts)
     name, probability = model.name or "the object", f"with a probability of {found.probability:.2f} only"
     reason = f"the likeliest pose of {name} is right {probability}"
-    return ObjectDetection.nowhere(reason, found.starts)
+    if not len(found.candidates):
+        reason = "no surface there is large enough to tell its shape"
+    return ObjectDetection.nowhere(reason + _too_near(model, scene, wanted, hand, noise), found.starts)
+
+
+def _too_near(
+    model: ObjectModel, scene: Scene, wanted: Mask | None, hand: Mask | None, noise: DepthNoise
+) -> str:
+    """Returns what a reason ends with where the object would be wider than the image and is found ten times as far."""
+    z = float(np.median(scene.depth[scene.depth > 0])) if scene.depth.any() else np.inf
+    if model.diameter * scene.camera.matrix[0, 0] < min(scene.camera.size) * z or 10 * z > REGION.max_range:
+        return ""
+    found = locate(model, 10 * scene.depth, scene.camera, mask=wanted, hand=hand, noise=noise)
+    return "" if found.reason else "; ten times as far it is found: depth in another unit (--depth-scale)?"
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,25 +166,38 @@ def recognise(
     wanted = search_mask(camera, box, mask)
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
     found = {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
-    return recognition_of(found, None if len(scene.sizes) else scene.reason)
+    return recognition_of(models, found, scene)
 
 
-def recognition_of(found: Mapping[str, ObjectDetection], reason: str | None = None) -> Recognition:
-    """Returns which of several objects an image shows, by where each would be; `reason`: why it can be none."""
+def recognition_of(
+    models: Mapping[str, ObjectModel], found: Mapping[str, ObjectDetection], scene: Scene
+) -> Recognition:
+    """Returns which of several objects a scene shows, by where each would be.
+
+    Poses are compared by their log odds, added to their object's, and by the same pixels of the scene, because odds are
+    of shares of each object's own. None of them is there as probably as the likeliest is not.
+    """
     detected = [name for name, one in found.items() if len(one.candidates)]
-    odds = logit([found[name].probability for name in detected])
-    some = float(probabilities(odds).sum())
-    # The odds count shares. Of objects in the same pixels, that one is likelier which explains more of them.
-    support = odds + [found[name].candidates["score"][0] for name in detected]
+    step = max(1, round(np.sqrt((scene.labels >= 0).sum() / LOCATE.compared)))
+    inside = scene.labels[::step, ::step] >= 0
+    points = scene.camera.points(scene.depth)[::step, ::step][inside].astype(np.float64)
+    pixels, explained = dict[str, Array](), np.zeros(len(points))
+    for name in detected:
+        modes, bound = found[name].candidates, found[name].candidates["bound"][:, None]
+        each = np.maximum(1 - (surface_distances(models[name], points, bound.max(), modes) / bound) ** 2, 0)
+        pixels[name], explained = step**2 * each.sum(axis=1), np.maximum(explained, each.max(axis=0))
+    size = LOCATE.support[0] + LOCATE.support[1] * step**2 * explained.sum()
+    support = logit([found[name].probability for name in detected])
+    support += [(log_odds(found[name].candidates) + pixels[name] / size).max() for name in detected]
     weights = np.exp(support - support.max(initial=-np.inf))
-    weights *= some / max(weights.sum(), 1.0)
-    scores = dict.fromkeys(found, 0.0) | dict(zip(detected, weights.tolist(), strict=True))
+    some = found[detected[int(weights.argmax())]].probability if detected else 0.0
+    shares = some * weights / max(weights.sum(), 1.0)
+    scores = dict.fromkeys(found, 0.0) | dict(zip(detected, shares.tolist(), strict=True))
     order = sorted(scores, key=lambda name: -scores[name])
-    none = 1 - some
-    if reason is None and none >= scores[order[0]]:
-        best = f"{order[0]} is the likeliest, with a probability of {scores[order[0]]:.2f}"
-        reason = f"nothing there looks like one of them; {best}"
-    return Recognition({n: scores[n] for n in order}, max(none, 0.0), {n: found[n] for n in order}, reason)
+    best = f"{order[0]} is the likeliest, with a probability of {scores[order[0]]:.2f}"
+    reason = f"nothing there looks like one of them; {best}" if len(scene.sizes) else scene.reason
+    why = reason if 1 - some >= scores[order[0]] else None
+    return Recognition({n: scores[n] for n in order}, 1 - some, {n: found[n] for n in order}, why)
 
 
 def search_mask(camera: Camera, box: Box | None, mask: Mask | None) -> Mask | None:

@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
-from handsight._kernels.image import depth_term, pose_score
+from handsight._kernels.image import pose_score
 from handsight._kernels.image.pose_score import POSE_SCORE
 from handsight._kernels.image.vision_records import CANDIDATE
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import Candidates, poses_of
+from handsight.vision.candidates import Candidates, poses_of, surface_distances
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.appearance import FEW, appearance_of
 from handsight.vision.object.first_pose import (
@@ -141,6 +141,8 @@ def _checked_counts(models: Mapping[str, ObjectModel], counts: Mapping[str, int]
     """Returns the most instances of each model whose number is given; raises InvalidInput."""
     if not models:
         raise InvalidInput("models: expected at least one, got none")
+    if not isinstance(counts or {}, Mapping):
+        raise InvalidInput(f"counts: expected a number by name, got {type(counts).__name__}")
     limits = {name: checks.integer(n, f"counts[{name!r}]", 10_000) for name, n in (counts or {}).items()}
     if wrong := next((name for name in limits if name not in models), None):
         raise InvalidInput(f"counts: expected names of models, got {wrong!r:.80}")
@@ -411,13 +413,3 @@ def owners(scene: Scene, bodies: Sequence[Distances]) -> Pixels:
         near = distance < nearest[box]
         nearest[box][near], owner[box][near] = distance[near], k
     return owner
-
-
-def surface_distances(
-    model: ObjectModel, points: Array, within: float, candidates: Candidates
-) -> NDArray[np.float32]:
-    """Returns the distances (k, n) [m] of points (n, 3) from the surface at CANDIDATE (k,); infinity where they are not
-    `within` it [m]."""
-    distances = np.empty((len(candidates), len(points)), dtype=np.float32)
-    depth_term.surface_distances(*model.record[:2], points, within, candidates, distances)
-    return distances

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from handsight import checks
 from handsight._kernels.image import depth_image
 from handsight._kernels.image.vision_records import DEPTH_POINT, HAND
 from handsight.camera import Camera, Depth
@@ -81,7 +82,7 @@ def scene_of(
     covered = np.zeros(depth.shape, dtype=bool) if hand is None else np.asarray(hand, dtype=bool)
     if table is None and extent < np.inf:
         table = table_plane(camera, depth, ~covered, extent=extent)
-    plane = np.array([0, 0, 0, np.inf]) if table is None else table  # everything is above that one
+    plane = np.array([0, 0, 0, np.inf]) if table is None else checks.finite(table, "table", (4,))
     filled, labels = np.empty(depth.shape, dtype=np.float32), np.empty(depth.shape, dtype=np.int32)
     image = tuple(map(np.ascontiguousarray, (depth, where, covered)))
     depth_image.sort_pixels(camera.rays, image, np.append(plane, REGION.table_within), filled, labels)
