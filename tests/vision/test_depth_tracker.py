@@ -120,6 +120,23 @@ def test_an_empty_table_is_never_tracked(given):
         assert sighting.covariance is None
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("exchanged", [False, True])
+def test_another_object_in_its_place_is_not_it_and_stays_lost(seed, exchanged):
+    """A block as large as the letter: four fifths of what is seen of it lie about where the letter's surface was."""
+    block = hs.ObjectModel.box((0.085, 0.06, 0.075))
+    shapes = [letter(), (block.vertices + np.array([0, 0, 0.0375]), block.faces)]
+    first, second = reversed(shapes) if exchanged else shapes
+    table, states = Table(seed, first), []
+    tracker = DepthTracker(hs.ObjectModel.from_mesh(*first), CAMERA, start=table.T_camera_table @ at())
+    for k in range(20):
+        if k == 3:
+            table.shape = second
+        states.append(tracker.update(k * DT, table.depth(at()), table=table.plane).state)
+    assert states[:3] == ["tracking"] * 3
+    assert states[6:] == ["lost"] * 14
+
+
 def test_behind_a_hand_it_is_expected_and_then_followed_again():
     table = Table(2)
     tracker = table.tracker(at())

@@ -20,7 +20,7 @@ from handsight.checks import Array, Mask
 from handsight.copies import shallow_copy
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import UNKNOWN, candidates_at
+from handsight.vision.candidates import UNKNOWN, candidates_at, center_depths
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose_source import FirstPoseSource
 from handsight.vision.object.locate import locate
@@ -41,7 +41,15 @@ class DepthTrackerOptions(NamedTuple):
     min_points: int = 15  # near the surface that an image must have to give a pose
     min_pixels: float = 20.0  # explained pixels that an image must have to give a pose
     min_against: float = 30.0  # pixels against a pose that an image must have to contradict it
-    min_fit: float = 0.7  # share of explained pixels among them and those against a pose
+    min_fit: float = 0.7
+    """Share of explained pixels among them and those against a pose at which an image says neither that it is right nor
+    that it is wrong."""
+    fit_weight: float = 6.0  # of what is above or below it in the log odds that the pose is right
+    max_rms: float = 1.3  # of the distances of the explained pixels, above which it contradicts [their sigma]
+    rms_weight: tuple[float, float] = (4.0, 1.5)
+    """Of what is above that, and the most that it takes from the log odds: a model, or a camera's noise, may be other
+    than they are declared."""
+    most: float = 2.0  # log odds that images before add to those of one
     uncertain: float = 0.08  # shift of its surface beyond which a pose is uncertain [diameters]
     lost: float = 0.12  # and beyond which a hidden object is lost [diameters]
     min_twin: float = 0.05
@@ -49,6 +57,8 @@ class DepthTrackerOptions(NamedTuple):
     search_period: float = 0.2  # between searches of the entire image [s]
     min_found: float = 0.6  # share of the expected pixels that a found object must explain
     likely: float = 0.5  # probability above which only those count of them that nothing hides
+    found_again: float = 0.85
+    """Least probability of the first pose of an object that was lost: it may be gone."""
 
 
 DEPTH_TRACKER = DepthTrackerOptions()
@@ -104,6 +114,10 @@ class _Belief:
     """(6, 6) derivative of the pose by errors of unit variance that all images share."""
     changed: Array
     """(6, 6) part of both covariances that is due to a change of motion since the last image."""
+    observed: float
+    """Stamp of the last image that showed enough of it [s]."""
+    odds: float = 0.0
+    """Log odds that the pose is right, by all images."""
 
 
 class DepthTracker:
@@ -172,6 +186,7 @@ class DepthTracker:
         predicted, refined, reason = self._predicted(image, hint), None, ""
         if predicted is not None:
             refined = self._refined(image, predicted)
+            predicted = self._weighed(predicted, refined)
             reason = self._misfit(predicted, refined)
         if predicted is None or refined is None or reason:
             found = self._found(image)
@@ -214,8 +229,10 @@ class DepthTracker:
         else:
             T_camera_center = se3.moved(pose.T_a_b @ self._T_object_center, velocity * dt)
             T, at_rest = T_camera_center @ se3.inverse(self._T_object_center), pose.T_a_b
+        # An object that is not observed may go on with one velocity: after a time t it is off by t sigma.
+        grown = dt * (dt + 2 * max(last.stamp - last.observed, 0.0))
         much, little = (
-            self._covariance_of_origin(T, np.repeat([(dt * sigma) ** 2 for sigma in sigmas], 3))
+            self._covariance_of_origin(T, np.repeat([grown * sigma**2 for sigma in sigmas], 3))
             for sigmas in (drift, DEPTH_TRACKER.drift_in_palm)
         )
         known = not last.lost and hint is None
@@ -229,6 +246,8 @@ class DepthTracker:
             at_rest if hint is None else hint,
             shared,
             much - little if known else np.zeros((6, 6)),
+            last.observed,
+            last.odds if hint is None else 0.0,
         )
 
     def _refined(self, image: _Image, predicted: _Belief) -> RefinedPose:
@@ -239,11 +258,24 @@ class DepthTracker:
             pose.T_a_b, known, image.depth, image.hand, image.table, T_at_rest=predicted.T_at_rest
         )
 
+    def _weighed(self, predicted: _Belief, refined: RefinedPose) -> _Belief:
+        """Returns the belief with the log odds that an image adds to it."""
+        options, candidate, noise = DEPTH_TRACKER, refined.candidate, self._refiner.noise
+        if not (_is_enough(refined) or against(candidate) > options.min_against):
+            return predicted
+        z = center_depths(self.model, candidate)
+        worse = float((candidate["rms"] / np.hypot(noise.sigma(z), noise.bias(z)))[0]) - options.max_rms
+        slope, most = options.rms_weight
+        added = options.fit_weight * (support_share(candidate) - options.min_fit)
+        added -= min(slope * max(worse, 0.0), most)
+        return replace(predicted, odds=min(max(predicted.odds, -options.most), options.most) + added)
+
     def _misfit(self, predicted: _Belief, refined: RefinedPose) -> str:
         """Returns why the object is lost; empty if it is not."""
-        share = support_share(refined.candidate)
-        if against(refined.candidate) > DEPTH_TRACKER.min_against and share < DEPTH_TRACKER.min_fit:
-            return f"it explains {100 * share:.0f} % of what is seen there"
+        if predicted.odds < 0:
+            share, rms = support_share(refined.candidate), refined.candidate["rms"][0]
+            far = f", {1000 * rms:.1f} mm off" if share > DEPTH_TRACKER.min_fit else ""
+            return f"it explains {100 * share:.0f} % of what is seen there{far}"
         limit, pose = DEPTH_TRACKER.lost * self.model.diameter, predicted.pose_camera_object
         hidden = not _is_enough(refined) and (predicted.lost or surface_shift(self.model, pose) > limit)
         return HIDDEN if hidden else ""
@@ -264,7 +296,7 @@ class DepthTracker:
         fits = found.candidates["explained"] >= DEPTH_TRACKER.min_found * expected
         likely = found.weights >= DEPTH_TRACKER.min_twin * found.weights.max(initial=0.0)
         Ts = found.Ts_camera_object[fits & likely]
-        if not len(Ts):
+        if not len(Ts) or (self._belief is not None and found.probability < DEPTH_TRACKER.found_again):
             return None
         if self._belief is not None:  # of poses that fit alike, the one turned least from where it was
             last = self._belief.pose_camera_object.T_a_b[:3, :3]
@@ -272,6 +304,7 @@ class DepthTracker:
             Ts = Ts[[turns.argmin()]]
         belief = self._unknown(image, Ts[0], lost=True)
         refined = self._refined(image, belief)
+        belief = self._weighed(belief, refined)
         return None if self._misfit(belief, refined) else (belief, refined)
 
     def _fused(self, predicted: _Belief, refined: RefinedPose) -> _Belief:
@@ -298,6 +331,7 @@ class DepthTracker:
             pose_camera_object=pose,
             velocity=velocity,
             lost=False,
+            observed=predicted.stamp,
             independent=independent,
             shared=shared,
         )
@@ -335,6 +369,7 @@ class DepthTracker:
             T_camera_object,
             zeros,
             zeros,
+            image.stamp,
         )
 
     def _covariance_of_origin(self, T_camera_object: Array, variance: Array) -> Array:
