@@ -11,7 +11,9 @@ row's number grows), +z out of the skin.
 
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -19,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight._deprecated import renamed_members
-from handsight._kernels.touch import taxels as kernel
+from handsight._kernels.touch.taxel_records import NEAR, PATCH, PRESSED, SURFACE, TAXEL, UNTOUCHED, WIDE
 from handsight.checks import Array, Indices, Mask
 from handsight.contact.contacts import Contacts
 from handsight.errors import InvalidInput
@@ -116,7 +118,7 @@ class TactileSurface:
         for name, sigma in (("sigma_point", self.sigma_point), ("sigma_mount", self.sigma_mount)):
             checks.sigma_point(sigma, name)
         record, taxels = (
-            np.ones(1, dtype=kernel.SURFACE),
+            np.ones(1, dtype=SURFACE),
             _records(points, self._axes(normals), distance, pitch),
         )
         for name in ("scale", "offset"):
@@ -224,8 +226,8 @@ class TactileSurface:
         """Returns the same as `touch`, of a checked reading and baseline (n, components)."""
         n, c = values.shape
         rise, states = np.empty((n + 1, c)), np.empty((2, n + 1), dtype=np.int64)
-        patches = np.empty(MAX_PATCHES, dtype=kernel.PATCH)
-        count = kernel.sense_taxels(values, baseline, self.record, self.taxels, rise, states, patches)
+        patches = np.empty(MAX_PATCHES, dtype=PATCH)
+        count = _sense_taxels()(values, baseline, self.record, self.taxels, rise, states, patches)
         return SkinTouch(self, rise, states, patches[:count])
 
 
@@ -274,10 +276,10 @@ def _unit(vectors: Array) -> Array:
 
 def _records(points: Array, axes: Array, distance: Array, pitch: float) -> NDArray[np.void]:
     """Returns TAXEL records (n,): neighbours by `distance` (n, n), of which those that face elsewhere do not count."""
-    n, records, normals = len(points), np.zeros(len(points), dtype=kernel.TAXEL), axes[:, :, 2]
+    n, records, normals = len(points), np.zeros(len(points), dtype=TAXEL), axes[:, :, 2]
     records["point"], records["axes"], records["beside"] = points, axes, n
     facing = normals @ normals.T > 0.3
-    for name, reach, most in (("near", 1.5, kernel.NEAR), ("wide", 2.9, kernel.WIDE)):
+    for name, reach, most in (("near", 1.5, NEAR), ("wide", 2.9, WIDE)):
         reached = np.where(facing & (distance < reach * pitch), distance, np.inf)
         order = np.argsort(reached, axis=1, kind="stable")[:, :most]
         records[name] = n
@@ -307,19 +309,19 @@ class SkinTouch:
     """(n + 1, components) scaled readings over the baseline, 0 where unknown and in the last row; those of dead taxels
     within a patch are estimated from their neighbours'."""
     states: Indices = field(repr=False)
-    """(2, n + 1) what each taxel says, and the number of its patch, -1 for none (`_kernels/touch/taxels.py`)."""
+    """(2, n + 1) what each taxel says, and the number of its patch, -1 for none (`_kernels/touch/taxel_records.py`)."""
     patches: NDArray[np.void] = field(repr=False)
     """(p,) records PATCH of taxels that touch each other, in the link."""
 
     @property
     def pressed(self) -> Mask:
         """(rows, columns) or (n,) taxels that are contacts, by themselves or as a part of a patch."""
-        return np.reshape(self.states[0, :-1] == kernel.PRESSED, self.surface.places)
+        return np.reshape(self.states[0, :-1] == PRESSED, self.surface.places)
 
     @property
     def untouched(self) -> Mask:
         """The taxels that nothing covers; those that are neither are no evidence."""
-        return np.reshape(self.states[0, :-1] >= kernel.UNTOUCHED, self.surface.places)
+        return np.reshape(self.states[0, :-1] >= UNTOUCHED, self.surface.places)
 
     @property
     def strongest(self) -> int:
@@ -363,7 +365,7 @@ class SkinTouch:
         """Returns the taxels (n + 1,) that are contacts by themselves: the pressed ones of flat patches."""
         flat = np.append(self.patches["flat"], False)  # the last one is of taxels without a patch
         flat[without] = False
-        return np.asarray((self.states[0] == kernel.PRESSED) & flat[self.states[1]])
+        return np.asarray((self.states[0] == PRESSED) & flat[self.states[1]])
 
     def sigmas_common(self, by_error: ArrayLike | None = None, without: int = -1) -> Array:
         """Returns (6,) one standard deviation per axis of the common error of contacts of flat patches, shift [m] and
@@ -379,7 +381,7 @@ class SkinTouch:
 
         Of a curved surface they are of taxels beside a patch only, as the object is near nowhere else.
         """
-        taxels = self.surface.taxels[self.states[0, :-1] == kernel.UNTOUCHED]
+        taxels = self.surface.taxels[self.states[0, :-1] == UNTOUCHED]
         points = taxels["point"] + CLEARANCE * taxels["axes"][:, :, 2]
         return se3.apply(se3.check(T_palm_frame, "T_palm_frame"), points)
 
@@ -394,3 +396,11 @@ def _farthest_points(places: Array, count: int) -> Indices:
         nearest = np.minimum(nearest, ((places - places[chosen[-1]]) ** 2).sum(axis=1))
         chosen.append(int(nearest.argmax()))
     return np.array(chosen)
+
+
+@cache
+def _sense_taxels() -> Callable[..., int]:
+    """Returns the kernel, imported with the first reading: importing numba takes half a second."""
+    from handsight._kernels.touch.taxels import sense_taxels
+
+    return sense_taxels

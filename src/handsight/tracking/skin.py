@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks
-from handsight._kernels.touch.taxels import FAULTS, PATCH, PRESSED, WATCHED, watch_taxels
+from handsight._kernels.touch.taxel_records import FAULTS, PATCH, PRESSED, WATCHED
+from handsight._kernels.touch.taxels import watch_taxels
 from handsight.checks import Array
 from handsight.contact import Contacts, SkinTouch, TactileSurface
 from handsight.correction import SkinEvidence

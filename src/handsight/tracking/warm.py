@@ -119,7 +119,7 @@ def track() -> None:
 
 def find_object() -> None:
     """Finds a box in a depth image, follows it, and grows a surface from two images."""
-    model, camera = _new_box(), _camera(64, 48)
+    model, camera = _new_box(), _camera(96, 72)
     T = se3.compose(se3.rotation_exp(np.array([0.5, 0.4, 0])), np.array([0, 0, 0.3]))
     depth = _drawn(camera, se3.apply(T, model.vertices), model.faces)
     locate(model, depth, camera)

@@ -7,66 +7,17 @@ import numpy as np
 
 from handsight._kernels.math.vec3 import add, cross, dot, matrix, mul, norm, scale, store, sub, vector
 from handsight._kernels.runtime.compilation import entry, inner
-
-NEAR, WIDE = 8, 24
-"""Most neighbours of a taxel that touch it, and most of those up to two taxels away."""
-TAXEL = np.dtype(
-    [
-        ("point", float, 3),  # in the link [m]
-        ("axes", float, (3, 3)),  # columns: the taxel's x and y, and the outward normal
-        ("bend", float, (3, 3)),  # change of the normal by that of the point [1/m]
-        (
-            "edge",
-            float,
-            3,
-        ),  # mean unit vector to its neighbours: 0 amid them, of length 1 where they are on one side
-        ("near", np.int64, NEAR),  # neighbours; the number of taxels where there are fewer
-        ("wide", np.int64, WIDE),  # those up to two taxels away
-        ("beside", np.int64, 4),  # the neighbour towards -x, +x, -y, +y
-    ]
+from handsight._kernels.touch.taxel_records import (
+    DEAD,
+    DRIFTING,
+    FAR,
+    FULL,
+    PRESSED,
+    RIM,
+    STUCK,
+    UNKNOWN,
+    UNTOUCHED,
 )
-"""One taxel of a surface."""
-SURFACE = np.dtype(
-    [
-        *((name, float, 3) for name in ("scale", "offset")),
-        *(
-            (name, float)
-            for name in ("threshold", "full_scale", "noise", "variance_point", "variance_normal")
-        ),
-        ("pitch", float),  # side of a taxel [m]
-        ("variance_mount", float, 6),  # of the common error, shift [m²] and turn [rad²]
-        ("flat", bool),  # whether all normals are parallel
-    ]
-)
-"""What all taxels of a surface have in common; the names are those of `handsight.contact.TactileSurface`."""
-PATCH = np.dtype(
-    [
-        *(
-            (name, float, 3) for name in ("point", "normal", "force")
-        ),  # as those of a `handsight.contact.Contact`
-        ("covariance", float, (6, 6)),
-        ("torque", float),  # NaN, as the force is, unless the surface has three components
-        ("total", float),  # sum of the readings along the normals
-        ("flat", bool),
-    ]
-)
-"""Taxels that touch each other, and the contact at their centre of pressure, in the link."""
-WATCHED = np.dtype(
-    [
-        *(
-            (name, float, 3) for name in ("mean", "first", "last")
-        ),  # readings at rest, the first of these, the last one
-        ("varied", bool),  # whether it has changed at rest
-        ("still", np.int64),  # readings since its last change
-        ("fault", np.int64),  # number in `FAULTS`
-    ]
-)
-"""What one taxel has read over time."""
-FAULTS = ("", "dead", "stuck", "at full scale", "drifting")
-_, DEAD, STUCK, FULL, DRIFTING = range(5)
-UNKNOWN, PRESSED, RIM, UNTOUCHED, FAR = range(5)
-"""What a taxel says. UNKNOWN: nothing. PRESSED: a contact. RIM: touched, perhaps at its rim only. UNTOUCHED: the object
-is not here. FAR: untouched, but not beside a patch, where a curved surface is too far from the object to say more."""
 
 
 class TaxelOptions(NamedTuple):
