@@ -150,9 +150,9 @@ def by_name(name: str, pitch: float | None, radius: float | None) -> Layout:
 
 def _fitted_normals(points: Array) -> Array:
     """Returns (n, 3) the normals of planes through the seven nearest points, away from a fitted sphere's centre."""
-    solution = np.linalg.lstsq(np.column_stack([2 * points, np.ones(len(points))]), (points**2).sum(axis=1))[
-        0
-    ]
+    solution = np.linalg.lstsq(
+        np.column_stack([2 * points, np.ones(len(points))]), (points**2).sum(axis=1), rcond=None
+    )[0]
     near = np.argsort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, :7]
     arms = points[near] - points[near].mean(axis=1, keepdims=True)
     normals = np.linalg.svd(arms)[2][:, 2]

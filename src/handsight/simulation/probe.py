@@ -147,7 +147,7 @@ class Probe(World):
         # The slopes are near 0, by the table's prior. An error that all touches share moves the height only.
         prior = PROBE.sigma_relative / Nuisances().table_tilt
         rows = np.vstack([np.insert(points[:, :2], 0, 1, axis=1), prior * np.eye(3)[1:]])
-        height, *slopes = np.linalg.lstsq(rows, np.append(points[:, 2], [0.0, 0.0]))[0]
+        height, *slopes = np.linalg.lstsq(rows, np.append(points[:, 2], [0.0, 0.0]), rcond=None)[0]
         R_world_table = _frame(np.array([1.0, 0.0, slopes[0]]), np.array([0.0, 1.0, slopes[1]]))
         return float(height * R_world_table[2, 2]), R_world_table
 
