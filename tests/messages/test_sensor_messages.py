@@ -269,6 +269,14 @@ def test_tactile_contacts_are_given_to_the_fingers_they_name_and_the_others_touc
     assert (seen.contacts["ff"].frame, seen.contacts["th"]) == ("ff", None)
 
 
+def test_a_contact_of_no_finger_on_a_shared_topic_is_left_out_and_told():
+    listening = touching({"ff": "/contacts", "th": "/contacts"})
+    nobody = serialized("tactile_msgs/msg/TactileContact", contact(), topic="/contacts")
+    seen, topic = observed(listening, nobody)
+    assert not seen.contacts
+    assert list(topic.reasons) == ["expected the name or frame of a finger on this topic (ff, th), got none"]
+
+
 def test_contacts_of_its_are_in_millimetres():
     zero = {"Ft": parts("xyz", np.zeros(3)), "T": 0.0, "D": 0.1, "convergence_time": 1.0}
     message = Message(

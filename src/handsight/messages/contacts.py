@@ -20,7 +20,10 @@ def contacts(message: RosMessage, tips: Mapping[str, str], palm: str) -> Found:
     """
     if not hasattr(message, "contacts"):
         finger = _finger(message, tips) if len(tips) > 1 else next(iter(tips))
-        return [(finger, _contact(message, tips[finger], palm))] if finger else []
+        if not finger:
+            names = ", ".join(sorted({*tips, *tips.values()}))
+            raise MessageRejected(f"expected the name or frame of a finger on this topic ({names}), got none")
+        return [(finger, _contact(message, tips[finger], palm))]
     named = {_finger(each, tips): each for each in message.contacts}
     return [(f, _contact(named[f], body, palm) if f in named else None) for f, body in tips.items()]
 

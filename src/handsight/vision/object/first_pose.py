@@ -174,13 +174,13 @@ def first_pose(
     for k in range(min(FIRST_POSE.turned, len(found))):
         if found["passed"][k] > FIRST_POSE.passed_share * found["expected"][k]:
             found[k : k + 1] = slid(model, scene, observed, found[k : k + 1], noise)
+    outline.cross_outlines(camera.record, model.record[:2], image, found)
     if given is not None:
         given["bound"] = explained_within(noise, center_depths(model, given))
         score_candidates(model, scene, given)
         outline.cross_outlines(camera.record, model.record[:2], image, given)
         found, most = np.concatenate([given, found]), max(KEPT[-1], modes) + len(given)
         found = distinct(model, found, found["score"], most, FIRST_POSE.candidate_spacing)
-    outline.cross_outlines(camera.record, model.record[:2], image, found)
     found = found[np.argsort(-log_odds(found), kind="stable")]
     covariances = pose_covariances(model, camera, observed, found, noise)
     places, support = places_of(model, found), mode_support(found, scene.sizes.sum() / max(len(observed), 1))
