@@ -330,6 +330,24 @@ def test_a_recordings_own_definition_is_enough(tmp_path, kind):
     np.testing.assert_array_equal(seen.skin["thumb"], READING)
 
 
+def test_a_definition_in_idl_is_one_too():
+    """As recorders write it for a type that is defined in IDL: each type after a line of its own."""
+    parts_of = {
+        HAND: "module aidin_hand2_msgs { module msg { struct HandState {"
+        " sequence<double> tactile_thumb; aidin_hand2_msgs::msg::CommandState state; }; }; };",
+        "aidin_hand2_msgs/msg/CommandState": "module aidin_hand2_msgs { module msg { struct CommandState {"
+        " uint8 selected_source; }; }; };",
+    }
+    definition = "".join(f"{'=' * 80}\nIDL: {name}\n{text}\n" for name, text in parts_of.items())
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    plain = "float64[] tactile_thumb\nCommandState state\n" + HAND_DEFINITION.split("\n", 3)[3]
+    store.register(get_types_from_msg(plain, HAND))
+    hand = Message(tactile_thumb=READING.ravel(), state=Message(selected_source=3))
+    message = serialized(HAND, hand, store=store)._replace(definition=definition)
+    seen, _ = observed(robot({"thumb": "tactile_thumb"}), message)
+    np.testing.assert_array_equal(seen.skin["thumb"], READING)
+
+
 def test_without_a_path_an_unknown_type_is_told(tmp_path):
     with open_recording(recorded(tmp_path, "mcap"), robot()) as recording:
         list(recording.observations())

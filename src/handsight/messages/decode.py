@@ -1,5 +1,6 @@
 """ROS messages to measurements, the parts of an `Observation`: by the fast readers, or by rosbags where they cannot."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,6 +24,8 @@ from handsight.observation import VISION_FRAMES, PoseMeasurement
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
+IDL = "=" * 80 + "\nIDL: "
+"""What is before each definition in IDL, as recorders of ROS 2 write them one after the other."""
 MAX_DEFINITION = 1 << 16
 """Length of the longest definition of a type that is read [characters]."""
 
@@ -168,11 +171,12 @@ def _defined(encoding: str, kind: str, definition: str) -> "Typestore":
     if len(definition) > MAX_DEFINITION:
         raise MessageRejected(f"expected a definition of {kind} within {MAX_DEFINITION} characters")
     store: Typestore = typesys.get_typestore(_stores()[encoding])
-    idl = definition.lstrip().startswith(("====", "module", "#include", "//")) and "struct" in definition
     try:
-        types = (
-            typesys.get_types_from_idl(definition) if idl else typesys.get_types_from_msg(definition, kind)
-        )
+        if definition.startswith(IDL):  # of the type, and of each that it is made of
+            found = [typesys.get_types_from_idl(each) for each in re.split(f"{IDL}.*", definition)[1:]]
+            types = {name: each for part in found for name, each in part.items()}
+        else:
+            types = typesys.get_types_from_msg(definition, kind)
         store.register({name: each for name, each in types.items() if name not in store.types})
     except Exception as error:  # a parser that raises anything: the text is no definition
         raise MessageRejected(
