@@ -9,6 +9,7 @@ import handsight as hs
 from handsight import se3
 from handsight._kernels.image import depth_image, depth_term
 from handsight._kernels.image.vision_records import DEPTH_POINT, STAGE, WINDOW
+from handsight.camera import Camera
 from handsight.errors import InvalidInput, InvalidTransform
 from handsight.gaussian_pose import GaussianPose
 from handsight.vision import DepthTracker
@@ -440,3 +441,20 @@ def test_how_far_a_surface_may_be_off_is_the_most_that_a_deviation_moves_it():
     spin = 1e-12 * np.eye(6)
     spin[3:, 3:] += 0.3**2 * np.outer(R[:, 2], R[:, 2])
     assert surface_shift(can, GaussianPose(se3.compose(R, np.zeros(3)), spin)) < 1e-4
+
+
+@pytest.mark.parametrize("width", [64, 80, 160])
+@pytest.mark.parametrize("distance", [0.3, 0.4])
+def test_a_true_pose_stays_in_coarse_images(width, distance):
+    """A pixel is millimetres wide there, and a slanted surface differs by that within it."""
+    camera = Camera(
+        np.array([[width, 0, (width - 1) / 2], [0, width, 0.375 * width - 0.5], [0, 0, 1.0]]),
+        (width, 3 * width // 4),
+    )
+    model = hs.ObjectModel.box((0.06, 0.09, 0.14))
+    T = se3.compose(se3.rotation_exp(np.array([0.5, 0.4, 0.0])), np.array([0.0, 0.0, distance]))
+    depth = np.nan_to_num(camera.draw(se3.apply(T, model.vertices), model.faces).depth, posinf=0.0)
+    tracker = DepthTracker(model, camera, start=T)
+    for k in range(3):
+        sighting = tracker.update(0.03 * k, depth)
+        assert sighting.T_camera_object is not None, sighting.reason

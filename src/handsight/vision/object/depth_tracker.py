@@ -264,7 +264,9 @@ class DepthTracker:
         if not (_is_enough(refined) or against(candidate) > options.min_against):
             return predicted
         z = center_depths(self.model, candidate)
-        worse = float((candidate["rms"] / np.hypot(noise.sigma(z), noise.bias(z)))[0]) - options.max_rms
+        within_pixel = z / (np.sqrt(12) * self.camera.matrix[0, 0])  # of a surface that is slanted by 45°
+        sigma = np.hypot(np.hypot(noise.sigma(z), noise.bias(z)), within_pixel)
+        worse = float((candidate["rms"] / sigma)[0]) - options.max_rms
         slope, most = options.rms_weight
         added = options.fit_weight * (support_share(candidate) - options.min_fit)
         added -= min(slope * max(worse, 0.0), most)
