@@ -48,6 +48,14 @@ def simulate(
             "--skin", help="Add a tactile array to the palm, and hold the can against it in a power grasp."
         ),
     ] = False,
+    sensors: Annotated[
+        str,
+        Option(
+            metavar="wrench|xela|paxini|inspire",
+            help="What is in the fingertips, and in the palm with --skin: force/torque sensors, or that maker's taxels, in "
+            "its driver's messages.",
+        ),
+    ] = "wrench",
     depth_camera: Annotated[
         str, Option(metavar=DEPTH_CAMERAS, help="How the camera measures depth.")
     ] = "structured_light",
@@ -89,7 +97,8 @@ def simulate(
     The rig is written beside the recording as OUTPUT.rig.yaml, and the grasp of a mesh as OUTPUT.grasp.json: grasps are
     tried in the simulator until one holds. Everything is synthetic (MuJoCo). Errors of the measurements are set by
     nuisances, such as joint_offset [rad] and force_noise [N]; the pull is set by friction, pull_force [N] and
-    pull_torque [N m]. With `--blind`, each touch is reported with what is known after it, the recording has the pose
+    pull_torque [N m], the errors of taxels by taxel_noise, taxel_hysteresis, taxel_crosstalk (shares) and taxel_dead
+    (how many on each surface). With `--blind`, each touch is reported with what is known after it, the recording has the pose
     that the search found, in the world, and `handsight track` starts from it; the exit code is 1 if it found none.
 
     In a harsh world sensors' gains are wrong and their readings stick, joints are off by up to twice what the rig
@@ -102,6 +111,7 @@ def simulate(
     handsight simulate box --images --nuisance joint_offset=0 --nuisance force_noise=0.02
     handsight simulate can --blind --plot search.png
     handsight simulate can --motion ramp --nuisance friction=0.6 --nuisance pull_force=6 --nuisance pull_torque=0.05
+    handsight simulate box --sensors xela --nuisance taxel_dead=2
     handsight simulate box --world harsh --seed 1
     handsight simulate box --nuisance message_loss=0.05 --nuisance vision_delay=0.2
     ```
@@ -114,10 +124,12 @@ def simulate(
         raise InvalidInput(f"--world: expected usual or harsh, got {world!r:.60}")
     start = Nuisances.harsh(seed) if world == "harsh" else Nuisances()
     chosen: dict[str, Any] = {"motion": motion, "depth_camera": depth_camera}  # Scenario refuses unknown ones
-    chosen |= {"images": images, "skin": skin, "nuisances": nuisances(nuisance or [], start)}
+    chosen |= {"images": images, "skin": skin, "sensors": sensors, "nuisances": nuisances(nuisance or [], start)}
     scenario = Scenario(object=object, seed=seed, **chosen)
     if blind and images:
         raise InvalidInput("--images: expected none with --blind, which has no camera, got some")
+    if blind and sensors != "wrench":
+        raise InvalidInput(f"--sensors: expected wrench with --blind, whose finger has no other, got {sensors}")
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
     if path.suffix.lower() != ".mcap":
         raise InvalidFile(f"{path}: expected a name that ends in .mcap")
@@ -195,6 +207,7 @@ def record(
     from handsight.rig.save import write as write_rig
     from handsight.simulation import rig_of, simulate, simulate_touch_search, touch_search_rig
     from handsight.simulation.loads import pulls
+    from handsight.simulation.taxels import messages
 
     rig = touch_search_rig(scenario) if blind else rig_of(scenario)
     # With one object only, `track` needs no name.
@@ -202,7 +215,7 @@ def record(
     if blind and spec.mesh is not None:  # the search does not distinguish what touch cannot tell
         spec = dataclasses.replace(spec, symmetries="find")
     rig = dataclasses.replace(rig, objects={Path(scenario.object).stem: spec})
-    samples, dropped = 0, False
+    samples, dropped, skin = 0, False, None
     with (
         RecordingWriter(path, rig) as writer,
         bar("simulating") as advance,
@@ -212,6 +225,12 @@ def record(
         searched = simulate_touch_search(scenario, grasp, watch)
         for sample in searched if blind else simulate(scenario, advance, grasp):
             observation = dataclasses.replace(sample.observation, stamp=BEGINS + sample.observation.stamp)
+            if scenario.sensors != "wrench":  # the same reading is sent once
+                if observation.skin is not skin:
+                    skin = observation.skin
+                    for topic, kind, fields in messages(scenario.sensors, skin, observation.stamp):
+                        writer.append(topic, kind, observation.stamp, **fields)
+                observation = dataclasses.replace(observation, skin={})
             writer.write(observation)
             writer.write_truth(observation.stamp, sample.T_palm_object)
             if pulls(scenario.motion):

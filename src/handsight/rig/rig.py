@@ -38,7 +38,7 @@ class NotUnique(InvalidInput):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Finger:
-    """A `Finger` is one fingertip and the six-axis sensor on which it hangs."""
+    """A `Finger` is one fingertip and the six-axis sensor on which it hangs, if it has one."""
 
     frame: str
     """Body of the hand's file to which the tip is fixed."""
@@ -46,8 +46,10 @@ class Finger:
     """(4, 4) pose of the tip's frame (origin at the surface's centre, the tip points along +z) in the body."""
     tip: Fingertip
     """Shape, cap and friction, and the sensor's pose `T_surface_sensor`."""
-    calibration: WrenchCalibration
-    """Bias, mass and centre of mass in the sensor's frame, and the sign of its readings."""
+    calibration: WrenchCalibration = field(
+        default_factory=lambda: WrenchCalibration(np.zeros(3), np.zeros(3), 0.0, np.zeros(3))
+    )
+    """Bias, mass and centre of mass in the sensor's frame, and the sign of its readings; zero without a sensor."""
     sigma_force: float = 0.01
     """Noise of a force reading [N]."""
     sigma_torque: float = 5e-5

@@ -10,7 +10,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import Sphere
+from handsight.contact import Sphere, TactileSurface
 from handsight.files import write_errors
 from handsight.hand.paths import PACKAGE
 from handsight.objects import ObjectSpec
@@ -23,19 +23,29 @@ def write(rig: Rig, path: Path) -> None:
     """Writes the rig's text to a file; raises NotWritten.
 
     Files that the rig names are written with their absolute path, or as `package://`, so that they are found from
-    anywhere.
+    anywhere. Places of taxels that are on no grid are written to tables beside it, one for all links of one shape.
     """
+    tables, files = dict[str, str](), dict[str, str]()
+    for name, surface in rig.skin.items():
+        if surface.layout is None:
+            rows = "".join(",".join(f"{x:.9g}" for x in row) + "\n" for row in _table(surface))
+            files[name] = tables.setdefault(rows, f"{path.stem}.{name}.csv")
     with write_errors(path):
-        path.write_text(text(rig), encoding="utf-8")
+        for rows, file in tables.items():
+            (path.parent / file).write_text("x,y,z,nx,ny,nz,ax,ay,az\n" + rows, encoding="utf-8")
+        path.write_text(text(rig, files), encoding="utf-8")
 
 
-def text(rig: Rig) -> str:
-    """Returns the rig as YAML."""
+def text(rig: Rig, tables: Mapping[str, str] | None = None) -> str:
+    """Returns the rig as YAML; `tables`: by surface, the file of its taxels, which else are in the text."""
     document = {
         "version": form.VERSION,
         "hand": _values(form.HandForm, rig, file=_file_name(rig.hand.file), palm=rig.hand.palm),
-        "fingers": {name: _finger(finger) for name, finger in rig.fingers.items()},
-        "skin": {name: _surface(name, rig) for name in rig.skin},
+        "fingers": {
+            name: _finger(finger) if _has_sensor(name, rig) else _finger(finger) | {"sensor": None}
+            for name, finger in rig.fingers.items()
+        },
+        "skin": {name: _surface(name, rig, (tables or {}).get(name)) for name in rig.skin},
         "camera": None if rig.camera is None else _camera(rig.camera),
         "table": None if rig.table is None else _values(form.TableForm, rig.table),
         "world": _values(form.WorldForm, rig, palm_from=rig.world_from or "nowhere"),
@@ -71,17 +81,28 @@ def _values(kind: type[Form], part: object, **given: object) -> Values:
     return values
 
 
-def _surface(name: str, rig: Rig) -> Values:
-    """Returns the values of a grid, or of taxels at any places: point, normal and x axis of each."""
+def _surface(name: str, rig: Rig, file: str | None) -> Values:
+    """Returns the values of a grid, or of taxels at any places, which are in a file or in the text."""
     surface = rig.skin[name]
-    given: Values = dict.fromkeys(("pose", "rows", "columns", "taxels", "layout"))
+    given: Values = dict.fromkeys(("pose", "rows", "columns", "taxels", "layout")) | {"file": file}
     if surface.layout is not None:
         T, given["rows"], given["columns"] = surface.layout
         given["pose"] = _pose(T)
-    else:
-        axes = surface.taxels["axes"]
-        given["taxels"] = np.column_stack([surface.points, axes[:, :, 2], axes[:, :, 0]])
+    elif file is None:
+        given["taxels"] = _table(surface)
     return _values(form.SkinForm, surface, **given, message_field=rig.topics.skin_fields.get(name))
+
+
+def _table(surface: TactileSurface) -> Array:
+    """Returns the point, normal and x axis (n, 9) of each taxel."""
+    axes = surface.taxels["axes"]
+    return np.column_stack([surface.points, axes[:, :, 2], axes[:, :, 0]])
+
+
+def _has_sensor(name: str, rig: Rig) -> bool:
+    """Returns whether a finger has a force/torque sensor: a topic, or a calibration."""
+    known = rig.fingers[name].calibration
+    return name in rig.topics.wrenches or bool(known.mass or known.bias_force.any())
 
 
 def _finger(finger: Finger) -> Values:

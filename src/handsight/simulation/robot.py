@@ -14,7 +14,7 @@ from handsight.rig import Finger, MountedCamera, Rig, Table, Topics
 from handsight.simulation import scene
 from handsight.simulation.camera import CALIBRATED_CAMERA, INTRINSICS
 from handsight.simulation.scenario import SCENARIO, Nuisances, Scenario
-from handsight.simulation.skin import PALM_SKIN
+from handsight.simulation.taxels import surfaces, topics
 
 
 def rig_of(scenario: Scenario) -> Rig:
@@ -23,10 +23,14 @@ def rig_of(scenario: Scenario) -> Rig:
     It is the same for all seeds and nuisances, for a robot's errors are not in its rig file. Raises MissingExtra
     without mujoco or gymnasium-robotics.
     """
-    usual = Nuisances()
+    usual, wrenches = Nuisances(), scenario.sensors == "wrench"
+    skin_topics, skin_fields = topics(scenario.sensors, scenario.skin)
     return Rig(
         hand=_hand(),
-        fingers=dict(zip(scene.FINGERS, map(_finger, scene.FINGERS, scene.UNLOADED), strict=True)),
+        fingers={
+            finger: _finger(finger, unloaded if wrenches else None)
+            for finger, unloaded in zip(scene.FINGERS, scene.UNLOADED, strict=True)
+        },
         sigma_joint_offset=usual.joint_offset,
         sigma_joint=usual.joint_noise,
         camera=MountedCamera(
@@ -45,14 +49,15 @@ def rig_of(scenario: Scenario) -> Rig:
         table=Table(height=0.0, sigma_height=usual.table_height, sigma_tilt=usual.table_tilt),
         gravity=scene.GRAVITY,
         topics=Topics(
-            wrenches={finger: f"/{finger}/wrench" for finger in scene.FINGERS},
+            wrenches={finger: f"/{finger}/wrench" for finger in scene.FINGERS if wrenches},
             color="/camera/color" if scenario.images else None,
             depth="/camera/depth" if scenario.images else None,
             camera_info="/camera/camera_info" if scenario.images else None,
             truth="/truth/object",
-            skin={"palm": "/palm/taxels"} if scenario.skin else {},
+            skin=skin_topics,
+            skin_fields=skin_fields,
         ),
-        skin={"palm": PALM_SKIN} if scenario.skin else {},
+        skin=surfaces(scenario.sensors, scenario.skin),
         objects={
             "can": ObjectSpec(
                 cylinder=scene.CAN_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3
@@ -114,28 +119,30 @@ def _hand() -> Hand:
     return Hand.from_file(f"package://gymnasium_robotics/{scene.HAND_FILE}", palm=scene.PALM, tips=tips)
 
 
-def _finger(name: str, unloaded: Array) -> Finger:
-    """Returns a finger whose sensor reads `unloaded` (6,) without load."""
+def _finger(name: str, unloaded: Array | None) -> Finger:
+    """Returns a finger whose sensor reads `unloaded` (6,) without load; None: it has none."""
     semi_axes, center_z = scene.tip_shape(name)
     center = np.array([0.0, 0.0, center_z])
-    calibration = WrenchCalibration(
-        bias_force=unloaded[:3],
-        bias_torque=unloaded[3:],
-        mass=scene.SCENE.tip_mass,
-        center_of_mass=center,
-        reading="on_tip",
-    )
+    sensor: dict[str, Any] = {}
+    if unloaded is not None:
+        sensor["calibration"] = WrenchCalibration(
+            bias_force=unloaded[:3],
+            bias_torque=unloaded[3:],
+            mass=scene.SCENE.tip_mass,
+            center_of_mass=center,
+            reading="on_tip",
+        )
+        sensor["full_scale"] = (50.0, 0.5)
     T_surface_sensor = se3.compose(np.eye(3), -center)
     tip = Ellipsoid(semi_axes, -semi_axes[2] / 2, max_friction=1.2, T_surface_sensor=T_surface_sensor)
     return Finger(
         frame=f"robot0:{name}distal",
         T_frame_surface=se3.compose(np.eye(3), np.array([0, 0, scene.SCENE.sensor_z + center_z])),
         tip=tip,
-        calibration=calibration,
         # The tip is exactly where its file has it; these cover its deflection by `tip_compliance`.
         sigma_point=2e-4,
         sigma_normal=float(np.deg2rad(0.3)),
         sigma_force=Nuisances().force_noise,
         sigma_torque=Nuisances().torque_noise,
-        full_scale=(50.0, 0.5),
+        **sensor,
     )

@@ -17,6 +17,7 @@ from handsight.rig.rig import DepthCamera
 
 Profile = Literal["ramp", "steps", "sine", "creep", "jerks"]
 Motion = Literal["grasp", "manipulate", "weigh", Profile]
+SensorKind = Literal["wrench", "xela", "paxini", "inspire"]
 Phase = Literal["touch", "close", "hold", "move", "pull"]
 
 
@@ -100,7 +101,15 @@ class Nuisances:
     skin_offset: float = 0.02
     """Sigma of each taxel's constant reading without contact [N]."""
     skin_uneven: float = 5e-5
-    """Sigma of each taxel's constant distance from the array's plane [m]."""
+    """Sigma of each taxel's constant distance below the skin's surface [m]."""
+    taxel_noise: float = 0.05
+    """Sigma of the noise of a reading of tactile `sensors`, relative to the true force."""
+    taxel_hysteresis: float = 0.05
+    """By how much such a reading lags, as a share of the force: less while it grows, more while it falls."""
+    taxel_dead: float = 1.0
+    """Number of taxels of each such surface that always read the same; below 1 it is a share of them."""
+    taxel_crosstalk: float = 0.03
+    """Share of such a taxel's force that each of its neighbours reads in its place."""
     object_dent: float = 0.0
     """Depth of a dent that only the robot's model has [m]."""
     object_scan: float = 0.0
@@ -187,6 +196,8 @@ RANGES = {
     "tip_size": (0.0, 0.002),
     "contact_softness": (0.0, 4.0),
     "declared_mass": (0.0, 10.0),
+    "taxel_hysteresis": (0.0, 1.0),
+    "taxel_crosstalk": (0.0, 0.1),
 }
 """Least and greatest value of the nuisances that have narrower limits than all have."""
 PHYSICAL = (
@@ -242,6 +253,9 @@ class Scenario:
     """Whether the camera's images are simulated too, 30 a second."""
     skin: bool = False
     """Whether the palm has a tactile array; the can is then held in a power grasp with its upper end on the array."""
+    sensors: SensorKind = "wrench"
+    """What is in the fingertips, and in the palm with `skin`: force/torque sensors, or taxels as XELA's, PaXini's or
+    Inspire's."""
     depth_camera: DepthCamera = "structured_light"
     """How the camera measures depth, which determines its errors."""
     nuisances: Nuisances = dataclasses.field(default_factory=Nuisances)
@@ -256,7 +270,11 @@ class Scenario:
             )
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
             raise InvalidInput(f"seed: expected a whole number of at least 0, got {self.seed!r:.60}")
-        for name, kinds in (("motion", get_args(Motion)), ("depth_camera", get_args(DepthCamera))):
+        for name, kinds in (
+            ("motion", get_args(Motion)),
+            ("sensors", get_args(SensorKind)),
+            ("depth_camera", get_args(DepthCamera)),
+        ):
             if (value := getattr(self, name)) not in kinds:
                 raise InvalidInput(f"{name}: expected one of {', '.join(kinds)}, got {value!r:.80}")
         if not isinstance(self.nuisances, Nuisances):

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 HAND_FILE = "envs/assets/hand/reach.xml"
 """Within gymnasium-robotics; its only scene without an object."""
 PALM = "robot0:palm"
+PALM_GEOM = "robot0:C_palm0"
+"""The geom that a tactile array of the palm covers."""
 T_MOUNT_PALM = se3.compose(np.eye(3), np.array([0.0, 0.01, 0.29]))
 """(4, 4) of the palm in the hand's mount, with the wrist straight."""
 FINGERS = ("ff", "mf", "rf", "lf", "th")

@@ -18,7 +18,7 @@ from handsight.simulation.motion import Grasp
 from handsight.simulation.rendering import Renderer
 from handsight.simulation.scenario import SCENARIO, Nuisances, Sample, Scenario
 from handsight.simulation.scene import FINGERS, GRAVITY, PALM, SCENE, UNLOADED, mujoco_module, tip_shape
-from handsight.simulation.skin import PALM_GEOM, PalmSkin
+from handsight.simulation.taxels import TaxelSensors
 from handsight.simulation.world import World
 from handsight.vision.depth_noise import PRESETS
 
@@ -45,8 +45,9 @@ class Sensors:
         self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + round(n.vision_delay * scenario.rate))
         self._renderer = Renderer(world.scene) if scenario.images else None
         self._depth_noise = PRESETS[scenario.depth_camera].times(n.depth_noise)
-        self._skin = PalmSkin(scenario) if scenario.skin else None
-        self._samples = 0
+        self._taxels = TaxelSensors(scenario)
+        self._skin: dict[str, Array] = {}
+        self._wrenches, self._samples = scenario.sensors == "wrench", 0
         self._angles = list(world.scene.joints.values())
         self._dofs = np.array([world.scene.model.joint(name).dofadr[0] for name in world.scene.joints])
 
@@ -70,6 +71,8 @@ class Sensors:
             T_scene_camera = se3.inverse(T_camera_world @ self.T_world_scene)
             color, exact = self._renderer.take(configuration, T_scene_camera)
             depth = add_depth_noise(exact, self._depth_noise, self._image_noise, int(self.scenario.seed))
+        if self._taxels.surfaces and (not self._skin or self._due(self._taxels.product.rate)):
+            self._skin = self._taxels.readings(self.world)
         self._samples += 1
         # A deflected tip, which the joints do not measure, looks like joints turned the other way.
         joints = self.world.data.qpos[self._angles] + self._constant.joint_offsets - self._deflections()
@@ -81,18 +84,15 @@ class Sensors:
         self._loads = np.clip(loads if self._loads is None else self._loads, loads - play, loads + play)
         wrenches = zip(FINGERS, self._loads + errors, no_wrench, strict=True)
         late = min(n.stamp_jitter, 0.9 / self.scenario.rate) * self._jitter.random()
-        skin: dict[str, Array] = {}
-        if self._skin is not None:
-            skin = self._skin.readings(self.world.T_palm_object(), self.world.pressed(PALM_GEOM))
         return Observation(
             stamp=self.world.time + late,
             joint_positions=dict(zip(self.world.scene.joints, joints.tolist(), strict=True)),
-            wrenches={finger: wrench for finger, wrench, lost in wrenches if not lost},
+            wrenches={finger: wrench for finger, wrench, lost in wrenches if not lost and self._wrenches},
             vision=None if no_vision else vision,
             T_world_palm=self.T_world_scene @ self.world.pose(PALM),
             color=None if no_image else color,
             depth=None if no_image else depth,
-            skin=skin,
+            skin=self._skin,
         )
 
     def sample(self) -> Sample:

@@ -1,4 +1,4 @@
-"""A simulated tactile array: an elastic skin on the palm, and the readings of its taxels.
+"""A simulated elastic skin, on a palm or on a curved fingertip, and the forces on its taxels.
 
 The skin is a bed of springs (an elastic foundation; Johnson 1985, chapter 4.3): a body that presses on it sinks in
 until the springs below it hold its force. A physics engine's contact points would not do, for they are at the corners
@@ -12,10 +12,9 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.checks import Array, Indices
 from handsight.contact.taxels import TactileSurface
-from handsight.simulation.scenario import Scenario
-from handsight.simulation.scene import CAN_SIZE, PALM, convex_hull
+from handsight.simulation.scene import BOX_SIZE, CAN_SIZE, PALM, convex_hull
 
 
 class SkinOptions(NamedTuple):
@@ -23,18 +22,19 @@ class SkinOptions(NamedTuple):
 
     foam: float = 1e7  # stiffness of a skin of 5 mm of foam [N/m per m²]
     rubber: float = 6e7
-    """Stiffness of 1.5 mm of soft rubber, as on the simulated palm [N/m per m²]. The palm is hard in the physics
+    """Stiffness of 1.5 mm of soft rubber, as on the simulated hand [N/m per m²]. The hand is hard in the physics
     engine, so a softer skin would contradict the object's pose.
     """
-    springs: int = 3  # of a taxel, each way
+    springs: int = 3  # of a taxel of a flat array, each way
+    tip_springs: int = 3000  # of a fingertip, evenly distributed
+    cell: float = 0.85  # distance from a taxel to the springs that it measures, in pitches
+    least_cosine: float = 0.3  # between a body's push and the inward normal of skin that it can press
     sigma: float = 0.002  # noise of a taxel without contact [N]
     circle_sides: int = 128  # of the polygon that approximates a circle: a can's within 0.01 mm
 
 
 SKIN = SkinOptions()
 
-PALM_GEOM = "robot0:C_palm0"
-"""The geom that the array covers."""
 T_PALM_GRID = np.array([[1.0, 0, 0, 0.011], [0, 0, -1, -0.0111], [0, 1, 0, 0.045], [0, 0, 0, 1]])
 """On the face of the palm's collision box that is towards -y."""
 PALM_SKIN = TactileSurface.grid(
@@ -72,6 +72,15 @@ class Solid:
         planes = ConvexHull(vertices).equations
         return cls(planes[:, :3], -planes[:, 3])
 
+    @classmethod
+    def of(cls, name: str) -> "Solid":
+        """Returns a scenario's object in its own frame."""
+        if name == "can":
+            return cls.cylinder(*CAN_SIZE)
+        if name == "box":
+            return cls(np.vstack([np.eye(3), -np.eye(3)]), np.tile(np.array(BOX_SIZE) / 2, 2))
+        return cls.hull(convex_hull(name)[0])
+
     def distances(self, points: Array, direction: Array) -> Array:
         """Returns the distances (n,) from points (n, 3) along a unit direction to the body's nearer surface [m].
 
@@ -86,62 +95,90 @@ class Solid:
         return np.asarray(np.where(misses, np.inf, begin))
 
 
-def spring_forces(gaps: Array, force: float, stiffness: float) -> Array:
+def spring_forces(gaps: Array, force: float, stiffness: Array | float) -> Array:
     """Returns the forces (n,) of springs that a body compresses until together they hold `force` [N].
 
-    `gaps` (n,) are the distances of the unloaded springs from the body [m], infinite beside it; `stiffness` is a
-    spring's [N/m].
+    `gaps` (n,) are the distances of the unloaded springs from the body [m], infinite beside it; `stiffness`, of each
+    spring or of all, is in N/m.
     """
-    near = np.sort(gaps[np.isfinite(gaps)])
-    if force <= 0 or not len(near):
+    order = np.argsort(gaps)[: np.isfinite(gaps).sum()]
+    if force <= 0 or not len(order):
         return np.zeros(len(gaps))
-    # The depth at which the nearest k springs hold the force; the right k is the one that reaches no further spring.
-    depth = (force / stiffness + np.cumsum(near)) / np.arange(1, len(near) + 1)
-    k = int(np.argmax(np.append(depth[:-1] <= near[1:], True)))
-    return np.asarray(stiffness * np.maximum(depth[k] - gaps, 0.0))
+    near, k = gaps[order], np.broadcast_to(stiffness, gaps.shape)[order]
+    # The depth at which the nearest springs hold the force; the right number of them reaches no further spring.
+    depth = (force + np.cumsum(k * near)) / np.cumsum(k)
+    last = int(np.argmax(np.append(depth[:-1] <= near[1:], True)))
+    return np.asarray(stiffness * np.maximum(depth[last] - gaps, 0.0))
 
 
-def taxel_forces(
-    array: TactileSurface,
-    solid: Solid,
-    T_grid_object: Array,
-    force: float,
-    uneven: Array | float = 0.0,
-    springs: float = SKIN.rubber,
-) -> Array:
-    """Returns the forces (rows, columns) on the taxels of a solid that presses on the skin with `force` [N].
+@dataclass(frozen=True, slots=True, eq=False)
+class ElasticSkin:
+    """An `ElasticSkin` is a bed of springs on a link, each below one of its taxels or below none."""
 
-    `T_grid_object` (4, 4) is the solid's pose, `uneven` (rows, columns) each taxel's distance below the grid's plane
-    [m], `springs` the skin's stiffness [N/m per m²].
-    """
-    fine = array.pitch / SKIN.springs
-    steps = fine * (np.arange(SKIN.springs) - (SKIN.springs - 1) / 2)
-    within = np.stack([*np.meshgrid(steps, steps), np.zeros((SKIN.springs, SKIN.springs))], 2)
-    places = array.places_grid[:, :, None, None] + within
-    R = T_grid_object[:3, :3]
-    gaps = solid.distances((places.reshape(-1, 3) - T_grid_object[:3, 3]) @ R, R[2])
-    gaps = (gaps.reshape(*array.shape, -1) + np.broadcast_to(uneven, array.shape)[:, :, None]).ravel()
-    forces = spring_forces(gaps, force, springs * fine**2)
-    return np.asarray(forces.reshape(*array.shape, -1).sum(axis=2))
+    points: Array
+    """(m, 3) ends of the unloaded springs in the link [m]."""
+    normals: Array
+    """(m, 3) outward."""
+    areas: Array
+    """(m,) that each represents [m²]."""
+    taxels: Indices
+    """(m,) the taxel that measures each spring; the number of taxels where none does."""
+    places: Array
+    """(n, 3) of the taxels in the link [m]."""
 
+    @classmethod
+    def flat(cls, array: TactileSurface) -> "ElasticSkin":
+        """Returns the skin of a flat grid of taxels, with springs below these alone."""
+        fine = array.pitch / SKIN.springs
+        steps = fine * (np.arange(SKIN.springs) - (SKIN.springs - 1) / 2)
+        within = np.stack([*np.meshgrid(steps, steps), np.zeros((SKIN.springs, SKIN.springs))], 2).reshape(-1, 3)
+        n, each = len(array.points), len(within)
+        axes = array.taxels["axes"]
+        points = array.points[:, None] + within @ axes.swapaxes(1, 2)
+        normals, taxels = np.repeat(axes[:, :, 2], each, axis=0), np.repeat(np.arange(n), each)
+        return cls(points.reshape(-1, 3), normals, np.full(n * each, fine**2), taxels, array.points)
 
-class PalmSkin:
-    """A `PalmSkin` is the array on the palm: constant errors are drawn at the start, noise at every reading."""
+    @classmethod
+    def ellipsoid(cls, semi_axes: Array, T_link_tip: Array, places: Array, reach: Array) -> "ElasticSkin":
+        """Returns the skin all over a fingertip, an ellipsoid (3,) [m] with that pose (4, 4).
 
-    def __init__(self, scenario: Scenario) -> None:
-        """Draws by the scenario's seed."""
-        n, seed, shape = scenario.nuisances, int(scenario.seed), PALM_SKIN.shape
-        constant = np.random.default_rng((seed, 11))
-        self._uneven = n.skin_uneven * constant.normal(size=shape)
-        self._offset = n.skin_offset * constant.normal(size=shape)
-        self._share, self._noise = n.skin_noise, np.random.default_rng((seed, 12))
-        is_can = scenario.object == "can"  # else it is a mesh: a scenario with a skin has no box
-        self._solid = Solid.cylinder(*CAN_SIZE) if is_can else Solid.hull(convex_hull(scenario.object)[0])
+        `places` (n, 3) are its taxels in the link, `reach` (n,) how far each one's cell extends at most [m].
+        """
+        unit = se3.directions(SKIN.tip_springs)
+        out = unit / semi_axes
+        length = np.linalg.norm(out, axis=1)
+        areas = semi_axes.prod() * length * 4 * np.pi / len(unit)
+        points = se3.apply(T_link_tip, semi_axes * unit)
+        distances = np.linalg.norm(points[:, None] - places, axis=2)
+        taxels = distances.argmin(axis=1)
+        taxels[distances.min(axis=1) > reach[taxels]] = len(places)
+        return cls(points, out / length[:, None] @ T_link_tip[:3, :3].T, areas, taxels, places)
 
-    def readings(self, T_palm_object: Array, force: float) -> dict[str, Array]:
-        """Returns the array's readings (rows, columns) by its name [N]; `force` is the object's on the palm [N]."""
-        T_grid_object = se3.inverse(T_PALM_GRID) @ T_palm_object
-        true = taxel_forces(PALM_SKIN, self._solid, T_grid_object, force, self._uneven)
-        share, floor = self._noise.normal(size=(2, *PALM_SKIN.shape))
-        read = true * (1 + self._share * share) + (SKIN.sigma * floor if self._share else 0.0) + self._offset
-        return {"palm": np.minimum(read, PALM_SKIN.full_scale or np.inf)}
+    def forces(
+        self,
+        solid: Solid,
+        T_link_solid: Array,
+        force: Array,
+        push: Array,
+        uneven: Array | float = 0.0,
+        stiffness: float = SKIN.rubber,
+    ) -> Array:
+        """Returns the forces (n + 1, 3) of a solid on the taxels in the link, and on skin without one in the last row.
+
+        Their sum is `force` (3,) [N]. `push` (3,) is the unit direction in which the solid presses into the skin:
+        along it springs are compressed, each of which presses back along its own normal. The rest of the force is shared
+        in proportion to the pressure. `uneven` (n,): each taxel's distance below its place [m].
+        """
+        found = np.zeros((len(self.places) + 1, 3))
+        cosines = -self.normals @ push
+        near = np.flatnonzero(cosines > SKIN.least_cosine)
+        cosines, normals, taxels = cosines[near], self.normals[near], self.taxels[near]
+        R = T_link_solid[:3, :3]
+        gaps = solid.distances((self.points[near] - T_link_solid[:3, 3]) @ R, -push @ R)
+        gaps = gaps + np.append(np.broadcast_to(uneven, len(self.places)), 0.0)[taxels]
+        borne = spring_forces(gaps, float(force @ push), stiffness * self.areas[near] * cosines**2)
+        if not borne.any():
+            return found
+        pressed = -(borne / cosines)[:, None] * normals
+        np.add.at(found, taxels, pressed + (borne / borne.sum())[:, None] * (force - pressed.sum(axis=0)))
+        return found

@@ -1,5 +1,6 @@
 """The simulated world, a step at a time: the hand closes on the object, lets its holder go, and moves."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from handsight.errors import InvalidObject
 from handsight.simulation.loads import PULL, Payload, Pull, pulls
 from handsight.simulation.motion import LEGS, MOTION, PULLED, WEIGH_LEGS, Grasp, palm_poses, perturbed
 from handsight.simulation.scenario import SCENARIO, Phase, Scenario, TipContact
-from handsight.simulation.scene import PALM, T_MOUNT_PALM, mujoco_module
+from handsight.simulation.scene import PALM, PALM_GEOM, T_MOUNT_PALM, mujoco_module
 
 if TYPE_CHECKING:
     from mujoco import MjData
@@ -165,13 +166,6 @@ class World:
                 found.append((names[1 - names.index("object")], force, -float(contact.dist)))
         return found
 
-    def pressed(self, geom: str) -> float:
-        """Returns the normal force of the object on one of the hand's geoms [N]."""
-        pair = {self.scene.model.geom(name).id for name in (geom, "object")}
-        contacts = enumerate(self.data.contact[: self.data.ncon])
-        between = [i for i, c in contacts if set(c.geom.tolist()) == pair and c.exclude == 0]
-        return float(sum(self._force(i)[0] for i in between))
-
     def thrown(self) -> bool:
         """Returns whether the object flies faster than this hand can throw it: the simulation has failed."""
         velocity = self.data.joint("object").qvel[:3]
@@ -179,10 +173,18 @@ class World:
 
     def tip_contacts(self) -> tuple[TipContact, ...]:
         """Returns the fingertips' contacts with everything that they touch."""
+        return self._contacts(self.scene.tips)
+
+    def link_contacts(self) -> tuple[TipContact, ...]:
+        """Returns the contacts of the fingertips and of the palm's face, whose `finger` is `palm`."""
+        return self._contacts(self.scene.tips | {self.scene.model.geom(PALM_GEOM).id: "palm"})
+
+    def _contacts(self, named: Mapping[int, str]) -> tuple[TipContact, ...]:
+        """Returns the contacts of geoms, each with its name."""
         T_palm_world, found = se3.inverse(self.pose(PALM)), []
         for i, contact in enumerate(self.data.contact[: self.data.ncon]):
             for side, geom in enumerate(contact.geom.tolist()):
-                if geom not in self.scene.tips or contact.exclude:
+                if geom not in named or contact.exclude:
                     continue
                 # MuJoCo's normal and force are from the first geom to the second.
                 sign = 1.0 if side == 1 else -1.0
@@ -192,7 +194,7 @@ class World:
                 velocity = self._velocity(other, point) - self._velocity(geom, point)
                 found.append(
                     TipContact(
-                        finger=self.scene.tips[geom],
+                        finger=named[geom],
                         point_palm=se3.apply(T_palm_world, point[None])[0],
                         force_palm=T_palm_world[:3, :3] @ (sign * axes.T @ self._force(i)),
                         other=self.scene.model.geom(other).name,

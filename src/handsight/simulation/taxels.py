@@ -1,0 +1,277 @@
+"""The simulated hand's taxels: where those of each product are, what they read, and its driver's messages.
+
+Products' counts are published, places on this hand's fingertips are not: they are spread over each tip, a pitch from
+each other. A reading has the errors of elastic skin and of its electronics, in this order: crosstalk between
+neighbours, hysteresis, noise, a constant offset, rounding to counts.
+"""
+
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from handsight import se3
+from handsight.checks import Array
+from handsight.contact.taxels import TactileSurface
+from handsight.messages.encode import Message, header, parts
+from handsight.simulation.scenario import SensorKind, Scenario
+from handsight.simulation.scene import FINGERS, PALM, SCENE, tip_shape
+from handsight.simulation.skin import PALM_SKIN, SKIN, T_PALM_GRID, ElasticSkin, Solid
+from handsight.simulation.world import World
+
+
+class Pad(NamedTuple):
+    """A `Pad` is a group of taxels on a fingertip."""
+
+    name: str
+    """Behind the finger's; empty for a tip's only one."""
+    count: int
+    pitch: float
+    """[m]"""
+    up: float
+    """Height of its middle above the ellipsoid's, in parts of the semi-axis along the finger; 1: at its end."""
+
+
+class Product(NamedTuple):
+    """A `Product` is a maker's kind of tactile sensor."""
+
+    pads: tuple[Pad, ...] = ()
+    palm: tuple[int, int, float] = (20, 15, 0.004)
+    """Rows, columns and pitch [m] of the array on the palm."""
+    components: int = 3
+    rate: float = 1000.0
+    """Readings per second, at most one an observation."""
+    count: float = 0.0
+    """Force of one count of a reading [N]; 0: readings are in newtons."""
+
+
+PRODUCTS: dict[SensorKind, Product] = {
+    "wrench": Product(components=1),
+    "xela": Product((Pad("", 30, 0.0047, 0.45),), (4, 6, 0.0047)),
+    "paxini": Product((Pad("", 116, 0.0028, 0.45),), (7, 11, 0.0042)),
+    "inspire": Product(
+        (Pad("_tip", 9, 0.0028, 1.0), Pad("_pad", 80, 0.0023, 0.15)),
+        (8, 14, 0.0042),
+        components=1,
+        rate=50.0,
+        count=0.001,
+    ),
+}
+"""XELA: uSkin's curved fingertip, and one module of the palm's. PaXini: as many points as PX-6AX DP-S2716-Core and
+CP-M3025-Core have. Inspire: RH56DFTP; a finger's nail is not simulated. Pitches but XELA's are assumed."""
+FULL_SCALE, COUNTS = 5.0, 4095
+"""Of a three-axis taxel [N]; the largest count."""
+PADS = {"th": np.array([-0.8, 0.6, 0.0])}
+"""The direction across the finger in which a tip's taxels face, where it is not -y: the thumb's, towards the fingers."""
+T_FEWER = se3.compose(np.eye(3), np.array([-0.004, 0.009, 0.0]))
+"""Pose of a smaller array than `PALM_SKIN` in its grid: where the hand presses the can on its palm."""
+INSPIRE_FINGERS = {"lf": "little", "rf": "ring", "mf": "middle", "ff": "index", "th": "thumb"}
+XELA, INSPIRE = "xela_server_ros2/msg/SensStream", "inspire_hand_ros2/msg/InspireHandTouch"
+XELA_TOPIC, INSPIRE_TOPIC = "/xServTopic", "/inspire_hand/touch"
+RAW = 30000, 1000
+"""A raw reading of XELA's without load, and counts per newton."""
+
+
+@lru_cache(maxsize=8)
+def surfaces(kind: SensorKind, palm: bool) -> dict[str, TactileSurface]:
+    """Returns the hand's tactile surfaces by name, those of the fingertips and, with `palm`, that of the palm."""
+    product, found = PRODUCTS[kind], dict[str, TactileSurface]()
+    fields: dict[str, Any] = {"components": product.components, "threshold": 0.03, "full_scale": FULL_SCALE}
+    if product.count:
+        fields |= {"scale": product.count, "full_scale": product.count * COUNTS, "threshold": 0.02}
+    for finger in FINGERS if product.pads else ():
+        semi_axes, _ = tip_shape(finger)
+        T, chosen = _tip_pose(finger), np.zeros((0, 3))
+        for pad in product.pads:
+            places = _places(finger, pad, chosen)
+            chosen = np.vstack([chosen, places])
+            found[f"{finger}{pad.name}"] = TactileSurface(
+                frame=f"robot0:{finger}distal",
+                points=se3.apply(T, places),
+                normals=places / semi_axes**2 @ T[:3, :3].T,
+                pitch=pad.pitch,
+                nominal=True,
+                **fields,
+            )
+    if palm and kind == "wrench":
+        found["palm"] = PALM_SKIN
+    elif palm:
+        rows, columns, pitch = product.palm
+        size = {"rows": rows, "columns": columns, "pitch": pitch}
+        found["palm"] = TactileSurface.grid(frame=PALM, T_frame_grid=T_PALM_GRID @ T_FEWER, **size, **fields)
+    return found
+
+
+def _tip_pose(finger: str) -> Array:
+    """Returns the pose (4, 4) of a tip's ellipsoid in its link."""
+    return se3.compose(np.eye(3), np.array([0.0, 0.0, SCENE.sensor_z + tip_shape(finger)[1]]))
+
+
+def _places(finger: str, pad: Pad, others: Array) -> Array:
+    """Returns places (n, 3) on a tip's ellipsoid, in its frame: the nearest to the pad's middle that are a pitch from
+    each other and from `others` (k, 3)."""
+    semi_axes, _ = tip_shape(finger)
+    facing = PADS.get(finger, np.array([0.0, -1.0, 0.0]))
+    middle = semi_axes * (np.sqrt(1 - pad.up**2) * facing + [0.0, 0.0, pad.up])
+    many = semi_axes * se3.directions(20000)
+    many = many[np.argsort(np.linalg.norm(many - middle, axis=1))]
+    chosen = list(others)
+    for place in many:
+        if len(chosen) == len(others) + pad.count:
+            break
+        if not chosen or np.linalg.norm(np.array(chosen) - place, axis=1).min() > 0.97 * pad.pitch:
+            chosen.append(place)
+    return np.array(chosen[len(others) :])
+
+
+class TaxelSensors:
+    """`TaxelSensors` are all taxels of the hand: constant errors are drawn at the start, noise at every reading."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Draws by the scenario's seed."""
+        self._solid, self._nuisances = Solid.of(scenario.object), scenario.nuisances
+        seed, n = int(scenario.seed), scenario.nuisances
+        constant, faulty = (np.random.default_rng((seed, k)) for k in (11, 19))
+        self._noise = np.random.default_rng((seed, 12))
+        self.surfaces = surfaces(scenario.sensors, scenario.skin)
+        self.product, self._last = PRODUCTS[scenario.sensors], dict[str, Array]()
+        self._uneven, self._offset, self._dead = dict[str, Array](), dict[str, Array](), dict[str, Any]()
+        self._links = dict[str, tuple[str, ElasticSkin, list[str]]]()
+        for name, surface in self.surfaces.items():
+            places = len(surface.points)
+            self._uneven[name] = n.skin_uneven * constant.normal(size=places)
+            self._offset[name] = n.skin_offset * constant.normal(size=(places, surface.components))
+            dead = n.taxel_dead if n.taxel_dead >= 1 else n.taxel_dead * places
+            self._dead[name] = faulty.permutation(places)[: 0 if self._plain else round(dead)]
+        for finger in FINGERS if self.product.pads else ():
+            names = [f"{finger}{pad.name}" for pad in self.product.pads]
+            mine = [self.surfaces[name] for name in names]
+            reach = np.concatenate([np.full(len(each.points), SKIN.cell * each.pitch) for each in mine])
+            points = np.concatenate([each.points for each in mine])
+            skin = ElasticSkin.ellipsoid(tip_shape(finger)[0], _tip_pose(finger), points, reach)
+            self._links[finger] = mine[0].frame, skin, names
+        if "palm" in self.surfaces:
+            self._links["palm"] = PALM, ElasticSkin.flat(self.surfaces["palm"]), ["palm"]
+
+    @property
+    def _plain(self) -> bool:
+        """Whether it is the palm's array beside wrenches, which has noise and offsets alone."""
+        return not self.product.pads
+
+    def readings(self, world: World) -> dict[str, Array]:
+        """Returns the readings of all surfaces, by name, in their shape and in the driver's unit."""
+        true = self.forces(world)
+        return {name: self._read(name, true[name]) for name in self.surfaces}
+
+    def forces(self, world: World) -> dict[str, Array]:
+        """Returns the true forces (n, 3) on the taxels in their links, by surface [N].
+
+        The table, and other links, press as planes that touch the tip where the simulator's contact is.
+        """
+        found = {name: np.zeros((len(surface.points), 3)) for name, surface in self.surfaces.items()}
+        T_palm_object, contacts = world.T_palm_object(), world.link_contacts()
+        for link, (frame, skin, names) in self._links.items():
+            uneven = np.concatenate([self._uneven[name] for name in names])
+            total = np.zeros((len(uneven) + 1, 3))
+            T_frame_palm = se3.inverse(world.pose(frame)) @ world.pose(PALM)
+            for other in {contact.other for contact in contacts if contact.finger == link}:
+                mine = [each for each in contacts if (each.finger, each.other) == (link, other)]
+                force = T_frame_palm[:3, :3] @ np.sum([each.force_palm for each in mine], axis=0)
+                weights = [np.linalg.norm(each.force_palm) + 1e-12 for each in mine]
+                push = T_frame_palm[:3, :3] @ np.average([each.normal_palm for each in mine], 0, weights)
+                push /= np.linalg.norm(push)
+                if other == "object":
+                    solid, T = self._solid, T_frame_palm @ T_palm_object
+                else:
+                    point = se3.apply(T_frame_palm, mine[0].point_palm[None])[0]
+                    solid, T = Solid(-push[None], np.array([-push @ point])), np.eye(4)
+                total += skin.forces(solid, T, force, push, uneven)
+            ends = np.cumsum([len(self._uneven[name]) for name in names])
+            found |= dict(zip(names, np.split(total, ends)[:-1], strict=True))
+        return found
+
+    def _read(self, name: str, forces: Array) -> Array:
+        """Returns a surface's reading of true forces (n, 3) in its link."""
+        surface, n = self.surfaces[name], self._nuisances
+        axes, near = surface.taxels["axes"], surface.taxels["near"]
+        true = np.einsum("nik,ni->nk", axes, forces)[:, -surface.components :]
+        true[:, -1] *= -1  # into the skin
+        share = n.skin_noise if self._plain else n.taxel_noise
+        if not self._plain:
+            padded = np.vstack([true, np.zeros(surface.components)])
+            own = (near < len(true)).sum(axis=1)[:, None]
+            true = true + n.taxel_crosstalk * (padded[near].sum(axis=1) - own * true)
+            play = n.taxel_hysteresis * np.abs(true)
+            true = np.clip(self._last.get(name, true), true - play, true + play)
+            self._last[name] = true
+        drawn, floor = self._noise.normal(size=(2, *true.shape))
+        read = true * (1 + share * drawn) + (SKIN.sigma * floor if share else 0.0) + self._offset[name]
+        read[self._dead[name]] = self._offset[name][self._dead[name]]
+        read = np.minimum(read, surface.full_scale or np.inf)
+        if self.product.count:
+            read = np.clip(np.rint(read / self.product.count), 0, COUNTS)
+        return np.asarray(read.reshape(surface.shape))
+
+
+def topics(kind: SensorKind, palm: bool) -> tuple[dict[str, str], dict[str, str]]:
+    """Returns the topic of each tactile surface, and the paths to their readings in messages that they share."""
+    names = list(surfaces(kind, palm))
+    if kind == "xela":
+        paths = {name: f"sensors[sensor_pos={k}].forces" for k, name in enumerate(names, start=1)}
+        return dict.fromkeys(names, XELA_TOPIC), paths
+    if kind == "inspire":
+        paths = {name: f"{INSPIRE_FINGERS[name[:2]]}.{name[3:]}" for name in names if name != "palm"}
+        return dict.fromkeys(names, INSPIRE_TOPIC), paths | ({"palm": "palm"} if palm else {})
+    return {name: f"/{name}/taxels" for name in names}, {}
+
+
+def messages(
+    kind: SensorKind, readings: Mapping[str, Array], stamp: float
+) -> Iterator[tuple[str, str, dict[str, object]]]:
+    """Yields topic, type and fields of a driver's messages of one instant.
+
+    XELA's server sends all sensors, with raw counts beside newtons, and its time in place of a header; Inspire's sends
+    the whole hand. PaXini has no published ROS message: a TactileState a finger has the points and their resultant.
+    """
+    if kind == "xela":
+        sensors = []
+        for k, values in enumerate(readings.values(), start=1):
+            raw = np.clip(np.rint(RAW[0] + RAW[1] * values), 0, 65535).astype(np.uint16).reshape(-1, 3)
+            forces = values.astype(np.float32).reshape(-1, 3)
+            counts, newtons = ([parts("xyz", each) for each in rows] for rows in (raw, forces))
+            model = "uSPa46" if len(raw) == 24 else "uSCu"
+            top = {"message": round(stamp * 100) % 2**16, "time": stamp, "model": model, "sensor_pos": k}
+            sensors.append(Message(**top, taxels=counts, forces=newtons))
+        yield XELA_TOPIC, XELA, {"sensors": sensors}
+    elif kind == "inspire":
+        regions = {name: values.ravel().astype(np.int16) for name, values in readings.items()}
+        fields: dict[str, object] = {"header": header(stamp)}
+        touching = 0
+        for name, finger in INSPIRE_FINGERS.items():
+            tip, pad = (regions[f"{name}{region}"] for region in ("_tip", "_pad"))
+            most = float(max(tip.max(), pad.max()))
+            touching += most > 100
+            middle = np.zeros(9 if name == "th" else 0, np.int16)
+            fields[finger] = Message(
+                name=finger,
+                tip=tip,
+                nail=np.zeros(96, np.int16),
+                pad=pad,
+                middle_section=middle,
+                total_pressure=float(tip.sum() + pad.sum()),
+                max_pressure=most,
+                contact_count=int((tip > 100).sum() + (pad > 100).sum()),
+            )
+        total = float(sum(each.sum() for each in regions.values()))
+        state = {"total_contact": total, "fingers_in_contact": touching, "stable_contact": touching > 1}
+        yield INSPIRE_TOPIC, INSPIRE, fields | {"palm": regions.get("palm", np.zeros(112, np.int16))} | state
+    else:
+        for name, values in readings.items():
+            rows = values.reshape(-1, 3).astype(np.float32)
+            channels = {name: rows.ravel(), f"{name}_resultant": rows.sum(axis=0)}
+            sensors = [Message(name=key, values=each) for key, each in channels.items()]
+            yield f"/{name}/taxels", "tactile_msgs/msg/TactileState", {
+                "header": header(stamp),
+                "sensors": sensors,
+            }
