@@ -79,7 +79,7 @@ def surfaces(kind: SensorKind, palm: bool) -> dict[str, TactileSurface]:
     product, found = PRODUCTS[kind], dict[str, TactileSurface]()
     fields: dict[str, Any] = {"components": product.components, "threshold": 0.03, "full_scale": FULL_SCALE}
     if product.count:
-        fields |= {"scale": product.count, "full_scale": product.count * COUNTS, "threshold": 0.02}
+        fields |= {"scale": product.count, "full_scale": product.count * COUNTS}
     for finger in FINGERS if product.pads else ():
         semi_axes, _ = tip_shape(finger)
         T, chosen = _tip_pose(finger), np.zeros((0, 3))

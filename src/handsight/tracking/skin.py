@@ -25,8 +25,8 @@ class SkinOptions(NamedTuple):
 
     changed_share: float = 0.3
     """The pose is corrected again when more than this share of the taxels that are or were pressed has changed."""
-    sure: float = 10.0
-    """Before its baseline is known, a surface is touched where a patch bears this many thresholds: an offset is less."""
+    sure: float = 4.0
+    """A tip whose baseline is unknown is touched where a taxel reads this many thresholds: an offset is less."""
     max_force: float = 1000.0  # of a patch of three-axis taxels; more is in another unit [N]
 
 
@@ -218,7 +218,8 @@ class SkinSensors:
             touches[name] = touch, LinkPose(self._chains[name], joints, self._sigma_joint)
             finger = self._fingers[name]
             if finger is not None and len(touch.patches) and joints is not None:
-                if known.count < TAXELS.min_rest and not touch.patches["total"].max() > SKIN.sure * surface.threshold:
+                strongest = float(touch.rise[:, -1].max())
+                if known.count < TAXELS.min_rest and strongest < SKIN.sure * surface.threshold:
                     continue
                 other = touches[tips[finger]][0] if finger in tips else None
                 if other is None or other.patches["total"].max() < touch.patches["total"].max():

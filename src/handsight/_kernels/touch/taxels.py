@@ -36,6 +36,8 @@ class TaxelOptions(NamedTuple):
     uneven: float = 0.07  # sigma of the normal by such a patch, as a share of the normals' spread
     min_rest: int = 5  # fewest readings of an untouched surface whose mean is used as its baseline
     mean_rest: int = 50  # readings over which the mean is taken; after so many it follows
+    alive: float = 0.75
+    """Share of the taxels that must change at rest for one that does not to be dead: in a dead band many do not."""
     still: int = 50  # readings for which a touched taxel that is stuck does not change, while others do
     drifted: float = 5.0  # a taxel that has drifted by so many thresholds is left out
 
@@ -254,7 +256,7 @@ def watch_taxels(
         w.fault = DRIFTING if drift > 1.0 else 0
         if always_full or (touched[i] and rise[i, last] >= record.full_scale):
             w.fault = FULL
-        elif enough and not w.varied and 2 * varied > n:
+        elif enough and not w.varied and w.still >= count and varied > TAXELS.alive * n:
             w.fault = DEAD
         elif touched[i] and w.still >= TAXELS.still and 2 * moving > touched.sum():
             w.fault = STUCK
