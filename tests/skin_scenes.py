@@ -8,7 +8,7 @@ import handsight as hs
 import scenes
 from handsight import se3
 from handsight.contact.taxels import SkinTouch, TactileSurface
-from handsight.simulation.skin import SKIN, Solid, taxel_forces
+from handsight.simulation.skin import SKIN, ElasticSkin, Solid
 
 VISION = (0.03 * np.sqrt(3), np.deg2rad(6) * np.sqrt(3))
 """Root mean square length and angle of vision's error: 30 mm and 6° per axis."""
@@ -46,6 +46,22 @@ def palm_array(pitch: float = 0.004) -> TactileSurface:
         frame="palm", T_frame_grid=np.eye(4), rows=round(0.08 / pitch), columns=round(0.06 / pitch), pitch=pitch,
         threshold=0.015,
     )  # fmt: skip
+
+
+def taxel_forces(
+    array: TactileSurface,
+    solid: Solid,
+    T_palm_object: np.ndarray,
+    force: float,
+    uneven: np.ndarray | float = 0.0,
+    springs: float = SKIN.rubber,
+) -> np.ndarray:
+    """Forces (rows, columns) on the taxels of a flat array by a solid that presses on it with `force` [N]."""
+    into = -array.normals[0]
+    skin = ElasticSkin.flat(array)
+    heights = np.broadcast_to(uneven, array.shape).ravel()
+    found = skin.forces(solid, T_palm_object, force * into, into, heights, springs)
+    return np.asarray((found[:-1] @ into).reshape(array.shape))
 
 
 def box_solid(size: np.ndarray) -> Solid:

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.simulation import Scenario
-from handsight.simulation.skin import PALM_SKIN, Solid, spring_forces, taxel_forces
-from skin_scenes import box_solid
+from handsight.simulation.skin import PALM_SKIN, Solid, spring_forces
+from skin_scenes import box_solid, taxel_forces
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -57,7 +57,7 @@ def test_a_solid_begins_where_a_ray_meets_it(kind):
 
 
 def test_taxels_under_a_face_measure_its_force():
-    T = se3.compose(np.eye(3), np.array([0.018, 0.0, 0.01]))
+    T = PALM_SKIN.layout.T_frame_grid @ se3.compose(np.eye(3), np.array([0.018, 0.0, 0.01]))
     readings = taxel_forces(PALM_SKIN, box_solid([0.04, 0.03, 0.02]), T, 2.0)
     assert readings.sum() == pytest.approx(2.0)
     places = PALM_SKIN.places_grid[readings > 0]
