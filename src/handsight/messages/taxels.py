@@ -1,5 +1,6 @@
 """Readings of taxels out of messages: of arrays, images and point clouds, and of any message by a path into it."""
 
+import math
 import re
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -27,7 +28,8 @@ def readings(message: RosMessage, source: TaxelSource) -> tuple[Array, float]:
         value, _ = _at(value, f"sensors[name={source.name}]")
     found, sizes = _numbers(value)
     expected = f"expected {' x '.join(map(str, source.shape))} taxels"
-    if len(sizes) > 1 and sizes != source.shape:
+    # A list of vectors is of the taxels one after the other, those of a grid too.
+    if len(sizes) > 1 and sizes not in (source.shape, (math.prod(source.shape[:-1]), source.shape[-1])):
         raise MessageRejected(f"{expected}, got {' x '.join(map(str, sizes))}")
     if not found.size:
         raise MessageRejected(
