@@ -215,12 +215,15 @@ def _print_rig(rig: "Rig", name: str) -> None:
         topic = topics.wrenches.get(finger, topics.contacts.get(finger, "none"))
         noise = f"{1e3 * of.sigma_force:g}", f"{1e3 * of.sigma_torque:g}"
         ranges = ("?", "?") if of.full_scale is None else (f"{value:g}" for value in of.full_scale)
+        if topic == "none" and not of.calibration.mass:
+            continue
         sensors.append((finger, topic, *noise, *ranges, f"{1e3 * of.calibration.mass:g}"))
     bold = {"header_style": "bold underline"}
     columns = ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")
     print_out(plain_table(columns, shapes, texts=2, **bold), "")
     columns = ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")
-    print_out(plain_table(columns, sensors, texts=2, **bold), "")
+    if sensors:
+        print_out(plain_table(columns, sensors, texts=2, **bold), "")
     constant, random = math.degrees(rig.sigma_joint_offset), math.degrees(rig.sigma_joint)
     places = {"tf": f"from {rig.topics.tf}", "joints": "from the joints", None: "not known"}
     rows = [

@@ -162,7 +162,7 @@ class TaxelSensors:
     def readings(self, world: World) -> dict[str, Array]:
         """Returns the readings of all surfaces, by name, in their shape and in the driver's unit."""
         true = self.forces(world)
-        return {name: self._read(name, true[name]) for name in self.surfaces}
+        return {name: self.read(name, true[name]) for name in self.surfaces}
 
     def forces(self, world: World) -> dict[str, Array]:
         """Returns the true forces (n, 3) on the taxels in their links, by surface [N].
@@ -191,7 +191,7 @@ class TaxelSensors:
             found |= dict(zip(names, np.split(total, ends)[:-1], strict=True))
         return found
 
-    def _read(self, name: str, forces: Array) -> Array:
+    def read(self, name: str, forces: Array) -> Array:
         """Returns a surface's reading of true forces (n, 3) in its link."""
         surface, n = self.surfaces[name], self._nuisances
         axes, near = surface.taxels["axes"], surface.taxels["near"]

@@ -25,7 +25,7 @@ REASONS = (*("silent" if name == "invalid" else name for name in REASON_NAMES), 
 CONFLICT = 21.1
 """χ² of the distance of a tip's patch and its wrench's contact, of level 1e-4 for three numbers, above which they
 contradict each other."""
-FREE, ON_TABLE = REASON_NAMES.index("free"), len(REASONS) - 1
+FREE, ON_TABLE, NO_READING = REASON_NAMES.index("free"), len(REASONS) - 1, REASONS.index("silent")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,6 +99,10 @@ class FingertipSensors:
         contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, records)
         if observation.contacts:
             put_sensed(self.rig, observation.contacts, Ts_palm_tip, by_error, records)
+        links = {touch.surface.frame for touch, _ in skin.touches.values()}
+        for i, name in enumerate(self.names if links else ()):  # by taxels of which none is touched
+            if records["reason"][i] == NO_READING and self.rig.fingers[name].frame in links:
+                records["reason"][i] = FREE
         doubts = self._put_taxels(skin, Ts_palm_tip, by_tip, by_error, records) if skin.tips else {}
         if T is not None and self._table is not None:
             mark_on_table(np.array(T), self._table, ON_TABLE, records)

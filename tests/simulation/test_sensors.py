@@ -1,0 +1,238 @@
+"""Taxels of the simulated hand: their forces are the contacts', their errors those that the nuisances name."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handsight import se3
+from handsight.errors import InvalidInput
+from handsight.recording import open_recording
+from handsight.rig import Rig
+from handsight.simulation import Scenario, rig_of, simulate
+from handsight.simulation.grasp_search import grasp_for
+from handsight.simulation.scene import PALM, tip_shape
+from handsight.simulation.skin import ElasticSkin, Solid
+from handsight.simulation.taxels import COUNTS, PRODUCTS, RAW, TaxelSensors, surfaces
+from handsight.simulation.world import World
+from simulation.simulated import only
+
+KINDS = ("xela", "paxini", "inspire")
+seeds = st.integers(0, 2**32 - 1)
+
+
+@pytest.fixture(scope="module")
+def grasped():
+    """A world in which the box is held by three fingertips."""
+    world = World(Scenario(object="box", nuisances=only()), grasp_for("box", 0))
+    while world.time < 1.5:
+        world.step()
+    world.refresh()
+    return world
+
+
+def sensors(kind, seed=0, **nuisances):
+    return TaxelSensors(Scenario(object="box", seed=seed, sensors=kind, nuisances=only(**nuisances)))
+
+
+def pushes(sensor, name, rng, most=1.0):
+    """Random true forces (n, 3) into a surface's skin, in its link."""
+    surface = sensor.surfaces[name]
+    own = rng.normal(size=(len(surface.points), 3)) * [0.3, 0.3, 1]
+    own[:, 2] = -np.abs(own[:, 2])
+    return most * np.einsum("nik,nk->ni", surface.taxels["axes"], own)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_places_are_on_the_tip_a_pitch_from_each_other(kind):
+    for name, surface in surfaces(kind, False).items():
+        finger, pads = name[:2], {pad.name: pad for pad in PRODUCTS[kind].pads}
+        semi_axes, center_z = tip_shape(finger)
+        pad = pads[name[2:]]
+        local = surface.points - [0, 0, 0.002 + center_z]
+        np.testing.assert_allclose(((local / semi_axes) ** 2).sum(axis=1), 1, atol=1e-9)
+        distance = np.linalg.norm(local[:, None] - local, axis=2) + np.diag(np.full(len(local), np.inf))
+        assert len(local) == pad.count
+        assert distance.min() >= 0.97 * pad.pitch
+        assert np.median(distance.min(axis=1)) < 1.1 * pad.pitch
+        outward = local / semi_axes**2
+        assert ((outward * surface.normals).sum(axis=1) > 0.99 * np.linalg.norm(outward, axis=1)).all()
+
+
+@settings(max_examples=30)
+@given(seeds)
+def test_the_forces_of_a_skin_are_the_force_on_it(seed):
+    """Of any convex body, from any side, with any friction."""
+    rng = np.random.default_rng(seed)
+    surface = surfaces("paxini", False)["ff"]
+    semi_axes, center_z = tip_shape("ff")
+    T = se3.compose(np.eye(3), np.array([0, 0, 0.002 + center_z]))
+    reach = np.full(len(surface.points), 0.85 * surface.pitch)
+    skin = ElasticSkin.ellipsoid(semi_axes, T, surface.points, reach)
+    i = rng.integers(len(surface.points))
+    push = -surface.normals[i]
+    solid = Solid.hull(0.03 * rng.normal(size=(30, 3)))
+    R = se3.rotation_exp(rng.normal(size=3))
+    # The body touches the tip at that taxel, with the point of it that is farthest that way.
+    start = surface.points[i] - push * 0.5
+    T_solid = se3.compose(R, start)
+    gap = solid.distances((surface.points[i : i + 1] - start) @ R, -push @ R)
+    assert np.isfinite(gap).all()
+    T_solid[:3, 3] -= gap[0] * -push
+    side = np.cross(push, rng.normal(size=3))
+    force = rng.uniform(0.1, 5) * (push + rng.uniform(0, 0.5) * side / np.linalg.norm(side))
+    found = skin.forces(solid, T_solid, force, push)
+    np.testing.assert_allclose(found.sum(axis=0), force, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_tips_taxels_measure_the_simulators_contact(kind, grasped):
+    """Force and centre of pressure, but for what skin without taxels bears; a tip that touches nothing reads nothing."""
+    sensor = sensors(kind)
+    forces = sensor.forces(grasped)
+    contacts = [each for each in grasped.tip_contacts() if each.other == "object"]
+    assert len(contacts) == 3
+    touching = {each.finger for each in contacts}
+    assert all(not forces[name].any() for name in forces if name[:2] not in touching)
+    for contact in contacts:
+        mine = [name for name in forces if name[:2] == contact.finger]
+        T_palm_frame = se3.inverse(grasped.pose(PALM)) @ grasped.pose(sensor.surfaces[mine[0]].frame)
+        total = T_palm_frame[:3, :3] @ sum(forces[name].sum(axis=0) for name in mine)
+        size = np.linalg.norm(contact.force_palm)
+        assert np.linalg.norm(total - contact.force_palm) < 0.03 * size
+        points = np.concatenate([sensor.surfaces[name].points for name in mine])
+        pressure = np.linalg.norm(np.concatenate([forces[name] for name in mine]), axis=1)
+        middle = se3.apply(T_palm_frame, (pressure @ points / pressure.sum())[None])[0]
+        arm = middle - contact.point_palm
+        assert np.linalg.norm(arm - arm @ contact.normal_palm * contact.normal_palm) < 1e-3
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("dead", "share"), [(2, None), (0.2, 0.2), (0, None)])
+def test_a_dead_taxel_reads_the_same_whatever_presses(kind, dead, share):
+    rng, sensor = np.random.default_rng(0), sensors(kind, taxel_dead=dead, skin_offset=0.1, taxel_noise=0.05)
+    for name, surface in sensor.surfaces.items():
+        n = len(surface.points)
+        read = np.array([sensor.read(name, pushes(sensor, name, rng)).reshape(n, -1) for _ in range(5)])
+        still = (np.ptp(read, axis=0) == 0).all(axis=1)
+        assert still.sum() == (round(share * n) if share else dead)
+
+
+def test_crosstalk_spreads_and_preserves_the_sum():
+    rng = np.random.default_rng(2)
+    exact, leaking = (sensors("paxini", taxel_crosstalk=share) for share in (0.0, 0.05))
+    for name in ("ff", "th"):
+        n, near = len(exact.surfaces[name].points), exact.surfaces[name].taxels["near"]
+        for i in range(0, n, 9):  # the middle of the layout, and its edge
+            forces = np.zeros((n, 3))
+            forces[i] = pushes(exact, name, rng, 0.1)[i]
+            before, after = exact.read(name, forces), leaking.read(name, forces)
+            np.testing.assert_allclose(after.sum(axis=0), before.sum(axis=0), atol=1e-12)
+            beside = near[i][near[i] < n]
+            np.testing.assert_allclose(after[beside], np.tile(0.05 * before[i], (len(beside), 1)), atol=1e-15)
+            assert abs(after[i, 2]) < abs(before[i, 2])
+
+
+def test_hysteresis_reads_less_while_a_force_grows_and_more_while_it_falls():
+    sensor = sensors("xela", taxel_hysteresis=0.1)
+    forces = pushes(sensor, "th", np.random.default_rng(1), 0.5)
+    true = sensors("xela").read("th", forces)
+    read = {}
+    for step, k in enumerate((0.0, 0.5, 1.0, 1.2, 1.0, 0.5, 0.0)):
+        read[step] = sensor.read("th", k * forces)
+    np.testing.assert_allclose(read[2], 0.9 * true, atol=1e-12)
+    np.testing.assert_allclose(read[4], 1.08 * true, atol=1e-12)  # as before, it has not fallen far enough
+    np.testing.assert_allclose(read[5], 0.55 * true, atol=1e-12)
+    assert not read[0].any()
+    assert not read[6].any()
+
+
+def test_readings_are_those_of_the_seed():
+    def readings(seed):
+        scenario = Scenario(object="box", seed=seed, motion="grasp", rate=5.0, sensors="xela")
+        return [sample.observation.skin for sample in simulate(scenario)]
+
+    first, again, other = readings(3), readings(3), readings(4)
+    for one, two in zip(first, again, strict=True):
+        assert all((one[name] == two[name]).all() for name in one)
+    assert any((one[name] != two[name]).any() for one, two in zip(first, other, strict=True) for name in one)
+
+
+def test_a_hand_of_taxels_has_no_wrenches_and_inspires_are_counts_at_their_own_rate(simulated):
+    samples = simulated(Scenario(object="box", motion="grasp", rate=100.0, sensors="inspire"))
+    skins = [sample.observation.skin for sample in samples]
+    assert not any(sample.observation.wrenches for sample in samples)
+    assert sum(a is b or a["ff_pad"] is b["ff_pad"] for a, b in zip(skins, skins[1:], strict=False)) == 95
+    for values in skins[-1].values():
+        assert (values == np.rint(values)).all()
+        assert (values >= 0).all()
+        assert (values <= COUNTS).all()
+    assert max(values.max() for values in skins[-1].values()) > 50
+
+
+def test_sensors_of_no_maker_are_refused_with_the_makers():
+    with pytest.raises(InvalidInput, match="sensors: expected one of wrench, xela, paxini, inspire, got 'gel'"):
+        Scenario(sensors="gel")
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """`recorded(kind)`: the folder of a grasp with those sensors by the command, which is run once."""
+    from cli.commands import run
+
+    folders = {}
+
+    def folder(kind):
+        if kind not in folders:
+            folders[kind] = tmp_path_factory.mktemp(kind)
+            grasp = ("simulate", "can", "--motion", "grasp", "--seed", "1", "--output", "can.mcap")
+            run(*grasp, "--skin", "--sensors", kind, cwd=folders[kind])
+        return folders[kind]
+
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_simulate_track_and_rig_check_of_each_maker_as_a_user_runs_them(kind, recorded):
+    """The pose at the end within 10 mm across the can's axis, where vision is off by 100."""
+    from cli.commands import run
+
+    folder = recorded(kind)
+    out, _ = run("rig", "check", "can.rig.yaml", "can.mcap", cwd=folder)
+    assert "can.mcap has everything that this rig listens to." in out
+    run("track", "can.mcap", "-o", "out", cwd=folder)
+    summary = json.loads((folder / "out" / "summary.json").read_text())
+    assert not summary["refused"]
+    print({key: value for key, value in summary.items() if key not in ("diagnosis",)})
+    assert summary["poses"] == summary["observations"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_drivers_messages_are_read_as_they_were_measured(kind, recorded):
+    folder = recorded(kind)
+    scenario = Scenario(object="can", motion="grasp", seed=1, sensors=kind, skin=True)
+    samples = {round(100 * sample.observation.stamp): sample.observation for sample in simulate(scenario)}
+    rig = Rig.from_file(folder / "can.rig.yaml")
+    for name, surface in rig_of(scenario).skin.items():
+        np.testing.assert_allclose(rig.skin[name].points, surface.points, atol=1e-9)
+    with open_recording(folder / "can.mcap", rig) as recording:
+        for k, observation in enumerate(recording.observations()):
+            assert observation.skin.keys() == rig.skin.keys()
+            for name, values in observation.skin.items():
+                expected = samples[k].skin[name]
+                np.testing.assert_allclose(values.reshape(expected.shape), expected, atol=1e-6)
+    assert not recording.lacks()
+    if kind == "xela":
+        fields = {name: f"sensors[sensor_pos={i}].taxels" for i, name in enumerate(rig.skin, start=1)}
+        from dataclasses import replace
+
+        counted = replace(rig, topics=replace(rig.topics, skin_fields=fields))
+        with open_recording(folder / "can.mcap", counted) as recording:
+            (*_, last) = recording.observations()
+        for name, values in last.skin.items():
+            newtons = (values - RAW[0]) / RAW[1]
+            np.testing.assert_allclose(newtons.ravel(), samples[190].skin[name].ravel(), atol=6e-4)
