@@ -52,8 +52,8 @@ def simulate(
         str,
         Option(
             metavar="wrench|xela|paxini|inspire",
-            help="What is in the fingertips, and in the palm with --skin: force/torque sensors, or that maker's taxels, in "
-            "its driver's messages.",
+            help="What is in the fingertips, and in the palm with --skin: force/torque sensors, or a maker's taxels, "
+            "in its driver's messages.",
         ),
     ] = "wrench",
     depth_camera: Annotated[
@@ -98,8 +98,9 @@ def simulate(
     tried in the simulator until one holds. Everything is synthetic (MuJoCo). Errors of the measurements are set by
     nuisances, such as joint_offset [rad] and force_noise [N]; the pull is set by friction, pull_force [N] and
     pull_torque [N m], the errors of taxels by taxel_noise, taxel_hysteresis, taxel_crosstalk (shares) and taxel_dead
-    (how many on each surface). With `--blind`, each touch is reported with what is known after it, the recording has the pose
-    that the search found, in the world, and `handsight track` starts from it; the exit code is 1 if it found none.
+    (how many on each surface). With `--blind`, each touch is reported with what is known after it, the recording has
+    the pose that the search found, in the world, and `handsight track` starts from it; the exit code is 1 if it found
+    none.
 
     In a harsh world sensors' gains are wrong and their readings stick, joints are off by up to twice what the rig
     states, the camera is late and its error wanders, messages are lost, tips, table, size and mass are not as declared,
@@ -124,12 +125,19 @@ def simulate(
         raise InvalidInput(f"--world: expected usual or harsh, got {world!r:.60}")
     start = Nuisances.harsh(seed) if world == "harsh" else Nuisances()
     chosen: dict[str, Any] = {"motion": motion, "depth_camera": depth_camera}  # Scenario refuses unknown ones
-    chosen |= {"images": images, "skin": skin, "sensors": sensors, "nuisances": nuisances(nuisance or [], start)}
+    chosen |= {
+        "images": images,
+        "skin": skin,
+        "sensors": sensors,
+        "nuisances": nuisances(nuisance or [], start),
+    }
     scenario = Scenario(object=object, seed=seed, **chosen)
     if blind and images:
         raise InvalidInput("--images: expected none with --blind, which has no camera, got some")
     if blind and sensors != "wrench":
-        raise InvalidInput(f"--sensors: expected wrench with --blind, whose finger has no other, got {sensors}")
+        raise InvalidInput(
+            f"--sensors: expected wrench with --blind, whose finger has no other, got {sensors}"
+        )
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
     if path.suffix.lower() != ".mcap":
         raise InvalidFile(f"{path}: expected a name that ends in .mcap")

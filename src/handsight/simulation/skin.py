@@ -131,7 +131,9 @@ class ElasticSkin:
         """Returns the skin of a flat grid of taxels, with springs below these alone."""
         fine = array.pitch / SKIN.springs
         steps = fine * (np.arange(SKIN.springs) - (SKIN.springs - 1) / 2)
-        within = np.stack([*np.meshgrid(steps, steps), np.zeros((SKIN.springs, SKIN.springs))], 2).reshape(-1, 3)
+        within = np.stack([*np.meshgrid(steps, steps), np.zeros((SKIN.springs, SKIN.springs))], 2).reshape(
+            -1, 3
+        )
         n, each = len(array.points), len(within)
         axes = array.taxels["axes"]
         points = array.points[:, None] + within @ axes.swapaxes(1, 2)
@@ -166,8 +168,8 @@ class ElasticSkin:
         """Returns the forces (n + 1, 3) of a solid on the taxels in the link, and on skin without one in the last row.
 
         Their sum is `force` (3,) [N]. `push` (3,) is the unit direction in which the solid presses into the skin:
-        along it springs are compressed, each of which presses back along its own normal. The rest of the force is shared
-        in proportion to the pressure. `uneven` (n,): each taxel's distance below its place [m].
+        along it springs are compressed, each of which presses back along its own normal. The rest of the force is
+        shared in proportion to the pressure. `uneven` (n,): each taxel's distance below its place [m].
         """
         found = np.zeros((len(self.places) + 1, 3))
         cosines = -self.normals @ push

@@ -15,7 +15,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact.taxels import TactileSurface
 from handsight.messages.encode import Message, header, parts
-from handsight.simulation.scenario import SensorKind, Scenario
+from handsight.simulation.scenario import Scenario, SensorKind
 from handsight.simulation.scene import FINGERS, PALM, SCENE, tip_shape
 from handsight.simulation.skin import PALM_SKIN, SKIN, T_PALM_GRID, ElasticSkin, Solid
 from handsight.simulation.world import World
@@ -26,7 +26,7 @@ class Pad(NamedTuple):
 
     name: str
     """Behind the finger's; empty for a tip's only one."""
-    count: int
+    number: int
     pitch: float
     """[m]"""
     up: float
@@ -42,7 +42,7 @@ class Product(NamedTuple):
     components: int = 3
     rate: float = 1000.0
     """Readings per second, at most one an observation."""
-    count: float = 0.0
+    newtons: float = 0.0
     """Force of one count of a reading [N]; 0: readings are in newtons."""
 
 
@@ -55,7 +55,7 @@ PRODUCTS: dict[SensorKind, Product] = {
         (8, 14, 0.0042),
         components=1,
         rate=50.0,
-        count=0.001,
+        newtons=0.001,
     ),
 }
 """XELA: uSkin's curved fingertip, and one module of the palm's. PaXini: as many points as PX-6AX DP-S2716-Core and
@@ -63,7 +63,7 @@ CP-M3025-Core have. Inspire: RH56DFTP; a finger's nail is not simulated. Pitches
 FULL_SCALE, COUNTS = 5.0, 4095
 """Of a three-axis taxel [N]; the largest count."""
 PADS = {"th": np.array([-0.8, 0.6, 0.0])}
-"""The direction across the finger in which a tip's taxels face, where it is not -y: the thumb's, towards the fingers."""
+"""The direction across the finger in which a tip's taxels face, where that is not -y: the thumb's, to the fingers."""
 T_FEWER = se3.compose(np.eye(3), np.array([-0.004, 0.009, 0.0]))
 """Pose of a smaller array than `PALM_SKIN` in its grid: where the hand presses the can on its palm."""
 INSPIRE_FINGERS = {"lf": "little", "rf": "ring", "mf": "middle", "ff": "index", "th": "thumb"}
@@ -78,8 +78,8 @@ def surfaces(kind: SensorKind, palm: bool) -> dict[str, TactileSurface]:
     """Returns the hand's tactile surfaces by name, those of the fingertips and, with `palm`, that of the palm."""
     product, found = PRODUCTS[kind], dict[str, TactileSurface]()
     fields: dict[str, Any] = {"components": product.components, "threshold": 0.03, "full_scale": FULL_SCALE}
-    if product.count:
-        fields |= {"scale": product.count, "full_scale": product.count * COUNTS}
+    if product.newtons:
+        fields |= {"scale": product.newtons, "full_scale": product.newtons * COUNTS}
     for finger in FINGERS if product.pads else ():
         semi_axes, _ = tip_shape(finger)
         T, chosen = _tip_pose(finger), np.zeros((0, 3))
@@ -98,7 +98,7 @@ def surfaces(kind: SensorKind, palm: bool) -> dict[str, TactileSurface]:
         found["palm"] = PALM_SKIN
     elif palm:
         rows, columns, pitch = product.palm
-        size = {"rows": rows, "columns": columns, "pitch": pitch}
+        size: dict[str, Any] = {"rows": rows, "columns": columns, "pitch": pitch}
         found["palm"] = TactileSurface.grid(frame=PALM, T_frame_grid=T_PALM_GRID @ T_FEWER, **size, **fields)
     return found
 
@@ -118,7 +118,7 @@ def _places(finger: str, pad: Pad, others: Array) -> Array:
     many = many[np.argsort(np.linalg.norm(many - middle, axis=1))]
     chosen = list(others)
     for place in many:
-        if len(chosen) == len(others) + pad.count:
+        if len(chosen) == len(others) + pad.number:
             break
         if not chosen or np.linalg.norm(np.array(chosen) - place, axis=1).min() > 0.97 * pad.pitch:
             chosen.append(place)
@@ -209,8 +209,8 @@ class TaxelSensors:
         read = true * (1 + share * drawn) + (SKIN.sigma * floor if share else 0.0) + self._offset[name]
         read[self._dead[name]] = self._offset[name][self._dead[name]]
         read = np.minimum(read, surface.full_scale or np.inf)
-        if self.product.count:
-            read = np.clip(np.rint(read / self.product.count), 0, COUNTS)
+        if self.product.newtons:
+            read = np.clip(np.rint(read / self.product.newtons), 0, COUNTS)
         return np.asarray(read.reshape(surface.shape))
 
 
@@ -238,8 +238,8 @@ def messages(
         sensors = []
         for k, values in enumerate(readings.values(), start=1):
             raw = np.clip(np.rint(RAW[0] + RAW[1] * values), 0, 65535).astype(np.uint16).reshape(-1, 3)
-            forces = values.astype(np.float32).reshape(-1, 3)
-            counts, newtons = ([parts("xyz", each) for each in rows] for rows in (raw, forces))
+            rows: Any = raw, values.astype(np.float32).reshape(-1, 3)
+            counts, newtons = ([parts("xyz", each) for each in table] for table in rows)
             model = "uSPa46" if len(raw) == 24 else "uSCu"
             top = {"message": round(stamp * 100) % 2**16, "time": stamp, "model": model, "sensor_pos": k}
             sensors.append(Message(**top, taxels=counts, forces=newtons))
@@ -271,7 +271,11 @@ def messages(
             rows = values.reshape(-1, 3).astype(np.float32)
             channels = {name: rows.ravel(), f"{name}_resultant": rows.sum(axis=0)}
             sensors = [Message(name=key, values=each) for key, each in channels.items()]
-            yield f"/{name}/taxels", "tactile_msgs/msg/TactileState", {
-                "header": header(stamp),
-                "sensors": sensors,
-            }
+            yield (
+                f"/{name}/taxels",
+                "tactile_msgs/msg/TactileState",
+                {
+                    "header": header(stamp),
+                    "sensors": sensors,
+                },
+            )
