@@ -137,6 +137,16 @@ def test_an_xela_stream_has_each_sensor_by_its_position_at_the_time_the_server_s
     assert topic.last == pytest.approx(START + 0.005, abs=1e-6)
 
 
+def test_vectors_of_a_flat_grid_are_its_rows_one_after_the_other():
+    """XELA's module on the palm: a list of forces, of a grid of three-axis taxels."""
+    forces = np.arange(18.0).reshape(6, 3)
+    fields = {"frame": "palm", "T_frame_grid": np.eye(4), "pitch": 0.004, "threshold": 0.1}
+    palm = TactileSurface.grid(rows=2, columns=3, components=3, **fields)
+    seen, topic = observed(robot({"palm": "sensors[0].forces"}, palm=palm), serialized(*xela((1, forces))))
+    np.testing.assert_array_equal(seen.skin["palm"], forces.reshape(2, 3, 3))
+    assert not topic.reasons
+
+
 def test_an_inspire_hand_has_a_region_of_each_finger_and_the_palm():
     counts = np.arange(1, 97, dtype=np.int16)
     some = {"total_pressure": 0.0, "max_pressure": 0.0, "contact_count": 0}

@@ -117,6 +117,51 @@ fingers:
     np.testing.assert_array_equal(np.r_[known.bias_force, known.bias_torque, known.center_of_mass], 0)
 
 
+def test_a_finger_without_a_sensor_has_no_wrenches_and_is_written_so(tmp_path):
+    hand(tmp_path)
+    rig = read(
+        tmp_path,
+        """
+version: 1
+hand: {file: pinch.urdf, palm: palm}
+fingers:
+  index: {frame: index_tip, tip: {sphere: 0.01}}
+  thumb: {frame: thumb_tip, tip: {sphere: 0.01}, sensor: {reading: on_tip}}
+""",
+    )
+    assert rig.topics.wrenches == {"thumb": "/thumb/wrench"}
+    assert not rig.fingers["index"].calibration.mass
+    write(rig, tmp_path / "again.yaml")
+    written = (tmp_path / "again.yaml").read_text()
+    assert written.count("sensor:") == 1
+    assert_same(Rig.from_file(tmp_path / "again.yaml"), rig)
+
+
+def test_taxels_at_any_places_are_written_to_tables_beside_the_rig(tmp_path):
+    """One for all links of one shape; they are the same when they are read."""
+    hand(tmp_path)
+    table = "[[0, 0, 0.005, 0, 0, 1], [0, 0.004, 0.005, 0, 0.1, 1], [0.004, 0, 0.005, 0.1, 0, 1]]"
+    other = table.replace("0.004", "0.006")
+    lines = (f"{name}: {{frame: {name}_tip, taxels: {table}, threshold: 0.1}}" for name in ("index", "thumb"))
+    rig = read(
+        tmp_path,
+        """
+version: 1
+hand: {file: pinch.urdf, palm: palm}
+fingers: {index: {frame: index_tip, tip: {sphere: 0.01}}}
+skin:
+"""
+        + "".join(f"  {line}\n" for line in lines)
+        + f"  palm: {{frame: palm, taxels: {other}, threshold: 0.1}}\n",
+    )
+    write(rig, tmp_path / "again.yaml")
+    assert sorted(path.name for path in tmp_path.glob("*.csv")) == ["again.index.csv", "again.palm.csv"]
+    again = Rig.from_file(tmp_path / "again.yaml")
+    for name, surface in rig.skin.items():
+        np.testing.assert_allclose(again.skin[name].points, surface.points, atol=1e-11)
+        np.testing.assert_allclose(again.skin[name].taxels["axes"], surface.taxels["axes"], atol=1e-8)
+
+
 def test_fingers_may_share_what_they_have_in_common(tmp_path):
     hand(tmp_path)
     rig = read(

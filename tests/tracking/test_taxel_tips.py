@@ -179,6 +179,36 @@ def test_dead_taxels_and_those_that_always_read_their_most_are_left_out_and_name
     assert len(touch.patches) == 1
 
 
+def test_taxels_in_a_dead_band_at_rest_are_not_dead(can):
+    """Counts from 0 on: many of them read 0 at rest, whatever their noise, and are pressed later like the others."""
+    watch = Watch(can)
+    silent = {f"t{i}": 0.0 for i in range(0, 30, 2)}
+    for _ in range(20):
+        watch.read(**silent)
+    assert not watch.skin.faults
+    touch = watch.read(watch.press(4), touched=True)
+    assert touch.pressed[4]
+
+
+def test_offsets_before_the_first_baseline_are_no_contacts_of_tips(can, taxels):
+    """Up to three thresholds; then they are known, and a press of the same size is a contact."""
+    rig, _, observations = taxels
+    rng, tracker = np.random.default_rng(4), hs.Tracker(rig, can.model)
+    name = next(iter(rig.fingers))
+    offsets = {key: rng.uniform(0, 3, each.shape) * each.threshold for key, each in rig.skin.items()}
+    noise = {key: 1e-3 * rng.normal(size=(9, *each.shape)) for key, each in rig.skin.items()}
+    for k in range(9):
+        skin = {key: offsets[key] + noise[key][k] for key in offsets}
+        if k == 8:
+            surface = rig.skin[name]
+            distance = np.linalg.norm(surface.points - surface.points[0], axis=1)
+            skin[name][:, 2] += 3 * surface.threshold * np.maximum(1 - (distance / 0.008) ** 2, 0)
+        stamp = observations[0].stamp + 0.01 * k
+        tracker.update(replace(observations[0], stamp=stamp, skin=skin, wrenches={}))
+        assert tracker.fingertips.fingers == ((name,) if k == 8 else ())
+        assert set(tracker.fingertips.reasons.values()) == {"free"}  # not silent: their taxels read
+
+
 def test_a_taxel_that_is_stuck_while_others_are_pressed_is_left_out_and_named(can):
     watch = Watch(can)
     for _ in range(8):

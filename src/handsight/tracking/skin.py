@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks
-from handsight._kernels.touch.taxel_records import FAULTS, PATCH, PRESSED, WATCHED
+from handsight._kernels.touch.taxel_records import FAULTS, PATCH, PRESSED, UNKNOWN, WATCHED
 from handsight._kernels.touch.taxels import TAXELS, watch_taxels
 from handsight.checks import Array
 from handsight.contact import Contacts, SkinTouch, TactileSurface
@@ -218,7 +218,7 @@ class SkinSensors:
             touches[name] = touch, LinkPose(self._chains[name], joints, self._sigma_joint)
             finger = self._fingers[name]
             if finger is not None and len(touch.patches) and joints is not None:
-                strongest = float(touch.rise[:, -1].max())
+                strongest = touch.rise[touch.states[0] != UNKNOWN, -1].max()  # not of a filled taxel
                 if known.count < TAXELS.min_rest and strongest < SKIN.sure * surface.threshold:
                     continue
                 other = touches[tips[finger]][0] if finger in tips else None
