@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 import handsight as hs
+from handsight.errors import InvalidObject
 from handsight.simulation import Scenario, find_grasp, model_of, rig_of
 from handsight.simulation.scenario import SensorKind
 from handsight.simulation.simulate import Sensors, samples
@@ -73,7 +74,10 @@ def robot(spec: str, power: bool, kind: SensorKind) -> Any:
 def answers(scenario: Scenario) -> Rows:
     """A row for each kind of sensors, of one simulated grasp; none where it failed."""
     scenarios = [replace(scenario, sensors=kind, skin=scenario.skin and kind != "wrench") for kind in KINDS]
-    world = World(scenario, grasp_of(scenario.object, scenario.skin))
+    try:
+        world = World(scenario, grasp_of(scenario.object, scenario.skin))
+    except InvalidObject:  # this draw's hand overlaps it
+        return []
     skins = dict.fromkeys(KINDS, SkinContacts())
     touched = dict.fromkeys(KINDS, False)
     found: Sequence[Any] = ()
@@ -167,7 +171,7 @@ def print_table(rows: Rows, left_out: Counter[str]) -> None:
             "NEES",
         ],
         table,
-        f"± one standard error. Left out, as the hand dropped it: {dropped or 'none'}.",
+        f"± one standard error. Left out, as the hand dropped it or could not open around it: {dropped or 'none'}.",
     )
 
 
