@@ -1,0 +1,157 @@
+"""What is wrong with the readings of fingertips and tactile surfaces in a recording, for a person who writes a rig."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from handsight.checks import Array
+from handsight.contact import TactileSurface
+from handsight.messages.report import UNITS
+from handsight.observation import Observation
+from handsight.rig import Rig
+
+SOME, FEW = 256, 5
+"""Readings of a sensor that are kept, spread over the recording; with fewer than `FEW` nothing is judged."""
+MOST_COUNTS, MIN_VALUES = 4095, 8
+"""Readings of 12 bits whose bytes are swapped are below 4096 once they are swapped again; values that say so."""
+MANY, SELDOM = 0.5, 0.1
+"""An inverted sensor has at least this share of its readings within a tenth of their range below the largest, as at
+rest, and less than this within a tenth above the least."""
+
+
+@dataclass(slots=True, eq=False)
+class Readings:
+    """A `Readings` is what one sensor has read so far."""
+
+    low: Array
+    """The least of each number."""
+    high: Array
+    """The largest of each number."""
+    count: int = 0
+    some: list[Array] = field(default_factory=list)
+    """Readings at equal steps of their number."""
+    step: int = 1
+
+    def put(self, values: Array) -> None:
+        """Adds a reading."""
+        self.low, self.high = np.fmin(self.low, values), np.fmax(self.high, values)
+        if self.count % self.step == 0:
+            self.some.append(np.array(values))
+        self.count += 1
+        if len(self.some) > SOME:
+            self.some, self.step = self.some[::2], 2 * self.step
+
+    @property
+    def constant(self) -> str:
+        """That the readings never change, for a person; empty: they do, or are too few."""
+        if self.count < FEW or (self.high > self.low).any():
+            return ""
+        return f"all {self.count} readings are {'the same' if self.high.any() else 'zero'}"
+
+
+class SensorFaults:
+    """A `SensorFaults` finds what makes a rig's sensors useless: zeros, no change, a wrong scale, swapped bytes."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._read: dict[tuple[str, str], Readings] = {}
+
+    def put(self, observation: Observation) -> None:
+        """Adds an observation's wrenches and taxels."""
+        for kind, given in (("finger", observation.wrenches), ("skin", observation.skin)):
+            for name, values in given.items():
+                start = np.array(values, dtype=float)
+                self._read.setdefault((kind, name), Readings(start, start)).put(start)
+
+    def sentences(self) -> list[str]:
+        """Returns a sentence for each sensor whose readings cannot be used: which, why, and what to change."""
+        topics, found = self._rig.topics, list[str]()
+        for (kind, name), read in self._read.items():
+            if kind == "finger":
+                what = read.constant and f"{read.constant}: is the sensor on, and does its driver read it"
+                zero = " (DG-5F: fingertip_sensor:=true beside ft_broadcaster:=true)?"
+                what += (zero if "zero" in what else "?") if what else ""
+                place = topics.wrenches.get(name, "its topic")
+            else:
+                what = self._of_surface(name, read)
+                path = topics.skin_fields.get(name)
+                place = f"{path} on {topics.skin[name]}" if path else topics.skin[name]
+            found += [f"{kind} {name}: {place}: {what}"] if what else []
+        return found
+
+    def _of_surface(self, name: str, read: Readings) -> str:
+        """Returns what is wrong with a surface's readings; empty: nothing."""
+        surface, given = self._rig.skin[name], np.array([each for each in read.some if np.any(each)])
+        if read.constant or not len(given):
+            dead = "is the sensor on, and is this the field that its driver fills?"
+            return read.constant and f"{read.constant}: {dead}"
+        whole = given[np.isfinite(given)]
+        if most := swapped(whole):
+            at_most = f"at most {most} with their two bytes swapped, {np.abs(whole).max():.0f} as they are"
+            return f"its whole numbers are {at_most}: have its driver swap them (big-endian?)"
+        normal, scale = normals_of(surface, given), surface.record["scale"][0, surface.components - 1]
+        pressed, rest = scale * normal, float(np.nanmedian(normal))
+        low, high = np.nanmin(pressed), np.nanmax(pressed)
+        tenth = 0.1 * (high - low)
+        if (
+            high - low > 2 * surface.threshold
+            and np.nanmean(pressed > high - tenth) >= MANY
+            and np.nanmean(pressed < low + tenth) < SELDOM
+        ):
+            least = float(np.nanmin(normal) if scale > 0 else np.nanmax(normal))
+            change = f"set skin.{name}.offset: {rest:g} and scale: {-scale:g} in place of {scale:g}"
+            return f"reads {rest:g} at rest and {least:g} where it is touched, which is inverted: {change}"
+        in_newtons = surface.components == 3 or (scale == 1 and surface.threshold < 1)
+        rise = rise_of(surface, read)
+        if in_newtons and rise > UNITS.max_force:
+            more = f"rises by up to {rise:.4g} where at most {UNITS.max_force:g} N on a taxel are expected"
+            return f"{more} (counts?): set skin.{name}.scale: newtons a count"
+        return ""
+
+    def remarks(self) -> list[str]:
+        """Returns a sentence for each surface that was never touched, or has taxels that never change."""
+        found = []
+        for name, surface in self._rig.skin.items():
+            read = self._read.get(("skin", name))
+            if read is None or read.count < FEW or not (read.high > read.low).any():
+                continue
+            if name not in self.touched:
+                rise = rise_of(surface, read)
+                most = f"a touched taxel rises by {surface.threshold:g}, and the largest rise was {rise:.3g}"
+                found.append(f"skin {name}: never touched; {most} (threshold, scale?)")
+            still = ~(read.high > read.low).reshape(len(surface.points), -1).any(axis=1)
+            if still.any() and still.mean() < 0.5:
+                numbers = ", ".join(map(str, np.flatnonzero(still)[:12]))
+                more = " and others" if still.sum() > 12 else ""
+                found.append(f"skin {name}: taxel {numbers}{more} of {len(still)} never change: dead?")
+        return found
+
+    @property
+    def touched(self) -> set[str]:
+        """The surfaces of which a taxel has risen above its threshold."""
+        read = {name: each for (kind, name), each in self._read.items() if kind == "skin"}
+        surfaces = self._rig.skin
+        return {name for name in read if rise_of(surfaces[name], read[name]) > surfaces[name].threshold}
+
+
+def rise_of(surface: TactileSurface, read: Readings) -> float:
+    """Returns by how much a taxel reads more along its normal than it does most of the time, scaled."""
+    scale = surface.record["scale"][0, surface.components - 1]
+    normal, end = (normals_of(surface, np.array(each)) for each in (read.some, [read.high if scale > 0 else read.low]))
+    known = np.isfinite(normal).any(axis=0)
+    return float(np.max(scale * (end[0, known] - np.nanmedian(normal[:, known], axis=0)), initial=0.0))
+
+
+def normals_of(surface: TactileSurface, given: Array) -> Array:
+    """Returns the unscaled readings along the taxels' normals (m, n) of m readings."""
+    return given.reshape(len(given), -1, surface.components)[:, :, -1]
+
+
+def swapped(values: Array) -> int:
+    """Returns the largest of numbers whose two bytes seem to be swapped, once they are swapped again; 0: they are not."""
+    if not (values == values.round()).all() or values.min() < -(2**15) or values.max() >= 2**16:
+        return 0
+    words = np.unique(values.astype(np.int64) & 0xFFFF)
+    again = (words & 0xFF) << 8 | words >> 8
+    small = again.max() <= MOST_COUNTS < np.abs(values).max()
+    return int(again.max()) if small and len(words) > MIN_VALUES else 0
