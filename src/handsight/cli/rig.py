@@ -252,10 +252,11 @@ def _print_rig(rig: "Rig", name: str) -> None:
             kind = c.depth_camera.replace("_", " ")
             rows.append(("", f"{c.size[0]} x {c.size[1]} pixels, {lens}; depth by {kind}"))
     for name, array in rig.skin.items():
-        topic = rig.topics.skin.get(name, "nothing")
+        topic, path = rig.topics.skin.get(name, "nothing"), rig.topics.skin_fields.get(name)
+        topic = topic if path is None else f"{path} on {topic}"
         size = f"{' x '.join(map(str, array.shape))} taxels, {1e3 * array.pitch:.3g} mm apart"
         size += " (nominal)" if array.nominal else ""
-        rows.append((f"skin {name}", f"{size}, on {array.frame}; readings on {topic}"))
+        rows.append((f"skin {name}", f"{size}, on {array.frame}; reads {topic}"))
     rows.append(("vision", f"poses on {rig.topics.vision}" if rig.topics.vision else "none"))
     if rig.table is not None:
         rows.append(("table", f"at {rig.table.height:g} m, ± {1e3 * rig.table.sigma_height:g} mm"))

@@ -1,7 +1,7 @@
 """A rig as a picture: the hand from its taxels' side and from beside, its tips, the palm's axes, taxels with normals."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,7 +25,7 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
     """Writes a picture of a rig with its joints as near to 0 as their limits allow; raises MissingExtra,
     HandsightError."""
     plt = require_matplotlib()
-    hand, half = rig.hand, 0.03
+    hand = rig.hand
     joints = dict(zip(hand.joint_names, np.clip(0.0, *hand.limits.T).tolist(), strict=True))
     Ts, vertices, faces = hand.link_poses(joints), [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)]
     for link, mesh in hand.link_meshes().items():
@@ -35,22 +35,20 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
     taxels = {name: (Ts[each.frame], each) for name, each in rig.skin.items() if each.frame in Ts}
     corners, triangles = np.concatenate(vertices), np.concatenate(faces)
     all_points = np.concatenate([corners, np.array([T[:3, 3] for T in (*Ts.values(), *tips)])])
-    middle = (all_points.min(axis=0) + all_points.max(axis=0)) / 2
-    half += float(np.ptp(all_points, axis=0).max()) / 2
-    up = np.mean([T[:3, 3] for T in tips], axis=0) - Ts[hand.palm][:3, 3]
+    up = np.median([T[:3, 2] for T in tips], axis=0)
     thin = np.linalg.svd(all_points - all_points.mean(axis=0), full_matrices=False)[2][2]
     out = sum(((T[:3, :3] @ each.normals.T).sum(axis=1) for T, each in taxels.values()), 1e-3 * thin)
     figure, places = plt.subplots(1, 2, figsize=(13, 7), layout="constrained")
     for axes, toward, title in zip(
         places, (out, np.cross(up, out)), ("from the taxels' side" if taxels else "from above", "from beside")
     ):
-        view = _View(toward, up, middle, half)
+        view = _View(toward, up, all_points)
         view.draw_hand(axes, corners, triangles, np.array([T[:3, 3] for T in Ts.values()]))
         view.draw_tips(axes, rig, tips)
         view.draw_axes(axes, Ts[hand.palm])
         for k, (label, (T, each)) in enumerate(taxels.items()):
             normals = each.normals @ T[:3, :3].T
-            view.draw_taxels(axes, se3.apply(T, each.points), normals, f"C{k % 10}", label)
+            view.draw_taxels(axes, se3.apply(T, each.points), normals, plt.get_cmap("tab20")(k % 20), label)
         axes.set_title(title, fontsize=10)
     figure.suptitle(f"{name}: {hand.palm}, {len(tips)} tips, {sum(len(e.points) for _, e in taxels.values())} taxels")
     save(figure, path)
@@ -59,12 +57,15 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
 class _View:
     """A `_View` is a camera so far from the hand that it draws almost parallel."""
 
-    def __init__(self, toward: Array, up: Array, middle: Array, half: float) -> None:
-        """`toward`: from the hand to the camera; `up` in the picture; `half`: the size around `middle` [m]."""
+    def __init__(self, toward: Array, up: Array, points: Array) -> None:
+        """`toward`: from the hand to the camera; `up` in the picture; `points` (n, 3): what is to be in it [m]."""
         z = -toward / np.linalg.norm(toward)
         y = -(up - up @ z * z)
         y = y / np.linalg.norm(y) if np.linalg.norm(y) > 1e-6 else se3.perpendicular(z)
-        self.T_camera_palm = se3.inverse(se3.compose(np.stack([np.cross(y, z), y, z], axis=1), middle - FAR * z))
+        R = np.stack([np.cross(y, z), y, z], axis=1)
+        low, high = (points @ R).min(axis=0), (points @ R).max(axis=0)
+        half = float((high - low)[:2].max()) / 2 + 0.01
+        self.T_camera_palm = se3.inverse(se3.compose(R, R @ ((low + high) / 2 - [0, 0, FAR])))
         focal, center = PIXELS / 2 * FAR / half, (PIXELS - 1) / 2
         K = np.array([[focal, 0, center], [0, focal, center], [0, 0, 1.0]])
         self.camera, self.depth = Camera(K, (PIXELS, PIXELS)), np.full((PIXELS, PIXELS), np.inf)
@@ -103,11 +104,11 @@ class _View:
             axes.plot(*ends.T, color=color, lw=2.2)
             axes.annotate(f"palm {name}", ends[1], color=color, fontsize=8)
 
-    def draw_taxels(self, axes: "Axes", points: Array, normals: Array, color: str, label: str) -> None:
+    def draw_taxels(self, axes: "Axes", points: Array, normals: Array, color: Any, label: str) -> None:
         """Draws taxels with their normals; hollow where the hand hides them."""
         pixels, ends = self.project(points), self.project(points + NORMAL * normals)
         column, row = np.round(pixels).astype(int).clip(0, PIXELS - 1).T
         hidden = self.depth[row, column] < se3.apply(self.T_camera_palm, points)[:, 2] - BEHIND
-        axes.plot(*np.stack([pixels, ends])[:, ~hidden].T, color=color, lw=0.8)
+        axes.plot(*np.stack([pixels, ends])[:, ~hidden].transpose(2, 0, 1), color=color, lw=0.8)
         axes.plot(*pixels[hidden].T, "o", color=color, ms=2.5, mfc="none", mew=0.4, alpha=0.6)
         axes.plot(*pixels[~hidden].T, "o", color=color, ms=2.5, label=label)
