@@ -137,7 +137,9 @@ class SensorFaults:
 def rise_of(surface: TactileSurface, read: Readings) -> float:
     """Returns by how much a taxel reads more along its normal than it does most of the time, scaled."""
     scale = surface.record["scale"][0, surface.components - 1]
-    normal, end = (normals_of(surface, np.array(each)) for each in (read.some, [read.high if scale > 0 else read.low]))
+    normal, end = (
+        normals_of(surface, np.array(each)) for each in (read.some, [read.high if scale > 0 else read.low])
+    )
     known = np.isfinite(normal).any(axis=0)
     return float(np.max(scale * (end[0, known] - np.nanmedian(normal[:, known], axis=0)), initial=0.0))
 

@@ -200,7 +200,9 @@ class FingerForm(Section, kw_only=True):
     sigma_normal: Angle | None = field(name="sigma_normal_deg", default=None)
     friction: Annotated[Friction | None, key("with objects; without it, it is learnt")] = None
     sigma_friction: Friction | None = None
-    sensor: Annotated[SensorForm | None, key("without it, taxels or messages say where the tip touches")] = None
+    sensor: Annotated[SensorForm | None, key("without it, taxels or messages say where the tip touches")] = (
+        None
+    )
 
     def finger(self) -> Finger:
         """Returns the part of the rig."""

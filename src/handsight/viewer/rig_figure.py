@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 PIXELS, FAR = 1000, 3.0
 """Width and height of a view; distance from which it is drawn [m]."""
-NORMAL, BEHIND = 0.004, 0.0015
-"""Length of a normal; a taxel that is farther behind the hand's surface is drawn hollow [m]."""
+NORMAL, AXIS, BEHIND = 0.004, 0.03, 0.0015
+"""Length of a normal, and of the palm's axes; a taxel that is farther behind the hand's surface is drawn hollow [m]."""
 RING = 2 * np.pi * np.arange(41) / 40
 
 
@@ -34,7 +34,8 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
     tips = [Ts[finger.frame] @ finger.T_frame_surface for finger in rig.fingers.values()]
     taxels = {name: (Ts[each.frame], each) for name, each in rig.skin.items() if each.frame in Ts}
     corners, triangles = np.concatenate(vertices), np.concatenate(faces)
-    all_points = np.concatenate([corners, np.array([T[:3, 3] for T in (*Ts.values(), *tips)])])
+    frames = [T[:3, 3] for T in (*Ts.values(), *tips)] + list(AXIS * np.eye(3))
+    all_points = np.concatenate([corners, np.array(frames)])
     up = np.median([T[:3, 2] for T in tips], axis=0)
     thin = np.linalg.svd(all_points - all_points.mean(axis=0), full_matrices=False)[2][2]
     out = sum(((T[:3, :3] @ each.normals.T).sum(axis=1) for T, each in taxels.values()), 1e-3 * thin)
@@ -50,7 +51,9 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
             normals = each.normals @ T[:3, :3].T
             view.draw_taxels(axes, se3.apply(T, each.points), normals, plt.get_cmap("tab20")(k % 20), label)
         axes.set_title(title, fontsize=10)
-    figure.suptitle(f"{name}: {hand.palm}, {len(tips)} tips, {sum(len(e.points) for _, e in taxels.values())} taxels")
+    figure.suptitle(
+        f"{name}: {hand.palm}, {len(tips)} tips, {sum(len(e.points) for _, e in taxels.values())} taxels"
+    )
     save(figure, path)
 
 
@@ -64,7 +67,7 @@ class _View:
         y = y / np.linalg.norm(y) if np.linalg.norm(y) > 1e-6 else se3.perpendicular(z)
         R = np.stack([np.cross(y, z), y, z], axis=1)
         low, high = (points @ R).min(axis=0), (points @ R).max(axis=0)
-        half = float((high - low)[:2].max()) / 2 + 0.01
+        half = float((high - low)[:2].max()) / 2 + 0.012
         self.T_camera_palm = se3.inverse(se3.compose(R, R @ ((low + high) / 2 - [0, 0, FAR])))
         focal, center = PIXELS / 2 * FAR / half, (PIXELS - 1) / 2
         K = np.array([[focal, 0, center], [0, focal, center], [0, 0, 1.0]])
@@ -86,7 +89,9 @@ class _View:
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         light = np.abs(across[:, 2]) / np.linalg.norm(across, axis=1).clip(min=1e-15)
         self.depth, shades = self.camera.draw(seen_from, faces, (255 * (0.45 + 0.5 * light)).astype(np.int64))
-        axes.imshow(np.where(shades < 0, 255, shades), cmap="gray", vmin=0, vmax=255, interpolation="bilinear")
+        axes.imshow(
+            np.where(shades < 0, 255, shades), cmap="gray", vmin=0, vmax=255, interpolation="bilinear"
+        )
 
     def draw_tips(self, axes: "Axes", rig: Rig, Ts_palm_tip: list[Array]) -> None:
         """Draws the three great circles of each tip's shape."""
@@ -100,7 +105,7 @@ class _View:
     def draw_axes(self, axes: "Axes", T: Array) -> None:
         """Draws the palm's frame."""
         for name, axis, color in zip("xyz", T[:3, :3].T, ("#d00000", "#008000", "#0000d0"), strict=True):
-            ends = self.project(np.array([T[:3, 3], T[:3, 3] + 0.03 * axis]))
+            ends = self.project(np.array([T[:3, 3], T[:3, 3] + AXIS * axis]))
             axes.plot(*ends.T, color=color, lw=2.2)
             axes.annotate(f"palm {name}", ends[1], color=color, fontsize=8)
 
