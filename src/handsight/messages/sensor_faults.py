@@ -119,11 +119,15 @@ class SensorFaults:
                 rise = rise_of(surface, read)
                 most = f"a touched taxel rises by {surface.threshold:g}, and the largest rise was {rise:.3g}"
                 found.append(f"skin {name}: never touched; {most} (threshold, scale?)")
-            still = ~(read.high > read.low).reshape(len(surface.points), -1).any(axis=1)
-            if still.any() and still.mean() < 0.5:
-                numbers = ", ".join(map(str, np.flatnonzero(still)[:12]))
-                more = " and others" if still.sum() > 12 else ""
-                found.append(f"skin {name}: taxel {numbers}{more} of {len(still)} never change: dead?")
+            low, high = (each.reshape(len(surface.points), -1).T[-1] for each in (read.low, read.high))
+            for marked, said in (
+                (low == high, "never change: dead?"),
+                (np.isnan(low), "never have a number (NaN)"),
+            ):
+                if marked.any() and marked.mean() < 0.5:
+                    numbers = ", ".join(map(str, np.flatnonzero(marked)[:12]))
+                    more = " and others" if marked.sum() > 12 else ""
+                    found.append(f"skin {name}: taxel {numbers}{more} of {len(marked)} {said}")
         return found
 
     @property
@@ -150,7 +154,7 @@ def normals_of(surface: TactileSurface, given: Array) -> Array:
 
 
 def swapped(values: Array) -> int:
-    """Returns the largest of numbers whose two bytes seem to be swapped, once they are swapped again; 0: they are not."""
+    """Returns the largest of numbers with their two bytes swapped, where these seem to have been swapped; else 0."""
     if not (values == values.round()).all() or values.min() < -(2**15) or values.max() >= 2**16:
         return 0
     words = np.unique(values.astype(np.int64) & 0xFFFF)

@@ -1,4 +1,4 @@
-"""A rig as a picture: the hand from its taxels' side and from beside, its tips, the palm's axes, taxels with normals."""
+"""A rig as a picture: the hand from its taxels' side and from beside, tips, the palm's axes, taxels with normals."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,9 +40,8 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
     thin = np.linalg.svd(all_points - all_points.mean(axis=0), full_matrices=False)[2][2]
     out = sum(((T[:3, :3] @ each.normals.T).sum(axis=1) for T, each in taxels.values()), 1e-3 * thin)
     figure, places = plt.subplots(1, 2, figsize=(13, 7), layout="constrained")
-    for axes, toward, title in zip(
-        places, (out, np.cross(up, out)), ("from the taxels' side" if taxels else "from above", "from beside")
-    ):
+    sides = (out, "from the taxels' side" if taxels else "from above"), (np.cross(up, out), "from beside")
+    for axes, (toward, title) in zip(places, sides, strict=True):
         view = _View(toward, up, all_points)
         view.draw_hand(axes, corners, triangles, np.array([T[:3, 3] for T in Ts.values()]))
         view.draw_tips(axes, rig, tips)
