@@ -50,6 +50,7 @@ def check(
     finger ever touched anything.
     """
     from handsight.rig import Rig
+    from handsight.rig.layouts import misplaced
 
     found = Rig.from_file(rig)
     _print_rig(found, str(rig))
@@ -58,7 +59,12 @@ def check(
 
         draw_rig(found, rig.name, plot)
         say(f"wrote {plot}")
+    wrong = misplaced(found.skin, found.hand) if found.skin else {}
+    for name, sentence in wrong.items():
+        typer.echo(printable(f"- skin {name}: {sentence}"))
     if recording is None:
+        if wrong:
+            raise typer.Exit(1)
         return
     from handsight.messages.sensor_faults import SensorFaults
     from handsight.recording import open_recording
@@ -87,7 +93,7 @@ def check(
     ]
     for sentence in (*lacking, *sensors.remarks(), *untouched):
         typer.echo(printable(f"- {sentence}"))
-    if lacking or not touched:
+    if wrong or lacking or not touched:
         raise typer.Exit(1)
     typer.echo(printable(f"{recording.name} has everything that this rig listens to."))
     try:

@@ -36,7 +36,7 @@ class Readings:
         """Adds a reading."""
         self.low, self.high = np.fmin(self.low, values), np.fmax(self.high, values)
         if self.count % self.step == 0:
-            self.some.append(np.array(values))
+            self.some.append(values)
         self.count += 1
         if len(self.some) > SOME:
             self.some, self.step = self.some[::2], 2 * self.step
@@ -46,7 +46,7 @@ class Readings:
         """That the readings never change, for a person; empty: they do, or are too few."""
         if self.count < FEW or (self.high > self.low).any():
             return ""
-        return f"all {self.count} readings are {'the same' if self.high.any() else 'zero'}"
+        return f"all {self.count} readings are {'the same' if self.high.any() else 'zero'}: is the sensor on, and "
 
 
 class SensorFaults:
@@ -54,37 +54,33 @@ class SensorFaults:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._read: dict[tuple[str, str], Readings] = {}
+        self._wrenches, self._skin = dict[str, Readings](), dict[str, Readings]()
 
     def put(self, observation: Observation) -> None:
         """Adds an observation's wrenches and taxels."""
-        for kind, given in (("finger", observation.wrenches), ("skin", observation.skin)):
+        for read, given in ((self._wrenches, observation.wrenches), (self._skin, observation.skin)):
             for name, values in given.items():
                 start = np.array(values, dtype=float)
-                self._read.setdefault((kind, name), Readings(start, start)).put(start)
+                read.setdefault(name, Readings(start, start)).put(start)
 
     def sentences(self) -> list[str]:
         """Returns a sentence for each sensor whose readings cannot be used: which, why, and what to change."""
         topics, found = self._rig.topics, list[str]()
-        for (kind, name), read in self._read.items():
-            if kind == "finger":
-                what = read.constant and f"{read.constant}: is the sensor on, and does its driver read it"
-                zero = " (DG-5F: fingertip_sensor:=true beside ft_broadcaster:=true)?"
-                what += (zero if "zero" in what else "?") if what else ""
-                place = topics.wrenches.get(name, "its topic")
-            else:
-                what = self._of_surface(name, read)
-                path = topics.skin_fields.get(name)
-                place = f"{path} on {topics.skin[name]}" if path else topics.skin[name]
-            found += [f"{kind} {name}: {place}: {what}"] if what else []
+        for name, read in self._wrenches.items():
+            if constant := read.constant:
+                flag = "does its driver read it (DG-5F: fingertip_sensor:=true beside ft_broadcaster:=true)?"
+                found.append(f"finger {name}: {topics.wrenches.get(name, 'its topic')}: {constant}{flag}")
+        for name, read in self._skin.items():
+            if what := self._of_surface(name, read):
+                path = f"{topics.skin_fields[name]} on " if name in topics.skin_fields else ""
+                found.append(f"skin {name}: {path}{topics.skin[name]}: {what}")
         return found
 
     def _of_surface(self, name: str, read: Readings) -> str:
         """Returns what is wrong with a surface's readings; empty: nothing."""
         surface, given = self._rig.skin[name], np.array([each for each in read.some if np.any(each)])
         if read.constant or not len(given):
-            dead = "is the sensor on, and is this the field that its driver fills?"
-            return read.constant and f"{read.constant}: {dead}"
+            return read.constant and f"{read.constant}is this the field that its driver fills?"
         whole = given[np.isfinite(given)]
         if most := swapped(whole):
             at_most = f"at most {most} with their two bytes swapped, {np.abs(whole).max():.0f} as they are"
@@ -92,18 +88,12 @@ class SensorFaults:
         normal, scale = normals_of(surface, given), surface.record["scale"][0, surface.components - 1]
         pressed, rest = scale * normal, float(np.nanmedian(normal))
         low, high = np.nanmin(pressed), np.nanmax(pressed)
-        tenth = 0.1 * (high - low)
-        if (
-            high - low > 2 * surface.threshold
-            and np.nanmean(pressed > high - tenth) >= MANY
-            and np.nanmean(pressed < low + tenth) < SELDOM
-        ):
-            least = float(np.nanmin(normal) if scale > 0 else np.nanmax(normal))
-            change = f"set skin.{name}.offset: {rest:g} and scale: {-scale:g} in place of {scale:g}"
-            return f"reads {rest:g} at rest and {least:g} where it is touched, which is inverted: {change}"
+        at_rest, at_most = (np.nanmean(abs(pressed - end) < 0.1 * (high - low)) for end in (high, low))
+        if high - low > 2 * surface.threshold and at_rest >= MANY and at_most < SELDOM:
+            reads = f"reads {rest:g} at rest and {low / scale:g} where it is touched, which is inverted"
+            return f"{reads}: set skin.{name}.offset: {rest:g} and scale: {-scale:g} in place of {scale:g}"
         in_newtons = surface.components == 3 or (scale == 1 and surface.threshold < 1)
-        rise = rise_of(surface, read)
-        if in_newtons and rise > UNITS.max_force:
+        if in_newtons and (rise := rise_of(surface, read)) > UNITS.max_force:
             more = f"rises by up to {rise:.4g} where at most {UNITS.max_force:g} N on a taxel are expected"
             return f"{more} (counts?): set skin.{name}.scale: newtons a count"
         return ""
@@ -111,15 +101,16 @@ class SensorFaults:
     def remarks(self) -> list[str]:
         """Returns a sentence for each surface that was never touched, or has taxels that never change."""
         found = []
-        for name, surface in self._rig.skin.items():
-            read = self._read.get(("skin", name))
-            if read is None or read.count < FEW or not (read.high > read.low).any():
+        for name, read in self._skin.items():
+            surface = self._rig.skin[name]
+            if read.count < FEW or not (read.high > read.low).any():
                 continue
             if name not in self.touched:
-                rise = rise_of(surface, read)
-                most = f"a touched taxel rises by {surface.threshold:g}, and the largest rise was {rise:.3g}"
-                found.append(f"skin {name}: never touched; {most} (threshold, scale?)")
-            low, high = (each.reshape(len(surface.points), -1).T[-1] for each in (read.low, read.high))
+                rises = f"a touched taxel rises by {surface.threshold:g}, and the largest rise was"
+                found.append(
+                    f"skin {name}: never touched; {rises} {rise_of(surface, read):.3g} (threshold, scale?)"
+                )
+            low, high = normals_of(surface, np.array([read.low, read.high]))
             for marked, said in (
                 (low == high, "never change: dead?"),
                 (np.isnan(low), "never have a number (NaN)"),
@@ -133,9 +124,8 @@ class SensorFaults:
     @property
     def touched(self) -> set[str]:
         """The surfaces of which a taxel has risen above its threshold."""
-        read = {name: each for (kind, name), each in self._read.items() if kind == "skin"}
-        surfaces = self._rig.skin
-        return {name for name in read if rise_of(surfaces[name], read[name]) > surfaces[name].threshold}
+        skin = self._rig.skin
+        return {name for name, read in self._skin.items() if rise_of(skin[name], read) > skin[name].threshold}
 
 
 def rise_of(surface: TactileSurface, read: Readings) -> float:
