@@ -63,9 +63,7 @@ def check(
     for name, sentence in wrong.items():
         typer.echo(printable(f"- skin {name}: {sentence}"))
     if recording is None:
-        if wrong:
-            raise typer.Exit(1)
-        return
+        raise typer.Exit(int(bool(wrong)))
     from handsight.messages.sensor_faults import SensorFaults
     from handsight.recording import open_recording
     from handsight.tracking.diagnosis import Diagnoser

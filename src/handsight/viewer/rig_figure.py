@@ -22,8 +22,7 @@ RING = 2 * np.pi * np.arange(41) / 40
 
 
 def draw_rig(rig: Rig, name: str, path: Path) -> None:
-    """Writes a picture of a rig with its joints as near to 0 as their limits allow; raises MissingExtra,
-    HandsightError."""
+    """Writes a picture of a rig, its joints as near to 0 as they can be; raises MissingExtra, HandsightError."""
     plt = require_matplotlib()
     hand = rig.hand
     joints = dict(zip(hand.joint_names, np.clip(0.0, *hand.limits.T).tolist(), strict=True))
@@ -34,8 +33,7 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
     tips = [Ts[finger.frame] @ finger.T_frame_surface for finger in rig.fingers.values()]
     taxels = {name: (Ts[each.frame], each) for name, each in rig.skin.items() if each.frame in Ts}
     corners, triangles = np.concatenate(vertices), np.concatenate(faces)
-    frames = [T[:3, 3] for T in (*Ts.values(), *tips)] + list(AXIS * np.eye(3))
-    all_points = np.concatenate([corners, np.array(frames)])
+    all_points = np.concatenate([corners, AXIS * np.eye(3), *(T[None, :3, 3] for T in (*Ts.values(), *tips))])
     up = np.median([T[:3, 2] for T in tips], axis=0)
     thin = np.linalg.svd(all_points - all_points.mean(axis=0), full_matrices=False)[2][2]
     out = sum(((T[:3, :3] @ each.normals.T).sum(axis=1) for T, each in taxels.values()), 1e-3 * thin)
@@ -50,9 +48,7 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
             normals = each.normals @ T[:3, :3].T
             view.draw_taxels(axes, se3.apply(T, each.points), normals, plt.get_cmap("tab20")(k % 20), label)
         axes.set_title(title, fontsize=10)
-    figure.suptitle(
-        f"{name}: {hand.palm}, {len(tips)} tips, {sum(len(e.points) for _, e in taxels.values())} taxels"
-    )
+    figure.suptitle(f"{name}: {len(tips)} tips, {sum(len(e.points) for _, e in taxels.values())} taxels")
     save(figure, path)
 
 
