@@ -28,7 +28,7 @@ PRODUCTS: dict[str, tuple[int, int, float | None, float | None, int]] = {
 }
 """Rows, columns, pitch [m], radius about the finger [m] and components of products without published coordinates. A
 pitch that is not published must be in the rig; the radius of a curved one is an assumption."""
-ON_LINK, FAR_OFF, INWARD = 0.005, 0.01, -0.3
+ON_LINK, FAR_OFF, INWARD = 0.005, 0.015, -0.3
 """Farthest distance of a taxel from its link's mesh, where that gives its normal; where it has one [m]; and the cosine
 between taxels' normals and the mesh's below which they point into it."""
 
