@@ -164,3 +164,52 @@ def test_a_taxel_without_a_number_is_left_out_and_the_others_count(check):
     assert [line for line in lines if line.startswith("- skin")] == [
         "- skin pad: taxel 19 of 20 never have a number (NaN)"
     ]
+
+
+@pytest.mark.parametrize(("z", "normal", "told"), [
+    (0.01, 1, ""), (0.01, -1, "expected normals that point out of the mesh of 'thumb', got into it"),
+    (0.03, 1, "expected taxels within 15 mm of the mesh of 'thumb', got taxel"),
+])  # fmt: skip
+def test_taxels_are_compared_with_their_links_mesh(check, monkeypatch, tmp_path, capsys, z, normal, told):
+    check(pressed())  # which writes the hand's file
+    places = [[0.003 * i, 0.003 * j, z, 0, 0, normal] for i in range(-1, 2) for j in range(-1, 2)]
+    pad = f"frame: thumb, taxels: {places}"
+    (tmp_path / "hand.rig.yaml").write_text(RIG.format(pad=pad, more="threshold: 0.1"))
+    code = called(monkeypatch, tmp_path, "rig", "check", "hand.rig.yaml", columns=200)
+    assert code == bool(told)
+    assert (f"- skin pad: {told}" in capsys.readouterr().out) == bool(told)
+
+
+def test_the_picture_has_every_taxel_and_those_within_the_hand_hollow(check, monkeypatch, tmp_path):
+    from handsight.viewer import rig_figure
+
+    check(pressed())
+    drawn = []
+    monkeypatch.setattr(rig_figure, "save", lambda figure, path: drawn.append(figure))
+    for z, visible in ((0.0105, 20), (0.0, 0)):
+        pad = GRID.replace("[0, 0, 0.01]", f"[0, 0, {z}]").replace("0.004", "0.001")
+        (tmp_path / "hand.rig.yaml").write_text(RIG.format(pad=pad, more="threshold: 0.1"))
+        rig_figure.draw_rig(Rig.from_file(tmp_path / "hand.rig.yaml"), "hand", tmp_path / "a.png")
+        lines = drawn[-1].axes[0].get_lines()
+        dots = {
+            line.get_markerfacecolor() == "none": len(line.get_xdata())
+            for line in lines
+            if line.get_marker() == "o"
+        }
+        assert dots == {True: 20 - visible, False: visible}
+
+
+def test_the_picture_is_written_and_a_format_that_is_none_is_told(check, monkeypatch, tmp_path, capsys):
+    check(pressed())
+    assert called(monkeypatch, tmp_path, "rig", "check", "hand.rig.yaml", "--plot", "a.png") == 0
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert called(monkeypatch, tmp_path, "rig", "check", "hand.rig.yaml", "--plot", "a.xyz") != 0
+    assert "a.xyz" in capsys.readouterr().err
+
+
+def test_a_wrench_of_a_finger_without_a_sensor_is_refused(check, monkeypatch, tmp_path, capsys):
+    check(pressed())
+    text = RIG.format(pad=GRID, more="threshold: 0.1") + "topics: {wrenches: {thumb: /thumb/wrench}}\n"
+    (tmp_path / "hand.rig.yaml").write_text(text)
+    assert called(monkeypatch, tmp_path, "rig", "check", "hand.rig.yaml", columns=200) != 0
+    assert "topics.wrenches.thumb: expected a sensor in fingers.thumb, got none" in capsys.readouterr().err
