@@ -81,9 +81,9 @@ class SensorFaults:
         surface, given = self._rig.skin[name], np.array([each for each in read.some if np.any(each)])
         if read.constant or not len(given):
             return read.constant and f"{read.constant}is this the field that its driver fills?"
-        whole = given[np.isfinite(given)]
-        if most := swapped(whole):
-            at_most = f"at most {most} with their two bytes swapped, {np.abs(whole).max():.0f} as they are"
+        numbers = given[np.isfinite(given)]
+        if most := swapped(numbers):
+            at_most = f"at most {most} with their two bytes swapped, {np.abs(numbers).max():.0f} as they are"
             return f"its whole numbers are {at_most}: have its driver swap them (big-endian?)"
         normal, scale = normals_of(surface, given), surface.record["scale"][0, surface.components - 1]
         pressed, rest = scale * normal, float(np.nanmedian(normal))
@@ -111,14 +111,14 @@ class SensorFaults:
                     f"skin {name}: never touched; {rises} {rise_of(surface, read):.3g} (threshold, scale?)"
                 )
             low, high = normals_of(surface, np.array([read.low, read.high]))
-            for marked, said in (
+            for marked, why in (
                 (low == high, "never change: dead?"),
                 (np.isnan(low), "never have a number (NaN)"),
             ):
                 if marked.any() and marked.mean() < 0.5:
                     numbers = ", ".join(map(str, np.flatnonzero(marked)[:12]))
                     more = " and others" if marked.sum() > 12 else ""
-                    found.append(f"skin {name}: taxel {numbers}{more} of {len(marked)} {said}")
+                    found.append(f"skin {name}: taxel {numbers}{more} of {len(marked)} {why}")
         return found
 
     @property

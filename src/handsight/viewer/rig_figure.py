@@ -79,11 +79,13 @@ class _View:
         if not len(faces):
             axes.plot(*self.project(origins).T, "o", color="0.6", ms=4, label="links' origins")
             return
-        seen_from = se3.apply(self.T_camera_palm, vertices)
-        corners = seen_from[faces]
+        corners_camera = se3.apply(self.T_camera_palm, vertices)
+        corners = corners_camera[faces]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         light = np.abs(across[:, 2]) / np.linalg.norm(across, axis=1).clip(min=1e-15)
-        self.depth, shades = self.camera.draw(seen_from, faces, (255 * (0.45 + 0.5 * light)).astype(np.int64))
+        self.depth, shades = self.camera.draw(
+            corners_camera, faces, (255 * (0.45 + 0.5 * light)).astype(np.int64)
+        )
         axes.imshow(
             np.where(shades < 0, 255, shades), cmap="gray", vmin=0, vmax=255, interpolation="bilinear"
         )
