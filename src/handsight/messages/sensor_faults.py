@@ -24,9 +24,7 @@ class Readings:
     """A `Readings` is what one sensor has read so far."""
 
     low: Array
-    """The least of each number."""
     high: Array
-    """The largest of each number."""
     count: int = 0
     some: list[Array] = field(default_factory=list)
     """Readings at equal steps of their number."""
