@@ -89,3 +89,21 @@ def test_positions_that_are_no_numbers_are_refused(robot):
     message = "joint_positions['jaw']: expected a finite number, got nan"
     with pytest.raises(InvalidInput, match=re.escape(message)):
         robot.link_poses({"knuckle": 0.3, "jaw": np.nan})
+
+
+def test_an_obj_file_of_several_objects_is_read_whole(tmp_path):
+    """MuJoCo reads one of them."""
+    boxes = [trimesh.creation.box((0.01, 0.01, 0.01)), trimesh.creation.box((0.01, 0.01, 0.01))]
+    boxes[1].apply_translation([0, 0, 0.05])
+    lines, first = [], 1
+    for k, box in enumerate(boxes):
+        lines += [f"o part_{k}", *("v {} {} {}".format(*vertex) for vertex in box.vertices)]
+        lines += ["f {} {} {}".format(*(face + first)) for face in box.faces]
+        first += len(box.vertices)
+    (tmp_path / "two.obj").write_text("\n".join(lines))
+    link = '<robot name="r"><link name="palm"><visual><geometry><mesh filename="two.obj"/></geometry></visual></link></robot>'
+    (tmp_path / "r.urdf").write_text(link)
+    mesh = Hand.from_file(tmp_path / "r.urdf", palm="palm").link_meshes()["palm"]
+    np.testing.assert_allclose(
+        [mesh.vertices[:, 2].min(), mesh.vertices[:, 2].max()], [-0.005, 0.055], atol=1e-9
+    )

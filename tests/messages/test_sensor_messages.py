@@ -177,7 +177,7 @@ def test_a_cloud_has_its_readings_in_a_column(height, endian):
     seen, _ = observed(robot({"thumb": "[fz]"}), message)
     np.testing.assert_array_equal(seen.skin["thumb"], READING)
     _, topic = observed(robot({"thumb": "[force]"}), message)
-    assert "field [force]: expected columns of the cloud (x, fz, fx), got force" in topic.reasons
+    assert "skin thumb: field [force]: expected columns of the cloud (x, fz, fx), got force" in topic.reasons
 
 
 @pytest.mark.parametrize("kind", ["Float64", "UInt16", "Int32"])
@@ -220,7 +220,8 @@ def test_a_path_that_leads_nowhere_is_told_with_the_step(field, reason):
     seen, topic = observed(robot({"thumb": field}), serialized(kind, message))
     assert not seen.skin
     (told,) = topic.reasons
-    assert told.startswith(reason)
+    of_field = "" if reason.startswith("field") else f"{field}: "
+    assert told.startswith(f"skin thumb: {of_field}{reason}")
 
 
 def test_one_surface_that_is_missing_does_not_take_the_others_along():

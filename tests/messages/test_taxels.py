@@ -79,7 +79,7 @@ def test_readings_of_another_array_are_left_out_and_reported(values, sizes, reas
     message = {"layout": Message(dim=dim, data_offset=0), "data": values.astype(np.float32)}
     observations, topic = heard(said(message))
     assert not observations[0].skin
-    assert list(topic.reasons) == [reason]
+    assert list(topic.reasons) == [f"skin palm: {reason}"]
 
 
 def test_colour_is_no_reading():

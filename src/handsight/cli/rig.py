@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from typer import Argument
+from typer import Argument, Option
 
 from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run, find_rig
 from handsight.cli.terminal import kept_going, plain_table, print_out, say
@@ -28,8 +28,13 @@ def check(
     rig: Annotated[Path, Argument(help="A rig file, such as rig.yaml.")],
     recording: Annotated[Path | None, Argument(help="A recording to check it against.")] = None,
     object: ObjectName = None,
+    plot: Annotated[Path | None, Option(help="An image file for the hand, its tips and its taxels.")] = None,
 ) -> None:
     """Print a rig as tables, and what a recording lacks for it.
+
+    With `--plot` the hand is drawn with the shapes of its tips, the palm's axes and every taxel with its normal: those
+    that point into a link, or hang in the air, are in a wrong place. With a recording each sensor whose readings cannot
+    be used is named, with what to change: all zero, never changing, inverted, counts without a scale, swapped bytes.
 
     For a recording it also lists the fingers that never touched anything, by how much the shapes of the hand's links
     are too large (those that would be inside the object although the contacts of the fingertips fit), and what the
@@ -37,41 +42,56 @@ def check(
     the hand grasps an object again and again, in different ways, and turns and tilts it, tell most.
 
     ```
-    handsight rig check robot.yaml
+    handsight rig check robot.yaml --plot robot.png
     handsight rig check robot.yaml grasp.mcap --object mustard
     ```
 
-    The exit code is 1 if the recording lacks something that tracking needs, or if no finger ever touched anything.
+    The exit code is 1 if the recording lacks something that tracking needs, a sensor's readings cannot be used, or no
+    finger ever touched anything.
     """
     from handsight.rig import Rig
+    from handsight.rig.layouts import misplaced
 
     found = Rig.from_file(rig)
     _print_rig(found, str(rig))
+    if plot is not None:
+        from handsight.viewer.rig_figure import draw_rig
+
+        draw_rig(found, rig.name, plot)
+        say(f"wrote {plot}")
+    wrong = misplaced(found.skin, found.hand) if found.skin else {}
+    for name, sentence in wrong.items():
+        typer.echo(printable(f"- skin {name}: {sentence}"))
     if recording is None:
-        return
+        raise typer.Exit(int(bool(wrong)))
+    from handsight.messages.sensor_faults import SensorFaults
     from handsight.recording import open_recording
     from handsight.tracking.diagnosis import Diagnoser
     from handsight.tracking.fingertips import FingertipSensors
     from handsight.tracking.replay import Tally, replay
 
     tips, largest, touched = FingertipSensors(found), dict[str, float](), set[str]()
+    sensors = SensorFaults(found)
     with open_recording(recording, found) as opened:
         for observation in opened.observations():
+            sensors.put(observation)
             for finger, wrench in observation.wrenches.items():
                 force = math.dist(wrench[:3], found.fingers[finger].calibration.bias_force)
                 largest[finger] = max(force, largest.get(finger, 0.0))
             with contextlib.suppress(HandsightError):  # missing joints are reported elsewhere
                 touched |= set(tips.contacts(observation).fingers)
-        lacking = [*opened.report.sentences(), *opened.lacks()]
+        lacking = [*sensors.sentences(), *opened.report.sentences(), *opened.lacks()]
+    pressed = {found.skin[name].frame for name in sensors.touched}
+    touched |= {finger for finger, of in found.fingers.items() if of.frame in pressed}
     untouched = [
         f"finger {finger}: never touched; a contact takes {found.fingers[finger].tip.min_force:g} N on its tip, and "
         f"the largest force was {force:.3g} N"
         for finger, force in largest.items()
         if finger not in touched
     ]
-    for sentence in (*lacking, *untouched):
+    for sentence in (*lacking, *sensors.remarks(), *untouched):
         typer.echo(printable(f"- {sentence}"))
-    if lacking or len(untouched) == len(found.fingers):
+    if wrong or lacking or not touched:
         raise typer.Exit(1)
     typer.echo(printable(f"{recording.name} has everything that this rig listens to."))
     try:
@@ -239,10 +259,11 @@ def _print_rig(rig: "Rig", name: str) -> None:
             kind = c.depth_camera.replace("_", " ")
             rows.append(("", f"{c.size[0]} x {c.size[1]} pixels, {lens}; depth by {kind}"))
     for name, array in rig.skin.items():
-        topic = rig.topics.skin.get(name, "nothing")
+        topic, path = rig.topics.skin.get(name, "nothing"), rig.topics.skin_fields.get(name)
+        topic = topic if path is None else f"{path} on {topic}"
         size = f"{' x '.join(map(str, array.shape))} taxels, {1e3 * array.pitch:.3g} mm apart"
         size += " (nominal)" if array.nominal else ""
-        rows.append((f"skin {name}", f"{size}, on {array.frame}; readings on {topic}"))
+        rows.append((f"skin {name}", f"{size}, on {array.frame}; reads {topic}"))
     rows.append(("vision", f"poses on {rig.topics.vision}" if rig.topics.vision else "none"))
     if rig.table is not None:
         rows.append(("table", f"at {rig.table.height:g} m, ± {1e3 * rig.table.sigma_height:g} mm"))

@@ -149,4 +149,6 @@ class Meshes:
 
 def read_mesh(path: Path) -> bytes:
     """Returns the bytes of a mesh file of at most 32 MiB; raises InvalidFile."""
-    return read_bytes(path, 32 << 20, path.name)
+    content = read_bytes(path, 32 << 20, path.name)
+    # Of several objects in an OBJ file MuJoCo reads one alone; without their names they are one.
+    return re.sub(rb"(?m)^[og][ \t].*$", b"", content) if path.suffix.lower() == ".obj" else content

@@ -109,8 +109,10 @@ def _surfaces(raw: RawMessage, message: RosMessage, topic: TopicReport, stamp: f
             values, own = readings(message, source)
             found.append(Measurement(topic, stamp or own, raw.log_time, values, source.name))
         except (MessageRejected, InvalidInput) as error:
-            of = f"skin {source.name}: " if len(topic.surfaces) > 1 else ""
-            topic.reject(MessageRejected(f"{of}{error}", nan=getattr(error, "nan", False)))
+            path = f"{source.field}: " if source.field and not str(error).startswith("field ") else ""
+            topic.reject(
+                MessageRejected(f"skin {source.name}: {path}{error}", nan=getattr(error, "nan", False))
+            )
     return found
 
 

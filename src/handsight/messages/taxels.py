@@ -109,9 +109,11 @@ def _after(value: Any, step: re.Match[str]) -> Any:
 
 def _field(value: Any, name: str) -> Any:
     """Returns a field of a decoded message; raises InvalidInput where it has none of that name."""
-    names = [each.name for each in fields(value)] if is_dataclass(value) else []
+    names = [each.name for each in fields(value) if each.name[0] != "_"] if is_dataclass(value) else []
     if name not in names:
-        raise InvalidInput(f"expected a field of the message ({', '.join(names[:20]) or 'none here'})")
+        raise InvalidInput(
+            f"expected a field of the message ({', '.join(names[:20]) or 'none here'}), got {name}"
+        )
     return getattr(value, name)
 
 

@@ -189,7 +189,7 @@ class TopicReport:
         ):
             if count:
                 yield f"{self.name}: {count} of {self.messages} messages {sentence}"
-        if self.unstamped:
+        if self.unstamped and not self.type.endswith("MultiArray"):  # which cannot have a stamp
             yield f"{self.name}: no stamps (all 0); timed by when it was recorded"
         if abs(self.difference) > TOPICS.max_clock_difference:
             what = "shifted by that: another clock" if self.shifted else "left as they are"

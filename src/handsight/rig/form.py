@@ -200,11 +200,13 @@ class FingerForm(Section, kw_only=True):
     sigma_normal: Angle | None = field(name="sigma_normal_deg", default=None)
     friction: Annotated[Friction | None, key("with objects; without it, it is learnt")] = None
     sigma_friction: Friction | None = None
-    sensor: Annotated[SensorForm | None, key("of force and torque; a tip with taxels needs none")] = None
+    sensor: Annotated[SensorForm | None, key("without it, taxels or messages say where the tip touches")] = (
+        None
+    )
 
     def finger(self) -> Finger:
         """Returns the part of the rig."""
-        sensor = self.sensor or SensorForm(reading="on_sensor")
+        sensor = self.sensor or SensorForm(reading="on_tip")
         T_frame_surface = (self.surface or LinkPoseForm()).matrix()
         T_surface_sensor, bias = (sensor.pose or LinkPoseForm()).matrix(), sensor.bias or BiasForm()
         calibration = WrenchCalibration(

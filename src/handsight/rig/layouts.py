@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +14,7 @@ from handsight.checks import Array
 from handsight.contact.taxels import MOST_TAXELS, Grid, TactileSurface, grid_places
 from handsight.errors import InvalidInput
 from handsight.files import read_bytes
-from handsight.hand import Hand, find_file
+from handsight.hand import Hand, LinkMesh, find_file
 from handsight.hand.robot_xml import Element, read_xml
 
 PRODUCTS: dict[str, tuple[int, int, float | None, float | None, int]] = {
@@ -27,8 +28,9 @@ PRODUCTS: dict[str, tuple[int, int, float | None, float | None, int]] = {
 }
 """Rows, columns, pitch [m], radius about the finger [m] and components of products without published coordinates. A
 pitch that is not published must be in the rig; the radius of a curved one is an assumption."""
-ON_LINK = 0.005
-"""Farthest distance of a taxel from its link's mesh, which gives its normal [m]."""
+ON_LINK, FAR_OFF, INWARD = 0.005, 0.015, -0.3
+"""Farthest distance of a taxel from its link's mesh, where that gives its normal; where it has one [m]; and the cosine
+between taxels' normals and the mesh's below which they point into it."""
 
 
 class Layout(NamedTuple):
@@ -217,20 +219,45 @@ def _numbers(element: Element, key: str, count: int) -> Array:
         raise element.error(f"expected {count} numbers for {key}, got {element.get(key)[:40]!r}") from None
 
 
-def _mesh_normals(points: Array, frame: str, hand: Hand | None) -> Array:
-    """Returns (n, 3) the normals of a link's mesh at points on it (n, 3); raises InvalidInput."""
+def misplaced(surfaces: Mapping[str, TactileSurface], hand: Hand) -> dict[str, str]:
+    """Returns by surface what is wrong with its place on the mesh of its link, as far as that has one."""
+    meshes, found = hand.link_meshes(), {}
+    for name, surface in surfaces.items():
+        if surface.frame in meshes:
+            normals, distance = _nearest(meshes[surface.frame], surface.points)
+            most, of = 1e3 * distance.max(), f"the mesh of {surface.frame!r}"
+            if np.median((normals * surface.normals).sum(axis=1)) < INWARD:
+                found[name] = (
+                    f"expected normals that point out of {of}, got into it: turn its pose, or negate them"
+                )
+            elif most > 1e3 * FAR_OFF:
+                expected = f"expected taxels within {1e3 * FAR_OFF:g} mm of {of}"
+                found[name] = (
+                    f"{expected}, got taxel {distance.argmax()} {most:.3g} mm off: is its pose right?"
+                )
+    return found
+
+
+def _nearest(mesh: LinkMesh, points: Array) -> tuple[Array, Array]:
+    """Returns (n, 3) the normals of a mesh at the places nearest to points (n, 3), and their distances (n,) [m]."""
     import trimesh  # takes long to load, and most layouts have normals
 
+    shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    _, distance, face = trimesh.proximity.closest_point_naive(shape, points)  # type: ignore[no-untyped-call]
+    return np.asarray(shape.face_normals[face]), distance
+
+
+def _mesh_normals(points: Array, frame: str, hand: Hand | None) -> Array:
+    """Returns (n, 3) the normals of a link's mesh at points on it (n, 3); raises InvalidInput."""
     mesh = None if hand is None else hand.link_meshes().get(frame)
     if mesh is None:
         raise InvalidInput(
             f"normals: expected three more numbers for each taxel, as {frame!r} has no mesh, got none"
         )
-    shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    _, distance, face = trimesh.proximity.closest_point_naive(shape, points)  # type: ignore[no-untyped-call]
+    normals, distance = _nearest(mesh, points)
     if not distance.max() <= ON_LINK:
         expected = (
             f"expected taxels within {1e3 * ON_LINK:g} mm of the mesh of {frame!r}, which gives their normals"
         )
         raise InvalidInput(f"points[{distance.argmax()}]: {expected}, got {1e3 * distance.max():.3g} mm")
-    return np.asarray(shape.face_normals[face])
+    return normals

@@ -94,11 +94,11 @@ def _topics(form: RigForm, file: YamlFile) -> Topics:
     for name, array in arrays.items():
         if array.topic is not None and name in given.get("skin", ()):
             raise file.error(("skin", name, "topic"), "expected here or in topics.skin, got both")
-    by_wrench = [
-        name
-        for name, finger in form.fingers.items()
-        if finger.sensor is not None and name not in given.get("contacts", ())
-    ]
+    for name in given.get("wrenches", ()):
+        if form.fingers[name].sensor is None:
+            raise file.error(("topics", "wrenches", name), f"expected a sensor in fingers.{name}, got none")
+    with_sensor = [name for name, finger in form.fingers.items() if finger.sensor is not None]
+    by_wrench = [name for name in with_sensor if name not in given.get("contacts", ())]
     skin = {name: array.topic or f"/{name}/taxels" for name, array in arrays.items()} | given.pop("skin", {})
     paths = {name: array.message_field for name, array in arrays.items() if array.message_field is not None}
     return Topics(
