@@ -237,7 +237,9 @@ def _print_rig(rig: "Rig", name: str) -> None:
             rows.append(("", f"{c.size[0]} x {c.size[1]} pixels, {lens}; depth by {kind}"))
     for name, array in rig.skin.items():
         topic = rig.topics.skin.get(name, "nothing")
-        size = f"{' x '.join(map(str, array.shape))} taxels, {1e3 * array.pitch:.3g} mm apart"
+        what = {"gel": "numbers of a gel, places"}.get(array.kind, array.kind)
+        size = f"{' x '.join(map(str, array.shape))} {what}, {1e3 * array.pitch:.3g} mm apart"
+        size = "touched somewhere or not" if array.kind == "binary" else size
         size += " (nominal)" if array.nominal else ""
         rows.append((f"skin {name}", f"{size}, on {array.frame}; readings on {topic}"))
     rows.append(("vision", f"poses on {rig.topics.vision}" if rig.topics.vision else "none"))

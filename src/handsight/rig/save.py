@@ -10,7 +10,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import Sphere
+from handsight.contact import Gel, Sphere
 from handsight.files import write_errors
 from handsight.hand.paths import PACKAGE
 from handsight.objects import ObjectSpec
@@ -75,9 +75,13 @@ def _surface(name: str, rig: Rig) -> Values:
     """Returns the values of a grid, or of taxels at any places: point, normal and x axis of each."""
     surface = rig.skin[name]
     given: Values = dict.fromkeys(("pose", "rows", "columns", "taxels", "layout"))
+    given["kind"] = None if surface.kind == "taxels" else surface.kind
     if surface.layout is not None:
         T, given["rows"], given["columns"] = surface.layout
         given["pose"] = _pose(T)
+        if isinstance(surface, Gel) and surface.image is not None:
+            given["rows"], given["columns"] = surface.image
+            given |= {"image": None, "pitch": surface.pitch / surface.block}
     else:
         axes = surface.taxels["axes"]
         given["taxels"] = np.column_stack([surface.points, axes[:, :, 2], axes[:, :, 0]])
