@@ -7,7 +7,7 @@ import numpy as np
 
 from handsight._kernels.math.vec3 import add, dot, matrix, mul, norm, scale, store, sub, vector
 from handsight._kernels.runtime.compilation import entry, inner
-from handsight._kernels.touch.taxel_records import FAR, PRESSED, RIM, UNKNOWN
+from handsight._kernels.touch.taxel_records import FAR, NEAR, PRESSED, RIM, UNKNOWN, WIDE
 
 
 class GelOptions(NamedTuple):
@@ -76,20 +76,18 @@ def _add_contacts(record: Any, taxels: Any, members: Any, rise: Any, state: Any,
         if rise[i, 0] >= GEL.deep * deepest:
             state[i], deep, middle = PRESSED, deep + 1, add(middle, vector(taxels[i].point))
     middle = scale(middle, 1.0 / max(deep, 1))
-    # A slope beside the edge of the deep part may be that of the hanging gel.
+    # At its edge the deep part may be at the object's edge, or hang already; so places are inside it if there are any.
     inside, distance = 0, np.full(len(members), -1.0)
-    for edges in range(2):
+    for reach in (WIDE, NEAR, 0):
         for k in range(len(members)):
             at, around = members[k], True
-            for j in taxels[at].near:
+            for j in taxels[at].wide[:reach]:
                 around = around and (j == n or state[j] == PRESSED or state[j] == UNKNOWN)
-            if state[at] == PRESSED and (around or edges):
-                distance[k], inside = 1.0, inside + 1
+            if state[at] == PRESSED and around:
+                distance[k] = 1.0 / (norm(sub(vector(taxels[at].point), middle)) + 1e-6)
+                inside += 1
         if inside:
             break
-    for k in range(len(members)):
-        if distance[k] > 0:
-            distance[k] = 1.0 / (norm(sub(vector(taxels[members[k]].point), middle)) + 1e-6)
     count = 0
     while count < min(GEL.most, len(patches)):
         best = distance.argmax()
@@ -109,12 +107,12 @@ def _add_contacts(record: Any, taxels: Any, members: Any, rise: Any, state: Any,
 def _measure(record: Any, taxels: Any, at: int, rise: Any, state: Any, patch: Any) -> None:
     """Writes the contact at a deep place: a plane is fitted to the indentation there and at deep places around it."""
     n, taxel, sums = len(taxels), taxels[at], np.zeros((3, 3))
-    sums[0, 0], products = 1.0, (rise[at, 0], 0.0, 0.0)
+    sums[0, 0], products, square = 1.0, (rise[at, 0], 0.0, 0.0), rise[at, 0] ** 2
     for j in taxel.wide:
         if j < n and state[j] == PRESSED:
             arm = sub(vector(taxels[j].point), vector(taxel.point))
             row = 1.0, dot(arm, vector(taxel.axes[:, 0])), dot(arm, vector(taxel.axes[:, 1]))
-            products = add(products, scale(row, rise[j, 0]))
+            products, square = add(products, scale(row, rise[j, 0])), square + rise[j, 0] ** 2
             for a in range(3):
                 for b in range(3):
                     sums[a, b] += row[a] * row[b]
@@ -122,7 +120,10 @@ def _measure(record: Any, taxels: Any, at: int, rise: Any, state: Any, patch: An
     weak, count = 0.01 * record.pitch**2, sums[0, 0]
     sums[1, 1], sums[2, 2] = sums[1, 1] + weak, sums[2, 2] + weak
     inverse = np.linalg.inv(sums)
-    depth, slope_x, slope_y = mul(matrix(inverse), products)
+    plane = mul(matrix(inverse), products)
+    depth, slope_x, slope_y = plane
+    # What a plane leaves over is an edge, or a bend: point and normal are somewhere in it.
+    misfit = max(square - dot(plane, products), 0.0) / count
     own = vector(taxel.axes[:, 2])
     turned = add(scale(vector(taxel.axes[:, 0]), slope_x), add(scale(vector(taxel.axes[:, 1]), slope_y), own))
     normal = scale(turned, 1.0 / norm(turned))
@@ -131,8 +132,9 @@ def _measure(record: Any, taxels: Any, at: int, rise: Any, state: Any, patch: An
     slope2 = slope_x * slope_x + slope_y * slope_y
     by_noise = record.variance_point * 0.5 * (inverse[1, 1] + inverse[2, 2])
     few = 0.25 if count < GEL.few else 0.0  # then the slope is unknown
-    sideways, variance = record.pitch**2 / 12.0, record.variance_point + (record.noise * depth) ** 2
+    sideways, variance = record.pitch**2 / 12.0, record.variance_point + (record.noise * depth) ** 2 + misfit
     turn = record.variance_normal + by_noise + record.noise**2 * slope2 + few
+    turn += misfit * count / (0.5 * (sums[1, 1] + sums[2, 2]))
     for a in range(6):
         for b in range(6):
             of = sideways if a < 3 else turn
