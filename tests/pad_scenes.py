@@ -132,3 +132,11 @@ def aligned(a: Array, b: Array, rng: Rng) -> Array:
         basis[:, 0] *= np.sign(np.linalg.det(basis))
         bases.append(basis)
     return bases[1] @ se3.rotation_exp(np.array([0, 0, rng.uniform(0, 2 * np.pi)])) @ bases[0].T
+
+
+def shrunk(before: Array, after: Array) -> float:
+    """The size of a region by its information (6, 6), as a share of another's, without what stays unobservable."""
+    values, V = np.linalg.eigh(after)
+    V = V[:, values > 1e-3]
+    sizes = [np.linalg.slogdet(V.T @ information @ V)[1] for information in (before, after)]
+    return float(np.exp((sizes[0] - sizes[1]) / 2))

@@ -15,7 +15,8 @@ import numpy as np
 from handsight import checks
 from handsight._kernels.touch.taxel_records import FAR, PATCH, PRESSED, UNKNOWN
 from handsight.checks import Array
-from handsight.contact.taxels import SkinTouch, TactileSurface
+from handsight.contact.taxels import MOST_TAXELS, SkinTouch, TactileSurface
+from handsight.errors import InvalidInput
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -31,7 +32,8 @@ class Pad(TactileSurface):
 
     def __post_init__(self) -> None:
         TactileSurface.__post_init__(self)
-        checks.integer(self.channels - 1, "channels - 1", 4095)
+        if not checks.integer(self.channels, "channels", MOST_TAXELS):
+            raise InvalidInput("channels: expected at least one number in a reading, got 0")
 
     @property
     def places(self) -> tuple[int, ...]:

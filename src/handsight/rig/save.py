@@ -62,7 +62,7 @@ def sensor_text(finger: Finger) -> list[str]:
     ]
 
 
-def _values(kind: type[Form], part: object, **given: object) -> Values:
+def _values(kind: type[Form], part: object, /, **given: object) -> Values:
     """Returns the values of a form's keys: those that are given, else the part's attributes; angles in degrees."""
     values = Values()
     for key in keys(kind):

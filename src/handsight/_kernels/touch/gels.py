@@ -17,7 +17,7 @@ class GelOptions(NamedTuple):
     """The gel lies on the object where it is deeper than this share of its deepest place: on an elastic half space
     under a sphere, the edge of the contact is half as deep as its middle (Hertz)."""
     most: int = 5  # contacts of a patch
-    spread: float = 3.5  # least distance between two of them, in cells
+    spread: float = 2.0  # least distance between two of them, in cells
     few: int = 5  # fewest places for a slope
 
 
