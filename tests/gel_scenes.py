@@ -74,7 +74,7 @@ def rigid(model: hs.ObjectModel, T_gel_object: Array) -> Array:
     for _ in range(60):  # sphere tracing along +z
         points = se3.apply(se3.inverse(T_gel_object), np.column_stack([xy, z]))
         z = np.minimum(z + 0.8 * model.evaluate(points).distance, 0.0)
-    return np.maximum(-z, 0).reshape(ROWS, COLUMNS)
+    return np.asarray(np.maximum(-z, 0).reshape(ROWS, COLUMNS))
 
 
 def hanging(least: Array, length: float) -> Array:

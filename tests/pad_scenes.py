@@ -10,6 +10,7 @@ import handsight as hs
 import scenes
 from handsight import se3
 from handsight.checks import Array
+from handsight.contact import Pad
 
 Rng = np.random.Generator
 SOFT = 5e-4
@@ -40,12 +41,11 @@ class Shape:
         points = self.radius * (n - [0, 0, 1.0])
         return (points if self.dome else points + np.outer(y, [0, 1.0, 0])), n
 
-    def pad(self, **fields: Any) -> Any:
+    def pad(self, **fields: Any) -> Pad:
         """The pad as a rig has it: 5 by 4 points."""
-        from handsight.contact import Pad
-
         points, normals = self.surface(5, 4)
-        return Pad(**{"frame": "palm", "points": points, "normals": normals, "threshold": 0.5} | fields)
+        given: Any = {"frame": "palm", "points": points, "normals": normals, "threshold": 0.5} | fields
+        return Pad(**given)
 
 
 SHAPES = {
@@ -67,7 +67,7 @@ def wedge() -> hs.ObjectModel:
     return hs.ObjectModel.from_mesh(mesh.vertices, mesh.faces)
 
 
-OBJECTS = {"box": scenes.box, "can": scenes.can, "wedge": wedge}
+OBJECTS: dict[str, Any] = {"box": scenes.box, "can": scenes.can, "wedge": wedge}
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,8 @@ def aligned(a: Array, b: Array, rng: Rng) -> Array:
         basis[:, 2] = unit
         basis[:, 0] *= np.sign(np.linalg.det(basis))
         bases.append(basis)
-    return bases[1] @ se3.rotation_exp(np.array([0, 0, rng.uniform(0, 2 * np.pi)])) @ bases[0].T
+    spin = se3.rotation_exp(np.array([0, 0, rng.uniform(0, 2 * np.pi)]))
+    return np.asarray(bases[1] @ spin @ bases[0].T)
 
 
 def shrunk(before: Array, after: Array) -> float:

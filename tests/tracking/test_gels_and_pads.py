@@ -1,5 +1,6 @@
 """Gels and binary pads in a tracker: fingers without wrenches that touch, and gels' images from a recording."""
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace as Message
 
@@ -218,7 +219,9 @@ def test_the_command_tracks_a_recording_with_a_gel(gelled, tmp_path, monkeypatch
     heard = list(open_recording(tmp_path / "gel.mcap", rig).observations())
     np.testing.assert_allclose(heard[-1].skin["gel"], observations[-1].skin["gel"], atol=1e-6)
     assert called(monkeypatch, tmp_path, "track", "gel.mcap", "--object", "can", columns=100) == 0
-    assert "skin" in capsys.readouterr().err
+    assert "pressed in" in capsys.readouterr().err
+    summary = json.loads((tmp_path / "gel-track" / "summary.json").read_text())
+    assert summary["poses_with_skin"] > 0.7 * len(observations)
     assert called(monkeypatch, tmp_path, "rig", "check", "gel.rig.yaml", columns=120) == 0
     table = capsys.readouterr().out
-    assert "60 x 80 numbers of a gel, places 0.48 mm apart" in " ".join(table.split())
+    assert "60 x 80 pixels, cells of a gel 0.48 mm apart" in " ".join(table.split())

@@ -237,8 +237,8 @@ def _print_rig(rig: "Rig", name: str) -> None:
             rows.append(("", f"{c.size[0]} x {c.size[1]} pixels, {lens}; depth by {kind}"))
     for name, array in rig.skin.items():
         topic = rig.topics.skin.get(name, "nothing")
-        what = {"gel": "numbers of a gel, places"}.get(array.kind, array.kind)
-        size = f"{' x '.join(map(str, array.shape))} {what}, {1e3 * array.pitch:.3g} mm apart"
+        what = "pixels, cells of a gel" if array.kind == "gel" else "taxels,"
+        size = f"{' x '.join(map(str, array.shape))} {what} {1e3 * array.pitch:.3g} mm apart"
         size = "touched somewhere or not" if array.kind == "binary" else size
         size += " (nominal)" if array.nominal else ""
         rows.append((f"skin {name}", f"{size}, on {array.frame}; readings on {topic}"))
