@@ -116,7 +116,9 @@ BODIES: dict[str, Any] = {
     "box": (scenes.box, pad_scenes.TILT),
     "box's face": (scenes.box, np.deg2rad(2)),
     "wedge": (pad_scenes.wedge, pad_scenes.TILT),
+    "prism": (pad_scenes.prism, pad_scenes.TILT),
+    "egg": (pad_scenes.egg, pad_scenes.TILT),
 }
 """Objects, and the angle up to which they are tilted."""
-HELD_OUT = ("can", "box", "box's face", "wedge")
-"""Bodies that no constant was chosen on."""
+HELD_OUT = pad_scenes.OBJECTS_HELD_OUT
+"""Bodies that were first drawn when all constants were chosen."""

@@ -53,9 +53,11 @@ SHAPES = {
     "dome": Shape(0.022, 0.024, 0.012, dome=True),
     "palm": Shape(0.045, 0.060),
     "phalanx": Shape(0.020, 0.030, 0.011),
+    "thumb": Shape(0.026, 0.020, 0.017, dome=True),
+    "strip": Shape(0.010, 0.035),
 }
-HELD_OUT = ("palm", "phalanx")
-"""Pads that no constant was chosen on."""
+HELD_OUT = ("thumb", "strip")
+"""Pads that were first drawn when all constants were chosen."""
 
 
 def wedge() -> hs.ObjectModel:
@@ -67,7 +69,29 @@ def wedge() -> hs.ObjectModel:
     return hs.ObjectModel.from_mesh(mesh.vertices, mesh.faces)
 
 
-OBJECTS: dict[str, Any] = {"box": scenes.box, "can": scenes.can, "wedge": wedge}
+def prism() -> hs.ObjectModel:
+    """A mesh: a hexagonal bar, 46 mm wide, 100 mm long."""
+    angle = np.arange(6) * np.pi / 3
+    ends = [[0.023 * np.cos(a), 0.023 * np.sin(a), z] for a in angle for z in (-0.05, 0.05)]
+    mesh = trimesh.convex.convex_hull(np.array(ends))
+    return hs.ObjectModel.from_mesh(mesh.vertices, mesh.faces)
+
+
+def egg() -> hs.ObjectModel:
+    """A mesh: an ellipsoid, 44 x 52 x 70 mm."""
+    mesh = trimesh.creation.icosphere(subdivisions=4)
+    return hs.ObjectModel.from_mesh(mesh.vertices * [0.022, 0.026, 0.035], mesh.faces)
+
+
+OBJECTS: dict[str, Any] = {
+    "box": scenes.box,
+    "can": scenes.can,
+    "wedge": wedge,
+    "prism": prism,
+    "egg": egg,
+}
+OBJECTS_HELD_OUT = ("prism", "egg")
+"""Objects that were first drawn when all constants were chosen."""
 
 
 @dataclass(frozen=True, eq=False)

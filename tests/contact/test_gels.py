@@ -29,7 +29,7 @@ def facing(slope_x, deep=8e-4):
     return np.maximum(deep + slope_x * places()[..., 0], 0)
 
 
-def judged(count=12):
+def judged(count=24):
     """Errors of the points [mm] and normals [deg] on bodies on which no constant was chosen, and those of squares."""
     rows = []
     for name in HELD_OUT:
