@@ -6,6 +6,7 @@ from types import SimpleNamespace as Message
 
 import numpy as np
 import pytest
+from rosbags import rosbag1, rosbag2
 
 import gel_scenes
 import handsight as hs
@@ -17,6 +18,7 @@ from handsight.recording import RecordingWriter, open_recording
 from handsight.rig import Rig
 from handsight.rig.save import text
 from handsight.tracking import FingertipSensors, SkinContacts, SkinSensors
+from messages.ros import START, STORES, Messages, nanoseconds
 from messages.test_sensor_messages import cloud, observed, robot, serialized
 from tip_scenes import R_FINGER_PAD
 
@@ -175,6 +177,33 @@ def test_a_depth_image_of_ros_1_and_2_is_a_gels_reading(encoding, kind, scale):
     narrow = robot(gel=gel_scenes.Gel.grid(frame="palm", T_frame_grid=np.eye(4), rows=60, columns=79, pitch=2.4e-4, threshold=1e-4))  # fmt: skip
     _, topic = observed(narrow, serialized("sensor_msgs/msg/Image", message, encoding))
     assert list(topic.reasons) == ["expected 60 x 79 taxels, got 60 x 80"]
+
+
+@pytest.mark.parametrize("kind", ["mcap", "db3", "bag"])
+def test_a_gels_images_are_read_from_every_kind_of_recording(kind, tmp_path):
+    store, messages = (STORES[1], Messages(1)) if kind == "bag" else (STORES[2], Messages(2))
+    image = np.arange(4800.0, dtype=np.float32).reshape(60, 80)
+    path, encode = tmp_path / ("gel.bag" if kind == "bag" else "gel"), "ros1" if kind == "bag" else "cdr"
+    if kind == "bag":
+        writer = rosbag1.Writer(path)
+    else:
+        plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
+        writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
+    with writer:
+        joints, pixels = (
+            writer.add_connection(topic, f"sensor_msgs/msg/{name}", typestore=store)
+            for topic, name in (("/joint_states", "JointState"), ("/skin", "Image"))
+        )
+        for stamp in (START, START + 0.01):
+            state = getattr(store, f"serialize_{encode}")(messages.joints(stamp), joints.msgtype)
+            writer.write(joints, nanoseconds(stamp), state)
+            message = Message(header=messages.header(stamp - 0.002), height=60, width=80, encoding="32FC1",
+                              is_bigendian=0, step=320, data=image.view(np.uint8).ravel())  # fmt: skip
+            data = getattr(store, f"serialize_{encode}")(message, pixels.msgtype)
+            writer.write(pixels, nanoseconds(stamp - 0.002), data)
+    with open_recording(path, robot(gel=GEL)) as recording:
+        seen = list(recording.observations())[-1]
+    np.testing.assert_array_equal(seen.skin["gel"], image)
 
 
 def test_the_heights_of_a_point_cloud_are_a_gels_reading():
