@@ -8,7 +8,9 @@ from pathlib import Path
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
+import gel_scenes as gel_scenes
 import hand_scenes as hand_scenes
+import pad_scenes as pad_scenes
 import scenes as scenes
 import sight_scenes as sight_scenes
 import sight_sequences as sight_sequences

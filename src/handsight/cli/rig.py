@@ -261,7 +261,9 @@ def _print_rig(rig: "Rig", name: str) -> None:
     for name, array in rig.skin.items():
         topic, path = rig.topics.skin.get(name, "nothing"), rig.topics.skin_fields.get(name)
         topic = topic if path is None else f"{path} on {topic}"
-        size = f"{' x '.join(map(str, array.shape))} taxels, {1e3 * array.pitch:.3g} mm apart"
+        what = "pixels, cells of a gel" if array.kind == "gel" else "taxels,"
+        size = f"{' x '.join(map(str, array.shape))} {what} {1e3 * array.pitch:.3g} mm apart"
+        size = "touched somewhere or not" if array.kind == "binary" else size
         size += " (nominal)" if array.nominal else ""
         rows.append((f"skin {name}", f"{size}, on {array.frame}; reads {topic}"))
     rows.append(("vision", f"poses on {rig.topics.vision}" if rig.topics.vision else "none"))

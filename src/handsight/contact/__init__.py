@@ -14,6 +14,8 @@ from handsight.contact.fingertips import (
     parse_fingertip,
     unambiguous_cap,
 )
+from handsight.contact.gels import Gel
+from handsight.contact.pads import Pad
 from handsight.contact.sensing import contact_from_wrench, contacts_from_wrenches
 from handsight.contact.tables import COLUMNS_HELP, convert
 from handsight.contact.taxels import SkinTouch, TactileSurface, TaxelArray
@@ -27,7 +29,9 @@ __all__ = [
     "Contacts",
     "Ellipsoid",
     "Fingertip",
+    "Gel",
     "NoContact",
+    "Pad",
     "Reason",
     "SkinTouch",
     "Sphere",

@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,6 +50,8 @@ class Grid(NamedTuple):
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TactileSurface:
     """A `TactileSurface` has the taxels of one link of the hand; wrong fields raise InvalidInput."""
+
+    kind: ClassVar[str] = "taxels"
 
     frame: str
     """Body of the hand's file to which the taxels are fixed."""
@@ -197,15 +199,20 @@ class TactileSurface:
             array = np.asarray(values)
         except ValueError:  # rows of different length
             array = np.zeros(0)
-        if array.dtype.kind not in "fiu" or array.shape != self.shape:
+        if array.dtype.kind not in "fiub" or array.shape != self.shape:
             came = f"{checks.brief(values)} of shape {array.shape}"
             raise InvalidInput(f"{name}: expected {self._expected} numbers, got {came}")
         return array.astype(np.float64)
 
+    def cells(self, values: Array) -> Array:
+        """Returns a checked reading as (n, components)."""
+        return values.reshape(len(self.points), -1)
+
     @property
     def _expected(self) -> str:
-        rows = "" if self.layout is None else f"{self.layout.rows} rows of "
-        return f"{rows}{self.places[-1]}{' times 3' if self.components == 3 else ''}"
+        *rows, last = self.shape[:2] if self.components == 1 or self.layout else self.shape[:1]
+        lines = f"{rows[0]} rows of " if rows else ""
+        return f"{lines}{last}{' times 3' if self.components == 3 else ''}"
 
     def touch(self, values: ArrayLike, baseline: ArrayLike = 0.0) -> "SkinTouch":
         """Returns which taxels are pressed, which are untouched, and the patches, by readings of the surface's `shape`.
@@ -220,15 +227,19 @@ class TactileSurface:
             self.reading(values),
             np.broadcast_to(np.asarray(baseline, dtype=np.float64), self.shape),
         )
-        return self.sensed(*(each.reshape(len(self.points), -1) for each in (values, bases)))
+        return self.sensed(self.cells(values), self.cells(bases))
 
     def sensed(self, values: Array, baseline: Array) -> "SkinTouch":
         """Returns the same as `touch`, of a checked reading and baseline (n, components)."""
         n, c = values.shape
         rise, states = np.empty((n + 1, c)), np.empty((2, n + 1), dtype=np.int64)
         patches = np.empty(MAX_PATCHES, dtype=PATCH)
-        count = _sense_taxels()(values, baseline, self.record, self.taxels, rise, states, patches)
+        count = self._kernel()(values, baseline, self.record, self.taxels, rise, states, patches)
         return SkinTouch(self, rise, states, patches[:count])
+
+    @staticmethod
+    def _kernel() -> Callable[..., int]:
+        return _sense_taxels()
 
 
 def TaxelArray(**fields: Any) -> TactileSurface:
@@ -336,7 +347,8 @@ class SkinTouch:
         Of flat patches they are at most `MAX_CONTACTS` pressed taxels, of the others their centres of pressure.
         `T_palm_frame` (4, 4): the pose of the link. `by_error` (6, j): the shift [m] and the turn [rad] of the link by
         one standard deviation of each of j joint errors. `without`: the number of a patch to leave out. The covariances
-        of flat patches are without the error that the taxels have in common (`sigmas_common`).
+        of flat patches are without the error that the taxels have in common (`sigmas_common`). Those of a gel's
+        contacts have it as often as there are contacts, as together they do not average it.
         """
         surface, T = self.surface, se3.check(T_palm_frame, "T_palm_frame")
         chosen = np.flatnonzero(self._spread(without))
@@ -350,7 +362,8 @@ class SkinTouch:
         heights = taxels["axes"] * [sideways, sideways, record["variance_point"]]
         C[:n, :3, :3] = heights @ taxels["axes"].swapaxes(1, 2)
         C[:n, 3:, 3:] = record["variance_normal"] * np.eye(3)
-        C[n:] = patches["covariance"] + np.diag(record["variance_mount"])
+        shared = patches["contacts"][:, None, None]
+        C[n:] = patches["covariance"] + shared * np.diag(record["variance_mount"])
         points = se3.apply(T, np.concatenate([taxels["point"], patches["point"]]))
         normals = np.concatenate([-taxels["axes"][:, :, 2], patches["normal"]]) @ T[:3, :3].T
         C = se3.rotate_covariance(T[:3, :3], C)
@@ -358,7 +371,7 @@ class SkinTouch:
             J = np.array(by_error)
             J[:3] -= se3.skew(points[k] - T[:3, 3]) @ J[3:]
             J[3:] = -se3.skew(normals[k]) @ J[3:]
-            C[k] += J @ J.T
+            C[k] += shared[k - n] * J @ J.T
         return Contacts(points, normals, covariance=C)
 
     def _spread(self, without: int = -1) -> Mask:
@@ -381,7 +394,7 @@ class SkinTouch:
 
         Of a curved surface they are of taxels beside a patch only, as the object is near nowhere else.
         """
-        taxels = self.surface.taxels[self.states[0, :-1] == UNTOUCHED]
+        taxels = self.surface.taxels[np.flatnonzero(self.states[0, :-1] == UNTOUCHED)]
         points = taxels["point"] + CLEARANCE * taxels["axes"][:, :, 2]
         return se3.apply(se3.check(T_palm_frame, "T_palm_frame"), points)
 

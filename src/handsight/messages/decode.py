@@ -143,7 +143,7 @@ def _deserialized(raw: RawMessage) -> RosMessage:
     kind = RosType.TF if raw.type == RosType.TF_ROS1 else raw.type
     expected = f"expected a {kind}, got {len(raw.data)} bytes that are none"
     # The shortest message is a count. There may be many empty ones, and errors of rosbags are slow.
-    if len(raw.data) < 4:
+    if len(raw.data) < (1 if raw.type in definitions.SINGLE else 4):
         raise MessageRejected(expected)
     store = _store_of(raw)
     reason = ""

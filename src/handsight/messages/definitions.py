@@ -42,8 +42,10 @@ DEFINITIONS = {
 CONTACTS = SHADOW, TACTILE, f"{TACTILE}s", ITS
 """Types that say where a fingertip is touched."""
 NUMBERS = "Float32", "Float64", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32"
+SINGLE = tuple(f"std_msgs/msg/{number}" for number in ("Bool", *NUMBERS))
 PLAIN_TAXELS = (
     *(f"std_msgs/msg/{number}MultiArray" for number in NUMBERS),
+    *SINGLE,
     "sensor_msgs/msg/Image",
     "sensor_msgs/msg/ChannelFloat32",
     "tactile_msgs/msg/TactileState",

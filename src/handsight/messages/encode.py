@@ -75,7 +75,7 @@ def taxel_fields(values: Array, array: TactileSurface | None, name: str) -> dict
     if array is None:
         raise InvalidInput(f"skin[{name!r}]: expected a tactile array of the rig, got none of that name")
     data = array.reading(values, f"skin[{name!r}]").astype(np.float32)
-    labels = ("rows", "columns") if array.layout else ("taxels",)
+    labels = ("rows", "columns") if data.ndim > array.components // 2 + 1 else ("taxels",)
     sides = zip((*labels, "components"), data.shape, data.strides, strict=False)
     dim = [Message(label=label, size=size, stride=step // 4 * size) for label, size, step in sides]
     data = data.ravel()

@@ -54,6 +54,8 @@ def _numbers(value: Any) -> tuple[Array, tuple[int, ...]]:
             int(each.size) for each in value.layout.dim if each.size != 1 or len(value.layout.dim) < 3
         )
         value = value.data[int(value.layout.data_offset) :]
+    elif hasattr(value, "data") and not hasattr(value, "point_step"):  # one number
+        value = value.data
     value = getattr(value, "values", value)
     if isinstance(value, list) and value and is_dataclass(value[0]):
         value = [[_field(each, axis) for axis in "xyz"] for each in value]
@@ -61,7 +63,7 @@ def _numbers(value: Any) -> tuple[Array, tuple[int, ...]]:
         found = np.asarray(value)
     except ValueError:  # lists of different lengths
         found = np.zeros(0, object)
-    if found.dtype.kind not in "fiu":
+    if found.dtype.kind not in "fiub":
         raise MessageRejected(f"expected numbers, got {type(value).__name__}")
     if found.ndim > 1 and found.shape[-1] == 1:  # one column
         found = found[..., 0]

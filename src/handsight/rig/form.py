@@ -19,6 +19,7 @@ from handsight.camera import check_lens
 from handsight.checks import Array
 from handsight.contact import Ellipsoid, Fingertip, Sphere, WrenchCalibration
 from handsight.contact.fingertips import LARGEST
+from handsight.contact.gels import block_of
 from handsight.contact.taxels import TactileSurface
 from handsight.errors import HandsightError, InvalidInput
 from handsight.hand import Hand
@@ -233,6 +234,9 @@ class SkinForm(Form, kw_only=True):
 
     frame: Text | None = None
     pose: LinkPoseForm | None = None
+    kind: Annotated[
+        Literal["taxels", "gel", "binary"] | None, key("gel: indentations [m]; binary: touched somewhere")
+    ] = None
     topic: Text | None = None
     message_field: Annotated[Text | None, key("path to its readings in a message, as sensors[0].forces")] = (
         field(name="field", default=None)
@@ -246,6 +250,8 @@ class SkinForm(Form, kw_only=True):
     unit: Literal["m", "mm"] = "m"
     urdf: Text | None = None
     layout: Text | None = None
+    image: Annotated[tuple[int, int] | None, key("rows and columns of a gel's pixels")] = None
+    channels: Annotated[int | None, key("numbers in a reading of a binary pad")] = None
     components: Literal[1, 3] | None = None
     threshold: Positive
     full_scale: Positive | None = None
@@ -271,6 +277,9 @@ class SkinForm(Form, kw_only=True):
             raise ValueError(f"{expected}, got {' and '.join(kinds) or 'none'}")
         if self.frame is None and self.urdf is None:
             raise ValueError("frame: expected the link that the taxels are on, got none")
+        for name, kind in (("image", "gel"), ("channels", "binary")):
+            if getattr(self, name) is not None and self.kind != kind:
+                raise ValueError(f"{name}: expected beside kind: {kind} only, got {self.kind or 'taxels'}")
         if self.rows is not None:
             self.surface(Path(), None)
 
@@ -280,7 +289,12 @@ class SkinForm(Form, kw_only=True):
         places = {name: given.pop(name, None) for name in PLACES}
         unit = 1e-3 if self.unit == "mm" else 1.0
         if self.rows is not None:
-            found = layouts.Layout.bent(self.rows, places["columns"], self.pitch, self.radius)
+            rows, columns = self.rows, places["columns"]
+            if self.kind == "gel":
+                given["image"], block = (rows, columns), block_of(rows, columns)
+                given["pitch"] = block * checks.positive(self.pitch or 0.0, "pitch")
+                rows, columns = rows // block, columns // block
+            found = layouts.Layout.bent(rows, columns, given.get("pitch"), self.radius)
         elif self.taxels is not None:
             found = layouts.Layout.of(self.taxels, "taxels", unit)
         elif self.file is not None:
@@ -289,11 +303,12 @@ class SkinForm(Form, kw_only=True):
             found = layouts.from_urdf(self.urdf, hand)
         else:
             found = layouts.by_name(self.layout or "", self.pitch, self.radius)
-        return found.surface((self.pose or LinkPoseForm()).matrix(), hand, given)
+        kind = self.kind or "taxels"
+        return found.surface((self.pose or LinkPoseForm()).matrix(), hand, given, kind)
 
 
 PLACES = (
-    *("pose", "topic", "message_field", "rows", "columns", "radius", "taxels", "file"),
+    *("kind", "pose", "topic", "message_field", "rows", "columns", "radius", "taxels", "file"),
     *("unit", "urdf", "layout"),
 )
 """Keys of a `SkinForm` that are no fields of a surface."""

@@ -11,6 +11,8 @@ import numpy as np
 
 from handsight import checks, se3
 from handsight.checks import Array
+from handsight.contact.gels import Gel
+from handsight.contact.pads import Pad
 from handsight.contact.taxels import MOST_TAXELS, Grid, TactileSurface, grid_places
 from handsight.errors import InvalidInput
 from handsight.files import read_bytes
@@ -28,6 +30,7 @@ PRODUCTS: dict[str, tuple[int, int, float | None, float | None, int]] = {
 }
 """Rows, columns, pitch [m], radius about the finger [m] and components of products without published coordinates. A
 pitch that is not published must be in the rig; the radius of a curved one is an assumption."""
+KINDS = {each.kind: each for each in (TactileSurface, Gel, Pad)}
 ON_LINK, FAR_OFF, INWARD = 0.005, 0.015, -0.3
 """Farthest distance of a taxel from its link's mesh, where that gives its normal; where it has one [m]; and the cosine
 between taxels' normals and the mesh's below which they point into it."""
@@ -77,8 +80,10 @@ class Layout(NamedTuple):
         normals, x_axes = np.column_stack([sine, zero, cosine]), np.column_stack([cosine, zero, -sine])
         return cls(points, normals, x_axes, components)
 
-    def surface(self, T_frame_sensor: Array, hand: Hand | None, given: dict[str, Any]) -> TactileSurface:
-        """Returns the surface with the fields that are given; raises InvalidInput."""
+    def surface(
+        self, T_frame_sensor: Array, hand: Hand | None, given: dict[str, Any], kind: str = "taxels"
+    ) -> TactileSurface:
+        """Returns the surface of a kind with the fields that are given; raises InvalidInput."""
         T = self.T_frame_sensor @ T_frame_sensor
         points = se3.apply(T, self.points)
         fields = {"components": self.components, "frame": self.frame, "nominal": self.nominal} | given
@@ -90,7 +95,7 @@ class Layout(NamedTuple):
             fields["x_axes"] = self.x_axes @ T[:3, :3].T
         if self.grid is not None:
             fields["layout"] = Grid(T, *self.grid)
-        return TactileSurface(points=points, **fields)
+        return KINDS[kind](points=points, **fields)
 
 
 def from_file(name: str, folder: Path, unit: float) -> Layout:

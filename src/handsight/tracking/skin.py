@@ -12,7 +12,7 @@ from handsight import checks
 from handsight._kernels.touch.taxel_records import FAULTS, PATCH, PRESSED, UNKNOWN, WATCHED
 from handsight._kernels.touch.taxels import TAXELS, watch_taxels
 from handsight.checks import Array
-from handsight.contact import Contacts, SkinTouch, TactileSurface
+from handsight.contact import Contacts, Pad, SkinTouch
 from handsight.correction import SkinEvidence
 from handsight.errors import InvalidInput
 from handsight.hand.chains import Chains
@@ -73,11 +73,11 @@ class Watched:
     """(n, components) the scaled readings while nothing is touched; NaN for taxels that are left out."""
 
     @classmethod
-    def first(cls, surface: TactileSurface) -> "Watched":
-        """Returns what is known before any reading."""
-        taxels = np.zeros(len(surface.points), dtype=WATCHED)
+    def first(cls, readings: Array) -> "Watched":
+        """Returns what is known before any readings (n, components)."""
+        taxels = np.zeros(len(readings), dtype=WATCHED)
         taxels["last"] = np.nan
-        return cls(0, taxels, np.zeros((len(taxels), surface.components)))
+        return cls(0, taxels, np.zeros(readings.shape))
 
     def after(self, readings: Array, touch: SkinTouch, *, untouched: bool) -> "Watched":
         """Returns what is known after one more reading (n, components), and what it says."""
@@ -121,7 +121,7 @@ class SkinContacts:
     def bears(self) -> bool:
         """Whether anything is touched beside the contacts of fingers."""
         tips = self.tips.values()
-        return any(len(touch.patches) > (name in tips) for name, (touch, _) in self.touches.items())
+        return any(touch.states[1].max() >= (name in tips) for name, (touch, _) in self.touches.items())
 
     def patches(self) -> NDArray[np.void]:
         """Returns the records PATCH of the fingers' contacts, in the order of `tips`."""
@@ -204,19 +204,21 @@ class SkinSensors:
         for name, surface in self.rig.skin.items():
             if name not in observation.skin:
                 continue
-            readings = surface.reading(observation.skin[name], f"observation.skin[{name!r}]")
-            readings = readings.reshape(len(surface.points), -1)
-            known = watched.get(name) or Watched.first(surface)
+            readings = surface.cells(surface.reading(observation.skin[name], f"observation.skin[{name!r}]"))
+            known = watched.get(name) or Watched.first(readings)
             touch = surface.sensed(readings, known.baseline)
             if surface.components == 3 and len(touch.patches) and touch.patches["total"][0] > SKIN.max_force:
                 expected = "expected newtons, after the rig's scale and offset"
                 came = f"a force of {touch.patches['total'][0]:.0f} (counts without a scale?)"
                 raise InvalidInput(f"observation.skin[{name!r}]: {expected}, got {came}")
-            watched[name] = known.after(readings, touch, untouched=not touched)
+            finger, is_pad = self._fingers[name], isinstance(surface, Pad)
+            pressed = is_pad and known.count >= TAXELS.min_rest and len(touch.patches) > 0
+            watched[name] = known.after(readings, touch, untouched=not touched and not pressed)
+            if is_pad and (finger in observation.wrenches or finger in observation.contacts):
+                continue  # which say more of the same contact
             if self._joints[name] and (joints is None or not self._joints[name] <= joints.keys()):
                 continue
             touches[name] = touch, LinkPose(self._chains[name], joints, self._sigma_joint)
-            finger = self._fingers[name]
             if finger is not None and len(touch.patches) and joints is not None:
                 strongest = touch.rise[touch.states[0] != UNKNOWN, -1].max()  # not of a filled taxel
                 if known.count < TAXELS.min_rest and strongest < SKIN.sure * surface.threshold:

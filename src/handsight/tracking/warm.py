@@ -13,6 +13,7 @@ from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices
 from handsight.contact import (
     Contacts,
+    Gel,
     Sphere,
     TactileSurface,
     WrenchCalibration,
@@ -106,6 +107,8 @@ def track() -> None:
     taxels = TactileSurface.grid(
         frame="left", T_frame_grid=T_frame_grid, rows=2, columns=2, pitch=1e-3, threshold=0.1
     )
+    gel = Gel.grid(frame="left", T_frame_grid=T_frame_grid, rows=3, columns=3, pitch=1e-3, threshold=0.1)
+    gel.touch(np.ones((3, 3)))
     rig = Rig(hand=hand, fingers=fingers, table=Table(height=-0.2), skin={"left": taxels})
     follower, joints = Follower(rig, _touched_box()[0], TrackerSettings()), dict.fromkeys(hand.moving, 0.0)
     state = follower.initial(None, JointOffsets.of(rig))

@@ -41,6 +41,10 @@ PATCH = np.dtype(
         ("covariance", float, (6, 6)),
         ("torque", float),  # NaN, as the force is, unless the surface has three components
         ("total", float),  # sum of the readings along the normals
+        (
+            "contacts",
+            float,
+        ),  # of a surface whose contacts have so much in common that they count as one, their number
         ("flat", bool),
     ]
 )

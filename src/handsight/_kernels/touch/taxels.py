@@ -157,7 +157,7 @@ def _measure(
     share, zero = np.empty(m), (0.0, 0.0, 0.0)
     for k in range(m):
         share[k] = max(rise[members[k], last], 0.0)
-    patch.total, patch.flat = share.sum(), True
+    patch.total, patch.flat, patch.contacts = share.sum(), True, 1.0
     share /= patch.total
     point, normal, edge, bend = zero, zero, zero, np.zeros((3, 3))
     for k in range(m):

@@ -1,0 +1,72 @@
+"""Pads that measure no more than that they are touched somewhere: switches, pressure cells, magnetic skins.
+
+The place of the touch is then as uncertain as the pad is large, and so is the normal. The contact has the moments of
+the pad's surface: its covariance along the surface is twice that of a point anywhere on it, as a tilted face or an edge
+touches a pad at its rim, and the second moment of a disc's rim is twice that of the disc. A pad that is not pressed
+says nothing: an object may rest on it with less force than its threshold.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from handsight import checks
+from handsight._kernels.touch.taxel_records import FAR, PATCH, PRESSED, UNKNOWN
+from handsight.checks import Array
+from handsight.contact.taxels import MOST_TAXELS, SkinTouch, TactileSurface
+from handsight.errors import InvalidInput
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Pad(TactileSurface):
+    """A `Pad` is a surface, given by points spread over it evenly, that is touched somewhere or not at all."""
+
+    kind: ClassVar[str] = "binary"
+
+    channels: int = 1
+    """Numbers of a reading; of several, such as the axes of magnetometers, the change's length counts."""
+    sigma_normal: float | None = math.radians(45.0)
+    """Standard deviation of a contact's normal about the pad's, in addition to how much that turns over the pad."""
+
+    def __post_init__(self) -> None:
+        TactileSurface.__post_init__(self)
+        if not checks.integer(self.channels, "channels", MOST_TAXELS):
+            raise InvalidInput("channels: expected at least one number in a reading, got 0")
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """The shape of a reading."""
+        return (self.channels,)
+
+    def cells(self, values: Array) -> Array:
+        """Returns a checked reading as (channels, 1)."""
+        return values.reshape(-1, 1)
+
+    def sensed(self, values: Array, baseline: Array) -> SkinTouch:
+        """Returns whether the pad is pressed, by a reading and its baseline (channels, 1)."""
+        rise = self.record["scale"][0, 0] * (values - self.record["offset"][0, 0]) - baseline
+        size = float(np.linalg.norm(rise) if self.channels > 1 else rise[0, 0])
+        pressed, n = size >= self.threshold, self.channels
+        states = np.full((2, n + 1), UNKNOWN)
+        states[0, :n] = PRESSED if pressed else FAR if math.isfinite(size) else UNKNOWN
+        states[1] = np.append(np.full(n, 0 if pressed else -1), -1)
+        patches = np.zeros(int(pressed), dtype=PATCH)
+        for patch in patches:
+            self._describe(patch, size)
+        return SkinTouch(self, np.append(np.full(n, size if pressed else 0.0), 0.0)[:, None], states, patches)
+
+    def _describe(self, patch: np.void, size: float) -> None:
+        """Writes the contact that is anywhere on the pad."""
+        record, normals = self.record[0], self.normals
+        arms, normal = self.points - self.points.mean(axis=0), normals.mean(axis=0)
+        normal = normal / max(float(np.linalg.norm(normal)), 1e-12)
+        own_cell = self.pitch**2 / 12 * (np.eye(3) - np.outer(normal, normal))
+        turns = normals - normals.mean(axis=0)
+        C = np.zeros((6, 6))
+        C[:3, :3] = 2 * (arms.T @ arms / len(arms) + own_cell) + record["variance_point"] * np.eye(3)
+        C[3:, 3:] = turns.T @ turns / len(turns) + record["variance_normal"] * np.eye(3)
+        patch["point"], patch["normal"], patch["covariance"] = self.points.mean(axis=0), -normal, C
+        patch["force"] = patch["torque"] = np.nan
+        patch["total"], patch["contacts"] = size, 1.0

@@ -1,0 +1,256 @@
+"""Gels and binary pads in a tracker: fingers without wrenches that touch, and gels' images from a recording."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace as Message
+
+import numpy as np
+import pytest
+from rosbags import rosbag1, rosbag2
+
+import gel_scenes
+import handsight as hs
+from cli.commands import called
+from handsight import se3
+from handsight.contact import Gel, Pad
+from handsight.messages.encode import header
+from handsight.recording import RecordingWriter, open_recording
+from handsight.rig import Rig
+from handsight.rig.save import text
+from handsight.tracking import FingertipSensors, SkinContacts, SkinSensors
+from messages.ros import START, STORES, Messages, nanoseconds
+from messages.test_sensor_messages import cloud, observed, robot, serialized
+from tip_scenes import R_FINGER_PAD
+
+GEL = gel_scenes.gel()
+
+
+def pad_of(finger, **fields):
+    """The sensed part of a simulated finger's tip, as a pad of 40 points."""
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(4000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = directions[(directions[:, 1] < -0.3) & (directions[:, 2] > -0.3)][:40]
+    T, axes = finger.T_frame_surface, np.asarray(finger.tip.semi_axes)
+    normals = directions / axes
+    given = {"frame": finger.frame, "threshold": 0.5, "pitch": 0.003} | fields
+    return Pad(points=se3.apply(T, directions * axes), normals=normals @ T[:3, :3].T, **given)
+
+
+def with_pads(rig, observations, wrenches=()):
+    """The rig with a pad on each tip, and observations in which it says whether the finger's wrench is a contact; of
+    the wrenches these alone are kept."""
+    sensors, found = FingertipSensors(rig), []
+    for observation in observations:
+        touching = sensors.contacts(observation).fingers
+        readings = {name: np.array([float(name in touching)]) for name in rig.fingers}
+        kept = {name: observation.wrenches[name] for name in wrenches}
+        found.append(replace(observation, skin=readings, wrenches=kept))
+    return replace(rig, skin={name: pad_of(finger) for name, finger in rig.fingers.items()}), found
+
+
+def followed(rig, model, observations):
+    tracker = hs.Tracker(rig, model)
+    for observation in observations:
+        tracker.update(observation)
+    return tracker
+
+
+def across(can, T):
+    """The error across the can's axis [m]."""
+    shift, axis = se3.difference(T, can.T_palm_object)[:3], can.T_palm_object[:3, 2]
+    return float(np.linalg.norm(shift - shift @ axis * axis))
+
+
+def test_a_hand_whose_fingers_say_only_that_they_touch_is_tracked_better_than_by_vision(can):
+    rig, observations = with_pads(can.rig, can.observations)
+    tracker = followed(rig, can.model, observations)
+    alone = followed(can.rig, can.model, [replace(each, wrenches={}) for each in can.observations])
+    assert tracker.state == "tracking"
+    assert len(tracker.fingertips.fingers) >= 3
+    assert across(can, tracker.estimate.T_palm_object) < 0.6 * across(can, alone.estimate.T_palm_object)
+    assert tracker.estimate.consistent
+    assert np.isnan(tracker.fingertips.loads).all()
+
+
+def test_a_fingers_wrench_says_more_than_its_pad_and_is_used_alone(can):
+    name = next(iter(FingertipSensors(can.rig).contacts(can.observations[-1]).fingers))
+    rig, observations = with_pads(can.rig, can.observations[-1:], wrenches=[name])
+    skin = SkinSensors(rig).observed(observations[0], touched=True)
+    assert name not in skin.tips
+    assert len(skin.tips) >= 2
+    mixed = FingertipSensors(rig).contacts(observations[0], None, skin)
+    by_wrench = FingertipSensors(can.rig).contacts(can.observations[-1])
+    for one, other in ((mixed, by_wrench),):
+        i, k = one.fingers.index(name), other.fingers.index(name)
+        np.testing.assert_array_equal(one.contacts.points_palm[i], other.contacts.points_palm[k])
+    other_finger = next(iter(skin.tips))
+    spread = np.trace(mixed.contacts.covariance[mixed.fingers.index(other_finger), :3, :3])
+    assert spread > 3 * np.trace(by_wrench.contacts.covariance[:, :3, :3].mean(axis=0))
+
+
+def test_a_pad_that_stays_pressed_is_not_taken_for_its_rest(can):
+    sensors, skin = SkinSensors(replace(can.rig, skin={"a": replace(pad_of(next(iter(can.rig.fingers.values()))), frame=can.rig.hand.palm)})), SkinContacts()  # fmt: skip
+    for k in range(200):
+        reading = [0.2 + (1.0 if k >= 10 else 0.0)]
+        skin = sensors.observed(hs.Observation(0.01 * k, skin={"a": reading}), skin, touched=False)
+    assert skin.pressed
+    assert skin.watched["a"].baseline[0, 0] == pytest.approx(0.2)
+
+
+def test_a_gel_on_a_tip_is_the_fingers_contact_and_more_beside_it(can):
+    """All of them together are as good as the finger's calibration and its joints, and no better."""
+    name, finger = next(iter(can.rig.fingers.items()))
+    R = finger.T_frame_surface[:3, :3] @ R_FINGER_PAD
+    T = se3.compose(R, finger.T_frame_surface[:3, 3] + 0.01 * R[:, 2])
+    gel = Gel.grid(frame=finger.frame, T_frame_grid=T, rows=60, columns=80, pitch=2.4e-4, threshold=1.5e-4)
+    rig = replace(can.rig, skin={name: gel})
+    image = np.full(gel.shape, 5e-4)
+    observation = replace(can.observations[-1], skin={name: image}, wrenches={})
+    skin = SkinSensors(rig).observed(observation, touched=True)
+    assert not skin.bears  # it is one patch, the finger's
+    touch = FingertipSensors(rig).contacts(observation, None, skin)
+    assert touch.fingers == (name,)
+    contacts = touch.contacts.joined(skin.evidence().contacts)
+    assert len(contacts) == 5
+    T_palm = skin.touches[name][1].T_palm_frame @ T
+    local = se3.apply(se3.inverse(T_palm), contacts.points_palm)
+    np.testing.assert_allclose(local[:, 2], -5e-4, atol=1e-6)
+    normal, J = T_palm[:3, 2], touch.by_error[0, :3]
+    variances = np.einsum("i,nij,j->n", normal, contacts.covariance[:, :3, :3], normal)
+    common = finger.sigma_point**2 + ((normal @ J) ** 2).sum()
+    assert 1 / (1 / variances).sum() > 0.98 * common
+
+
+@pytest.fixture(scope="module")
+def gelled(can):
+    """The can's rig with a gel in the palm's frame that lies where the can is, and its observations with images."""
+    T = can.T_palm_object
+    outward = -T[:3, 3] + (T[:3, 3] @ T[:3, 2]) * T[:3, 2]  # from the can's axis to the palm's origin
+    z = -outward / np.linalg.norm(outward)
+    R = np.column_stack([np.cross(T[:3, 2], z), T[:3, 2], z])
+    T_palm_gel = se3.compose(R, T[:3, 3] - (0.033 - 6e-4) * z)
+    gel = Gel.grid(frame=can.rig.hand.palm, T_frame_grid=T_palm_gel, rows=60, columns=80, pitch=2.4e-4,
+                   threshold=1.5e-4, scale=-1e-3)  # fmt: skip
+    rng, observations = np.random.default_rng(1), []
+    rest = 4.0 + 0.01 * rng.normal(size=gel.shape)
+    pressed = gel_scenes.hanging(gel_scenes.rigid(can.model, se3.inverse(T_palm_gel) @ T), 1e-3)
+    sensors = FingertipSensors(can.rig)
+    for each in can.observations:
+        touching = sensors.contacts(each).contacts is not None
+        image = rest + 0.01 * rng.normal(size=gel.shape) - 1e3 * pressed * touching
+        observations.append(replace(each, stamp=1000 + each.stamp, skin={"gel": image}))
+    topics = replace(can.rig.topics, skin={"gel": "/gel/height"})
+    return replace(can.rig, skin={"gel": gel}, topics=topics), observations
+
+
+def test_a_gels_baseline_is_learnt_at_rest_and_its_contacts_are_on_the_can(can, gelled):
+    rig, observations = gelled
+    tracker = followed(rig, can.model, observations)
+    assert tracker.skin.pressed
+    contacts = tracker.skin.contacts()
+    places = se3.apply(se3.inverse(can.T_palm_object), contacts.points_palm)
+    np.testing.assert_allclose(np.hypot(*places[:, :2].T), 0.033, atol=2e-4)
+    assert across(can, tracker.estimate.T_palm_object) < 2e-3
+
+
+def test_a_gels_rig_is_written_and_read_as_the_same(can, gelled, tmp_path):
+    rig, _ = gelled
+    (tmp_path / "rig.yaml").write_text(text(rig))
+    again = Rig.from_file(tmp_path / "rig.yaml").skin["gel"]
+    assert isinstance(again, Gel)
+    assert again.shape == rig.skin["gel"].shape == (60, 80)
+    np.testing.assert_allclose(again.points, rig.skin["gel"].points, atol=1e-9)
+    for key in again.record.dtype.names:
+        np.testing.assert_allclose(again.record[key], rig.skin["gel"].record[key], rtol=1e-9)
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "ros1"])
+@pytest.mark.parametrize(("kind", "scale"), [("32FC1", 1.0), ("16UC1", 1e6)])
+def test_a_depth_image_of_ros_1_and_2_is_a_gels_reading(encoding, kind, scale):
+    image = np.linspace(0, 1e-3, GEL.shape[0] * GEL.shape[1]).reshape(GEL.shape)
+    pixels = (scale * image).astype("<f4" if kind == "32FC1" else "<u2")
+    message = Message(header=header(1_700_000_000.0), height=60, width=80, encoding=kind, is_bigendian=0,
+                      step=80 * pixels.itemsize, data=pixels.view(np.uint8).ravel())  # fmt: skip
+    seen, _ = observed(robot(gel=GEL), serialized("sensor_msgs/msg/Image", message, encoding))
+    np.testing.assert_array_equal(seen.skin["gel"], pixels)
+    narrow = robot(gel=gel_scenes.Gel.grid(frame="palm", T_frame_grid=np.eye(4), rows=60, columns=79, pitch=2.4e-4, threshold=1e-4))  # fmt: skip
+    _, topic = observed(narrow, serialized("sensor_msgs/msg/Image", message, encoding))
+    assert list(topic.reasons) == ["expected 60 x 79 taxels, got 60 x 80"]
+
+
+@pytest.mark.parametrize("kind", ["mcap", "db3", "bag"])
+def test_a_gels_images_are_read_from_every_kind_of_recording(kind, tmp_path):
+    store, messages = (STORES[1], Messages(1)) if kind == "bag" else (STORES[2], Messages(2))
+    image = np.arange(4800.0, dtype=np.float32).reshape(60, 80)
+    path, encode = tmp_path / ("gel.bag" if kind == "bag" else "gel"), "ros1" if kind == "bag" else "cdr"
+    if kind == "bag":
+        writer = rosbag1.Writer(path)
+    else:
+        plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
+        writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
+    with writer:
+        joints, pixels = (
+            writer.add_connection(topic, f"sensor_msgs/msg/{name}", typestore=store)
+            for topic, name in (("/joint_states", "JointState"), ("/skin", "Image"))
+        )
+        for stamp in (START, START + 0.01):
+            state = getattr(store, f"serialize_{encode}")(messages.joints(stamp), joints.msgtype)
+            writer.write(joints, nanoseconds(stamp), state)
+            message = Message(header=messages.header(stamp - 0.002), height=60, width=80, encoding="32FC1",
+                              is_bigendian=0, step=320, data=image.view(np.uint8).ravel())  # fmt: skip
+            data = getattr(store, f"serialize_{encode}")(message, pixels.msgtype)
+            writer.write(pixels, nanoseconds(stamp - 0.002), data)
+    with open_recording(path, robot(gel=GEL)) as recording:
+        seen = list(recording.observations())[-1]
+    np.testing.assert_array_equal(seen.skin["gel"], image)
+
+
+def test_the_heights_of_a_point_cloud_are_a_gels_reading():
+    xy = gel_scenes.places().reshape(-1, 2).T
+    z = -1e-3 * np.arange(xy.shape[1]) / xy.shape[1]
+    message = serialized(*cloud({"x": xy[0], "y": xy[1], "z": z}, height=60))
+    seen, _ = observed(robot({"gel": "[z]"}, gel=GEL), message)
+    np.testing.assert_allclose(seen.skin["gel"].ravel(), z, atol=1e-9)
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "ros1"])
+def test_a_bool_a_number_and_a_norm_of_magnetometers_are_readings_of_pads(encoding):
+    pad = pad_of_numbers(1)
+    for kind, value in (("Bool", True), ("UInt8", 1), ("Float32", 1.0), ("UInt16", 1)):
+        message = serialized(f"std_msgs/msg/{kind}", Message(data=value), encoding)
+        seen, topic = observed(robot(pad=pad), message)
+        np.testing.assert_array_equal(seen.skin["pad"], [1.0])
+        assert topic.used == 1
+    values = np.arange(15, dtype=np.float32)
+    several = Message(layout=Message(dim=[], data_offset=0), data=values)
+    message = serialized("std_msgs/msg/Float32MultiArray", several, encoding)
+    seen, _ = observed(robot(pad=pad_of_numbers(15)), message)
+    np.testing.assert_array_equal(seen.skin["pad"], values)
+    one = {"thumb": "data[3]", "index": "data[0]"}
+    seen, _ = observed(robot(one, thumb=pad, index=pad), message)
+    assert (seen.skin["thumb"], seen.skin["index"]) == ([3.0], [0.0])
+
+
+def pad_of_numbers(channels):
+    points = 0.004 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]])
+    return Pad(
+        frame="palm", points=points, normals=np.tile([0, 0, 1.0], (4, 1)), threshold=0.5, channels=channels
+    )
+
+
+def test_the_command_tracks_a_recording_with_a_gel(gelled, tmp_path, monkeypatch, capsys):
+    rig, observations = gelled
+    (tmp_path / "gel.rig.yaml").write_text(text(rig))
+    with RecordingWriter(tmp_path / "gel.mcap", rig) as writer:
+        for each in observations:
+            writer.write(each)
+    heard = list(open_recording(tmp_path / "gel.mcap", rig).observations())
+    np.testing.assert_allclose(heard[-1].skin["gel"], observations[-1].skin["gel"], atol=1e-6)
+    assert called(monkeypatch, tmp_path, "track", "gel.mcap", "--object", "can", columns=100) == 0
+    assert "pressed in" in capsys.readouterr().err
+    summary = json.loads((tmp_path / "gel-track" / "summary.json").read_text())
+    assert summary["poses_with_skin"] > 0.7 * len(observations)
+    assert called(monkeypatch, tmp_path, "rig", "check", "gel.rig.yaml", columns=120) == 0
+    table = capsys.readouterr().out
+    assert "60 x 80 pixels, cells of a gel 0.48 mm apart" in " ".join(table.split())
