@@ -203,13 +203,13 @@ R_FINGER_PAD = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """From a shape's axes to those of a simulated finger: it points along z, its pad faces -y."""
 
 
-def with_taxels(rig: Rig, rng: Rng, *, components: Any = 3) -> tuple[Rig, dict[str, Shape]]:
-    """A rig of the simulated hand with 30 taxels on each tip, and the shapes of its tips by finger."""
+def with_taxels(rig: Rig, rng: Rng, *, components: Any = 3, **layout: Any) -> tuple[Rig, dict[str, Shape]]:
+    """A rig of the simulated hand with 30 taxels on each tip, or another `layout` of `tip`, and the tips' shapes."""
     skin, shapes = dict(rig.skin), {}
     for name, finger in rig.fingers.items():
         x, y, z = finger.tip.semi_axes
         shapes[name] = Shape((x, z, y), drawn_out=False)
-        found = tip(shapes[name], rng, components=components)
+        found = tip(shapes[name], rng, components=components, **layout)
         T = finger.T_frame_surface
         R = T[:3, :3] @ R_FINGER_PAD
         skin[name] = TactileSurface(

@@ -328,6 +328,14 @@ class SkinTouch:
         """The number of the patch that bears most."""
         return int(self.patches["total"].argmax()) if len(self.patches) > 1 else 0
 
+    @property
+    def wrench(self) -> Array:
+        """(6,) force [N] of the object on the surface, and its torque about the link's origin [N m], in the link.
+
+        They are NaN where what is pressed measures no force: pressure alone, or taxels at their full scale.
+        """
+        return np.asarray(self.patches["wrench"].sum(axis=0))
+
     def contacts(
         self, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None, without: int = -1
     ) -> Contacts | None:

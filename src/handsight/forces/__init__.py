@@ -1,7 +1,16 @@
 """Forces: weight, centre of mass and slip of the object in the hand, from the loads on the fingertips."""
 
 from handsight.forces.friction import FRICTION
-from handsight.forces.loads import LOADS, LoadSum, calibrate_sensors, load_sum, read_in_air
+from handsight.forces.loads import (
+    LOADS,
+    TAXELS,
+    LoadSensor,
+    LoadSum,
+    calibrate_sensors,
+    load_sensors,
+    load_sum,
+    read_in_air,
+)
 from handsight.forces.object_motion import moved_with_tips, slip_twist
 from handsight.forces.slip import SLIP, Slip, SlipDetector
 from handsight.forces.weigher import WEIGHER, ObjectWeight, Weigher, WeightSensor
@@ -11,8 +20,10 @@ __all__ = [
     "FRICTION",
     "LOADS",
     "SLIP",
+    "TAXELS",
     "WEIGHER",
     "Carried",
+    "LoadSensor",
     "LoadSum",
     "ObjectWeight",
     "Slip",
@@ -23,6 +34,7 @@ __all__ = [
     "WeightSensor",
     "calibrate_sensors",
     "common_equations",
+    "load_sensors",
     "load_sum",
     "moved_with_tips",
     "read_in_air",

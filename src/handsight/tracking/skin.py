@@ -1,5 +1,6 @@
 """A rig's tactile surfaces over time: baselines at rest, faulty taxels, and which patches are fingers' contacts."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,6 +16,7 @@ from handsight.checks import Array
 from handsight.contact import Contacts, SkinTouch, TactileSurface
 from handsight.correction import SkinEvidence
 from handsight.errors import InvalidInput
+from handsight.forces import FRICTION, TAXELS
 from handsight.hand.chains import Chains
 from handsight.observation import Observation
 from handsight.rig import Rig
@@ -120,6 +122,48 @@ class SkinContacts:
         """Whether anything is touched beside the contacts of fingers."""
         tips = self.tips.values()
         return any(len(touch.patches) > (name in tips) for name, (touch, _) in self.touches.items())
+
+    def wrenches(self) -> dict[str, Array]:
+        """Returns the wrenches (6,) on the taxels of each link, by the name of the load sensor that they are.
+
+        See `SkinTouch.wrench`.
+        """
+        found = dict[str, Array]()
+        for touch, _ in self.touches.values():
+            name = TAXELS.format(touch.surface.frame)
+            found[name] = touch.wrench if name not in found else found[name] + touch.wrench
+        return found
+
+    def beside_tips(self) -> tuple[tuple[str, ...], Contacts, Array]:
+        """Returns the loads on the taxels of k links that are no fingertips, as a tip's load is given.
+
+        They are the links' names as load sensors, one contact each, at its centre of pressure, and the loads (k, 5),
+        see `FingertipContacts.loads`. The torque is scaled to that which brings a tip as near to its limit.
+        """
+        tips = {self.touches[name][0].surface.frame for name in self.tips.values()}
+        pressed = {
+            TAXELS.format(touch.surface.frame): (touch, pose.T_palm_frame)
+            for touch, pose in self.touches.values()
+            if len(touch.patches) and touch.surface.frame not in tips
+        }
+        points, normals, loads = (np.empty((len(pressed), k)) for k in (3, 3, 5))
+        wrenches = self.wrenches()
+        for k, (name, (touch, T)) in enumerate(pressed.items()):
+            taxels, share = (
+                touch.surface.taxels,
+                np.where(touch.states[1, :-1] >= 0, touch.rise[:-1, -1], 0.0),
+            )
+            share /= share.sum()
+            point, normal = share @ taxels["point"], -share @ taxels["axes"][:, :, 2]
+            normal /= np.linalg.norm(normal)
+            force, torque = wrenches[name][:3], wrenches[name][3:]
+            radius = math.sqrt(share @ ((taxels["point"] - point) ** 2).sum(axis=1))
+            torsion = (torque - np.cross(point, force)) @ normal
+            torsion *= FRICTION.torsion / max(radius, FRICTION.torsion)
+            R, along = T[:3, :3], force @ normal
+            loads[k] = *(R @ (force - along * normal)), along, torsion
+            points[k], normals[k] = R @ point + T[:3, 3], R @ normal
+        return tuple(pressed), Contacts.trusted(points, normals, np.zeros((len(pressed), 6, 6))), loads
 
     def patches(self) -> NDArray[np.void]:
         """Returns the records PATCH of the fingers' contacts, in the order of `tips`."""
