@@ -119,8 +119,12 @@ def pressed(
     round_by: float | None = None,
     dead: int = 1,
     place: Array | None = None,
+    load: tuple[Array, float] | None = None,
+    step: float = STEP,
 ) -> Press:
     """A press at a random place within the layout; `round_by` is the body's curvature, -20 to 80 /m without one.
+
+    `load`: the tangential force (3,) [N] and the torque about the contact's normal [N m]; random without it.
 
     On a tip that is drawn out to a cylinder it is 15 /m or more: a flat body touches it along a line, which has no
     point that is touched first.
@@ -140,7 +144,7 @@ def pressed(
     x = np.cross(out, [1.0, 0, 0] if abs(out[0]) < 0.9 else [0, 1.0, 0])
     x /= np.linalg.norm(x)
     y = np.cross(out, x)
-    grid = np.arange(-0.01, 0.01 + STEP / 2, STEP)
+    grid = np.arange(-0.01, 0.01 + step / 2, step)
     u, v = np.meshgrid(grid, grid)
     fine, normals = shape.on_surface(point + u[..., None] * x + v[..., None] * y, out)
     fine, normals = fine.reshape(-1, 3), normals.reshape(-1, 3)
@@ -153,7 +157,7 @@ def pressed(
     nearest, far = distance.argmin(axis=1), distance.min(axis=1) > 0.85 * surface.pitch
     gap = 0.5 * curvature * r2 - arms @ out + (UNEVEN * rng.normal(size=len(surface.points)))[nearest]
     cosine = normals @ out
-    area = STEP**2 / cosine.clip(0.2)
+    area = step**2 / cosine.clip(0.2)
     low, high = 0.0, 0.01
     for _ in range(50):  # the depth at which the springs bear the force
         depth = (low + high) / 2
@@ -164,6 +168,9 @@ def pressed(
     share = FRICTION * rng.random()
     spin = FRICTION * rng.uniform(-1, 1) / np.sqrt(r2[pressure > 0].max(initial=1e-6))
     drag = share * (np.cos(side) * x + np.sin(side) * y) + 0.25 * spin * np.cross(out, arms)
+    if load is not None:
+        spin = -load[1] / max((pressure * r2).sum(), 1e-12)
+        drag = load[0] / pressure.sum() + spin * np.cross(out, arms)
     pushed = -pressure[:, None] * normals + pressure[:, None] * drag
     cells = np.zeros((len(surface.points), 3))
     np.add.at(cells, nearest[~far], pushed[~far])
@@ -228,26 +235,29 @@ def taxel_observations(
     wrenches: bool = False,
 ) -> Iterator[Observation]:
     """Observations in which taxels read what the fingertips' wrenches say; without these unless `wrenches`."""
-    sensors = FingertipSensors(rig)
+    sensors, surfaces = FingertipSensors(rig), dict[str, TactileSurface]()
+    for name in shapes:
+        T, surface = rig.fingers[name].T_frame_surface, rig.skin[name]
+        R = T[:3, :3] @ R_FINGER_PAD
+        surfaces[name] = TactileSurface(
+            frame="tip", points=(surface.points - T[:3, 3]) @ R, normals=surface.normals @ R,
+            x_axes=surface.taxels["axes"][:, :, 0] @ R, threshold=0.03, components=surface.components,
+            pitch=surface.pitch,
+        )  # fmt: skip
     for k, observation in enumerate(observations):
         rng = np.random.default_rng([seed, k])
         found, readings = sensors.contacts(observation), dict(observation.skin)
         Ts = dict(zip(rig.hand.tips, rig.hand.Ts_palm_tip(observation.joint_positions or {}), strict=True))
         for name, shape in shapes.items():
-            surface = rig.skin[name]
-            readings[name] = FLOOR * rng.normal(size=surface.shape)
+            readings[name] = FLOOR * rng.normal(size=rig.skin[name].shape)
             if name not in found.fingers or found.contacts is None or found.loads is None:
                 continue
             i = found.fingers.index(name)
             T = Ts[name] @ rig.fingers[name].T_frame_surface
             place = R_FINGER_PAD.T @ se3.apply(se3.inverse(T), found.contacts.points_palm[i : i + 1])[0]
-            R = rig.fingers[name].T_frame_surface[:3, :3] @ R_FINGER_PAD
-            local = TactileSurface(
-                frame="tip", points=(surface.points - rig.fingers[name].T_frame_surface[:3, 3]) @ R,
-                normals=surface.normals @ R, x_axes=surface.taxels["axes"][:, :, 0] @ R, threshold=0.03,
-                components=surface.components, pitch=surface.pitch,
-            )  # fmt: skip
+            tangential = R_FINGER_PAD.T @ T[:3, :3].T @ found.loads[i, :3]
             given: Any = {"force": found.loads[i, 3], "round_by": 30.0, "dead": 0, "place": place}
-            readings[name] = np.nan_to_num(pressed(shape, local, rng, **given).readings)
+            given |= {"load": (tangential, found.loads[i, 4]), "step": 1e-3}
+            readings[name] = np.nan_to_num(pressed(shape, surfaces[name], rng, **given).readings)
         wrench = observation.wrenches if wrenches else {}
         yield replace(observation, skin=readings, wrenches=wrench)
