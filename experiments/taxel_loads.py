@@ -1,6 +1,6 @@
 """Three-axis taxels in place of wrenches: slips, the object's weight, and a search by touch. All synthetic.
 
-A simulated hand (MuJoCo) pulls, carries and searches as in `slip.py`, `weight.py` and `blind.py`. Its fingertips measure
+A simulated hand (MuJoCo) pulls, carries and searches as in `slip.py`, `weight.py`, `blind.py`. Its fingertips measure
 the same loads in three ways: by six-axis sensors; by 30 taxels of three axes, 4.7 mm apart, without any wrench (an
 elastic skin, 5 % noise of each taxel, 3 % crosstalk, uneven by 0.15 mm); by the same taxels with pressure alone.
 

@@ -9,7 +9,9 @@ import tip_scenes
 from handsight.messages import ObservationStream, RawMessage
 from handsight.messages.decode import typestore
 from handsight.messages.encode import Message, header, parts
-from tests.live.recorded import in_ros1, rig, said
+from handsight.tracking import Tracker
+from handsight.tracking.replay import Tally, replay
+from tests.live.recorded import in_ros1, model, rig, said
 
 TYPES = {
     "ff": ("/tactile", "tactile_msgs/msg/TactileState", ""),
@@ -93,3 +95,11 @@ def content(kind, stamp, readings):
         for k, values in enumerate(readings.values(), start=1)
     ]  # fmt: skip
     return Message(sensors=full)
+
+
+def tracked_skin(known, messages):
+    """Stamps and poses, as `handsight track` has them, and the tracker at the end."""
+    stream, tracker = ObservationStream(known), Tracker(known, model())
+    observations = [seen for each in messages for seen in stream.put(each)] + stream.finish()
+    steps = list(replay(observations, tracker, Tally()))
+    return {round(step.stamp, 6): step.estimate.T_palm_object for step in steps}, tracker

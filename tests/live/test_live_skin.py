@@ -7,11 +7,8 @@ pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gymnasium-robotics")
 
 from handsight.live import LiveTracker
-from handsight.messages import ObservationStream
-from handsight.tracking import Tracker
-from handsight.tracking.replay import Tally, replay
 from tests.live.recorded import answered, model, poses, read
-from tests.live.skin_messages import TYPES, content, raw, skin_messages, skin_rig
+from tests.live.skin_messages import TYPES, content, raw, skin_messages, skin_rig, tracked_skin
 
 
 def live(encoding="cdr", **options):
@@ -33,10 +30,7 @@ def agree(answers, expected, encoding="cdr"):
 @pytest.fixture(scope="module")
 def expected():
     """Stamps and poses, as `handsight track` has them, and the tracker at the end."""
-    stream, tracker = ObservationStream(skin_rig()), Tracker(skin_rig(), model())
-    observations = [seen for each in skin_messages() for seen in stream.put(each)] + stream.finish()
-    steps = list(replay(observations, tracker, Tally()))
-    return {round(step.stamp, 6): step.estimate.T_palm_object for step in steps}, tracker
+    return tracked_skin(skin_rig(), skin_messages())
 
 
 @pytest.mark.parametrize("encoding", ["cdr", "ros1"])

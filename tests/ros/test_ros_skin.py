@@ -12,26 +12,16 @@ pytest.importorskip("gymnasium_robotics", reason="the Shadow hand comes with gym
 from rosbags import rosbag1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from handsight.messages import ObservationStream
 from handsight.messages.decode import typestore
 from handsight.rig.save import write
-from tests.live.recorded import model, poses, read
-from tests.live.skin_messages import PLAIN, content, raw, skin_messages, skin_rig
-from tests.live.test_live_skin import Tally, Tracker, replay
+from tests.live.recorded import poses, read
+from tests.live.skin_messages import PLAIN, content, raw, skin_messages, skin_rig, tracked_skin
 from tests.ros.ros1 import by_stamp, graph, needs_ros1, read_until
 from tests.ros.ros2 import NODE, processes
 from tests.ros.test_ros1 import play
 from tests.ros.test_ros2_rclpy import answers_of, ended_well, robot
 
 pytestmark = pytest.mark.slow
-
-
-def tracked(rig, messages):
-    """Stamps and poses, as `handsight track` has them."""
-    stream = ObservationStream(rig)
-    observations = [seen for each in messages for seen in stream.put(each)] + stream.finish()
-    steps = replay(observations, Tracker(rig, model()), Tally())
-    return {round(step.stamp, 6): step.estimate.T_palm_object for step in steps}
 
 
 def rig_file(folder, rig):
@@ -42,7 +32,7 @@ def rig_file(folder, rig):
 @needs_ros1
 def test_the_node_of_ros_1_reads_every_drivers_taxels_by_the_definition_that_comes_with_them(tmp_path):
     rig, messages = skin_rig(), skin_messages("ros1")
-    expected, store = tracked(rig, messages), typestore("ros1")
+    (expected, _), store = tracked_skin(rig, messages), typestore("ros1")
     short = [
         content(each.type, each.log_time, {"ff": np.zeros((29, 3))})
         for each in messages
@@ -77,7 +67,7 @@ def test_the_node_of_ros_1_reads_every_drivers_taxels_by_the_definition_that_com
 
 def test_the_node_of_ros_2_reads_taxels_of_any_type_whose_package_is_sourced(tmp_path):
     rig, messages = skin_rig(PLAIN), skin_messages(types=PLAIN)
-    expected = tracked(rig, [each._replace(definition=defined(each.type)) for each in messages])
+    expected, _ = tracked_skin(rig, [each._replace(definition=defined(each.type)) for each in messages])
     wrong = raw(
         "/mf/taxels", PLAIN["mf"][1], "cdr", 0.0, content(PLAIN["mf"][1], 0.0, {"mf": np.zeros((29, 3))})
     )
