@@ -37,8 +37,9 @@ def with_surfaces(rig: Rig, size: str) -> tuple[Rig, dict[str, tip_scenes.Shape]
         frame=rig.hand.palm, T_frame_grid=T_PALM_GRID, rows=rows, columns=columns, pitch=0.06 / columns,
         threshold=0.03, components=3,
     )  # fmt: skip
-    rig = replace(rig, skin={})
-    rig, shapes = tip_scenes.with_taxels(rig, np.random.default_rng(0), taxels=taxels, pitch=pitch)
+    rig, shapes = tip_scenes.with_taxels(
+        replace(rig, skin={}), np.random.default_rng(0), taxels=taxels, pitch=pitch
+    )
     return replace(rig, skin=dict(rig.skin) | {"palm": palm}), shapes
 
 
@@ -97,16 +98,14 @@ class Held:
 
 def run(seconds: float) -> list[list[str]]:
     """Returns the rows of the table: updates and searches, each kind in turn with the others."""
-    samples, rows = list(simulate(SCENARIO)), list[list[str]]()
-    hands = {}
+    samples, rows, hands = list(simulate(SCENARIO)), list[list[str]](), {}
+    known = replace(rig_of(SCENARIO), table=None)  # whose evidence would cost as much as all taxels
     for size in SIZES:
-        rig, shapes = with_surfaces(rig_of(SCENARIO), size)
+        rig, shapes = with_surfaces(known, size)
         grasp = observed(rig, shapes, samples)
         for palm in (False, True):
             hands[size, palm] = Held(rig, grasp, palm=palm)
-    wrenches = Held(
-        replace(rig_of(SCENARIO), skin={}), [replace(s.observation, skin={}) for s in samples], palm=True
-    )
+    wrenches = Held(replace(known, skin={}), [replace(s.observation, skin={}) for s in samples], palm=True)
     calls: list[tuple[str, Callable[[], object]]] = [("wrenches alone", wrenches.update)]
     named = {True: ", palm pressed", False: ""}
     calls += [(f"{size} taxels{named[palm]}", hand.update) for (size, palm), hand in hands.items()]

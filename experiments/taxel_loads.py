@@ -1,15 +1,17 @@
 """Three-axis taxels in place of wrenches: slips, the object's weight, and a search by touch. All synthetic.
 
 A simulated hand (MuJoCo) pulls, carries and searches as in `slip.py`, `weight.py`, `blind.py`. Its fingertips measure
-the same loads in three ways: by six-axis sensors; by 30 taxels of three axes, 4.7 mm apart, without any wrench (an
-elastic skin, 5 % noise of each taxel, 3 % crosstalk, uneven by 0.15 mm); by the same taxels with pressure alone.
+the same loads in three ways: by six-axis sensors; by 30 taxels of three axes, 4.7 mm apart, around where the finger
+touches, without any wrench (an elastic skin, 5 % noise of each taxel, 3 % crosstalk, uneven by 0.15 mm); by the same
+taxels with pressure alone.
 
   precision, recall   of slips, as in `slip.py`: alarms that are right, and slipping samples that are in alarm
   mass, centre        errors of the weighing after lift and tilt
   located             searches by four touches that end within 8 mm and 8° of the truth
 """
 
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -19,10 +21,11 @@ from handsight.correction import pose_distances
 from handsight.forces import Slip
 from handsight.search import best_sweep
 from handsight.simulation import PROBE, SCENARIO, Scenario, model_of, rig_of, simulate, start_search
+from handsight.simulation.probe import FINGER
 from handsight.tracking import FingertipSensors, SkinSensors
 from handsight.tracking.fingertips import FingertipContacts
 from shared import report, slips, tip_scenes
-from testbed.report import Row, Rows
+from testbed.report import Array, Row, Rows
 
 RATE, WEIGH_RATE, TOUCHES, SHIFT, TURN = 100.0, 25.0, 4, 0.008, float(np.deg2rad(8.0))
 """Samples a second of a pull and of a weighing; touches of a search; errors of what is located [m], [rad]."""
@@ -33,35 +36,40 @@ WAYS = {"wrenches": 0, "three axes": 3, "pressure": 1}
 class Tips:
     """`Tips` are fingertips that measure in one of the ways what wrenches say."""
 
-    def __init__(self, way: str) -> None:
-        """`way`: one of `WAYS`."""
-        self.rig, self._shapes, self._k = rig_of(Scenario()), None, 0
+    def __init__(
+        self, way: str, fingers: Collection[str] = (), middles: Mapping[str, Array] | None = None
+    ) -> None:
+        """`way`: one of `WAYS`; `fingers`: those with taxels, all without any; `middles`: of their taxels."""
+        self.rig, shapes = rig_of(Scenario()), dict[str, tip_scenes.Shape]()
         if components := WAYS[way]:
-            self.rig, self._shapes = tip_scenes.with_taxels(
-                self.rig, np.random.default_rng(0), components=components
+            self.rig, shapes = tip_scenes.with_taxels(
+                self.rig, np.random.default_rng(0), components=components, middles=middles
             )
+            shapes = {name: shape for name, shape in shapes.items() if name in (fingers or shapes)}
         self._sensors, self._skin = FingertipSensors(self.rig), SkinSensors(self.rig)
+        self._waiting = deque[hs.Observation]()
+        self._stream: Iterator[hs.Observation] = iter(self._waiting.popleft, None)
+        if shapes:
+            self._stream = tip_scenes.taxel_observations(self.rig, shapes, self._stream, 1)
 
-    def observed(self, observations: Sequence[hs.Observation]) -> Iterator[hs.Observation]:
-        """Yields the observations as these tips measure them."""
-        self._k += 1
-        if self._shapes is None:
-            yield from observations
-        else:
-            yield from tip_scenes.taxel_observations(self.rig, self._shapes, observations, self._k)
+    def observed(self, observation: hs.Observation) -> hs.Observation:
+        """Returns an observation as these tips measure it."""
+        self._waiting.append(observation)
+        return next(self._stream)
 
     def contacts(self, observation: hs.Observation) -> FingertipContacts:
         """Returns what they measure of one observation, which has wrenches."""
-        (given,) = self.observed([observation])
+        given = self.observed(observation)
         return self._sensors.contacts(given, None, self._skin.observed(given, touched=True))
 
 
 def followed(way: str, samples: list[Any], model: hs.ObjectModel) -> tuple[hs.Tracker, list[Slip]]:
     """Returns a tracker after samples, and whether the object slipped at each."""
-    tips, found = Tips(way), []
+    observations = [sample.observation for sample in samples]
+    tips, found = Tips(way, (), tip_scenes.places(rig_of(Scenario()), observations)), []
     tracker = hs.Tracker(tips.rig, model)
-    for observation in tips.observed([sample.observation for sample in samples]):
-        tracker.update(observation)
+    for observation in observations:
+        tracker.update(tips.observed(observation))
         found.append(tracker.slip)
     return tracker, found
 
@@ -106,7 +114,7 @@ def search(name: str, seed: int) -> Rows:
     for way in WAYS:
         scenario = Scenario(object=name, seed=seed)
         probe, belief = start_search(scenario, model_of(scenario))
-        vars(probe)["_tips"] = Tips(way)
+        vars(probe)["_tips"] = Tips(way, [FINGER])
         for _ in range(TOUCHES):
             belief = belief.after(probe.touch(best_sweep(belief, probe.heights, PROBE.radius)))
         T, best = probe.T_world_object, belief.modes[0].pose_world_object.T_a_b

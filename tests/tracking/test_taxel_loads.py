@@ -154,7 +154,7 @@ def test_the_load_on_another_link_is_its_wrench_at_the_centre_of_pressure():
     skin = SkinSensors(robot).observed(observation, SkinContacts(), touched=True)
     (name,), contact, loads = skin.beside_tips()
     assert name == TAXELS.format(PALM)
-    wrench = skin.wrenches()[name]
+    wrench = skin.wrenches[name]
     (point,), (normal,), (row,) = contact.points_palm, contact.normals_palm, loads
     assert abs(row[:3] @ normal) < 1e-12
     np.testing.assert_allclose(row[:3] + row[3] * normal, wrench[:3], atol=1e-12)

@@ -200,7 +200,7 @@ class TactileSurface:
         if array.dtype.kind not in "fiu" or array.shape != self.shape:
             came = f"{checks.brief(values)} of shape {array.shape}"
             raise InvalidInput(f"{name}: expected {self._expected} numbers, got {came}")
-        return array.astype(np.float64)
+        return array.astype(np.float64, copy=False)
 
     @property
     def _expected(self) -> str:
@@ -334,7 +334,7 @@ class SkinTouch:
 
         They are NaN where what is pressed measures no force: pressure alone, or taxels at their full scale.
         """
-        return np.asarray(self.patches["wrench"].sum(axis=0))
+        return np.asarray(self.patches["wrench"].sum(axis=0)) if len(self.patches) else np.zeros(6)
 
     def contacts(
         self, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None, without: int = -1

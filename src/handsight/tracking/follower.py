@@ -174,7 +174,7 @@ class Follower:
         state.fingertips = touch = self.sensors.contacts(observation, state.offsets, skin)
         self._predict(state, observation.T_world_palm, stamp)
         state.weight.update(
-            replace(observation, wrenches={**skin.wrenches(), **observation.wrenches})
+            replace(observation, wrenches={**skin.wrenches, **observation.wrenches})
             if skin.touches
             else observation,
             (touch.fingers, touch.contacts),

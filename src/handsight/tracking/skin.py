@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight import checks
+from handsight import checks, se3
 from handsight._kernels.touch.taxel_records import FAULTS, PATCH, PRESSED, WATCHED
 from handsight._kernels.touch.taxels import watch_taxels
 from handsight.checks import Array
@@ -106,6 +106,8 @@ class SkinContacts:
     """By surface, what is known of its taxels by their readings so far."""
     tips: Mapping[str, str] = field(default_factory=dict)
     """By finger, the surface on its tip that is touched: its strongest patch is the finger's contact."""
+    wrenches: Mapping[str, Array] = field(default_factory=dict)
+    """By the name of the load sensor that a link's taxels are, the wrench (6,) on them, see `SkinTouch.wrench`."""
 
     @property
     def pressed(self) -> bool:
@@ -123,17 +125,6 @@ class SkinContacts:
         tips = self.tips.values()
         return any(len(touch.patches) > (name in tips) for name, (touch, _) in self.touches.items())
 
-    def wrenches(self) -> dict[str, Array]:
-        """Returns the wrenches (6,) on the taxels of each link, by the name of the load sensor that they are.
-
-        See `SkinTouch.wrench`.
-        """
-        found = dict[str, Array]()
-        for touch, _ in self.touches.values():
-            name = TAXELS.format(touch.surface.frame)
-            found[name] = touch.wrench if name not in found else found[name] + touch.wrench
-        return found
-
     def beside_tips(self) -> tuple[tuple[str, ...], Contacts, Array]:
         """Returns the loads on the taxels of k links that are no fingertips, as a tip's load is given.
 
@@ -147,21 +138,17 @@ class SkinContacts:
             if len(touch.patches) and touch.surface.frame not in tips
         }
         points, normals, loads = (np.empty((len(pressed), k)) for k in (3, 3, 5))
-        wrenches = self.wrenches()
         for k, (name, (touch, T)) in enumerate(pressed.items()):
-            taxels, share = (
-                touch.surface.taxels,
-                np.where(touch.states[1, :-1] >= 0, touch.rise[:-1, -1], 0.0),
-            )
+            share = np.where(touch.states[1, :-1] >= 0, touch.rise[:-1, -1], 0.0)
             share /= share.sum()
-            point, normal = share @ taxels["point"], -share @ taxels["axes"][:, :, 2]
-            normal /= np.linalg.norm(normal)
-            force, torque = wrenches[name][:3], wrenches[name][3:]
-            radius = math.sqrt(share @ ((taxels["point"] - point) ** 2).sum(axis=1))
-            torsion = (torque - np.cross(point, force)) @ normal
-            torsion *= FRICTION.torsion / max(radius, FRICTION.torsion)
-            R, along = T[:3, :3], force @ normal
-            loads[k] = *(R @ (force - along * normal)), along, torsion
+            point, normal = share @ touch.surface.points, -share @ touch.surface.normals
+            normal /= math.sqrt(normal @ normal)
+            wrench, R = self.wrenches[name], T[:3, :3]
+            force, along = wrench[:3], wrench[:3] @ normal
+            radius = math.sqrt(share @ ((touch.surface.points - point) ** 2).sum(axis=1))
+            torsion = wrench[3:] @ normal - force @ (se3.skew(normal) @ point)  # n · (t - p × f)
+            loads[k, :3], loads[k, 3] = R @ (force - along * normal), along
+            loads[k, 4] = torsion * FRICTION.torsion / max(radius, FRICTION.torsion)
             points[k], normals[k] = R @ point + T[:3, 3], R @ normal
         return tuple(pressed), Contacts.trusted(points, normals, np.zeros((len(pressed), 6, 6))), loads
 
@@ -228,6 +215,7 @@ class SkinSensors:
         self._joints = {name: frozenset(chains.joints) for name, chains in self._chains.items()}
         fingers = {finger.frame: name for name, finger in rig.fingers.items()}
         self._fingers = {name: fingers.get(surface.frame) for name, surface in rig.skin.items()}
+        self._links = {name: TAXELS.format(surface.frame) for name, surface in rig.skin.items()}
         self._sigma_joint = float(np.hypot(rig.sigma_joint_offset, rig.sigma_joint))
 
     def observed(
@@ -242,7 +230,7 @@ class SkinSensors:
             came = checks.brief(observation.skin)
             raise InvalidInput(f"observation.skin: expected a mapping from array to readings, got {came}")
         touches, watched = dict[str, tuple[SkinTouch, LinkPose]](), dict(before.watched)
-        tips, joints = dict[str, str](), observation.joint_positions
+        tips, wrenches, joints = dict[str, str](), dict[str, Array](), observation.joint_positions
         for name, surface in self.rig.skin.items():
             if name not in observation.skin:
                 continue
@@ -258,9 +246,11 @@ class SkinSensors:
             if self._joints[name] and (joints is None or not self._joints[name] <= joints.keys()):
                 continue
             touches[name] = touch, LinkPose(self._chains[name], joints, self._sigma_joint)
+            link = self._links[name]
+            wrenches[link] = touch.wrench if link not in wrenches else wrenches[link] + touch.wrench
             finger = self._fingers[name]
             if finger is not None and len(touch.patches) and joints is not None:
                 other = touches[tips[finger]][0] if finger in tips else None
                 if other is None or other.patches["total"].max() < touch.patches["total"].max():
                     tips[finger] = name
-        return SkinContacts(touches, watched, tips)
+        return SkinContacts(touches, watched, tips, wrenches)
