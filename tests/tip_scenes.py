@@ -241,10 +241,10 @@ def places(rig: Rig, observations: Iterable[Observation]) -> dict[str, Array]:
     for observation in observations:
         touch = sensors.contacts(observation)
         Ts = dict(zip(rig.hand.tips, rig.hand.Ts_palm_tip(observation.joint_positions or {}), strict=True))
-        for i, name in enumerate(touch.fingers if touch.contacts is not None else ()):
+        points = np.empty((0, 3)) if touch.contacts is None else touch.contacts.points_palm
+        for name, point in zip(touch.fingers, points, strict=True):
             T = se3.inverse(Ts[name] @ rig.fingers[name].T_frame_surface)
-            point = touch.contacts.points_palm[i : i + 1]
-            found.setdefault(name, []).append(R_FINGER_PAD.T @ se3.apply(T, point)[0])
+            found.setdefault(name, []).append(R_FINGER_PAD.T @ se3.apply(T, point[None])[0])
     return {name: np.median(each, axis=0) for name, each in found.items()}
 
 
