@@ -5,7 +5,7 @@ is a paraboloid, near Hertz's. Each taxel measures the force on its cell, one co
 constant offset, and a share that leaks to the neighbours.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -71,9 +71,10 @@ HELD_OUT = ("finger", "egg")
 
 
 def tip(
-    shape: Shape, rng: Rng, *, taxels: int = 30, pitch: float = 0.0047, components: int = 3, **fields: Any
-) -> TactileSurface:
-    """A tip's surface: the places farthest from each other among many, a pitch apart, around its pad's middle."""
+    shape: Shape, rng: Rng, *, taxels: int = 30, pitch: float = 0.0047, components: int = 3,
+    middle: Array | None = None, **fields: Any,
+) -> TactileSurface:  # fmt: skip
+    """A tip's surface: places among many, a pitch apart, around a `middle` (3,), its pad's without one."""
     many = rng.normal(size=(4000, 3))
     many /= np.linalg.norm(many, axis=1, keepdims=True)
     places = many * shape.axes
@@ -82,7 +83,7 @@ def tip(
         places = np.where(places[:, 1:2] < 0, np.column_stack([
             places[:, 0] / np.hypot(many[:, 0], many[:, 2]), places[:, 1],
             places[:, 2] / np.hypot(many[:, 0], many[:, 2])]), places)  # fmt: skip
-    order = np.argsort(np.linalg.norm(places - [0, 0, shape.axes[2]], axis=1))
+    order = np.argsort(np.linalg.norm(places - ([0, 0, shape.axes[2]] if middle is None else middle), axis=1))
     chosen: list[Array] = []
     for place in places[order]:
         if len(chosen) < taxels and all(np.linalg.norm(place - other) > 0.93 * pitch for other in chosen):
@@ -119,8 +120,14 @@ def pressed(
     round_by: float | None = None,
     dead: int = 1,
     place: Array | None = None,
+    load: tuple[Array, float] | None = None,
+    step: float = STEP,
+    reach: float = 0.85,
 ) -> Press:
     """A press at a random place within the layout; `round_by` is the body's curvature, -20 to 80 /m without one.
+
+    `load`: the tangential force (3,) [N] and the torque about the contact's normal [N m]; random without it. What
+    presses farther than `reach` pitches from all taxels is not measured.
 
     On a tip that is drawn out to a cylinder it is 15 /m or more: a flat body touches it along a line, which has no
     point that is touched first.
@@ -140,20 +147,21 @@ def pressed(
     x = np.cross(out, [1.0, 0, 0] if abs(out[0]) < 0.9 else [0, 1.0, 0])
     x /= np.linalg.norm(x)
     y = np.cross(out, x)
-    grid = np.arange(-0.01, 0.01 + STEP / 2, STEP)
+    grid = np.arange(-0.01, 0.01 + step / 2, step)
     u, v = np.meshgrid(grid, grid)
     fine, normals = shape.on_surface(point + u[..., None] * x + v[..., None] * y, out)
     fine, normals = fine.reshape(-1, 3), normals.reshape(-1, 3)
-    known = np.isfinite(fine).all(axis=1)
+    # Of the side that is pressed; where a line only touches the tip, its end is not on it.
+    known = (np.abs(shape.value(fine)[0]) < 1e-6) & (normals @ out > 0)
     fine, normals = fine[known], normals[known]
     arms = fine - point
     r2 = (arms**2).sum(axis=1) - (arms @ out) ** 2
     # The skin's own height errors are those of the nearest taxel.
     distance = np.linalg.norm(fine[:, None] - surface.points, axis=2)
-    nearest, far = distance.argmin(axis=1), distance.min(axis=1) > 0.85 * surface.pitch
+    nearest, far = distance.argmin(axis=1), distance.min(axis=1) > reach * surface.pitch
     gap = 0.5 * curvature * r2 - arms @ out + (UNEVEN * rng.normal(size=len(surface.points)))[nearest]
     cosine = normals @ out
-    area = STEP**2 / cosine.clip(0.2)
+    area = step**2 / cosine.clip(0.2)
     low, high = 0.0, 0.01
     for _ in range(50):  # the depth at which the springs bear the force
         depth = (low + high) / 2
@@ -164,6 +172,9 @@ def pressed(
     share = FRICTION * rng.random()
     spin = FRICTION * rng.uniform(-1, 1) / np.sqrt(r2[pressure > 0].max(initial=1e-6))
     drag = share * (np.cos(side) * x + np.sin(side) * y) + 0.25 * spin * np.cross(out, arms)
+    if load is not None:
+        spin = -load[1] / max((pressure * r2).sum(), 1e-12)
+        drag = load[0] / pressure.sum() + spin * np.cross(out, arms)
     pushed = -pressure[:, None] * normals + pressure[:, None] * drag
     cells = np.zeros((len(surface.points), 3))
     np.add.at(cells, nearest[~far], pushed[~far])
@@ -203,13 +214,18 @@ R_FINGER_PAD = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """From a shape's axes to those of a simulated finger: it points along z, its pad faces -y."""
 
 
-def with_taxels(rig: Rig, rng: Rng, *, components: Any = 3) -> tuple[Rig, dict[str, Shape]]:
-    """A rig of the simulated hand with 30 taxels on each tip, and the shapes of its tips by finger."""
+def with_taxels(
+    rig: Rig, rng: Rng, *, components: Any = 3, middles: Mapping[str, Array] | None = None, **layout: Any
+) -> tuple[Rig, dict[str, Shape]]:
+    """A rig of the simulated hand with 30 taxels on each tip, or another `layout` of `tip`, and the tips' shapes.
+
+    `middles`: by finger, the middle of its taxels in its shape's frame, see `places`; without one its pad's.
+    """
     skin, shapes = dict(rig.skin), {}
     for name, finger in rig.fingers.items():
         x, y, z = finger.tip.semi_axes
         shapes[name] = Shape((x, z, y), drawn_out=False)
-        found = tip(shapes[name], rng, components=components)
+        found = tip(shapes[name], rng, components=components, middle=(middles or {}).get(name), **layout)
         T = finger.T_frame_surface
         R = T[:3, :3] @ R_FINGER_PAD
         skin[name] = TactileSurface(
@@ -217,6 +233,19 @@ def with_taxels(rig: Rig, rng: Rng, *, components: Any = 3) -> tuple[Rig, dict[s
             threshold=0.03, components=components, pitch=found.pitch,
         )  # fmt: skip
     return replace(rig, skin=skin), shapes
+
+
+def places(rig: Rig, observations: Iterable[Observation]) -> dict[str, Array]:
+    """By finger that touches, the median place where it does by its wrench, in its shape's frame [m]."""
+    sensors, found = FingertipSensors(rig), dict[str, list[Array]]()
+    for observation in observations:
+        touch = sensors.contacts(observation)
+        Ts = dict(zip(rig.hand.tips, rig.hand.Ts_palm_tip(observation.joint_positions or {}), strict=True))
+        points = np.empty((0, 3)) if touch.contacts is None else touch.contacts.points_palm
+        for name, point in zip(touch.fingers, points, strict=True):
+            T = se3.inverse(Ts[name] @ rig.fingers[name].T_frame_surface)
+            found.setdefault(name, []).append(R_FINGER_PAD.T @ se3.apply(T, point[None])[0])
+    return {name: np.median(each, axis=0) for name, each in found.items()}
 
 
 def taxel_observations(
@@ -228,26 +257,29 @@ def taxel_observations(
     wrenches: bool = False,
 ) -> Iterator[Observation]:
     """Observations in which taxels read what the fingertips' wrenches say; without these unless `wrenches`."""
-    sensors = FingertipSensors(rig)
+    sensors, surfaces = FingertipSensors(rig), dict[str, TactileSurface]()
+    for name in shapes:
+        T, surface = rig.fingers[name].T_frame_surface, rig.skin[name]
+        R = T[:3, :3] @ R_FINGER_PAD
+        surfaces[name] = TactileSurface(
+            frame="tip", points=(surface.points - T[:3, 3]) @ R, normals=surface.normals @ R,
+            x_axes=surface.taxels["axes"][:, :, 0] @ R, threshold=0.03, components=surface.components,
+            pitch=surface.pitch,
+        )  # fmt: skip
     for k, observation in enumerate(observations):
         rng = np.random.default_rng([seed, k])
         found, readings = sensors.contacts(observation), dict(observation.skin)
         Ts = dict(zip(rig.hand.tips, rig.hand.Ts_palm_tip(observation.joint_positions or {}), strict=True))
         for name, shape in shapes.items():
-            surface = rig.skin[name]
-            readings[name] = FLOOR * rng.normal(size=surface.shape)
+            readings[name] = FLOOR * rng.normal(size=rig.skin[name].shape)
             if name not in found.fingers or found.contacts is None or found.loads is None:
                 continue
             i = found.fingers.index(name)
             T = Ts[name] @ rig.fingers[name].T_frame_surface
             place = R_FINGER_PAD.T @ se3.apply(se3.inverse(T), found.contacts.points_palm[i : i + 1])[0]
-            R = rig.fingers[name].T_frame_surface[:3, :3] @ R_FINGER_PAD
-            local = TactileSurface(
-                frame="tip", points=(surface.points - rig.fingers[name].T_frame_surface[:3, 3]) @ R,
-                normals=surface.normals @ R, x_axes=surface.taxels["axes"][:, :, 0] @ R, threshold=0.03,
-                components=surface.components, pitch=surface.pitch,
-            )  # fmt: skip
+            tangential = R_FINGER_PAD.T @ T[:3, :3].T @ found.loads[i, :3]
             given: Any = {"force": found.loads[i, 3], "round_by": 30.0, "dead": 0, "place": place}
-            readings[name] = np.nan_to_num(pressed(shape, local, rng, **given).readings)
+            given |= {"load": (tangential, found.loads[i, 4]), "step": 1e-3, "reach": 1.2}
+            readings[name] = np.nan_to_num(pressed(shape, surfaces[name], rng, **given).readings)
         wrench = observation.wrenches if wrenches else {}
         yield replace(observation, skin=readings, wrenches=wrench)

@@ -17,8 +17,14 @@ def rig(sigma_force=0.01, fingers=FINGERS):
         sigma_torque=sigma_force * FRICTION.torsion,
         friction=None,
         sigma_friction=0.1,
+        frame="tip",
+        T_frame_surface=np.eye(4),
+        tip=SimpleNamespace(T_surface_sensor=None),
+        calibration=None,
+        sigma_gain=0.0,
+        full_scale=None,
     )
-    return SimpleNamespace(fingers=dict.fromkeys(fingers, part))
+    return SimpleNamespace(fingers=dict.fromkeys(fingers, part), skin={})
 
 
 def load(ratio, normal=2.0, angle=0.0, twist=0.0):

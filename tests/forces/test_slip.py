@@ -61,7 +61,7 @@ def test_fingers_with_different_friction_are_each_at_their_own_limit():
     slippery, rough = rig().fingers["ff"], copy.copy(rig().fingers["ff"])
     slippery.friction, rough.friction = 0.3, 0.9
     fingers = {"ff": slippery, "mf": rough, "th": rough}
-    clock = Clock(SlipDetector(SimpleNamespace(fingers=fingers)))
+    clock = Clock(SlipDetector(SimpleNamespace(fingers=fingers, skin={})))
     assert not clock.run(steady([load(0.3), load(0.3), load(0.3)], 0.1))[-1].slipping
     said = clock.run(steady([load(0.3), load(0.9), load(0.9)], 0.1))[-1]
     assert said.slipping

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import handsight as hs
+from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.recording import RecordingWriter, open_recording
 from handsight.simulation import Scenario, model_of, rig_of
@@ -105,6 +106,14 @@ def test_readings_of_another_shape_are_refused_and_change_nothing(grasp):
 
 
 def test_an_object_that_lies_on_the_skin_is_not_weighed(grasp):
-    tracker = followed(grasp)
+    """Its taxels measure pressure alone. Here the palm has risen, so that nothing else keeps it from being weighed."""
+    risen = [
+        replace(each, observation=replace(each.observation, T_world_palm=lifted))
+        for k, each in enumerate(grasp)
+        for lifted in [se3.compose(np.eye(3), np.array([0, 0, 1e-4 * k])) @ each.observation.T_world_palm]
+    ]
+    tracker = followed(risen, replace(RIG, table=None))
+    assert tracker.track_state.grasp.lifted
     assert tracker.weight is None
-    assert "skin" in tracker.unweighed
+    assert tracker.unweighed.endswith("measure no force: pressure alone, or full scale")
+    assert tracker.slip.unmeasured == (f"the taxels of {RIG.hand.palm}",)

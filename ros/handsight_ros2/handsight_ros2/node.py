@@ -7,6 +7,7 @@ rig knows one), rate (corrections a second; 0: one when something changed), imag
 browser; 0: none). Topics are the rig's: see docs/ros2.md.
 """
 
+import re
 import signal
 import sys
 import threading
@@ -30,6 +31,8 @@ LASTING = QoSProfile(
     depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE
 )
 """The quality of service of topics that are published once, for whoever subscribes later."""
+PLAIN_TYPES = {"double": "float64", "float": "float32", "boolean": "bool", "octet": "byte"}
+"""Names of numbers in definitions, by those that message classes have for them."""
 
 
 def made(package, room, name):
@@ -38,6 +41,32 @@ def made(package, room, name):
         return getattr(import_module(f"{package}.{room}"), name)
     except (ImportError, AttributeError):
         return None
+
+
+def definition(message):
+    """Returns the definition of a message's class, and of those that it is made of, as recordings have it.
+
+    It is from the class itself: any type whose package is sourced can be read so.
+    """
+    texts, waiting, known = [], [message], {message}
+    while waiting:
+        each, lines = waiting.pop(), []
+        for name, kind in each.get_fields_and_field_types().items():
+            count, bounded = "", re.fullmatch(r"sequence<(.+?)(?:, (\d+))?>", kind)
+            if bounded:
+                kind, count = bounded[1], f"[<={bounded[2]}]" if bounded[2] else "[]"
+            elif fixed := re.fullmatch(r"(.+)(\[\d+\])", kind):
+                kind, count = fixed.groups()
+            if "/" in kind:
+                package, part = kind.split("/")
+                found = made(package, "msg", part)
+                waiting += [] if found in known else [found]
+                known.add(found)
+            kind = re.sub(r"string<(\d+)>", r"string<=\1", kind)
+            lines.append(f"{PLAIN_TYPES.get(kind, kind)}{count} {name}")
+        package = each.__module__.split(".")[0]
+        texts.append((f"MSG: {package}/{each.__name__}\n" if texts else "") + "\n".join(lines))
+    return f"\n{'=' * 80}\n".join(texts)
 
 
 def tracker(node):
@@ -84,10 +113,11 @@ class Ears:
         """Subscribes anew where a topic is published with another type that is expected, and reports other types."""
         for topic, kinds in self._live.subscriptions.items():
             published = [each.topic_type for each in self._node.get_publishers_info_by_topic(topic)]
+            now, any_defined = self._subscribed.get(topic, ("",))[0], topic in self._live.any_defined
+            better = [kind for kind in published if (any_defined or kind in kinds) and made(*kind.split("/"))]
             for kind in published:
-                self._types.on_topic(topic, kind)
-            now = self._subscribed.get(topic, ("",))[0]
-            better = [kind for kind in published if kind in kinds and made(*kind.split("/"))]
+                if kind not in better:
+                    self._types.on_topic(topic, kind)
             if better and now not in published:
                 self._subscribe(topic, better[0])
 
@@ -97,26 +127,28 @@ class Ears:
         waiting, _ = queue_lengths(self._live)
         passing = QoSProfile(depth=waiting, reliability=ReliabilityPolicy.BEST_EFFORT)
 
+        text = definition(made(*kind.split("/"))) if topic in self._live.any_defined else ""
+
         def hear(data, info):
-            self._hear(topic, kind, data, info)
+            self._hear(topic, kind, text, data, info)
 
         quality = LASTING if topic.endswith("/tf_static") else passing
         subscription = self._node.create_subscription(made(*kind.split("/")), topic, hear, quality, raw=True)
-        self._subscribed[topic] = kind, subscription
+        self._subscribed[topic] = kind, subscription, text
 
-    def _hear(self, topic, kind, data, info):
+    def _hear(self, topic, kind, text, data, info):
         """Hands over a message and all others that have come, in the order of their arrival.
 
         The executor would wait anew for each message, and hand over those of one topic after those of another.
         """
-        taken = [(info["received_timestamp"], topic, kind, data)]
-        for topic, (kind, subscription) in self._subscribed.items():
+        taken = [(info["received_timestamp"], topic, kind, data, text)]
+        for topic, (kind, subscription, text) in self._subscribed.items():
             with subscription.handle:
                 while (more := subscription.handle.take_message(subscription.msg_type, True)) is not None:
-                    taken.append((more[1]["received_timestamp"], topic, kind, more[0]))
+                    taken.append((more[1]["received_timestamp"], topic, kind, more[0], text))
         self.heard, now = time.monotonic(), 1e-9 * self._node.get_clock().now().nanoseconds
-        for _, topic, kind, data in sorted(taken, key=itemgetter(0)):
-            self._live.put(RawMessage(topic, kind, "cdr", now, bytes(data)))
+        for _, topic, kind, data, text in sorted(taken, key=itemgetter(0)):
+            self._live.put(RawMessage(topic, kind, "cdr", now, bytes(data), text))
 
 
 def publisher(node, live):

@@ -115,6 +115,8 @@ def progress(tally: "Tally", step: "Step", tracker: "Tracker") -> list[tuple[str
 
 def grip(slip: "Slip") -> str:
     """Returns in words how near the object is to slipping."""
+    if slip.least is None and slip.unmeasured:
+        return f"no force is measured by {', '.join(slip.unmeasured)}"
     if slip.least is None:
         return "friction is not known yet" if slip.friction is None else "no finger holds the object"
     used = f"the finger that holds best uses {slip.least:.0%} of what friction {slip.friction:.2f} allows"
@@ -370,6 +372,8 @@ class TrackResult:
                 )
         if pressed := sum(step.skin.pressed for step in self.steps):
             yield f"tactile arrays: pressed in {pressed} of {len(self.steps)} poses"
+        if unmeasured := sorted({name for step in self.steps for name in step.slip.unmeasured}):
+            yield f"no evidence of slips, as no force is measured there: {', '.join(unmeasured)}"
         for name, faults in self.steps[-1].skin.faults.items() if self.steps else ():
             yield f"skin {name}: {faults}"
         if slips := self.slips:

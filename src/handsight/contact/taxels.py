@@ -202,7 +202,7 @@ class TactileSurface:
         if array.dtype.kind not in "fiub" or array.shape != self.shape:
             came = f"{checks.brief(values)} of shape {array.shape}"
             raise InvalidInput(f"{name}: expected {self._expected} numbers, got {came}")
-        return array.astype(np.float64)
+        return array.astype(np.float64, copy=False)
 
     def cells(self, values: Array) -> Array:
         """Returns a checked reading as (n, components)."""
@@ -338,6 +338,14 @@ class SkinTouch:
     def strongest(self) -> int:
         """The number of the patch that bears most."""
         return int(self.patches["total"].argmax()) if len(self.patches) > 1 else 0
+
+    @property
+    def wrench(self) -> Array:
+        """(6,) force [N] of the object on the surface, and its torque about the link's origin [N m], in the link.
+
+        They are NaN where what is pressed measures no force: pressure alone, or taxels at their full scale.
+        """
+        return np.asarray(self.patches["wrench"].sum(axis=0)) if len(self.patches) else np.zeros(6)
 
     def contacts(
         self, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None, without: int = -1

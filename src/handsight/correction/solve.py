@@ -298,7 +298,7 @@ def cost(problem: Problem, Ts_palm_object: Array, used: Mask) -> Array:
     `used` (1, n): the contacts in use.
     """
     descents = descents_at(Ts_palm_object)
-    batch.cost_all(*problem.arguments(used), descents)
+    in_parts(partial(batch.cost_all, *problem.arguments(used)), (descents,), SOLVE.block)
     return np.asarray(descents["posterior_cost"])
 
 

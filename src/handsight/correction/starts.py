@@ -38,7 +38,7 @@ class StartOptions(NamedTuple):
     first_scoring: int = 3  # without vision: the outermost contacts, by which every start is scored first
     promising: int = 4  # one start in so many, of the lowest costs, is then scored by the other contacts too
     serial: int = 512  # starts whose scores are too few to be shared with another thread
-    footprint_draws: int = 384  # on a tactile array: poses that are drawn in a round
+    footprint_draws: int = 192  # on a tactile array: poses that are drawn in a round
     footprint_rounds: int = 3  # rounds, each around the likeliest poses of the round before
     footprint_kept: int = 12  # likeliest poses that are kept of a round
     footprint_shrink: float = 0.3  # factor on the spread from round to round

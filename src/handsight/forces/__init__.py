@@ -1,7 +1,16 @@
 """Forces: weight, centre of mass and slip of the object in the hand, from the loads on the fingertips."""
 
 from handsight.forces.friction import FRICTION
-from handsight.forces.loads import LOADS, LoadSum, calibrate_sensors, load_sum, read_in_air
+from handsight.forces.loads import (
+    LINK_TAXELS,
+    LOADS,
+    LoadSensor,
+    LoadSum,
+    calibrate_sensors,
+    load_sensors,
+    load_sum,
+    read_in_air,
+)
 from handsight.forces.object_motion import moved_with_tips, slip_twist
 from handsight.forces.slip import SLIP, Slip, SlipDetector
 from handsight.forces.weigher import WEIGHER, ObjectWeight, Weigher, WeightSensor
@@ -9,10 +18,12 @@ from handsight.forces.weight import Carried, Unknowns, Weighing, common_equation
 
 __all__ = [
     "FRICTION",
+    "LINK_TAXELS",
     "LOADS",
     "SLIP",
     "WEIGHER",
     "Carried",
+    "LoadSensor",
     "LoadSum",
     "ObjectWeight",
     "Slip",
@@ -23,6 +34,7 @@ __all__ = [
     "WeightSensor",
     "calibrate_sensors",
     "common_equations",
+    "load_sensors",
     "load_sum",
     "moved_with_tips",
     "read_in_air",

@@ -1,4 +1,6 @@
-"""The loads on the fingertips over a short time: their sum with its uncertainty, and the sensors' biases.
+"""The loads on the hand's links over a short time: their sum with its uncertainty, and the sensors' biases.
+
+A link's load is measured by a fingertip's six-axis sensor or by three-axis taxels on any link: both are load sensors.
 
 The object's load (f, t) on each tip, at its sensor's origin s, adds up to F = Σ f and T = Σ (t + s × f) about the
 palm's origin. Where the joints read δq too much, with J the tip's Jacobian at s, the tip seems turned by J_ω δq and
@@ -8,7 +10,7 @@ A tip that moves through the air bears only its own weight. If the rest of its r
 the way, it is the sensor's bias: the load of a touched object would change.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -18,9 +20,10 @@ from scipy.special import chdtri
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import calibrate_wrench, compensate
+from handsight.contact import TactileSurface, WrenchCalibration, calibrate_wrench, compensate
 from handsight.errors import InvalidInput
-from handsight.hand import HandPose
+from handsight.hand import Hand
+from handsight.hand.chains import Chains
 from handsight.observation import Observation
 from handsight.rig import Rig
 
@@ -37,16 +40,88 @@ class LoadOptions(NamedTuple):
     still: float = 0.3  # length of the means by which a sensor is calibrated [s]
     still_turn: float = np.deg2rad(0.5)  # a hand whose sensors turn less than this meanwhile is still [rad]
     max_bias: float = 0.5  # a larger reading in the air is a load, or a broken sensor [N]
+    min_readings: int = 3  # fewest of a sensor that is slower than the joints
+    patch: int = 10  # taxels whose noise adds up in the force of a patch
     unsteady_p: float = 0.001
     """Readings vary by more than noise where noise would exceed their spread with less than this probability."""
 
 
 LOADS = LoadOptions()
+LINK_TAXELS = "the taxels of {}"
+"""Name of the load sensor that a link's taxels are."""
+
+
+class LoadSensor(NamedTuple):
+    """A `LoadSensor` measures the load on one link: a fingertip's six-axis sensor, or the link's three-axis taxels.
+
+    Taxels have no bias, as the tracker has subtracted it, and nothing hangs on them.
+    """
+
+    name: str
+    """Of its readings among an observation's wrenches: the finger's, or `LINK_TAXELS` with the link."""
+    frame: str
+    """The link."""
+    T_frame_sensor: Array
+    """(4, 4)"""
+    calibration: WrenchCalibration
+    sigma: Array
+    """(6,) noise of a reading [N, N m]."""
+    sigma_gain: float
+    """Constant relative error of the readings."""
+    full_scale: tuple[float, float] = (np.inf, np.inf)
+    """Largest force [N] and torque [N m] that it can read."""
+    taxels: bool = False
+
+    def readings(self, observations: Sequence[Observation]) -> Array:
+        """Returns its readings (n, 6) in its own frame, of those observations that have one."""
+        name = self.name
+        rows = np.array([o.wrenches[name] for o in observations if name in o.wrenches]).reshape(-1, 6)
+        if self.taxels:  # theirs are about the link's origin
+            rows[:, 3:] -= np.cross(self.T_frame_sensor[:3, 3], rows[:, :3])
+        return rows
+
+
+def load_sensors(rig: Rig, names: Collection[str] = ()) -> tuple[LoadSensor, ...]:
+    """Returns what measures the loads, given the names of readings that came: one for each finger, then other links.
+
+    Of a finger they are its six-axis sensor's, or, where only its taxels are among the names, theirs.
+    """
+    surfaces = dict[str, list[TactileSurface]]()
+    for surface in rig.skin.values():
+        if LINK_TAXELS.format(surface.frame) in names:
+            surfaces.setdefault(surface.frame, []).append(surface)
+    found = list[LoadSensor]()
+    for name, finger in rig.fingers.items():
+        own = surfaces.pop(finger.frame, None)
+        if own is not None and name not in names:
+            found.append(_of_taxels(finger.frame, own))
+            continue
+        T, T_sensor = finger.T_frame_surface, finger.tip.T_surface_sensor
+        T, sigma = (
+            T if T_sensor is None else T @ T_sensor,
+            [finger.sigma_force] * 3 + [finger.sigma_torque] * 3,
+        )
+        rest = np.array(sigma), finger.sigma_gain, finger.full_scale or (np.inf, np.inf)
+        found.append(LoadSensor(name, finger.frame, T, finger.calibration, *rest))
+    return (*found, *(_of_taxels(frame, own) for frame, own in surfaces.items()))
+
+
+def _of_taxels(frame: str, surfaces: Sequence[TactileSurface]) -> LoadSensor:
+    """Returns the sensor that a link's taxels are, about their middle; its gain is as uncertain as a taxel's."""
+    points = np.concatenate([surface.points for surface in surfaces])
+    middle, zero = points.mean(axis=0), np.zeros(3)
+    noise = np.sqrt(LOADS.patch) * max(surface.threshold for surface in surfaces) / 3
+    arm = np.sqrt(((points - middle) ** 2).sum(axis=1).mean())
+    sigma, gain = noise * np.repeat([1.0, arm], 3), max(surface.noise for surface in surfaces)
+    nothing = WrenchCalibration(zero, zero, 1e-9, zero)
+    return LoadSensor(
+        LINK_TAXELS.format(frame), frame, se3.compose(np.eye(3), middle), nothing, sigma, gain, taxels=True
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadSum:
-    """A `LoadSum` is the sum of the loads on all t fingertips, averaged over a short time.
+    """A `LoadSum` is the sum of the loads on all t sensors (`load_sensors`), averaged over a short time.
 
     It is along the palm's axes, about the palm's origin.
     """
@@ -62,7 +137,7 @@ class LoadSum:
     by_joint: Array
     """(6, j) derivative of the wrench by the error of each joint."""
     by_bias: Array
-    """(6, 6 t) derivative of the wrench by the force and torque of each tip's bias."""
+    """(6, 6 t) derivative of the wrench by the force and torque of each sensor's bias."""
     readings: Array
     """(6 t,) force [N] and torque [N m] that each sensor measures, with its tip's own weight, in its own axes."""
     noise: Array
@@ -72,9 +147,9 @@ class LoadSum:
     turning: float
     """Root mean square of the palm's angular acceleration, per axis [rad/s²]."""
     Ts_palm_tip: Array
-    """(t, 4, 4) poses of the tips."""
+    """(t, 4, 4) poses of the tips; of taxels, of their middles."""
     forces: Array
-    """(t, 3) force of the object on each tip [N]."""
+    """(t, 3) force of the object on each of them [N]."""
     touched: Mapping[int, tuple[Array, Array]]
     """By index of a tip that touches: the contact's point (3,) in the palm [m], and its normal (3,)."""
 
@@ -90,44 +165,55 @@ class LoadSum:
         return np.asarray(force - (force @ normal) * normal)
 
 
-def lacking(rig: Rig, observations: Sequence[Observation]) -> str:
-    """Returns why the observations do not measure the loads on all fingertips; empty where they do."""
-    alike = []
-    for name, finger in rig.fingers.items():
-        readings = np.array([o.wrenches.get(name, np.full(6, np.nan)) for o in observations])
-        if not np.isfinite(readings).all():
-            return f"{name} is silent"
-        alike += [name] if (readings == readings[0]).all() else []
-        if finger.full_scale is not None:
-            ends = np.repeat(LOADS.saturated * np.array(finger.full_scale), 3)
-            if (np.abs(readings) >= ends).any():
-                return f"{name} is at the end of its sensor's scale"
+def lacking(sensors: Sequence[LoadSensor], observations: Sequence[Observation]) -> str:
+    """Returns why the observations do not measure the loads of all sensors; empty where they do."""
+    alike, six_axis = [], [sensor for sensor in sensors if not sensor.taxels]
+    for sensor in sensors:
+        readings = sensor.readings(observations)
+        if len(readings) < LOADS.min_readings or not np.isfinite(readings).all():
+            why = "measure no force: pressure alone, or full scale" if sensor.taxels else "is silent"
+            return f"{sensor.name} {why}"
+        alike += [sensor.name] if not sensor.taxels and (readings == readings[0]).all() else []
+        if (np.abs(readings) >= LOADS.saturated * np.repeat(sensor.full_scale, 3)).any():
+            return f"{sensor.name} is at the end of its sensor's scale"
     # If all of them read the same all the time, it is a simulation without noise.
-    return f"{alike[0]} always reads the same" if 0 < len(alike) < len(rig.fingers) else ""
+    return f"{alike[0]} always reads the same" if 0 < len(alike) < len(six_axis) else ""
 
 
 def load_sum(
-    rig: Rig, observations: Sequence[Observation], touched: Mapping[str, tuple[Array, Array]], joints: Array
+    rig: Rig,
+    observations: Sequence[Observation],
+    touched: Mapping[str, tuple[Array, Array]],
+    joints: Array,
+    sensors: Sequence[LoadSensor] | None = None,
 ) -> LoadSum:
     """Returns the mean sum of loads over n observations, evenly spaced, of a grip that hardly changes.
 
     Nothing may be `lacking` in them. `touched`: by finger that touches, the contact's point in the palm [m], and its
     normal. `joints` (j,): the estimated offsets of the hand's moving joints, reading less true position [rad].
+    `sensors`: what measures the loads; None: the fingers' six-axis sensors.
     """
-    n, names = len(observations), tuple(rig.fingers)
+    n, sensors = len(observations), load_sensors(rig) if sensors is None else sensors
+    chains = _chains(rig.hand, tuple(sensor.frame for sensor in sensors))
+    offsets = dict(zip(rig.hand.moving, joints.tolist(), strict=True))
     rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]
-    offsets = zip(rig.hand.moving, joints.tolist(), strict=True)
-    mean = {name: sum(row[name] for row in rows) / n - off for name, off in offsets}
-    hand, tips, sensors = _sensors(rig, mean)
-    places = sensors[:, :3, 3]
+    mean = {name: sum(row[name] for row in rows) / n - offsets.get(name, 0.0) for name in chains.joints}
+    Ts_palm_link, axes = chains.poses(mean)
+    Ts_palm_sensor = Ts_palm_link @ np.array([sensor.T_frame_sensor for sensor in sensors])
+    places = Ts_palm_sensor[:, :3, 3]
     middle = np.mean([point for point, _ in touched.values()] or places, axis=0)
     Ts_world_palm = np.array([o.T_world_palm for o in observations])
     step = (observations[-1].stamp - observations[0].stamp) / max(n - 1, 1)
     acceleration, turning = accelerations(Ts_world_palm, middle, step)
     gravity = np.einsum("nji,nj->i", Ts_world_palm[:, :3, :3], rig.gravity - acceleration) / n
-    J = hand.jacobians(places, tips)
-    wrench, by_joint, by_bias, readings, forces = _summed(rig, observations, gravity, sensors, J)
-    B = by_bias * np.concatenate([[f.sigma_force] * 3 + [f.sigma_torque] * 3 for f in rig.fingers.values()])
+    J = np.zeros((len(sensors), 6, len(joints)))  # joints that move no tip are taken to be exact
+    learnt = [name in offsets for name in chains.joints]
+    columns = [rig.hand.moving.index(name) for name in chains.joints if name in offsets]
+    J[:, :, columns] = chains.jacobians(places.copy(), np.arange(len(sensors)), axes)[:, :, learnt]
+    wrench, by_joint, by_bias, readings, forces = _summed(sensors, observations, gravity, Ts_palm_sensor, J)
+    B = by_bias * np.concatenate([sensor.sigma for sensor in sensors])
+    taxels = np.array([sensor.taxels for sensor in sensors])
+    index = {name: i for i, name in enumerate(rig.fingers)}
     return LoadSum(
         stamp=(observations[0].stamp + observations[-1].stamp) / 2,
         wrench=wrench,
@@ -139,9 +225,9 @@ def load_sum(
         noise=(B @ B.T + rig.sigma_joint**2 * by_joint @ by_joint.T) / n,
         acceleration=float(np.sqrt((acceleration**2).mean())),
         turning=float(np.sqrt((turning**2).mean())),
-        Ts_palm_tip=hand.Ts_palm_tip[tips],
+        Ts_palm_tip=np.where(taxels[:, None, None], Ts_palm_sensor, Ts_palm_link),
         forces=forces,
-        touched={i: touched[name] for i, name in enumerate(names) if name in touched},
+        touched={index[name]: contact for name, contact in touched.items()},
     )
 
 
@@ -178,25 +264,28 @@ def _second_derivative(n: int, length: int) -> Array:
 
 
 def _summed(
-    rig: Rig, observations: Sequence[Observation], gravity: Array, sensors: Array, J: Array
+    sensors: Sequence[LoadSensor],
+    observations: Sequence[Observation],
+    gravity: Array,
+    Ts_palm_sensor: Array,
+    J: Array,
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Returns the sum of mean loads (6,), its derivatives by joints and biases, the readings, and the forces (t, 3).
 
-    `gravity` is that of a `LoadSum`, `sensors` (t, 4, 4) are the sensors' poses in the palm, and `J` (t, 6, j) the
-    Jacobians at their origins.
+    `gravity` is that of a `LoadSum`, and `J` (t, 6, j) the Jacobians at the sensors' origins.
     """
     t = len(sensors)
     wrench, by_joint = np.zeros(6), np.zeros((6, J.shape[2]))
     by_bias, readings, forces = np.zeros((6, 6 * t)), np.zeros(6 * t), np.zeros((t, 3))
-    for i, (name, finger) in enumerate(rig.fingers.items()):
-        reading = np.mean([o.wrenches[name] for o in observations], axis=0)
-        R, s = sensors[i, :3, :3], sensors[i, :3, 3]
-        known, own = finger.calibration, R.T @ gravity * finger.calibration.mass
+    for i, sensor in enumerate(sensors):
+        reading = np.mean(sensor.readings(observations), axis=0)
+        R, s = Ts_palm_sensor[i, :3, :3], Ts_palm_sensor[i, :3, 3]
+        known, own = sensor.calibration, R.T @ gravity * sensor.calibration.mass
         load = np.concatenate(compensate(reading[:3], reading[3:], R.T @ gravity, known))
         readings[6 * i : 6 * i + 6] = load + np.concatenate([own, np.cross(known.center_of_mass, own)])
         f, m = R @ load[:3], R @ load[3:]
         # The reading turns with the tip, the tip's own weight does not.
-        F, S, M = se3.skew(f + finger.calibration.mass * gravity), se3.skew(s), se3.skew(m)
+        F, S, M = se3.skew(f + known.mass * gravity), se3.skew(s), se3.skew(m)
         wrench += np.concatenate([f, m + S @ f])
         by_joint[:3] -= F @ J[i, 3:]
         by_joint[3:] -= se3.skew(f) @ J[i, :3] + (S @ F + M) @ J[i, 3:]
@@ -206,25 +295,28 @@ def _summed(
     return wrench, by_joint, by_bias, readings, forces
 
 
-def read_in_air(rig: Rig, observations: Sequence[Observation]) -> Array:
-    """Returns (t, 6) the bias of each tip's sensor: its mean load in the air, in the sensor's frame [N, N m].
+def read_in_air(
+    rig: Rig, observations: Sequence[Observation], sensors: Sequence[LoadSensor] | None = None
+) -> Array:
+    """Returns (t, 6) the bias of each sensor (`load_sum`): its mean load in the air, in the sensor's frame [N, N m].
 
-    It is NaN for a tip that may touch something: one that has hardly moved, or whose load has changed or is too large.
+    It is NaN for one that may touch something: one that has hardly moved, or whose load has changed or is too large.
     `observations` are those of a short time, with joints and T_world_palm; nothing may be `lacking` in them.
     """
-    first, last = (_sensors(rig, o.joint_positions)[2] for o in (observations[0], observations[-1]))
+    sensors = load_sensors(rig) if sensors is None else sensors
+    first, last = (_placed(rig, sensors, o) for o in (observations[0], observations[-1]))
     far = np.linalg.norm(last[:, :3, 3] - first[:, :3, 3], axis=1) > LOADS.min_travel
-    found = np.full((len(rig.fingers), 6), np.nan)
+    found = np.full((len(sensors), 6), np.nan)
     R_palm_world = np.asarray(observations[-1].T_world_palm)[:3, :3].T
-    limit = chdtri(3 * (len(observations) - 1), LOADS.unsteady_p)
-    for i, (name, finger) in enumerate(rig.fingers.items()):
+    for i, sensor in enumerate(sensors):
         if not far[i]:
             continue
-        readings = np.array([o.wrenches[name] for o in observations])
+        readings = sensor.readings(observations)
         gravity = last[i, :3, :3].T @ R_palm_world @ rig.gravity
-        loads = np.hstack(compensate(readings[:, :3], readings[:, 3:], gravity, finger.calibration))
+        loads = np.hstack(compensate(readings[:, :3], readings[:, 3:], gravity, sensor.calibration))
         mean = loads.mean(axis=0)
-        spread = ((loads[:, :3] - mean[:3]) ** 2).sum() / finger.sigma_force**2
+        spread = ((loads[:, :3] - mean[:3]) ** 2).sum() / sensor.sigma[0] ** 2
+        limit = chdtri(3 * (len(readings) - 1), LOADS.unsteady_p)
         if spread < limit and np.linalg.norm(mean[:3]) < LOADS.max_bias:
             found[i] = mean
     return found
@@ -238,21 +330,20 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
     names the finger, where there are too few orientations.
     """
     window, rows = list[Observation](), {name: list[Array]() for name in rig.fingers}
+    sensors = load_sensors(rig)
     for observation in observations:
         if observation.joint_positions is None or observation.T_world_palm is None:
             continue
         window.append(observation)
         if observation.stamp - window[0].stamp < LOADS.still:
             continue
-        first, last = (
-            np.array(o.T_world_palm) @ _sensors(rig, o.joint_positions)[2] for o in (window[0], window[-1])
-        )
+        first, last = (np.array(o.T_world_palm) @ _placed(rig, sensors, o) for o in (window[0], window[-1]))
         readings, window = window, []
         turned = np.linalg.norm(se3.rotation_log(first[:, :3, :3].swapaxes(1, 2) @ last[:, :3, :3]), axis=1)
-        if turned.max() > LOADS.still_turn or lacking(rig, readings):
+        if turned.max() > LOADS.still_turn or lacking(sensors, readings):
             continue
         for R, (name, means) in zip(last[:, :3, :3], rows.items(), strict=True):
-            wrenches = np.array([o.wrenches[name] for o in readings])
+            wrenches = np.array([o.wrenches[name] for o in readings if name in o.wrenches])
             means.append(np.hstack([wrenches.mean(axis=0), R.T @ rig.gravity, wrenches.var(axis=0, ddof=1)]))
     fingers = {}
     for name, finger in rig.fingers.items():
@@ -266,11 +357,14 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
     return replace(rig, fingers=fingers)
 
 
-def _sensors(rig: Rig, joint_positions: Mapping[str, float] | None) -> tuple[HandPose, list[int], Array]:
-    """Returns the hand, the index of each finger's tip among its tips, and the pose of each sensor in the palm (t, 4,
-    4)."""
-    hand = rig.hand.kinematics(joint_positions or {})
-    tips = [tuple(rig.hand.tips).index(name) for name in rig.fingers]
-    at = ((f.T_frame_surface, f.tip.T_surface_sensor) for f in rig.fingers.values())
-    Ts_tip_sensor = np.stack([T if T_sensor is None else T @ T_sensor for T, T_sensor in at])
-    return hand, tips, hand.Ts_palm_tip[tips] @ Ts_tip_sensor
+def _placed(rig: Rig, sensors: Sequence[LoadSensor], observation: Observation) -> Array:
+    """Returns the pose of each sensor in the palm (t, 4, 4)."""
+    chains = _chains(rig.hand, tuple(sensor.frame for sensor in sensors))
+    Ts_frame_sensor = np.array([sensor.T_frame_sensor for sensor in sensors])
+    return np.asarray(chains.poses(observation.joint_positions or {})[0] @ Ts_frame_sensor)
+
+
+@lru_cache(maxsize=32)
+def _chains(hand: Hand, frames: tuple[str, ...]) -> Chains:
+    """Returns how the links of load sensors move in the palm."""
+    return hand.chains_to({frame: frame for frame in frames})

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 from handsight.checks import Array
 from handsight.forces.friction import FRICTION, Friction, Vector, joined
+from handsight.forces.loads import LINK_TAXELS, load_sensors
 from handsight.rig import Rig
 
 
@@ -95,6 +96,9 @@ class Slip:
     """When the last slip ended [s]."""
     sigma_friction: float | None = None
     """Standard deviation of that coefficient; None where it is unknown."""
+    unmeasured: tuple[str, ...] = ()
+    """Fingers that touch, and taxels that are pressed, without a measurement of their force: of pressure alone, or at
+    full scale. They are no evidence of a slip, and may hold the object while all others slip."""
 
     @property
     def least(self) -> float | None:
@@ -126,16 +130,17 @@ class SlipDetector:
         self.friction = Friction(*prior)
         self.stamp = self._at_limit = -math.inf
         """Stamps of the last update, and of the last one at the limit [s]."""
+        skin = {LINK_TAXELS.format(surface.frame) for surface in rig.skin.values()}
         self._min_forces = {
-            name: (
-                max(SLIP.min_force, SLIP.min_force_sigmas * finger.sigma_force),
-                max(SLIP.sure_force, SLIP.sure_force_sigmas * finger.sigma_force),
-                math.hypot(finger.sigma_force, finger.sigma_torque / FRICTION.torsion),
+            sensor.name: (
+                max(SLIP.min_force, SLIP.min_force_sigmas * float(sensor.sigma[0])),
+                max(SLIP.sure_force, SLIP.sure_force_sigmas * float(sensor.sigma[0])),
+                math.hypot(sensor.sigma[0], sensor.sigma[3] / FRICTION.torsion),
             )
-            for name, finger in rig.fingers.items()
+            for sensor in load_sensors(rig, skin | rig.fingers.keys())
         }
-        """By finger, the normal forces above which its ratio counts, and friction is learnt from it, and the noise of
-        its tangential load [N]."""
+        """By finger, and by `LINK_TAXELS` of another link, the normal forces above which its ratio counts, and friction is
+        learnt from it, and the noise of its tangential load [N]."""
         self._means: Mapping[str, Load] = {}
         """By finger, the running mean of its load."""
         self._ratios: Mapping[str, _Ratios] = {}
@@ -146,13 +151,15 @@ class SlipDetector:
     ) -> Slip:
         """Returns whether the object slips at `stamp` [s]; an update not newer than the last one changes nothing.
 
-        `loads` (n, 5) are those on `fingers`, see `FingertipContacts.loads`; NaN where a finger does not measure its
-        load. `sliding`: fingers of which other evidence tells that they slide; friction is learnt from them.
+        `loads` (n, 5) are those on `fingers`, or on other links' taxels, by the name of their load sensor; see
+        `FingertipContacts.loads`; NaN where one does not measure its load. `sliding`: fingers of which other evidence
+        tells that they slide; friction is learnt from them.
         """
         if not stamp > self.stamp:
             return self.now
         since, self.stamp = stamp - self.stamp, stamp
-        rows = () if loads is None else zip(fingers, loads.tolist(), strict=True)
+        rows = () if loads is None else tuple(zip(fingers, loads.tolist(), strict=True))
+        unmeasured = tuple(name for name, row in rows if not math.isfinite(sum(row)))
         # A load without a normal force, or with NaN, has no ratio.
         usable = {name: row for name, row in rows if row[3] > 0 and math.isfinite(sum(row))}
         weight = 1 - math.exp(-since / SLIP.time_constant)
@@ -170,14 +177,14 @@ class SlipDetector:
         sure = dict[str, Vector]()
         for name, (x, y, z, normal, torque) in self._means.items():
             if normal > self._min_forces[name][1]:
-                scale = normal * self._relative[name]
+                scale = normal * self._relative.get(name, 1.0)
                 sure[name] = x / scale, y / scale, z / scale, torque / FRICTION.torsion / scale
         self.friction.update(sure, since if goes_on else 0.0, sliding)
         mu, sigma = self.friction.coefficient, self.friction.sigma
         ratios = {}
         if mu is not None:
             ratios = {
-                name: read.upper / (mu * self._relative[name])
+                name: read.upper / (mu * self._relative.get(name, 1.0))
                 for name, read in self._ratios.items()
                 if self._means[name][3] > self._min_forces[name][0]
             }
@@ -193,7 +200,7 @@ class SlipDetector:
         slipping = least >= SLIP.stick_ratio and stamp - self._at_limit <= holds_after
         began = stamp if slipping and not was.slipping else was.began
         ended = stamp if was.slipping and not slipping else was.ended
-        self.now = Slip(slipping, ratios, mu, began, ended, sigma)
+        self.now = Slip(slipping, ratios, mu, began, ended, sigma, unmeasured)
         return self.now
 
     def _bounces(self, ratios: Mapping[str, float]) -> bool:
@@ -227,8 +234,8 @@ def declared_friction(
 ) -> tuple[dict[str, float], tuple[float, float] | tuple[()]]:
     """Returns by finger its μ relative to the common one, and the common μ with its sigma, empty where none is known.
 
-    A finger without one has the object's, or the mean of the others. Sigmas are combined as those of one measurement
-    each of the logarithm of μ.
+    A finger without one, and taxels, have the object's, or the mean of the others. Sigmas are combined as those of one
+    measurement each of the logarithm of μ.
     """
     fingers = {
         name: (finger.friction, finger.sigma_friction)
@@ -243,6 +250,5 @@ def declared_friction(
         prior = mu, mu * math.sqrt(sum((sigma / value) ** 2 for value, sigma in known) / len(known))
         if friction is not None:
             prior = joined([prior, friction])
-        relative = {name: fingers[name][0] / mu if name in fingers else 1.0 for name in rig.fingers}
-        return relative, prior
-    return dict.fromkeys(rig.fingers, 1.0), prior or ()
+        return {name: value / mu for name, (value, _) in fingers.items()}, prior
+    return {}, prior or ()

@@ -14,7 +14,7 @@ from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.copies import shallow_copy
 from handsight.correction import PoseEstimate, WeightEvidence
-from handsight.forces.loads import LoadSum, lacking, load_sum, read_in_air
+from handsight.forces.loads import LoadSum, lacking, load_sensors, load_sum, read_in_air
 from handsight.forces.object_motion import moved_with_tips
 from handsight.forces.weight import Carried, Unknowns, Weighing, weigh
 from handsight.gaussian_pose import GaussianPose
@@ -98,12 +98,11 @@ class Weigher:
         """The instants that it used, the last one at its end."""
         self.assumed = ""
         """What the rig does not have, and a trusted weighing still has to assume."""
-        sensors = [[finger.sigma_force] * 3 + [finger.sigma_torque] * 3 for finger in rig.fingers.values()]
-        self._biases = np.array(sensors).reshape(-1)
-        """(6 t,) sigmas of the biases that calibration leaves: about as large as a reading's noise [N, N m]."""
-        self._gains = np.repeat([finger.sigma_gain for finger in rig.fingers.values()], 6)
-        """(6 t,) sigmas of the relative errors of the readings."""
-        self.tare = np.zeros((len(rig.fingers), 6))
+        self._names: frozenset[str] = frozenset()
+        """Those of all readings that have come so far, by which the sensors are chosen."""
+        self.sensors = load_sensors(rig)
+        """The t load sensors."""
+        self.tare = np.zeros((len(self.sensors), 6))
         """(t, 6) the biases, read while the tips touched nothing, in their sensors' frames [N, N m]."""
         self._lifted = False
         self._window: tuple[Observation, ...] = ()
@@ -130,15 +129,15 @@ class Weigher:
     def biased(self) -> tuple[str, ...]:
         """Fingers whose sensors have larger biases than calibration leaves; these are subtracted."""
         sizes = np.linalg.norm(self.tare[:, :3], axis=1)
-        named = zip(self.rig.fingers.items(), sizes, strict=True)
-        return tuple(name for (name, finger), size in named if size > WEIGHER.biased * finger.sigma_force)
+        named = zip(self.sensors, sizes, strict=True)
+        return tuple(sensor.name for sensor, size in named if size > WEIGHER.biased * sensor.sigma[0])
 
     def listen(self, observation: Observation) -> None:
         """Measures the sensors' biases while nothing is lifted, if their tips are in the air."""
         self._lifted = False
         window = self._full_window(observation)
-        if window and not lacking(self.rig, window):
-            read = read_in_air(self.rig, window)
+        if window and not lacking(self.sensors, window):
+            read = read_in_air(self.rig, window, self.sensors)
             self.tare = np.where(np.isnan(read), self.tare, read)
 
     def update(
@@ -162,11 +161,12 @@ class Weigher:
         window = self._full_window(observation)
         if not window:
             return False
-        if reason := lacking(self.rig, window):
+        if reason := lacking(self.sensors, window):
             self.reason = reason
             return False
         places = [] if contacts is None else zip(contacts.points_palm, contacts.normals_palm, strict=True)
-        load = load_sum(self.rig, window, dict(zip(fingers, places, strict=False)), joints[0])
+        touched = dict(zip(fingers, places, strict=False))
+        load = load_sum(self.rig, window, touched, joints[0], self.sensors)
         tare = self.tare.ravel()
         load = replace(load, wrench=load.wrench - load.by_bias @ tare, readings=load.readings - tare)
         if np.linalg.norm(load.wrench[:3]) < WEIGHER.min_weight:
@@ -184,6 +184,12 @@ class Weigher:
         """Returns the observations of the window that this one completes, or an empty tuple."""
         if observation.joint_positions is None or observation.T_world_palm is None or not self.rig.fingers:
             return ()
+        if not observation.wrenches.keys() <= self._names:
+            self._names |= observation.wrenches.keys()
+            sensors = load_sensors(self.rig, self._names)
+            if [each.name for each in sensors] != [each.name for each in self.sensors]:
+                self.forget("other sensors measure its load now")
+                self.sensors, self.tare = sensors, np.zeros((len(sensors), 6))
         window = self._window
         if window and not 0 < observation.stamp - window[-1].stamp <= WEIGHER.max_gap:
             window = ()
@@ -201,9 +207,12 @@ class Weigher:
             k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > WEIGHER.new_direction
         ]
         self.instants = instants = (*others, Carried(load))
-        exactly = Unknowns(root, self._biases, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity)
+        # Calibration leaves biases that are about as large as a reading's noise.
+        biases = np.concatenate([sensor.sigma for sensor in self.sensors])
+        gains = np.repeat([sensor.sigma_gain for sensor in self.sensors], 6)
+        exactly = Unknowns(root, biases, WEIGHER.creep, self.rig.gravity, WEIGHER.sigma_gravity)
         before = self.weighing
-        found = weigh(instants, replace(exactly, gains=self._gains), before)
+        found = weigh(instants, replace(exactly, gains=gains), before)
         if before is None or before.directions != found.directions:
             exact = weigh(instants, exactly, before)
             self.assumed = "" if exact.consistent else ASSUMED

@@ -112,6 +112,7 @@ class Health:
             "corrections": tracker.corrections,
         }
         of_pose |= {f"no contact of {name}": why for name, why in tracker.fingertips.reasons.items()}
+        of_pose |= {f"no force of {name}": "not measured" for name in tracker.slip.unmeasured}
         levels = {"tracking": OK, "uncertain": WARN, "lost": ERROR}
         notes = [note for when, note in self._notes if time.monotonic() - when < HEALTH.note_duration]
         wrong = [f"{n} messages on {topic} dropped: too many came" for topic, n in self._dropped.items()]

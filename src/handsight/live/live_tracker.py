@@ -117,6 +117,11 @@ class LiveTracker:
         return {topic.name: topic.expected for topic in topics if topic.role != "truth"} | REQUESTS
 
     @property
+    def any_defined(self) -> frozenset[str]:
+        """Those of them on which messages of any other type are read too, if they come with its definition."""
+        return frozenset(topic.name for topic in rig_topics(self.rig).values() if topic.any_defined)
+
+    @property
     def skipped(self) -> int:
         """Number of joint states that were skipped, as newer ones waited."""
         return self.health.skipped

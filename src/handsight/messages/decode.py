@@ -71,7 +71,10 @@ def decode(
     value: object
     try:
         if not topic.accepts(raw):
-            raise MessageRejected(f"expected {' or '.join(topic.expected)}, got {raw.type or 'no type'}")
+            undefined = ", whose definition did not come: source its package" if topic.any_defined else ""
+            raise MessageRejected(
+                f"expected {' or '.join(topic.expected)}, got {raw.type or 'no type'}{undefined}"
+            )
         if role in ("tf", "tf_static"):
             return _transforms(raw, topic, reader)
         if reader and role == "wrench" and (wrench := reader.wrench(raw.data)):

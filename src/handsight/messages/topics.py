@@ -162,8 +162,12 @@ class TopicReport:
 
     def accepts(self, raw: RawMessage) -> bool:
         """Returns whether a message is of a type that is expected here, or has a path into it and its definition."""
-        paths = any(surface.field for surface in self.surfaces)
-        return raw.type in self.expected or (paths and bool(raw.definition))
+        return raw.type in self.expected or (self.any_defined and bool(raw.definition))
+
+    @property
+    def any_defined(self) -> bool:
+        """Whether its messages may be of any type that comes with its definition, as the rig has a path into them."""
+        return any(surface.field for surface in self.surfaces)
 
     def reject(self, error: MessageRejected) -> None:
         """Counts a message as `nan` or `bad`, with its reason."""

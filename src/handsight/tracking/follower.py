@@ -173,18 +173,17 @@ class Follower:
         state.skin = skin = self.skin_sensors.observed(observation, state.skin, touched=touched)
         state.fingertips = touch = self.sensors.contacts(observation, state.offsets, skin)
         self._predict(state, observation.T_world_palm, stamp)
-        if skin.bears or not skin.tips.keys() <= observation.wrenches.keys():
-            state.weight.weigher.forget("the skin of the hand bears a part of it")
-        else:
-            state.weight.update(
-                observation,
-                (touch.fingers, touch.contacts),
-                (state.offsets.mean, state.offsets.root),
-                grasped=state.grasp.grasped,
-                lifted=state.grasp.lifted,
-                finger_on_table="on the table" in touch.reasons.values(),
-                pivots=state.slip.now.pivots,
-            )
+        state.weight.update(
+            replace(observation, wrenches={**skin.wrenches, **observation.wrenches})
+            if skin.touches
+            else observation,
+            (touch.fingers, touch.contacts),
+            (state.offsets.mean, state.offsets.root),
+            grasped=state.grasp.grasped,
+            lifted=state.grasp.lifted,
+            finger_on_table="on the table" in touch.reasons.values(),
+            pivots=state.slip.now.pivots,
+        )
 
         # Vision.
         before = state.smoother
@@ -234,7 +233,7 @@ class Follower:
             state.memory = state.memory.only(fingers)
         if (smoother := state.smoother) is not None:
             smoother = smoother if change is None else self._regrasped(state, smoother, change)
-            state.smoother = state.slip.update(stamp, state.fingertips, smoother, state.vision)
+            state.smoother = state.slip.update(stamp, state.fingertips, smoother, state.vision, state.skin)
             if state.table is not None and state.smoother is not smoother:
                 slipped = state.smoother.prior.covariance - smoother.now.covariance
                 state.table = state.table.restarted(smoother, slipped[:6, :6])

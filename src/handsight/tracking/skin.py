@@ -1,5 +1,6 @@
 """A rig's tactile surfaces over time: baselines at rest, faulty taxels, and which patches are fingers' contacts."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -8,13 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handsight import checks
+from handsight import checks, se3
 from handsight._kernels.touch.taxel_records import FAULTS, PATCH, PRESSED, UNKNOWN, WATCHED
 from handsight._kernels.touch.taxels import TAXELS, watch_taxels
 from handsight.checks import Array
 from handsight.contact import Contacts, Pad, SkinTouch
 from handsight.correction import SkinEvidence
 from handsight.errors import InvalidInput
+from handsight.forces import FRICTION, LINK_TAXELS
 from handsight.hand.chains import Chains
 from handsight.observation import Observation
 from handsight.rig import Rig
@@ -106,6 +108,8 @@ class SkinContacts:
     """By surface, what is known of its taxels by their readings so far."""
     tips: Mapping[str, str] = field(default_factory=dict)
     """By finger, the surface on its tip that is touched: its strongest patch is the finger's contact."""
+    wrenches: Mapping[str, Array] = field(default_factory=dict)
+    """By the name of the load sensor that a link's taxels are, the wrench (6,) on them, see `SkinTouch.wrench`."""
 
     @property
     def pressed(self) -> bool:
@@ -122,6 +126,33 @@ class SkinContacts:
         """Whether anything is touched beside the contacts of fingers."""
         tips = self.tips.values()
         return any(touch.states[1].max() >= (name in tips) for name, (touch, _) in self.touches.items())
+
+    def beside_tips(self) -> tuple[tuple[str, ...], Contacts, Array]:
+        """Returns the loads on the taxels of k links that are no fingertips, as a tip's load is given.
+
+        They are the links' names as load sensors, one contact each, at its centre of pressure, and the loads (k, 5),
+        see `FingertipContacts.loads`. The torque is scaled to that which brings a tip as near to its limit.
+        """
+        tips = {self.touches[name][0].surface.frame for name in self.tips.values()}
+        pressed = {
+            LINK_TAXELS.format(touch.surface.frame): (touch, pose.T_palm_frame)
+            for touch, pose in self.touches.values()
+            if len(touch.patches) and touch.surface.frame not in tips
+        }
+        points, normals, loads = (np.empty((len(pressed), k)) for k in (3, 3, 5))
+        for k, (name, (touch, T)) in enumerate(pressed.items()):
+            share = np.where(touch.states[1, :-1] >= 0, touch.rise[:-1, -1], 0.0)
+            share /= share.sum()
+            point, normal = share @ touch.surface.points, -share @ touch.surface.normals
+            normal /= math.sqrt(normal @ normal)
+            wrench, R = self.wrenches[name], T[:3, :3]
+            force, along = wrench[:3], wrench[:3] @ normal
+            radius = math.sqrt(share @ ((touch.surface.points - point) ** 2).sum(axis=1))
+            torsion = wrench[3:] @ normal - force @ (se3.skew(normal) @ point)  # n · (t - p × f)
+            loads[k, :3], loads[k, 3] = R @ (force - along * normal), along
+            loads[k, 4] = torsion * FRICTION.torsion / max(radius, FRICTION.torsion)
+            points[k], normals[k] = R @ point + T[:3, 3], R @ normal
+        return tuple(pressed), Contacts.trusted(points, normals, np.zeros((len(pressed), 6, 6))), loads
 
     def patches(self) -> NDArray[np.void]:
         """Returns the records PATCH of the fingers' contacts, in the order of `tips`."""
@@ -186,6 +217,7 @@ class SkinSensors:
         self._joints = {name: frozenset(chains.joints) for name, chains in self._chains.items()}
         fingers = {finger.frame: name for name, finger in rig.fingers.items()}
         self._fingers = {name: fingers.get(surface.frame) for name, surface in rig.skin.items()}
+        self._links = {name: LINK_TAXELS.format(surface.frame) for name, surface in rig.skin.items()}
         self._sigma_joint = float(np.hypot(rig.sigma_joint_offset, rig.sigma_joint))
 
     def observed(
@@ -200,7 +232,7 @@ class SkinSensors:
             came = checks.brief(observation.skin)
             raise InvalidInput(f"observation.skin: expected a mapping from array to readings, got {came}")
         touches, watched = dict[str, tuple[SkinTouch, LinkPose]](), dict(before.watched)
-        tips, joints = dict[str, str](), observation.joint_positions
+        tips, wrenches, joints = dict[str, str](), dict[str, Array](), observation.joint_positions
         for name, surface in self.rig.skin.items():
             if name not in observation.skin:
                 continue
@@ -219,6 +251,8 @@ class SkinSensors:
             if self._joints[name] and (joints is None or not self._joints[name] <= joints.keys()):
                 continue
             touches[name] = touch, LinkPose(self._chains[name], joints, self._sigma_joint)
+            link = self._links[name]
+            wrenches[link] = touch.wrench if link not in wrenches else wrenches[link] + touch.wrench
             if finger is not None and len(touch.patches) and joints is not None:
                 strongest = touch.rise[touch.states[0] != UNKNOWN, -1].max()  # not of a filled taxel
                 if known.count < TAXELS.min_rest and strongest < SKIN.sure * surface.threshold:
@@ -226,4 +260,4 @@ class SkinSensors:
                 other = touches[tips[finger]][0] if finger in tips else None
                 if other is None or other.patches["total"].max() < touch.patches["total"].max():
                     tips[finger] = name
-        return SkinContacts(touches, watched, tips)
+        return SkinContacts(touches, watched, tips, wrenches)

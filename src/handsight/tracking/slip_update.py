@@ -20,6 +20,7 @@ from handsight.objects import ObjectModel
 from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.measurements import VisionUpdate
+from handsight.tracking.skin import NOTHING, SkinContacts
 from handsight.tracking.smoother import Motion, PoseBiasSmoother
 
 
@@ -78,20 +79,27 @@ class SlipUpdate:
         fingertips: FingertipContacts,
         smoother: PoseBiasSmoother,
         vision: VisionUpdate | None = None,
+        skin: SkinContacts = NOTHING,
     ) -> PoseBiasSmoother:
         """Returns the smoother after an observation's loads; it is unchanged where the object does not slip.
 
+        Loads are those on fingertips and on the taxels of other links, `skin`.
         A slip keeps its direction, so its sigma, not its variance, grows in proportion to time.
         """
         sliding = () if vision is None else self._sliding(stamp, fingertips, vision)
-        now = self.detector.update(stamp, fingertips.fingers, fingertips.loads, sliding)
-        if not now.slipping or fingertips.contacts is None or fingertips.loads is None:
+        names, contacts, loads = fingertips.fingers, fingertips.contacts, fingertips.loads
+        if skin.bears:
+            links, beside, more = skin.beside_tips()
+            names, contacts = (*names, *links), beside if contacts is None else contacts.joined(beside)
+            loads = more if loads is None else np.concatenate([loads, more])
+        now = self.detector.update(stamp, names, loads, sliding)
+        if not now.slipping or contacts is None or loads is None:
             self._sigma = 0.0
             return smoother
         before, lasts = self._sigma, stamp - now.began + SLIP_UPDATE.onset_delay
         self._sigma = min(SLIP_UPDATE.sigma_speed * lasts, SLIP_UPDATE.max_travel)
         state = smoother.now
-        twist = slip_twist(fingertips.contacts, fingertips.loads, state.T_palm_object[:3, 3])
+        twist = slip_twist(contacts, loads, state.T_palm_object[:3, 3])
         along = ISOTROPIC
         if twist is not None:
             along = np.outer(twist, twist) + SLIP_UPDATE.lateral_share**2 * ISOTROPIC

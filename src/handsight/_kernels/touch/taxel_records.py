@@ -39,7 +39,11 @@ PATCH = np.dtype(
             (name, float, 3) for name in ("point", "normal", "force")
         ),  # as those of a `handsight.contact.Contact`
         ("covariance", float, (6, 6)),
-        ("torque", float),  # NaN, as the force is, unless the surface has three components
+        (
+            "torque",
+            float,
+        ),  # NaN, as the force is, unless the surface has three components, none at its full scale
+        ("wrench", float, 6),  # the force, and its torque about the link's origin [N m]
         ("total", float),  # sum of the readings along the normals
         (
             "contacts",

@@ -179,7 +179,7 @@ def _measure(
     point = add(point, scale(normal, raised))
 
     # Each row is the change of point and normal by one sigma of an independent error: first of each reading.
-    rows, force, moment, second = np.zeros((m + 11, 6)), zero, zero, np.zeros((3, 3))
+    rows, force, moment, second, measured = np.zeros((m + 11, 6)), zero, zero, np.zeros((3, 3)), last == 2
     for k in range(m):
         i, w, axes = members[k], share[k] * patch.total, taxels[members[k]].axes
         arm, own = sub(vector(taxels[i].point), point), vector(axes[:, 2])
@@ -193,6 +193,7 @@ def _measure(
             shear = add(scale(vector(axes[:, 0]), rise[i, 0]), scale(vector(axes[:, 1]), rise[i, 1]))
             pushed = sub(shear, scale(own, rise[i, 2]))
             force, moment = add(force, pushed), add(moment, cross(arm, pushed))
+            measured = measured and rise[i, 2] < record.full_scale
     # Then shifts of the centre, which the normal follows by the surface's bend: by the cells' size, by uneven skin, and
     # at the edge. Last the normal's own error, and the height's, which is the only one out of the surface.
     turned = math.sqrt(record.variance_normal + TAXELS.uneven**2 * spread)
@@ -211,8 +212,12 @@ def _measure(
             patch.covariance[a, b] = (rows[:, a] * rows[:, b]).sum()
     store(point, patch.point)
     store(scale(normal, -1.0), patch.normal)
-    store(force if last == 2 else (math.nan, math.nan, math.nan), patch.force)
-    patch.torque = -dot(moment, normal) if last == 2 else math.nan
+    if not measured:
+        force, moment = (math.nan, math.nan, math.nan), (math.nan, math.nan, math.nan)
+    store(force, patch.force)
+    store(force, patch.wrench[:3])
+    store(add(moment, cross(point, force)), patch.wrench[3:])
+    patch.torque = -dot(moment, normal)
 
 
 @inner

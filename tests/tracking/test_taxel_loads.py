@@ -1,0 +1,208 @@
+"""The force of a contact is the same, wherever it is measured: by a tip's wrench, or by three-axis taxels of any link."""
+
+import functools
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import handsight as hs
+import tip_scenes
+from forces.hand_in_air import CENTER, MASS, TILTS, Held, contacts, rig, sensor_frame
+from forces.loads import FINGERS, Clock, load, steady
+from forces.loads import rig as some_rig
+from handsight import se3
+from handsight.contact import TactileSurface, compensate
+from handsight.forces import FRICTION, LINK_TAXELS, SlipDetector, Weigher
+from handsight.tracking import SkinContacts, SkinSensors
+
+JOINTS = len(rig().hand.moving)
+KNOWN = np.zeros(JOINTS), rig().sigma_joint_offset * np.eye(JOINTS)
+PALM, THUMB = rig().hand.palm, rig().fingers["th"].frame
+
+
+def surface(frame, components=3, **fields):
+    given = {"rows": 6, "columns": 4, "pitch": 0.006, "threshold": 0.03} | fields
+    T = se3.compose(se3.rotation_exp(np.array([0.3, -0.2, 0.5])), np.array([0.01, -0.02, 0.03]))
+    return TactileSurface.grid(frame=frame, T_frame_grid=T, components=components, **given)
+
+
+@functools.cache
+def hand(*frames):
+    """The hand with taxels on these links too."""
+    return replace(rig(), skin={frame: surface(frame) for frame in frames})
+
+
+def by_taxels(observation, finger):
+    """The same observation, in which a finger's taxels measure what its wrench did."""
+    known = rig().fingers[finger]
+    Ts = dict(zip(rig().fingers, rig().hand.Ts_palm_tip(observation.joint_positions), strict=True))
+    T_palm_sensor = Ts[finger] @ sensor_frame(known)
+    gravity = T_palm_sensor[:3, :3].T @ observation.T_world_palm[:3, :3].T @ rig().gravity
+    wrenches = dict(observation.wrenches)
+    wrench = wrenches.pop(finger)
+    f, m = compensate(wrench[:3], wrench[3:], gravity, known.calibration)
+    T = sensor_frame(known)
+    force, torque = T[:3, :3] @ f, T[:3, :3] @ m
+    wrenches[LINK_TAXELS.format(known.frame)] = np.concatenate([force, torque + np.cross(T[:3, 3], force)])
+    return replace(observation, wrenches=wrenches)
+
+
+def weighed(weigher, held, change=lambda seen: seen):
+    for k, tilt in enumerate(TILTS[:3]):
+        for seen in held.observations(tilt, start=1.0 * k, count=31):
+            weigher.update(change(seen), *contacts(held), KNOWN)
+    return weigher
+
+
+def test_an_object_is_weighed_the_same_whether_a_wrench_or_taxels_measure_a_tips_load():
+    found = weighed(Weigher(hand(THUMB)), Held(), lambda seen: by_taxels(seen, "th")).believed
+    assert found.directions == 3
+    assert found.mass == pytest.approx(MASS, rel=2e-3)
+    assert np.linalg.norm(found.center_palm - CENTER) < 1e-3
+
+
+def test_taxels_beside_a_wrench_on_one_tip_are_not_counted_twice():
+    def both(seen):
+        return replace(seen, wrenches={**seen.wrenches, **by_taxels(seen, "th").wrenches})
+
+    weigher, alone = weighed(Weigher(hand(THUMB)), Held(), both), weighed(Weigher(rig()), Held())
+    assert weigher.believed.mass == alone.believed.mass
+
+
+def on_palm(force, point=CENTER):
+    """What changes an observation as taxels of the palm do that measure a force at a point."""
+    wrench = np.concatenate([force, np.cross(point, force)])
+    return lambda seen: replace(seen, wrenches={**seen.wrenches, LINK_TAXELS.format(PALM): wrench})
+
+
+def test_a_load_that_the_palms_taxels_bear_is_a_part_of_the_weight():
+    """Without them it contradicts the weight; with pressure alone they say that they measure no force."""
+    push = np.array([0.0, 0.0, 1.0])
+    pressed = Held(extra_palm=push)
+    known = weighed(Weigher(hand(PALM), MASS, 0.003), pressed, on_palm(-push))
+    assert known.believed.mass == pytest.approx(MASS, rel=5e-3)
+    assert weighed(Weigher(rig(), MASS, 0.003), pressed).believed is None
+    unknown = weighed(Weigher(hand(PALM), MASS, 0.003), pressed, on_palm(np.full(3, np.nan)))
+    assert unknown.believed is None
+    assert unknown.reason == f"the taxels of {PALM} measure no force: pressure alone, or full scale"
+
+
+def test_sensors_slower_than_the_joints_weigh_by_the_readings_that_came():
+    def sparse(seen):
+        seen = by_taxels(seen, "th")
+        slow = round(seen.stamp * 100) % 4 != 0
+        kept = {name: w for name, w in seen.wrenches.items() if not (slow and name not in rig().fingers)}
+        return replace(seen, wrenches=kept)
+
+    assert weighed(Weigher(hand(THUMB)), Held(), sparse).believed.mass == pytest.approx(MASS, rel=2e-3)
+
+
+def test_the_gains_of_taxels_are_as_uncertain_as_their_noise_so_the_weight_is_too():
+    by_wrench = weighed(Weigher(rig()), Held()).believed.sigma_mass
+    names = list(rig().fingers)
+    frames = [rig().fingers[name].frame for name in names]
+
+    def all_of_them(seen):
+        return functools.reduce(by_taxels, names, seen)
+
+    assert weighed(Weigher(hand(*frames)), Held(), all_of_them).weighing.sigma_mass > by_wrench
+
+
+@pytest.mark.parametrize("components", [1, 3])
+def test_the_wrench_of_a_surface_is_the_sum_over_its_taxels(components):
+    rng = np.random.default_rng(2)
+    shape = tip_scenes.SHAPES["ball"]
+    for _ in range(10):
+        tip = tip_scenes.tip(shape, rng, components=components)
+        truth = tip_scenes.pressed(shape, tip, rng, dead=0)
+        touch = tip.touch(truth.readings)
+        if components == 1:
+            assert np.isnan(touch.wrench).all()
+            continue
+        used = touch.rise[:-1]  # of all taxels: those far from the patch have noise alone
+        forces = np.einsum("nik,nk->ni", tip.taxels["axes"], used * [1, 1, -1])
+        torque = np.cross(tip.points, forces).sum(axis=0)
+        np.testing.assert_allclose(touch.wrench[:3], forces.sum(axis=0), atol=0.05)
+        np.testing.assert_allclose(touch.wrench[3:], torque, atol=1e-3)
+        patch = touch.patches[0]
+        if len(touch.patches) == 1:
+            moment = touch.wrench[3:] - np.cross(patch["point"], touch.wrench[:3])
+            assert moment @ patch["normal"] == pytest.approx(patch["torque"], abs=1e-9)
+    assert (tip.touch(np.zeros(tip.shape)).wrench == 0).all()
+
+
+def test_a_patch_with_a_taxel_at_its_full_scale_measures_no_force():
+    known = surface(PALM, full_scale=1.0)
+    reading = np.zeros(known.shape)
+    reading[2:4, 1:3, 2] = 0.5
+    assert np.isfinite(known.touch(reading).wrench).all()
+    reading[2, 1, 2] = 1.0
+    touch = known.touch(reading)
+    assert len(touch.patches) == 1
+    assert np.isnan(touch.wrench).all()
+    assert np.isnan(touch.patches["force"]).all()
+
+
+def test_the_load_on_another_link_is_its_wrench_at_the_centre_of_pressure():
+    known = surface(PALM)
+    robot = replace(rig(), skin={"palm": known})
+    reading = np.zeros(known.shape)
+    reading[1:4, 1:3] = [0.2, -0.1, 0.8]
+    observation = hs.Observation(0.0, Held().joints(), skin={"palm": reading})
+    skin = SkinSensors(robot).observed(observation, SkinContacts(), touched=True)
+    (name,), contact, loads = skin.beside_tips()
+    assert name == LINK_TAXELS.format(PALM)
+    wrench = skin.wrenches[name]
+    (point,), (normal,), (row,) = contact.points_palm, contact.normals_palm, loads
+    assert abs(row[:3] @ normal) < 1e-12
+    np.testing.assert_allclose(row[:3] + row[3] * normal, wrench[:3], atol=1e-12)
+    assert row[3] == pytest.approx(6 * 0.8)
+    middle = known.points.reshape(*known.places, 3)[1:4, 1:3].reshape(-1, 3)
+    np.testing.assert_allclose(point, middle.mean(axis=0), atol=1e-12)
+    radius = np.sqrt(((middle - point) ** 2).sum(axis=1).mean())
+    torsion = (wrench[3:] - np.cross(point, wrench[:3])) @ normal
+    assert row[4] == pytest.approx(torsion * FRICTION.torsion / radius, abs=1e-12)
+
+
+LINK = "the taxels of palm"
+
+
+def detector():
+    """One that knows friction, of a hand with taxels on its palm."""
+    stub = SimpleNamespace(fingers=some_rig().fingers, skin={"palm": surface("palm")})
+    return Clock(SlipDetector(stub, (0.5, 0.02)), (*FINGERS, LINK))
+
+
+@pytest.mark.parametrize(("ratio", "slips"), [(0.2, False), (0.5, True)])
+def test_a_palm_that_sticks_holds_the_object_while_all_fingers_are_at_their_limit(ratio, slips):
+    clock = detector()
+    clock.run(steady([load(0.1)] * 4, 0.1))
+    said = clock.run(steady([load(0.5), load(0.5), load(0.5), load(ratio, 5.0)], 0.1))[-1]
+    assert said.slipping is slips
+    assert said.ratios[LINK] == pytest.approx(ratio / 0.5, rel=0.02)
+    assert said.unmeasured == ()
+
+
+def test_a_palm_of_pressure_alone_is_named_and_is_no_evidence():
+    clock = detector()
+    unknown = np.full(5, np.nan)
+    clock.run(steady([load(0.1), load(0.1), load(0.1), unknown], 0.1))
+    said = clock.run(steady([load(0.3), load(0.3), load(0.3), unknown], 0.1))[-1]
+    assert (said.slipping, said.unmeasured) == (False, (LINK,))
+    assert LINK not in said.ratios
+    only = clock.run(steady([unknown] * 4, 0.3))[-1]
+    assert (only.slipping, only.least) == (False, None)
+    assert only.unmeasured == (*FINGERS, LINK)
+
+
+def test_tips_of_pressure_alone_are_contacts_and_no_evidence_of_slips_or_weight(can):
+    robot, shapes = tip_scenes.with_taxels(can.rig, np.random.default_rng(0), components=1)
+    tracker = hs.Tracker(robot, can.model)
+    for observation in tip_scenes.taxel_observations(robot, shapes, can.observations[-40:], 3):
+        tracker.update(observation)
+    assert len(tracker.fingertips.fingers) >= 3
+    assert set(tracker.slip.unmeasured) == set(tracker.fingertips.fingers)
+    assert (tracker.slip.ratios, tracker.slip.slipping) == ({}, False)
+    assert tracker.weight is None
