@@ -9,6 +9,7 @@ from pathlib import Path
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
 import hand_scenes as hand_scenes
+import many_scenes as many_scenes
 import scenes as scenes
 import sight_scenes as sight_scenes
 import sight_sequences as sight_sequences
