@@ -10,6 +10,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
 import gel_scenes as gel_scenes
 import hand_scenes as hand_scenes
+import many_scenes as many_scenes
 import pad_scenes as pad_scenes
 import scenes as scenes
 import sight_scenes as sight_scenes

@@ -10,6 +10,7 @@ sys.path.append(str(Path(__file__).parents[2]))
 from testbed import figures as figures
 from testbed import gel_scenes as gel_scenes
 from testbed import hand_scenes as hand_scenes
+from testbed import many_scenes as many_scenes
 from testbed import pad_scenes as pad_scenes
 from testbed import report as report
 from testbed import scenes as scenes

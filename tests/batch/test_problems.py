@@ -61,7 +61,7 @@ NAN = float("nan")
         ),
         (
             changed("contacts[2].colour", "red"),
-            "contacts[2].colour: unknown key; valid: covariance, normal, ",
+            "contacts[2].colour: unknown key; valid: covariance, group, normal, ",
         ),
         (changed("contacts", []), "contacts: expected at least one contact, got none"),
         (changed("contacts", {}), "contacts: expected a list, got {}"),
@@ -224,12 +224,14 @@ def test_a_line_takes_depth_points_and_taxels(tmp_path):
 
 
 def test_a_line_takes_all_that_correct_pose_takes():
-    """The model is its `object`; `outside` is points and planes; `contacts_of_residual` is of the contacts."""
+    """The model is its `object`; `outside` is points and planes; two keys are of the contacts."""
     import inspect
 
     keys = {field.name for field in msgspec.structs.fields(problems.ProblemFields)}
     arguments = set(inspect.signature(hs.correct_pose).parameters)
-    assert keys - {"planes", "contacts_of_residual"} == arguments - {"model"} | {"object"}
+    assert keys - {"planes", "contacts_of_residual", "shared_covariance"} == arguments - {"model"} | {
+        "object"
+    }
 
 
 @pytest.mark.parametrize(

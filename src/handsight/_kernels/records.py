@@ -123,9 +123,28 @@ TERM = record(
     ("variance_point", "f8"),  # mean, per axis
     ("variance_normal", "f8"),  # mean, per tangent axis
     ("isotropic", "i8"),  # whether the point's covariance is isotropic and not correlated with the normal
+    ("crowd", "f8"),  # number of contacts near it on the surface, which share the model's error
+    ("variance_distance", "f8"),  # of the distance alone, as of the last whitening
     ("weight", "f8", (4, 4)),  # inverse covariance of (distance, normal)
     ("log_spread", "f8"),  # log det of that covariance
     ("equations", "f8", (7, 8)),  # the contact's normal equations by (δp, δθ)
+)
+
+# Contacts that share the error of the link that they are on: a shift and a turn of all of them, by which they are
+# moved to where they are taken to be.
+GROUP = record(
+    ("pose", POSE),
+    ("error", "f8", (6,)),  # the sum of the steps (τ, radius ω) that led to that pose
+    ("information", "f8", (6, 6)),  # of the error
+    (
+        "softness",
+        "f8",
+    ),  # the factor on the covariances of the error and of its contacts, from which a descent starts
+    ("square", "f8"),  # the error's squared length [σ²]
+    ("weight", "f8"),  # the probability that the error is as declared, and not any
+    ("equations", "f8", (7, 8)),  # of the group's contacts
+    ("spurious", "f8", (7, 8)),
+    ("factor", "f8", (6, 6)),  # of the information about the group's own pose
 )
 
 # The prior of an object with its symmetries: vision's, or the weak one on the position where there is no vision.

@@ -55,6 +55,7 @@ class ContactFields(_Strict):
     sigma_point: Any = None
     sigma_normal_deg: Any = None
     covariance: Any = None
+    group: Any = -1
 
 
 class VisionFields(_Strict):
@@ -95,6 +96,7 @@ class ProblemFields(_Strict):
     object: ObjectFields
     contacts: list[ContactFields]
     contacts_of_residual: bool = False
+    shared_covariance: Any = None
     vision: VisionFields | None = None
     outside: Any = None
     planes: list[PlaneFields] = []
@@ -142,13 +144,15 @@ class Reader:
             planes.append(Plane(point, normal, checks.sigma(plane.sigma, f"planes[{i}].sigma")))
         if planes:
             outside = Outside(() if outside is None else outside, planes)
-        contacts = _contacts(fields.contacts, of_residual=fields.contacts_of_residual)
+        contacts = _contacts(
+            fields.contacts, fields.shared_covariance, of_residual=fields.contacts_of_residual
+        )
         options = {name: getattr(fields, name) for name in ("answer", "samples", "budget", "method")}
         options |= {"outside": outside, "weight": _weight(fields.weight)}
         if (depth := fields.depth) is not None:
             options["depth"] = DepthPoints(depth.points_palm, depth.sigma)
         if (skin := fields.skin) is not None:
-            pressed = _contacts(skin.contacts, of_residual=False) if skin.contacts else None
+            pressed = _contacts(skin.contacts) if skin.contacts else None
             options["skin"] = SkinEvidence(pressed, skin.untouched_palm, skin.sigmas)
         return Problem(self.model(fields.object), contacts, _vision(fields.vision), options)
 
@@ -265,7 +269,7 @@ def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
     return unique
 
 
-def _contacts(rows: list[ContactFields], *, of_residual: bool) -> Contacts:
+def _contacts(rows: list[ContactFields], shared: Any = None, *, of_residual: bool = False) -> Contacts:
     if not rows:
         raise InvalidInput("contacts: expected at least one contact, got none")
     n = len(rows)
@@ -287,8 +291,17 @@ def _contacts(rows: list[ContactFields], *, of_residual: bool) -> Contacts:
         if row.sigma_normal_deg is not None:
             sigma_normal = _radians(row.sigma_normal_deg, f"{name}.sigma_normal_deg", np.pi)
         covariance[i] = np.diag(np.repeat([sigma_point**2, sigma_normal**2], 3))
+    groups = [row.group for row in rows]
+    group = None if shared is None and all(g == -1 for g in groups) else groups
     try:
-        return Contacts(points, normals, covariance=covariance, of_residual=of_residual)
+        return Contacts(
+            points,
+            normals,
+            covariance=covariance,
+            of_residual=of_residual,
+            group=group,
+            shared_covariance=shared,
+        )
     except InvalidInput as error:
         raise InvalidInput(f"contacts: {error}") from None
 

@@ -66,7 +66,9 @@ def correct(
       `{"mesh": "file.ply", "scale": 0.001}` with a path relative to the problem file, or `{"name": "mustard"}` of the
       library (`handsight objects --help`).
     * **contacts**: `normal` is the object's outward normal. Sigmas are standard deviations per axis (default 1 mm,
-      0.1 rad); or give `covariance`, 6x6 of point and normal.
+      0.1 rad); or give `covariance`, 6x6 of point and normal. Up to 20 000, a third of which may be wrong. With
+      `"group": 0`, 1, ... contacts of one link share the error of its place.
+    * **shared_covariance**: of a group's shift and turn about its contacts' centroid, 6x6, or one for each group.
     * **contacts_of_residual**: `true` if the sigmas are those of the residuals between contacts and model, as measured
       at known poses. By default they are the sensor's, and the model's own error is added.
     * **vision** (optional): a pose with sigmas per axis, or with `covariance`, 6x6 of position and rotation.

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight._kernels.records import CONTACT
-from handsight.checks import Array, Mask
+from handsight.checks import Array, Indices, Mask
 from handsight.contact.contact import Contact, symmetric
 from handsight.errors import InvalidInput
 from handsight.representation import short_repr
@@ -32,8 +33,13 @@ class Contacts:
     varies in its tangent plane only, and in the whole normal block where there is no normal."""
     of_residual: Mask
     """(n,) whether the covariance is that of the residuals, with the model's error in it already."""
+    group: Indices
+    """(n,) the number of the group whose error each contact shares, an index of `shared_covariance`; -1: of none."""
+    shared_covariance: Array
+    """(g, 6, 6) covariance of each group's error, a shift [m] and a turn [rad] about the centroid of its contacts,
+    along the palm's axes."""
     record: NDArray[np.void]
-    """(n,) the same values as records for the kernels."""
+    """(n,) the same values as records for the kernels, without the groups."""
 
     __repr__ = short_repr
 
@@ -46,6 +52,8 @@ class Contacts:
         covariance: ArrayLike | None = None,
         *,
         of_residual: ArrayLike = False,
+        group: ArrayLike | None = None,
+        shared_covariance: ArrayLike | None = None,
     ) -> None:
         """`points_palm` (n, 3) [m]; `normals_palm` (n, 3), any length, None for a contact without one.
 
@@ -54,7 +62,12 @@ class Contacts:
         semidefinite, replaces both. They are errors of the finger: `correct_pose` adds the errors of the model's
         surface, and the change of its normal with the error of the point. With `of_residual` (a truth value or (n,))
         they are the covariance of the residual between a measured contact and the model, found with known poses;
-        nothing is added, and no direction may be exactly known. Raises an InvalidInput that names the entry.
+        nothing is added, and no direction may be exactly known.
+
+        `group` (n,), whole numbers from 0, or -1: contacts with the same number are on one link, or were probed by one
+        tool, whose placement is in error by a shift and a turn of all of them. `shared_covariance` (6, 6), or (g, 6, 6)
+        for the groups 0 to g - 1, is the covariance of that, beside the errors of each contact. However many contacts
+        a group has, they do not tell more about the pose than this allows. Raises an InvalidInput that names the entry.
         """
         if checks.ndim(points_palm) and not len(points_palm):  # type: ignore[arg-type]
             raise InvalidInput("points_palm: expected at least one contact, got no contacts")
@@ -74,7 +87,8 @@ class Contacts:
         B[~has_normal, 3:, 3:] = 0.0
         covariance_palm = symmetric(B @ covariance_palm @ B.swapaxes(-1, -2))
         flags = _residual_flags(of_residual, normals, has_normal, covariance_palm)
-        _set_fields(self, points, normals, has_normal, covariance_palm, flags)
+        groups = _groups(group, shared_covariance, len(points))
+        _set_fields(self, points, normals, has_normal, covariance_palm, flags, *groups)
 
     @classmethod
     def from_tips(
@@ -116,12 +130,32 @@ class Contacts:
         R = T[:3, :3]
         covariance = symmetric(se3.rotate_covariance(R, self.covariance))
         points, normals = se3.apply(T, self.points_palm), self.normals_palm @ R.T
-        return _unchecked(points, normals, self.has_normal, covariance, self.of_residual)
+        shared = se3.rotate_covariance(R, self.shared_covariance)
+        return _unchecked(points, normals, self.has_normal, covariance, self.of_residual, self.group, shared)
+
+    def with_own_errors(self) -> Contacts:
+        """Returns the contacts without groups, each with the error that it shares as if that were its own."""
+        if not len(self.shared_covariance):
+            return self
+        covariance = self.covariance.copy()
+        for g, shared in enumerate(self.shared_covariance):
+            own = np.flatnonzero(self.group == g)
+            by_error = np.zeros((len(own), 6, 6))
+            by_error[:, :3, :3] = np.eye(3)
+            if len(own):
+                by_error[:, :3, 3:] = -se3.skew(self.points_palm[own] - self.points_palm[own].mean(axis=0))
+            by_error[:, 3:, 3:] = -se3.skew(self.normals_palm[own])
+            covariance[own] += by_error @ shared @ by_error.swapaxes(1, 2)
+        return _unchecked(
+            self.points_palm, self.normals_palm, self.has_normal, symmetric(covariance), self.of_residual
+        )
 
     def joined(self, other: Contacts) -> Contacts:
         """Returns these contacts followed by the other ones."""
-        pairs = ((getattr(self, name), getattr(other, name)) for name in _FIELDS.values())
-        return _unchecked(*map(np.concatenate, pairs))
+        names = (*_FIELDS.values(), "group", "shared_covariance")
+        arrays = [np.concatenate([getattr(self, name), getattr(other, name)]) for name in names]
+        arrays[-2][len(self) :][other.group >= 0] += len(self.shared_covariance)
+        return _unchecked(*arrays)
 
     def select(self, mask_or_indices: ArrayLike) -> Contacts:
         """Returns the contacts of a mask (n,) bool, or of indices, which may reorder and repeat; at least one."""
@@ -133,9 +167,12 @@ class Contacts:
         if chosen.ndim != 1 or chosen.dtype.kind not in "iu" or not ((chosen >= -n) & (chosen < n)).all():
             came = checks.brief(mask_or_indices)
             raise InvalidInput(f"select: expected a mask of {n} or indices below {n}, got {came}")
-        return _unchecked(*(getattr(self, name)[chosen] for name in _FIELDS.values()))
+        arrays = [getattr(self, name)[chosen] for name in (*_FIELDS.values(), "group")]
+        return _unchecked(*arrays, self.shared_covariance)
 
 
+NO_GROUP = np.empty((0, 6, 6))
+MOST_GROUPS = 1000
 _FIELDS = {
     "point": "points_palm",
     "normal": "normals_palm",
@@ -152,19 +189,41 @@ def _default_flags(n: int) -> tuple[Mask, Mask]:
     return np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
 
 
-def _unchecked(*arrays: Array | Mask) -> Contacts:
-    """Returns contacts of clean arrays, in the order of `_FIELDS`."""
+@lru_cache
+def _no_groups(n: int) -> Indices:
+    """Returns `group` (n,) of contacts that share no error."""
+    return np.full(n, -1)
+
+
+def _unchecked(*arrays: Any) -> Contacts:
+    """Returns contacts of clean arrays, in the order of `_FIELDS`, and maybe their groups."""
     contacts = object.__new__(Contacts)
     _set_fields(contacts, *arrays)
     return contacts
 
 
-def _set_fields(contacts: Contacts, *arrays: Array | Mask) -> None:
-    record = np.empty(len(arrays[0]), dtype=CONTACT)
+def _set_fields(
+    contacts: Contacts,
+    points: Array,
+    normals: Array,
+    has_normal: Mask,
+    covariance: Array,
+    of_residual: Mask,
+    group: Indices | None = None,
+    shared: Array = NO_GROUP,
+) -> None:
+    record = np.empty(len(points), dtype=CONTACT)
+    arrays = points, normals, has_normal, covariance, of_residual
     for (field, name), array in zip(_FIELDS.items(), arrays, strict=True):
         array.flags.writeable = False
         object.__setattr__(contacts, name, array)
         record[field] = array
+    for name, array in (
+        ("group", _no_groups(len(points)) if group is None else group),
+        ("shared_covariance", shared),
+    ):
+        array.flags.writeable = False
+        object.__setattr__(contacts, name, array)
     record["used"] = True
     object.__setattr__(contacts, "record", record)
 
@@ -193,6 +252,30 @@ def _residual_flags(value: ArrayLike, normals: Array, has_normal: Mask, covarian
     return flags
 
 
+def _groups(group: ArrayLike | None, shared_covariance: ArrayLike | None, n: int) -> tuple[Indices, Array]:
+    """Returns the contacts' groups (n,) and the covariances of these (g, 6, 6); raises InvalidInput."""
+    if (group is None) != (shared_covariance is None):
+        raise InvalidInput("group, shared_covariance: expected both or neither, got one of them")
+    if group is None or shared_covariance is None:
+        return _no_groups(n), NO_GROUP
+    given = checks.finite(group, "group", (n,))
+    numbers = given.astype(np.int64)
+    if (numbers != given).any() or not -1 <= numbers.min() <= numbers.max() < n:
+        raise InvalidInput(f"group: expected whole numbers from -1 to {n - 1}, got {checks.brief(group)}")
+    count = int(numbers.max()) + 1
+    if count > MOST_GROUPS:
+        raise InvalidInput(f"group: expected at most {MOST_GROUPS} groups, got {count}")
+    if checks.ndim(shared_covariance) == 2:
+        covariance = checks.covariance(shared_covariance, "shared_covariance", (6, 6))
+        return numbers, np.repeat(covariance[None], count, axis=0)
+    covariance = _by_row(checks.covariance, shared_covariance, "shared_covariance", (6, 6))
+    if len(covariance) < count:
+        raise InvalidInput(
+            f"shared_covariance: expected one for each of {count} groups, got {len(covariance)}"
+        )
+    return numbers, covariance
+
+
 def _normals(normals_palm: object, n: int) -> tuple[Array, Mask]:
     """Returns normals (n, 3), unit or zero, and whether each exists (n,)."""
     normals, has_normal = np.zeros((n, 3)), np.zeros(n, dtype=bool)
@@ -201,6 +284,8 @@ def _normals(normals_palm: object, n: int) -> tuple[Array, Mask]:
     if not isinstance(normals_palm, np.ndarray | Sequence) or isinstance(normals_palm, str):
         raise InvalidInput(f"normals_palm: expected {n} normals, got {checks.brief(normals_palm)}")
     _check_length(normals_palm, "normals_palm", n)
+    if isinstance(normals_palm, np.ndarray) and normals_palm.dtype.kind == "f":
+        return _by_row(checks.unit, normals_palm, "normals_palm", (3,)), np.ones(n, dtype=bool)
     for i, normal in enumerate(normals_palm):
         if normal is not None:
             normals[i] = checks.unit(normal, f"normals_palm[{i}]", (3,))

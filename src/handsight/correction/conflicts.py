@@ -58,13 +58,13 @@ def suspicious(problem: Problem, answer: np.void) -> bool:
         return False
     n = len(problem.contacts)
     return bool(
-        prior > modes.chi2_limit(_prior_freedom(problem, rows), KIND)
+        prior > modes.chi2_limit(prior_freedom(problem, rows), KIND)
         or outside > modes.chi2_limit(1, KIND)
         or gain > modes.chi2_limit(3 if rows >= 3 * n else 1, EACH / n)
     )
 
 
-def _prior_freedom(problem: Problem, rows: int) -> int:
+def prior_freedom(problem: Problem, rows: int) -> int:
     """Returns the degrees of freedom of the prior against so many rows."""
     return max(min(6 - len(problem.model.symmetries.axes), rows), 1)
 
@@ -116,7 +116,7 @@ def _freedom(problem: Problem, used: Mask, name: str) -> int:
     """Returns the degrees of freedom of evidence against the rest; 0 where there is none of it, or no rest."""
     rows = used[0] * (1 + 2 * problem.contacts.has_normal)
     if name == "vision":
-        return 0 if problem.blind else _prior_freedom(problem, problem.freedom(used))
+        return 0 if problem.blind else prior_freedom(problem, problem.freedom(used))
     if name == "weight":
         return 0 if problem.weight is None else 3
     if name == "depth":

@@ -25,6 +25,7 @@ from handsight.correction.mean import checked_answer, mean_by_sampling, with_mea
 from handsight.correction.outside import NO_OUTSIDE, Outside, outside_records
 from handsight.correction.paper import PaperMethod
 from handsight.correction.problem import MOST_CONTACTS, Budget, Problem, TwoPhase, check_number, descents_at
+from handsight.correction.registration import is_registered, register
 from handsight.correction.skin import SkinEvidence
 from handsight.correction.solve import solve_batch, solve_single_start, summarize, summarize_pose
 from handsight.correction.weight import WeightEvidence
@@ -66,8 +67,10 @@ def correct_pose(
 
     model: the object's surface and its symmetries, an `ObjectModel`.
 
-    contacts: from 1 to 256 `Contacts` of fingertips in the palm frame: points, the object's outward normals where they
-    are known, and their covariances.
+    contacts: from 1 to 20 000 `Contacts` in the palm frame: points, the object's outward normals where they are known,
+    their covariances, and the errors that groups of them share. More than 64, or any that share errors, are registered:
+    a few of them lead the search, then all count, however many are wrong up to a third; the answer is the maximum, and
+    `consistent` allows variances that are twice the declared ones, by which the covariance is then larger too.
 
     vision: the object's pose in the palm with its covariance, as a `PosePrior`, a `PoseMeasurement` in the palm frame
     or a `GaussianPose`. Along directions that the contacts leave open the answer is this pose's. Default None: there is
@@ -190,6 +193,11 @@ def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, 
 
 def _searched(problem: Problem, options: TwoPhase, limit: Budget, answer: str, samples: int) -> PoseEstimate:
     """Returns the answer to a problem, from one start where that is enough, else from many."""
+    if is_registered(problem.contacts):
+        if options is USUAL and not samples:
+            return register(problem, limit)
+        if len(problem.contacts.shared_covariance):
+            raise InvalidInput("samples, method: expected neither with contacts that share errors, got some")
     if options is USUAL and not samples and problem.starts is None:
         estimate = solve_single_start(problem)
         if estimate is not None:
@@ -222,6 +230,9 @@ def refine_pose(
     other arguments are those of `correct_pose`. Raises InvalidInput.
     """
     problem, skin = _problem(model, contacts, vision, outside, weight, depth, skin)
+    if is_registered(contacts):
+        found = register(replace(problem, starts=np.asarray(T_start)[None]), Budget())
+        return found if found.consistent else None
     estimate = solve_single_start(problem, T_start)
     if estimate is None or (problem.weight is not None and problem.weight.contradicts(estimate)):
         return None
@@ -308,7 +319,11 @@ def correct_poses(model: ObjectModel, problems: Iterable[object]) -> list[PoseEs
         raise InvalidInput(f"problems: expected a sequence of problems, got {type(problems).__name__}")
     each = [_arguments(problem, f"problems[{i}]") for i, problem in enumerate(problems)]
     found: list[PoseEstimate | None] = [None] * len(each)
-    usual = [i for i, problem in enumerate(each) if set(problem) == {"contacts", "vision"}]
+    usual = [
+        i
+        for i, problem in enumerate(each)
+        if set(problem) == {"contacts", "vision"} and not is_registered(problem["contacts"])
+    ]
     at_once = 4096  # problems in one call of the kernels
     for begin in range(0, len(usual), at_once):
         rows = usual[begin : begin + at_once]

@@ -134,7 +134,8 @@ class Conflict:
     """A `Conflict` is evidence that contradicts the rest; `str` of it is a sentence."""
 
     evidence: str
-    """What contradicts: "vision", "contact 3" (by its index), "skin", "weight", "depth" or "outside"."""
+    """What contradicts: "vision", "contact 3" (by its index), "group 1" (of contacts that share an error), "skin",
+    "weight", "depth" or "outside"."""
     against: str
     """The rest, such as "contacts, weight"."""
     chi2: float

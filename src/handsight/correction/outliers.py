@@ -39,7 +39,7 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candi
     """
     everyone = np.ones((1, len(problem.contacts)), dtype=bool)
     number = starts.usual(problem) if problem.blind or options.starts is None else options.starts
-    found = solve(problem, _starts(problem, number)[None], everyone, budget)
+    found = solve(problem, first_starts(problem, number)[None], everyone, budget)
     suspicious = _suspicious(problem, found)
     if found.converged and not suspicious:
         return found
@@ -62,7 +62,7 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candi
                 return found
         elif may_draw:
             cost, may_draw = found.cost, False
-            drawn = _starts(problem, OUTLIERS.more_starts * number)[None, number:]
+            drawn = first_starts(problem, OUTLIERS.more_starts * number)[None, number:]
             found = found.with_more(solve(problem, drawn, found.used, budget))
             suspicious = _suspicious(problem, found)
             if found.cost > cost - OUTLIERS.min_gain or not suspicious:
@@ -79,7 +79,7 @@ def _suspicious(problem: Problem, found: Candidates) -> bool:
     return not modes.unsuspicious(found.cost, found.freedom, gain)
 
 
-def _starts(problem: Problem, number: int) -> Records:
+def first_starts(problem: Problem, number: int) -> Records:
     """Returns (number,) DESCENT at starts for all contacts, or (K,) at the starts that the problem has itself."""
     if problem.starts is not None:
         near = descents_at(problem.starts)

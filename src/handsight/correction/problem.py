@@ -21,8 +21,8 @@ from handsight.objects import ObjectModel
 Records = NDArray[np.void]
 """NumPy structured values of a type in `_kernels/records.py`."""
 
-MOST_CONTACTS = 256
-"""Contacts of one correction: more than any hand has, and time and memory grow with their number."""
+MOST_CONTACTS = 20_000
+"""Contacts of one correction; time and memory are linear in their number."""
 MOST_STARTS = 1_000_000
 
 

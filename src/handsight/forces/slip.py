@@ -139,8 +139,8 @@ class SlipDetector:
             )
             for sensor in load_sensors(rig, skin | rig.fingers.keys())
         }
-        """By finger, and by `LINK_TAXELS` of another link, the normal forces above which its ratio counts, and friction is
-        learnt from it, and the noise of its tangential load [N]."""
+        """By finger, and by `LINK_TAXELS` of another link, the normal forces above which its ratio counts, and friction
+        is learnt from it, and the noise of its tangential load [N]."""
         self._means: Mapping[str, Load] = {}
         """By finger, the running mean of its load."""
         self._ratios: Mapping[str, _Ratios] = {}

@@ -53,7 +53,11 @@ def warm_tracker() -> None:
 def correct_near() -> None:
     """Corrects a box from a near pose."""
     model, contacts = _touched_box()
-    correct_pose(model, contacts, vision=PosePrior.from_sigmas(np.eye(4), 0.01, 0.1))
+    near = PosePrior.from_sigmas(np.eye(4), 0.01, 0.1)
+    correct_pose(model, contacts, vision=near)
+    points, normals = contacts.points_palm, contacts.normals_palm
+    shared = Contacts(points, normals, group=[0, 0, -1], shared_covariance=1e-6 * np.eye(6))
+    correct_pose(model, shared, vision=near)
 
 
 def correct_far() -> None:

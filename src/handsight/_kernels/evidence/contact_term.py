@@ -80,7 +80,7 @@ def load_terms(contacts: Any, terms: Any) -> Vec3:
                 if j < 3:
                     off = max(off, abs(C[j, k] - (point / 3 if j == k else 0.0)))
         term.isotropic = off <= 1e-12 * point
-        term.variance_point, term.variance_normal = point / 3, normal / 2
+        term.variance_point, term.variance_normal, term.crowd = point / 3, normal / 2, 1.0
         center = add(center, scale(vector(contact.point), 1 / len(contacts)))
     return center
 
@@ -128,6 +128,7 @@ def add_contacts(evidence: Any, field: Any, pose: Pose, frame: Frame, rewhiten: 
 def whiten(model: Any, nodes: Any, field: Any, term: Any, surface: Surface) -> None:
     """Fills in the inverse and the log determinant of the covariance of a contact's residuals."""
     factor = factored(residual_covariance(model, nodes, field, term, surface))
+    term.variance_distance = factor[0]
     invert_covariance(factor, term.contact.has_normal != 0, term.weight)
     term.log_spread = log_determinant(factor, term.contact.has_normal != 0)
 
@@ -154,7 +155,8 @@ def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: 
 
     Along a curved surface the normal changes with the point. So curvature propagates the noise of the point into the
     residual of the normal, which has less weight near an edge than on a face. If the contact's covariance is that of
-    its residuals already, nothing is propagated, and only the coarse field's own error is added.
+    its residuals already, nothing is propagated, and only the coarse field's own error is added. The errors of model
+    and field are the same at contacts near each other, so each of a crowd has them that many times.
     """
     _, g, _, K, place = surface
     contact = term.contact
@@ -173,8 +175,8 @@ def residual_covariance(model: Any, nodes: Any, field: Any, term: Any, surface: 
         distance, both = dot(g, Pg), sub(mul(K, Pg), tmul(X, g))
         normal = add33(matmul(matmul(K, P), transpose(K)), block(contact.covariance, 3, 3))
         normal = sub33(normal, add33(KX, transpose(KX)))
-    of_distance += field.variance_distance
-    of_normal += field.variance_normal
+    of_distance = term.crowd * (of_distance + field.variance_distance)
+    of_normal = term.crowd * (of_normal + field.variance_normal)
     tangential = (normal[0][0] + normal[1][1] + normal[2][2] + 3 * of_normal) / 2
     # Along the normal itself a unit vector has no first-order noise; the mean tangential variance there makes large
     # angles cost. Without a normal, a one keeps the matrix from being singular.

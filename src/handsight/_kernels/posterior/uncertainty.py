@@ -42,7 +42,7 @@ def retract_body(pose: Pose, step: tuple[Vec3, Vec3]) -> Pose:
 
 
 @inner
-def _column(vectors: Any, k: int, length: float, radius: float) -> tuple[Vec3, Vec3]:
+def column(vectors: Any, k: int, length: float, radius: float) -> tuple[Vec3, Vec3]:
     """Returns the step (s, δθ) of a length [m] along the k-th eigenvector."""
     shift, turn = (vectors[0, k], vectors[1, k], vectors[2, k]), (vectors[3, k], vectors[4, k], vectors[5, k])
     return scale(shift, length), scale(turn, length / radius)
@@ -74,7 +74,7 @@ def calibrated_information(
             change = steeper = 0.0
             for side in range(2):
                 # The mode itself comes first, as k = -1: only one place evaluates, for it is long to compile.
-                step = _column(vectors, max(k, 0), (-length if side else length) if k >= 0 else 0.0, radius)
+                step = column(vectors, max(k, 0), (-length if side else length) if k >= 0 else 0.0, radius)
                 beside = retract_body(pose, step)
                 if len(rows):
                     clearances = nearby(evidence, model.fine, beside, clearances, rows)
@@ -199,7 +199,7 @@ def unobservable(model: Any, by_touch: Any, pose: Pose, out: Any, u: Any) -> int
     eigen(u.wider, u.values, u.vectors)
     for k in range(6):
         if u.values[k] < limit:
-            shift, turn = _column(u.vectors, k, 1.0, radius)
+            shift, turn = column(u.vectors, k, 1.0, radius)
             # δp at the origin is that of the center less the turn's part.
             moved, row, square = sub(shift, cross(turn, lever)) + scale(turn, radius), out[count], 0.0
             for i in range(6):

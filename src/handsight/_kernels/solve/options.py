@@ -38,4 +38,29 @@ class SearchOptions(NamedTuple):
     """Two descents on the coarse field that end nearer to each other are the same [m], [rad]."""
 
 
+class RegistrationOptions(NamedTuple):
+    """`RegistrationOptions` say how many contacts are registered, some of them wrong."""
+
+    wrong_cost: float = 16.27
+    """Squared residuals above which a contact is rather wrong: of a right one once in 1000 times."""
+    wrong_distance: float = 10.83
+    """The same of a contact without a normal."""
+    wrong_group: float = 22.46
+    """The same of the error of a group."""
+    flip_cost: float = 12.0
+    """What it costs, in squared residuals, that the normal of a contact says nothing."""
+    median_square: float = 2.37
+    """Of three standard normal residuals."""
+    sharper: float = 4.0
+    """By which factor, at least, the covariances come nearer to the declared ones from one descent to the next."""
+    max_steps: int = 30
+    small_step: float = 0.02
+    """A step that is small ends a descent [standard deviations]."""
+    wide_sigma: float = 0.01
+    """Standard deviation, as a part of the radius, from which on the cost beside the pose is read."""
+    many_rows: int = 60
+    """Rows from which on their squared residuals tell how wrong the declared covariances are."""
+
+
 MATCH, DESCENT, SEARCH = MatchOptions(), DescentOptions(), SearchOptions()
+REGISTRATION = RegistrationOptions()
