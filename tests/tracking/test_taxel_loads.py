@@ -14,7 +14,7 @@ from forces.loads import FINGERS, Clock, load, steady
 from forces.loads import rig as some_rig
 from handsight import se3
 from handsight.contact import TactileSurface, compensate
-from handsight.forces import FRICTION, LINK_TAXELS, SlipDetector, Weigher
+from handsight.forces import FRICTION, LINK_TAXELS, SLIP, SlipDetector, Weigher
 from handsight.tracking import SkinContacts, SkinSensors
 
 JOINTS = len(rig().hand.moving)
@@ -181,8 +181,19 @@ def test_a_palm_that_sticks_holds_the_object_while_all_fingers_are_at_their_limi
     clock.run(steady([load(0.1)] * 4, 0.1))
     said = clock.run(steady([load(0.5), load(0.5), load(0.5), load(ratio, 5.0)], 0.1))[-1]
     assert said.slipping is slips
-    assert said.ratios[LINK] == pytest.approx(ratio / 0.5, rel=0.02)
+    margin = 1 + SLIP.gain_sigmas * surface("palm").noise  # as taxels may miss a part of the load
+    assert said.ratios[LINK] == pytest.approx(ratio / 0.5 * margin, rel=0.02)
     assert said.unmeasured == ()
+
+
+def test_a_tip_whose_taxels_may_miss_a_part_of_its_load_is_at_its_limit_before():
+    known = some_rig().fingers
+    stub = SimpleNamespace(fingers=known, skin={f.frame: surface(f.frame) for f in known.values()})
+    loads = steady([load(0.46)] * len(FINGERS), 0.1)  # of a friction of 0.5
+    for by_taxels, slips in (((), False), (FINGERS, True)):
+        one = SlipDetector(stub, (0.5, 0.02))
+        said = [one.update(0.002 * k, FINGERS, row, (), by_taxels) for k, row in enumerate(loads, 1)][-1]
+        assert said.slipping is slips
 
 
 def test_a_palm_of_pressure_alone_is_named_and_is_no_evidence():

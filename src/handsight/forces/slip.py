@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from handsight.checks import Array
 from handsight.forces.friction import FRICTION, Friction, Vector, joined
-from handsight.forces.loads import LINK_TAXELS, load_sensors
+from handsight.forces.loads import LINK_TAXELS, LoadSensor, load_sensors
 from handsight.rig import Rig
 
 
@@ -28,6 +28,7 @@ class SlipOptions(NamedTuple):
     begin_ratio: float = 0.98  # a slip begins when the least ratio is above this
     end_ratio: float = 0.97  # and ends when it has been below this for `min_hold`
     max_sigma: float = 0.25  # share of μ; where μ is less certain no slip is reported
+    gain_sigmas: float = 2.0  # of taxels' gain, by which their ratios may be higher than they read
     stick_ratio: float = 0.4  # a slip ends at once when a ratio is below this
     min_chatter: float = 0.08
     """A finger at its limit bounces if its normal force changes by this share of itself from one reading to the next;
@@ -51,6 +52,31 @@ SLIP = SlipOptions()
 
 Load = list[float]
 """Tangential force (3), normal force, torque about the normal."""
+
+
+class _Limits(NamedTuple):
+    """The `_Limits` of what measures a load."""
+
+    min_force: float
+    """Normal force above which its ratio counts [N]."""
+    sure_force: float
+    """The same above which friction is learnt from it [N]."""
+    noise: float
+    """Of its tangential load [N]."""
+    factor: float
+    """On its ratio: what taxels miss of a load changes with the place that is touched, so theirs is at the limit where
+    it may be."""
+
+    @classmethod
+    def of(cls, sensor: LoadSensor) -> "_Limits":
+        """Returns those of a load sensor."""
+        sigma, gain = float(sensor.sigma[0]), sensor.sigma_gain * sensor.taxels
+        return cls(
+            max(SLIP.min_force, SLIP.min_force_sigmas * sigma),
+            max(SLIP.sure_force, SLIP.sure_force_sigmas * sigma),
+            math.hypot(sigma, sensor.sigma[3] / FRICTION.torsion),
+            1 + SLIP.gain_sigmas * gain,
+        )
 
 
 class _Ratios(NamedTuple):
@@ -131,29 +157,31 @@ class SlipDetector:
         self.stamp = self._at_limit = -math.inf
         """Stamps of the last update, and of the last one at the limit [s]."""
         skin = {LINK_TAXELS.format(surface.frame) for surface in rig.skin.values()}
-        self._min_forces = {
-            sensor.name: (
-                max(SLIP.min_force, SLIP.min_force_sigmas * float(sensor.sigma[0])),
-                max(SLIP.sure_force, SLIP.sure_force_sigmas * float(sensor.sigma[0])),
-                math.hypot(sensor.sigma[0], sensor.sigma[3] / FRICTION.torsion),
-            )
-            for sensor in load_sensors(rig, skin | rig.fingers.keys())
+        fingers = {finger.frame: name for name, finger in rig.fingers.items()}
+        self._by_wrench = {sensor.name: _Limits.of(sensor) for sensor in load_sensors(rig, fingers.values())}
+        self._by_taxels = {
+            fingers.get(sensor.frame, sensor.name): _Limits.of(sensor)
+            for sensor in load_sensors(rig, skin)
+            if sensor.taxels
         }
-        """By finger, and by `LINK_TAXELS` of another link, the normal forces above which its ratio counts, and friction
-        is learnt from it, and the noise of its tangential load [N]."""
         self._means: Mapping[str, Load] = {}
         """By finger, the running mean of its load."""
         self._ratios: Mapping[str, _Ratios] = {}
         """By finger that touches, its last ratios."""
 
     def update(
-        self, stamp: float, fingers: tuple[str, ...], loads: Array | None, sliding: Collection[str] = ()
+        self,
+        stamp: float,
+        fingers: tuple[str, ...],
+        loads: Array | None,
+        sliding: Collection[str] = (),
+        by_taxels: Collection[str] = (),
     ) -> Slip:
         """Returns whether the object slips at `stamp` [s]; an update not newer than the last one changes nothing.
 
         `loads` (n, 5) are those on `fingers`, or on other links' taxels, by the name of their load sensor; see
         `FingertipContacts.loads`; NaN where one does not measure its load. `sliding`: fingers of which other evidence
-        tells that they slide; friction is learnt from them.
+        tells that they slide; friction is learnt from them. `by_taxels`: fingers whose load is their taxels'.
         """
         if not stamp > self.stamp:
             return self.now
@@ -162,6 +190,12 @@ class SlipDetector:
         unmeasured = tuple(name for name, row in rows if not math.isfinite(sum(row)))
         # A load without a normal force, or with NaN, has no ratio.
         usable = {name: row for name, row in rows if row[3] > 0 and math.isfinite(sum(row))}
+        limits = {
+            name: (self._by_taxels if name in by_taxels or name not in self._by_wrench else self._by_wrench)[
+                name
+            ]
+            for name in usable
+        }
         weight = 1 - math.exp(-since / SLIP.time_constant)
         goes_on = since <= SLIP.max_gap
         before = self._means if goes_on else {}
@@ -171,12 +205,12 @@ class SlipDetector:
         }
         mu = self.friction.coefficient
         self._ratios = {
-            name: self._read(name, stamp, row, mu, self._ratios.get(name) if goes_on else None)
+            name: _read(limits[name].noise, stamp, row, mu, self._ratios.get(name) if goes_on else None)
             for name, row in usable.items()
         }
         sure = dict[str, Vector]()
         for name, (x, y, z, normal, torque) in self._means.items():
-            if normal > self._min_forces[name][1]:
+            if normal > limits[name].sure_force:
                 scale = normal * self._relative.get(name, 1.0)
                 sure[name] = x / scale, y / scale, z / scale, torque / FRICTION.torsion / scale
         self.friction.update(sure, since if goes_on else 0.0, sliding)
@@ -184,9 +218,9 @@ class SlipDetector:
         ratios = {}
         if mu is not None:
             ratios = {
-                name: read.upper / (mu * self._relative.get(name, 1.0))
+                name: read.upper * limits[name].factor / (mu * self._relative.get(name, 1.0))
                 for name, read in self._ratios.items()
-                if self._means[name][3] > self._min_forces[name][0]
+                if self._means[name][3] > limits[name].min_force
             }
 
         # Hysteresis, in the ratio and in time.
@@ -210,23 +244,24 @@ class SlipDetector:
             return False
         return statistics.median(self._ratios[name].chatter for name in at_limit) >= SLIP.min_chatter
 
-    def _read(self, name: str, stamp: float, row: Load, mu: float | None, before: _Ratios | None) -> _Ratios:
-        """Returns a finger's ratios with a new reading."""
-        x, y, z, normal, torque = row
-        tangential = math.hypot(x, y, z, torque / FRICTION.torsion)
-        noise = self._min_forces[name][2] / normal
-        # A running mean with weight w for the last reading has a variance smaller by w / (2 - w).
-        wanted = (SLIP.ratio_sigma * (mu or 1.0)) ** 2
-        weight = min(2 * wanted / (noise**2 + wanted), 1.0)
-        last: tuple[tuple[float, float, float], ...] = ()
-        if before is not None:
-            tangential = before.tangential + weight * (tangential - before.tangential)
-            normal = before.normal + weight * (normal - before.normal)
-            last = before.last[-1:]
-            first = stamp - SLIP.window - 1e-9
-            if len(before.last) > 1 and before.last[-2][0] >= first:
-                last = tuple(each for each in before.last if each[0] >= first)
-        return _Ratios(tangential, normal, (*last, (stamp, tangential / normal, row[3])))
+
+def _read(sigma: float, stamp: float, row: Load, mu: float | None, before: "_Ratios | None") -> "_Ratios":
+    """Returns a finger's ratios with a new reading, whose tangential load has a noise of `sigma` [N]."""
+    x, y, z, normal, torque = row
+    tangential = math.hypot(x, y, z, torque / FRICTION.torsion)
+    noise = sigma / normal
+    # A running mean with weight w for the last reading has a variance smaller by w / (2 - w).
+    wanted = (SLIP.ratio_sigma * (mu or 1.0)) ** 2
+    weight = min(2 * wanted / (noise**2 + wanted), 1.0)
+    last: tuple[tuple[float, float, float], ...] = ()
+    if before is not None:
+        tangential = before.tangential + weight * (tangential - before.tangential)
+        normal = before.normal + weight * (normal - before.normal)
+        last = before.last[-1:]
+        first = stamp - SLIP.window - 1e-9
+        if len(before.last) > 1 and before.last[-2][0] >= first:
+            last = tuple(each for each in before.last if each[0] >= first)
+    return _Ratios(tangential, normal, (*last, (stamp, tangential / normal, row[3])))
 
 
 def declared_friction(

@@ -51,6 +51,9 @@ class FingertipContacts:
     doubts: Mapping[str, str] = field(default_factory=dict)
     """By finger, how far its taxels and its wrench are from each other where they contradict each other."""
 
+    by_taxels: tuple[str, ...] = ()
+    """Fingers whose loads, if any, are their taxels', as they have no wrench."""
+
     def rejected_by(self, estimate: PoseEstimate) -> tuple[str, ...]:
         """Returns the fingers whose contacts are outliers of an estimate."""
         return tuple(self.fingers[i] for i in estimate.outliers if i < len(self.fingers))
@@ -117,8 +120,9 @@ class FingertipSensors:
         gaps = zip(fingers, touching["gap"].tolist(), strict=True)
         near = tuple(name for name, gap in gaps if gap < TIP_TO_TIP.max_gap)
         loads = touching["load"].copy()
+        by_taxels = tuple(name for name in skin.tips if name not in observation.wrenches)
         return FingertipContacts(
-            fingers, contacts, reasons, by_error[records["reason"] == 0], near, loads, doubts
+            fingers, contacts, reasons, by_error[records["reason"] == 0], near, loads, doubts, by_taxels
         )
 
     def _put_taxels(

@@ -92,7 +92,7 @@ class SlipUpdate:
             links, beside, more = skin.beside_tips()
             names, contacts = (*names, *links), beside if contacts is None else contacts.joined(beside)
             loads = more if loads is None else np.concatenate([loads, more])
-        now = self.detector.update(stamp, names, loads, sliding)
+        now = self.detector.update(stamp, names, loads, sliding, fingertips.by_taxels)
         if not now.slipping or contacts is None or loads is None:
             self._sigma = 0.0
             return smoother
