@@ -187,9 +187,9 @@ def test_a_palm_that_sticks_holds_the_object_while_all_fingers_are_at_their_limi
 
 
 def test_a_tip_whose_taxels_may_miss_a_part_of_its_load_is_at_its_limit_before():
-    known = some_rig().fingers
-    stub = SimpleNamespace(fingers=known, skin={f.frame: surface(f.frame) for f in known.values()})
-    loads = steady([load(0.46)] * len(FINGERS), 0.1)  # of a friction of 0.5
+    tips = {name: SimpleNamespace(**vars(tip) | {"frame": name}) for name, tip in some_rig().fingers.items()}
+    stub = SimpleNamespace(fingers=tips, skin={name: surface(name) for name in tips})
+    loads = list(steady([load(0.46)] * len(FINGERS), 0.1))  # of a friction of 0.5
     for by_taxels, slips in (((), False), (FINGERS, True)):
         one = SlipDetector(stub, (0.5, 0.02))
         said = [one.update(0.002 * k, FINGERS, row, (), by_taxels) for k, row in enumerate(loads, 1)][-1]
