@@ -135,6 +135,7 @@ def test_two_things_on_a_gel_are_two_patches():
     assert {-1, 1} == set(np.sign(x))
     assert touch.patches["point"][touch.strongest][0] > 0
     assert touch.states[1].max() == 1
+    assert np.isnan(touch.wrench).all()  # a gel measures no force
 
 
 def test_the_baseline_is_subtracted_and_dead_pixels_are_left_out():

@@ -68,5 +68,5 @@ class Pad(TactileSurface):
         C[:3, :3] = 2 * (arms.T @ arms / len(arms) + own_cell) + record["variance_point"] * np.eye(3)
         C[3:, 3:] = turns.T @ turns / len(turns) + record["variance_normal"] * np.eye(3)
         patch["point"], patch["normal"], patch["covariance"] = self.points.mean(axis=0), -normal, C
-        patch["force"] = patch["torque"] = np.nan
+        patch["force"] = patch["wrench"] = patch["torque"] = np.nan
         patch["total"], patch["contacts"] = size, 1.0

@@ -250,13 +250,14 @@ class SkinSensors:
                 continue  # which say more of the same contact
             if self._joints[name] and (joints is None or not self._joints[name] <= joints.keys()):
                 continue
+            if finger is not None and surface.kind == "taxels" and known.count < TAXELS.min_rest:
+                strongest = touch.rise[touch.states[0] != UNKNOWN, -1]  # without filled taxels
+                if not strongest.max(initial=0.0) >= SKIN.sure * surface.threshold:  # they are offsets
+                    touch = surface.sensed(readings, known.baseline + touch.rise[:-1])
             touches[name] = touch, LinkPose(self._chains[name], joints, self._sigma_joint)
             link = self._links[name]
             wrenches[link] = touch.wrench if link not in wrenches else wrenches[link] + touch.wrench
             if finger is not None and len(touch.patches) and joints is not None:
-                strongest = touch.rise[touch.states[0] != UNKNOWN, -1].max()  # not of a filled taxel
-                if known.count < TAXELS.min_rest and strongest < SKIN.sure * surface.threshold:
-                    continue
                 other = touches[tips[finger]][0] if finger in tips else None
                 if other is None or other.patches["total"].max() < touch.patches["total"].max():
                     tips[finger] = name

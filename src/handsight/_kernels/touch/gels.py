@@ -141,4 +141,4 @@ def _measure(record: Any, taxels: Any, at: int, rise: Any, state: Any, patch: An
             patch.covariance[a, b] = of if a == b else 0.0
             if a < 3 and b < 3:
                 patch.covariance[a, b] += (variance - sideways) * normal[a] * normal[b]
-    patch.force[:], patch.torque, patch.flat = math.nan, math.nan, False
+    patch.force[:], patch.wrench[:], patch.torque, patch.flat = math.nan, math.nan, math.nan, False
