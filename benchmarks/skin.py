@@ -20,8 +20,8 @@ from handsight.contact import TactileSurface
 from handsight.rig import Rig
 from handsight.simulation import Scenario, model_of, rig_of, simulate
 from handsight.simulation.scene import CAN_SIZE
-from handsight.simulation.skin import T_PALM_GRID, Solid, taxel_forces
-from testbed import report, tip_scenes
+from handsight.simulation.skin import T_PALM_GRID, Solid
+from testbed import report, skin_scenes, tip_scenes
 
 SCENARIO = Scenario(object="can", seed=1, motion="grasp", rate=100, skin=True)
 SIZES = {"174": (30, 0.0047, (6, 4)), "1010": (160, 0.002, (15, 14))}
@@ -55,7 +55,7 @@ def observed(rig: Rig, shapes: dict[str, tip_scenes.Shape], samples: list[Any]) 
     for sample, tips in zip(samples, tip_scenes.taxel_observations(rig, shapes, given, 3), strict=True):
         T = se3.inverse(T_PALM_GRID) @ sample.T_palm_object
         force = float(np.clip(sample.observation.skin["palm"], 0.015, None).sum())
-        push = taxel_forces(flat, solid, T, force if force > 5 else 0.0)
+        push = skin_scenes.taxel_forces(flat, solid, T, force if force > 5 else 0.0)
         reading = np.stack([0.3 * push, 0.0 * push, push], axis=2)
         reading = reading * (1 + 0.05 * rng.normal(size=reading.shape)) + 2e-3 * rng.normal(
             size=reading.shape
