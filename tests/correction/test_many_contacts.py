@@ -10,7 +10,7 @@ from scipy.stats import chi2
 import handsight as hs
 from handsight import se3
 from handsight.batch.problems import Reader
-from handsight.correction import MOST_CONTACTS, refine_pose, registration
+from handsight.correction import MOST_CONTACTS, SkinEvidence, refine_pose, registration
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
 from handsight.objects import nearest
@@ -209,6 +209,16 @@ def test_a_pose_that_was_right_a_moment_ago_is_refined():
     refined = refine_pose(box(), scene.contacts, scene.vision, whole.T_palm_object_maximum)
     error = se3.difference(refined.T_palm_object, whole.T_palm_object)
     assert error @ whole.information @ error < 0.05
+
+
+def test_refined_poses_are_as_uncertain_as_the_skin_that_they_come_from():
+    scene = many_scene(box(), np.random.default_rng(9), ALONE._replace(contacts=70))
+    sigmas = np.repeat([2e-3, 0.02], 3)
+    skin = SkinEvidence(scene.contacts.select(np.arange(10, 70)), np.empty((0, 3)), sigmas)
+    given = (box(), scene.contacts.select(np.arange(10)), scene.vision, scene.T_palm_object)
+    refined = refine_pose(*given, skin=skin)
+    assert refined is not None
+    assert (np.diag(refined.covariance) > sigmas**2).all()
 
 
 def test_groups_survive_selecting_and_joining():

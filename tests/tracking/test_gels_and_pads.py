@@ -98,6 +98,23 @@ def test_a_pad_that_stays_pressed_is_not_taken_for_its_rest(can):
     assert skin.watched["a"].baseline[0, 0] == pytest.approx(0.2)
 
 
+def test_a_pad_that_is_pressed_on_the_palm_is_no_evidence_of_slips(can):
+    """It says where it is touched, and measures no force."""
+    pad = Pad.grid(
+        frame=can.rig.hand.palm, T_frame_grid=np.eye(4), rows=5, columns=4, pitch=0.004, threshold=0.5
+    )
+    rig = replace(can.rig, skin={"palm pad": pad})
+    tracker = followed(
+        rig,
+        can.model,
+        [replace(each, skin={"palm pad": [float(k > 20)]}) for k, each in enumerate(can.observations)],
+    )
+    assert tracker.skin.pressed
+    links, _, loads = tracker.skin.beside_tips()
+    assert len(links) == 1
+    assert np.isnan(loads).all()
+
+
 def test_a_gel_on_a_tip_is_the_fingers_contact_and_more_beside_it(can):
     """All of them together are as good as the finger's calibration and its joints, and no better."""
     name, finger = next(iter(can.rig.fingers.items()))

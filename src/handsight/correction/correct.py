@@ -230,13 +230,16 @@ def refine_pose(
     other arguments are those of `correct_pose`. Raises InvalidInput.
     """
     problem, skin = _problem(model, contacts, vision, outside, weight, depth, skin)
-    if is_registered(contacts):
-        found = register(replace(problem, starts=np.asarray(T_start)[None]), Budget())
-        return found if found.consistent else None
-    estimate = solve_single_start(problem, T_start)
+    checked_answer(answer)
+    if is_registered(problem.contacts):
+        estimate: PoseEstimate | None = register(replace(problem, starts=np.asarray(T_start)[None]), Budget())
+        estimate = estimate if estimate is not None and estimate.consistent else None
+    else:
+        estimate = solve_single_start(problem, T_start)
     if estimate is None or (problem.weight is not None and problem.weight.contradicts(estimate)):
         return None
-    estimate = with_means(problem, estimate, checked_answer(answer))
+    if not is_registered(problem.contacts):
+        estimate = with_means(problem, estimate, answer)
     estimate = estimate if skin is None else estimate.inflated(skin.sigmas**2)
     return estimate if weight is None else replace(estimate, weight_fits=True)
 

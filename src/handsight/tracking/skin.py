@@ -141,11 +141,16 @@ class SkinContacts:
         }
         points, normals, loads = (np.empty((len(pressed), k)) for k in (3, 3, 5))
         for k, (name, (touch, T)) in enumerate(pressed.items()):
+            wrench, R = self.wrenches[name], T[:3, :3]
+            if not np.isfinite(wrench).all():  # nothing but where it is touched
+                patch = touch.patches[touch.strongest]
+                points[k], normals[k] = R @ patch["point"] + T[:3, 3], R @ patch["normal"]
+                loads[k] = np.nan
+                continue
             share = np.where(touch.states[1, :-1] >= 0, touch.rise[:-1, -1], 0.0)
             share /= share.sum()
             point, normal = share @ touch.surface.points, -share @ touch.surface.normals
             normal /= math.sqrt(normal @ normal)
-            wrench, R = self.wrenches[name], T[:3, :3]
             force, along = wrench[:3], wrench[:3] @ normal
             radius = math.sqrt(share @ ((touch.surface.points - point) ** 2).sum(axis=1))
             torsion = wrench[3:] @ normal - force @ (se3.skew(normal) @ point)  # n · (t - p × f)

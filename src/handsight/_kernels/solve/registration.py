@@ -64,9 +64,9 @@ def add_registered(
     """Fills in the equations and the weight of all groups, of which the last has the contacts that are of none; returns
     the contacts' cost.
 
-    `stage`: AGAIN keeps the contacts' last weights, ANEW makes new ones, and
-    DONE also fills in the groups' spurious information. `squares` (n, 3) is written: squared residuals, and the
-    probabilities that a contact is right, and that its distance alone is.
+    `stage`: AGAIN keeps the contacts' last weights, ANEW makes new ones, and DONE also fills in the groups' spurious
+    information. `squares` (n, 3) is written: squared residuals, and the probabilities that a contact is right, and that
+    its distance alone is.
     """
     model, field, cost = evidence.model, evidence.model.fine, 0.0
     for g in range(len(groups)):
@@ -157,7 +157,7 @@ def reduce(group: Any, shared: bool, damping: float, total: Any, u: Any) -> None
 
 @inner
 def moved_group(group: Any, step: Any, center: Vec3, radius: float, u: Any, out: Any) -> None:
-    """Fills `out`, a GROUP, with the pose and the error after the step that goes with a step of the object's pose:
+    """Fills in `out`, a copy of the GROUP, with pose and error after the step that goes with one of the object's pose:
     A⁻¹ (g + H δx - Λ e)."""
     for r in range(6):
         u.row[r] = group.equations[6, r]
@@ -169,8 +169,6 @@ def moved_group(group: Any, step: Any, center: Vec3, radius: float, u: Any, out:
     store_pose(retract(pose_of(group.pose), (shift, turn), center, radius), out.pose)
     for r in range(6):
         out.error[r] = group.error[r] + u.column[r]
-        for c in range(6):
-            out.information[r, c] = group.information[r, c]
 
 
 @inner
