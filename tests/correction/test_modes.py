@@ -198,5 +198,4 @@ def test_whichever_contact_is_wrong_is_an_outlier():
 @pytest.mark.parametrize("alarm", [0.5, 0.1, 0.05, 0.01, 1e-3, 1e-6])
 def test_a_quantile_of_chi_square_is_scipys(alarm):
     for freedom in (*range(1, 40), 101, 300, 768, 5000, 60_000):
-        accuracy = 1e-10 if freedom <= 1000 else 3e-5
-        assert modes.chi2_limit(freedom, alarm) == pytest.approx(chdtri(freedom, alarm), rel=accuracy)
+        assert modes.chi2_limit(freedom, alarm) == pytest.approx(chdtri(freedom, alarm), rel=1e-10)

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -60,14 +60,12 @@ class Gel(TactileSurface):
     @classmethod
     def grid(
         cls, *, frame: str, T_frame_grid: ArrayLike, rows: int, columns: int, pitch: float, **fields: Any
-    ) -> "Gel":
+    ) -> Self:
         """Returns a flat gel under an image of `rows` by `columns` pixels, `pitch` apart [m]; raises InvalidInput."""
         block = block_of(rows, columns)
         fields |= {"frame": frame, "T_frame_grid": T_frame_grid, "image": (rows, columns)}
         size: Any = {"rows": rows // block, "columns": columns // block, "pitch": pitch * block}
-        found = super(Gel, cls).grid(**size, **fields)
-        assert isinstance(found, Gel)
-        return found
+        return super(Gel, cls).grid(**size, **fields)  # by name, as slots make another class of this one
 
     @property
     def shape(self) -> tuple[int, ...]:

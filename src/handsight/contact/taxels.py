@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -166,7 +166,7 @@ class TactileSurface:
     @classmethod
     def grid(
         cls, *, frame: str, T_frame_grid: ArrayLike, rows: int, columns: int, pitch: float, **fields: Any
-    ) -> "TactileSurface":
+    ) -> Self:
         """Returns a flat grid of taxels, `pitch` apart [m]; raises InvalidInput.
 
         `T_frame_grid` (4, 4): pose of the grid in the body. `fields`: the other fields of a surface.
