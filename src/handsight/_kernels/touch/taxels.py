@@ -37,7 +37,7 @@ class TaxelOptions(NamedTuple):
     body and tip together), F = 1.5 N, k = 2.5e7 N/m^3. The root makes little of them: from 3 to 10 mm of all tips."""
     hidden: float = 0.58
     """Sigma of the shift to a contact's middle beyond the edge, as a share of it: it may be anywhere from none to twice
-    as far, 1 / sqrt(3). That of how far the surface falls away there is the same share of that."""
+    as far, 1 / sqrt(3). The surface's fall and turn out there, of which nothing is known, are as uncertain."""
     wide: float = 0.14  # sigma by uneven skin, in cells, of a patch whose variance is that of a cell
     uneven: float = 0.07  # sigma of the normal by such a patch, as a share of the normals' spread
     min_rest: int = 5  # fewest readings of an untouched surface whose mean is used as its baseline
@@ -211,12 +211,12 @@ def _measure(
             measured = measured and rise[i, 2] < record.full_scale
     # Then shifts of the centre, which the normal follows by the surface's bend: by the cells' size, by uneven skin, and
     # at the edge. Last the normal's own error, and the height's, which is the only one out of the surface.
-    turned = math.sqrt(record.variance_normal + TAXELS.uneven**2 * spread)
+    turned = record.variance_normal + TAXELS.uneven**2 * spread + TAXELS.hidden**2 * dot(turn, turn)
     store(scale(edge, TAXELS.beyond * cell), rows[m + 6, :3])
     for a in range(3):
         rows[m + a, a] = TAXELS.sampled * cell * (share**2).sum()
         rows[m + 3 + a, :3] = TAXELS.wide / cell * second[a]
-        rows[m + 7 + a, 3 + a] = turned
+        rows[m + 7 + a, 3 + a] = math.sqrt(turned)
         rows[m + 10 + a, a] = TAXELS.hidden * norm(shift)
     for k in range(m, m + 13):
         shift = _across(vector(rows[k, :3]), normal)
