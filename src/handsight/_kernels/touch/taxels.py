@@ -183,9 +183,9 @@ def _measure(
         spread += 0.5 * share[k] * dot(sideways, sideways)
         patch.flat = patch.flat and (along >= TAXELS.flat or not touched[members[k]])
     point = add(point, scale(normal, raised))
-    # Of a contact across the layout's edge only the near part is seen. With all of that on taxels at the edge, whose
+    # Of a contact across the layout's edge only the near part is felt. With all of that on taxels at the edge, whose
     # neighbours are on one half, 2 / pi on average, the contact's middle is half its width farther.
-    seen, edge = point, _across(edge, normal)
+    felt, edge = point, _across(edge, normal)
     shift = scale(edge, -TAXELS.half_width * (math.pi / 2) ** 2 * norm(edge))
     turn = mul(matrix(bend), shift)
     sag = 0.5 * dot(turn, shift)
@@ -197,7 +197,7 @@ def _measure(
     rows, force, moment, second, measured = np.zeros((m + 14, 6)), zero, zero, np.zeros((3, 3)), last == 2
     for k in range(m):
         i, w, axes = members[k], share[k] * patch.total, taxels[members[k]].axes
-        arm, own = sub(vector(taxels[i].point), seen), vector(axes[:, 2])
+        arm, own = sub(vector(taxels[i].point), felt), vector(axes[:, 2])
         relative = record.noise**2 + (TAXELS.filled**2 if filled[i] else 0.0)
         sigma = math.sqrt(relative * w * w + (record.threshold / 3.0) ** 2) / patch.total
         store(scale(_across(arm, normal), sigma), rows[k, :3])
@@ -233,7 +233,7 @@ def _measure(
         force, moment = (math.nan, math.nan, math.nan), (math.nan, math.nan, math.nan)
     store(force, patch.force)
     store(force, patch.wrench[:3])
-    store(add(moment, cross(seen, force)), patch.wrench[3:])
+    store(add(moment, cross(felt, force)), patch.wrench[3:])
     patch.torque = -dot(moment, normal)
 
 
