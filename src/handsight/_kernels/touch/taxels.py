@@ -33,8 +33,8 @@ class TaxelOptions(NamedTuple):
     sampled: float = 0.21  # sigma of the centre by the cells' size, in cells of a patch of one taxel
     beyond: float = 0.5  # sigma of a patch at the edge, beyond which nothing is measured, in cells
     half_width: float = 5e-3
-    """Half the width of a contact [m]: (4 R F / (pi k))^(1/4) of a round body on a bed of springs, 5 mm for R = 9 mm (of
-    body and tip together), F = 1.5 N, k = 2.5e7 N/m^3. The root makes little of them: from 3 to 10 mm of all tips."""
+    """Half the width of a contact [m]: (4 R F / (pi k))^(1/4) of a round body on a bed of springs, 5 mm for R = 9 mm
+    (of body and tip together), F = 1.5 N, k = 2.5e7 N/m^3. The root makes little of them: from 3 to 10 mm of all tips."""
     hidden: float = 0.58
     """Sigma of the shift to a contact's middle beyond the edge, as a share of it: it may be anywhere from none to twice
     as far, 1 / sqrt(3). The surface's fall and turn out there, of which nothing is known, are as uncertain."""
