@@ -34,7 +34,7 @@ class TaxelOptions(NamedTuple):
     beyond: float = 0.5  # sigma of a patch at the edge, beyond which nothing is measured, in cells
     half_width: float = 5e-3
     """Half the width of a contact [m]: (4 R F / (pi k))^(1/4) of a round body on a bed of springs, 5 mm for R = 9 mm
-    (of body and tip together), F = 1.5 N, k = 2.5e7 N/m^3. The root makes little of them: from 3 to 10 mm of all tips."""
+    (of body and tip together), F = 1.5 N, k = 2.5e7 N/m^3. The root makes little of them: 3 to 10 mm of tips."""
     hidden: float = 0.58
     """Sigma of the shift to a contact's middle beyond the edge, as a share of it: it may be anywhere from none to twice
     as far, 1 / sqrt(3). The surface's fall and turn out there, of which nothing is known, are as uncertain."""
@@ -185,7 +185,7 @@ def _measure(
     point = add(point, scale(normal, raised))
     # Of a contact across the layout's edge only the near part is felt. With all of that on taxels at the edge, whose
     # neighbours are on one half, 2 / pi on average, the contact's middle is half its width farther.
-    felt, edge = point, _across(edge, normal)
+    near_part, edge = point, _across(edge, normal)
     shift = scale(edge, -TAXELS.half_width * (math.pi / 2) ** 2 * norm(edge))
     turn = mul(matrix(bend), shift)
     sag = 0.5 * dot(turn, shift)
@@ -197,7 +197,7 @@ def _measure(
     rows, force, moment, second, measured = np.zeros((m + 14, 6)), zero, zero, np.zeros((3, 3)), last == 2
     for k in range(m):
         i, w, axes = members[k], share[k] * patch.total, taxels[members[k]].axes
-        arm, own = sub(vector(taxels[i].point), felt), vector(axes[:, 2])
+        arm, own = sub(vector(taxels[i].point), near_part), vector(axes[:, 2])
         relative = record.noise**2 + (TAXELS.filled**2 if filled[i] else 0.0)
         sigma = math.sqrt(relative * w * w + (record.threshold / 3.0) ** 2) / patch.total
         store(scale(_across(arm, normal), sigma), rows[k, :3])
@@ -233,7 +233,7 @@ def _measure(
         force, moment = (math.nan, math.nan, math.nan), (math.nan, math.nan, math.nan)
     store(force, patch.force)
     store(force, patch.wrench[:3])
-    store(add(moment, cross(felt, force)), patch.wrench[3:])
+    store(add(moment, cross(near_part, force)), patch.wrench[3:])
     patch.torque = -dot(moment, normal)
 
 
