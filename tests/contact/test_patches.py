@@ -48,6 +48,35 @@ def test_a_tip_of_one_component_senses_the_point_too():
     assert np.isnan(force).all()
 
 
+def test_a_contact_across_the_edge_of_a_layout_is_beyond_it_and_as_uncertain_as_it_says():
+    """Up to 9 mm from the taxels, on shapes and seeds on which no constant was chosen."""
+    felt, found, squared = [], [], []
+    for k in range(160):
+        rng = np.random.default_rng([31, k])
+        shape = SHAPES[HELD_OUT[k // 20 % 2]]
+        if k % 20 == 0:
+            surface = tip(shape, rng)
+        place = rng.normal(size=3)
+        place *= shape.axes / np.linalg.norm(place)
+        if not 2e-3 < np.linalg.norm(surface.points - place, axis=1).min() < 9e-3:
+            continue
+        truth = pressed(shape, surface, rng, place=place, dead=0)
+        touch = surface.touch(truth.readings)
+        if not len(touch.patches):
+            continue
+        patch, mine = strongest(touch), touch.states[1, :-1] == touch.strongest
+        share = np.where(mine, touch.rise[:-1, 2].clip(0), 0)
+        edge = np.linalg.norm(share @ surface.taxels["edge"]) / share.sum()
+        if edge > 0.45:
+            felt.append(np.linalg.norm(share @ surface.points / share.sum() - truth.point))
+            found.append(np.linalg.norm(patch["point"] - truth.point))
+            squared.append(errors(patch, truth)["nees"])
+    assert len(found) > 20
+    assert np.mean(found) < 0.7 * np.mean(felt)
+    assert np.median(squared) < 1
+    assert np.mean(squared) < 3
+
+
 def test_a_patch_has_the_torsion_about_its_normal():
     errors, sizes = [], []
     for k in range(60):

@@ -32,6 +32,12 @@ class TaxelOptions(NamedTuple):
     those up to two taxels away."""
     sampled: float = 0.21  # sigma of the centre by the cells' size, in cells of a patch of one taxel
     beyond: float = 0.5  # sigma of a patch at the edge, beyond which nothing is measured, in cells
+    half_width: float = 5e-3
+    """Half the width of a contact [m]: (4 R F / (pi k))^(1/4) of a round body on a bed of springs, 5 mm for R = 9 mm
+    (of body and tip together), F = 1.5 N, k = 2.5e7 N/m^3. The root makes little of them: 3 to 10 mm of tips."""
+    hidden: float = 0.58
+    """Sigma of the shift to a contact's middle beyond the edge, as a share of it: it may be anywhere from none to twice
+    as far, 1 / sqrt(3). The surface's fall and turn out there, of which nothing is known, are as uncertain."""
     wide: float = 0.14  # sigma by uneven skin, in cells, of a patch whose variance is that of a cell
     uneven: float = 0.07  # sigma of the normal by such a patch, as a share of the normals' spread
     min_rest: int = 5  # fewest readings of an untouched surface whose mean is used as its baseline
@@ -177,12 +183,21 @@ def _measure(
         spread += 0.5 * share[k] * dot(sideways, sideways)
         patch.flat = patch.flat and (along >= TAXELS.flat or not touched[members[k]])
     point = add(point, scale(normal, raised))
+    # Of a contact across the layout's edge only the near part is felt. With all of that on taxels at the edge, whose
+    # neighbours are on one half, 2 / pi on average, the contact's middle is half its width farther.
+    near_part, edge = point, _across(edge, normal)
+    shift = scale(edge, -TAXELS.half_width * (math.pi / 2) ** 2 * norm(edge))
+    turn = mul(matrix(bend), shift)
+    sag = 0.5 * dot(turn, shift)
+    point = add(point, sub(shift, scale(normal, sag)))
+    normal = add(normal, turn)
+    normal = scale(normal, 1.0 / norm(normal))
 
     # Each row is the change of point and normal by one sigma of an independent error: first of each reading.
-    rows, force, moment, second, measured = np.zeros((m + 11, 6)), zero, zero, np.zeros((3, 3)), last == 2
+    rows, force, moment, second, measured = np.zeros((m + 14, 6)), zero, zero, np.zeros((3, 3)), last == 2
     for k in range(m):
         i, w, axes = members[k], share[k] * patch.total, taxels[members[k]].axes
-        arm, own = sub(vector(taxels[i].point), point), vector(axes[:, 2])
+        arm, own = sub(vector(taxels[i].point), near_part), vector(axes[:, 2])
         relative = record.noise**2 + (TAXELS.filled**2 if filled[i] else 0.0)
         sigma = math.sqrt(relative * w * w + (record.threshold / 3.0) ** 2) / patch.total
         store(scale(_across(arm, normal), sigma), rows[k, :3])
@@ -196,17 +211,19 @@ def _measure(
             measured = measured and rise[i, 2] < record.full_scale
     # Then shifts of the centre, which the normal follows by the surface's bend: by the cells' size, by uneven skin, and
     # at the edge. Last the normal's own error, and the height's, which is the only one out of the surface.
-    turned = math.sqrt(record.variance_normal + TAXELS.uneven**2 * spread)
+    turned = record.variance_normal + TAXELS.uneven**2 * spread + TAXELS.hidden**2 * dot(turn, turn)
     store(scale(edge, TAXELS.beyond * cell), rows[m + 6, :3])
     for a in range(3):
         rows[m + a, a] = TAXELS.sampled * cell * (share**2).sum()
         rows[m + 3 + a, :3] = TAXELS.wide / cell * second[a]
-        rows[m + 7 + a, 3 + a] = turned
-    for k in range(m, m + 10):
+        rows[m + 7 + a, 3 + a] = math.sqrt(turned)
+        rows[m + 10 + a, a] = TAXELS.hidden * norm(shift)
+    for k in range(m, m + 13):
         shift = _across(vector(rows[k, :3]), normal)
         store(shift, rows[k, :3])
         store(_across(sub(vector(rows[k, 3:]), mul(matrix(bend), shift)), normal), rows[k, 3:])
-    store(scale(normal, math.sqrt(record.variance_point * (share**2).sum())), rows[m + 10, :3])
+    height = record.variance_point * (share**2).sum() + (TAXELS.hidden * sag) ** 2
+    store(scale(normal, math.sqrt(height)), rows[m + 13, :3])
     for a in range(6):
         for b in range(6):
             patch.covariance[a, b] = (rows[:, a] * rows[:, b]).sum()
@@ -216,7 +233,7 @@ def _measure(
         force, moment = (math.nan, math.nan, math.nan), (math.nan, math.nan, math.nan)
     store(force, patch.force)
     store(force, patch.wrench[:3])
-    store(add(moment, cross(point, force)), patch.wrench[3:])
+    store(add(moment, cross(near_part, force)), patch.wrench[3:])
     patch.torque = -dot(moment, normal)
 
 
