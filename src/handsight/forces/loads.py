@@ -107,10 +107,13 @@ def load_sensors(rig: Rig, names: Collection[str] = ()) -> tuple[LoadSensor, ...
 
 
 def _of_taxels(frame: str, surfaces: Sequence[TactileSurface]) -> LoadSensor:
-    """Returns the sensor that a link's taxels are, about their middle; its gain is as uncertain as a taxel's."""
+    """Returns the sensor that a link's taxels are, about their middle; its gain is as uncertain as a taxel's.
+
+    A threshold is six standard deviations of noise at least: of four, it would be passed once a second without a touch.
+    """
     points = np.concatenate([surface.points for surface in surfaces])
     middle, zero = points.mean(axis=0), np.zeros(3)
-    noise = np.sqrt(LOADS.patch) * max(surface.threshold for surface in surfaces) / 3
+    noise = np.sqrt(LOADS.patch) * max(surface.threshold for surface in surfaces) / 6
     arm = np.sqrt(((points - middle) ** 2).sum(axis=1).mean())
     sigma, gain = noise * np.repeat([1.0, arm], 3), max(surface.noise for surface in surfaces)
     nothing = WrenchCalibration(zero, zero, 1e-9, zero)
