@@ -214,8 +214,12 @@ def load_sum(
     columns = [rig.hand.moving.index(name) for name in chains.joints if name in offsets]
     J[:, :, columns] = chains.jacobians(places.copy(), np.arange(len(sensors)), axes)[:, :, learnt]
     wrench, by_joint, by_bias, readings, forces = _summed(sensors, observations, gravity, Ts_palm_sensor, J)
-    B = by_bias * np.concatenate([sensor.sigma for sensor in sensors])
-    taxels = np.array([sensor.taxels for sensor in sensors])
+    sigmas, taxels = np.array([sensor.sigma for sensor in sensors]), np.array([s.taxels for s in sensors])
+    B = by_bias * sigmas.ravel()
+    # Errors in proportion to a load, as of hysteresis, last longer than a mean.
+    gains = taxels * np.array([sensor.sigma_gain for sensor in sensors]) / np.sqrt(LOADS.patch)
+    lasting = gains * np.linalg.norm(forces, axis=1) / sigmas[:, 0]
+    lasting = by_bias * (lasting[:, None] * sigmas).ravel()
     index = {name: i for i, name in enumerate(rig.fingers)}
     return LoadSum(
         stamp=(observations[0].stamp + observations[-1].stamp) / 2,
@@ -225,7 +229,7 @@ def load_sum(
         by_joint=by_joint,
         by_bias=by_bias,
         readings=readings,
-        noise=(B @ B.T + rig.sigma_joint**2 * by_joint @ by_joint.T) / n,
+        noise=(B @ B.T + rig.sigma_joint**2 * by_joint @ by_joint.T) / n + lasting @ lasting.T,
         acceleration=float(np.sqrt((acceleration**2).mean())),
         turning=float(np.sqrt((turning**2).mean())),
         Ts_palm_tip=np.where(taxels[:, None, None], Ts_palm_sensor, Ts_palm_link),
