@@ -7,8 +7,8 @@ the same motion: six-axis sensors behind the tips; taxels as XELA's (30 of three
   precision, recall, delay   of slips, as in `slip.py`: alarms that are right, slipping samples that are in alarm
   friction                   learnt in the end, off the truth: median and largest
   mass, centre               errors of the weighing after lift and tilt: medians, and the largest
-  located                    searches by four touches that end within 8 mm and 8° of the truth, by taxels that are 4.7 mm
-                             apart around where the finger touches (`tests/tip_scenes.py`)
+  located                    searches by four touches that end within 8 mm and 8° of the truth, by taxels 4.7 mm from
+                             each other around where the finger touches (`tests/tip_scenes.py`)
 """
 
 from collections import deque

@@ -162,7 +162,7 @@ class World:
         for i, contact in enumerate(self.data.contact[: self.data.ncon]):
             names = [self.scene.model.geom(int(geom)).name for geom in contact.geom]
             if "object" in names and "table" not in names and contact.exclude == 0:
-                force = float(np.linalg.norm(self._force(i)))
+                force = float(np.linalg.norm(self._wrench(i)[:3]))
                 found.append((names[1 - names.index("object")], force, -float(contact.dist)))
         return found
 
