@@ -218,8 +218,7 @@ def load_sum(
     B = by_bias * sigmas.ravel()
     # Errors in proportion to a load, as of hysteresis, last longer than a mean.
     gains = taxels * np.array([sensor.sigma_gain for sensor in sensors]) / np.sqrt(LOADS.patch)
-    lasting = gains * np.linalg.norm(forces, axis=1) / sigmas[:, 0]
-    lasting = by_bias * (lasting[:, None] * sigmas).ravel()
+    lasting = by_bias * ((gains * np.linalg.norm(forces, axis=1) / sigmas[:, 0])[:, None] * sigmas).ravel()
     index = {name: i for i, name in enumerate(rig.fingers)}
     return LoadSum(
         stamp=(observations[0].stamp + observations[-1].stamp) / 2,
