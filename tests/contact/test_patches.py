@@ -77,6 +77,20 @@ def test_a_contact_across_the_edge_of_a_layout_is_beyond_it_and_as_uncertain_as_
     assert np.mean(squared) < 3
 
 
+def test_a_shear_in_proportion_to_the_pressure_moves_neither_centre_nor_normal_of_a_patch():
+    """Taxels that face a shear read more along their normals, but bear no more of the load."""
+    surface = tip(BALL, np.random.default_rng(3), taxels=60, pitch=0.0028)
+    r2 = (surface.points[:, :2] ** 2).sum(axis=1)
+    pressure = np.where(surface.points[:, 2] > 0, np.maximum(1 - r2 / 0.005**2, 0), 0)
+    found = []
+    for shear in ([0.0, 0.0], [0.6, 0.0], [-0.3, 0.5]):
+        forces = pressure[:, None] * [*shear, -1.0]
+        own = np.einsum("nik,ni->nk", surface.taxels["axes"], forces) * [1, 1, -1]
+        found.append(strongest(surface.touch(own)))
+        np.testing.assert_allclose(found[-1]["point"], found[0]["point"], atol=2e-5)
+        np.testing.assert_allclose(found[-1]["normal"], found[0]["normal"], atol=2e-3)
+
+
 def test_a_patch_has_the_torsion_about_its_normal():
     errors, sizes = [], []
     for k in range(60):

@@ -158,13 +158,23 @@ def _measure(
 
     The centre is a weighted mean of the taxels' points, raised from the chord to the surface: at a taxel the
     surface's slope against the mean normal is n_t / n_z, and half of that times the taxel's distance is its depth.
+    Weights are the forces along the mean normal. Along the taxels' own, those that face a shear would bear more: a load
+    at the limit of friction μ would turn the normal towards itself by μ r² / (2 R²), with r the patch's radius (root
+    mean square) and R the tip's, and seem within its cone.
     """
     m, last, cell = len(members), rise.shape[1] - 1, record.pitch
     share, zero = np.empty(m), (0.0, 0.0, 0.0)
     for k in range(m):
         share[k] = max(rise[members[k], last], 0.0)
     patch.total, patch.flat, patch.contacts = share.sum(), True, 1.0
-    share /= patch.total
+    if last == 2:
+        mean = zero
+        for k in range(m):
+            mean = add(mean, scale(vector(taxels[members[k]].axes[:, 2]), share[k]))
+        mean = scale(mean, 1.0 / max(norm(mean), 1e-12))
+        for k in range(m):
+            share[k] = max(-dot(_force(taxels[members[k]].axes, rise[members[k]]), mean), 0.0)
+    share /= max(share.sum(), 1e-12)
     point, normal, edge, bend = zero, zero, zero, np.zeros((3, 3))
     for k in range(m):
         taxel, w = taxels[members[k]], share[k]
@@ -205,8 +215,7 @@ def _measure(
         for a in range(9):
             second[a // 3, a % 3] += share[k] * arm[a // 3] * arm[a % 3]
         if last == 2:
-            shear = add(scale(vector(axes[:, 0]), rise[i, 0]), scale(vector(axes[:, 1]), rise[i, 1]))
-            pushed = sub(shear, scale(own, rise[i, 2]))
+            pushed = _force(axes, rise[i])
             force, moment = add(force, pushed), add(moment, cross(arm, pushed))
             measured = measured and rise[i, 2] < record.full_scale
     # Then shifts of the centre, which the normal follows by the surface's bend: by the cells' size, by uneven skin, and
@@ -235,6 +244,13 @@ def _measure(
     store(force, patch.wrench[:3])
     store(add(moment, cross(near_part, force)), patch.wrench[3:])
     patch.torque = -dot(moment, normal)
+
+
+@inner
+def _force(axes: Any, rise: Any) -> Any:
+    """Returns the force on a taxel of three components in its link."""
+    shear = add(scale(vector(axes[:, 0]), rise[0]), scale(vector(axes[:, 1]), rise[1]))
+    return sub(shear, scale(vector(axes[:, 2]), rise[2]))
 
 
 @inner
