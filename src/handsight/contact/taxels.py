@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight._deprecated import renamed_members
-from handsight._kernels.touch.taxel_records import NEAR, PATCH, PRESSED, SURFACE, TAXEL, UNTOUCHED, WIDE
+from handsight._kernels.touch.taxel_records import NEAR, PATCH, PRESSED, RIM, SURFACE, TAXEL, UNTOUCHED, WIDE
 from handsight.checks import Array, Indices, Mask
 from handsight.contact.contacts import Contacts
 from handsight.errors import InvalidInput
@@ -30,6 +30,8 @@ from handsight.representation import short_repr
 MAX_CONTACTS, MAX_PATCHES = 32, 16
 """Contacts of flat patches of one surface at most, the pressed taxels that are farthest from each other; and patches of
 one surface at most."""
+MAX_FAR = 40
+"""Untouched taxels of a flat surface that count, of those that are not beside a touched one."""
 CLEARANCE, SIGMA_CLEARANCE = 5e-4, 3e-4
 """Height above an untouched taxel at which there is no object, as a face that lies on the skin is at no depth in it,
 and its standard deviation [m]. A can's side is that high 6 mm beside the line where it touches."""
@@ -400,9 +402,13 @@ class SkinTouch:
     def outside(self, T_palm_frame: ArrayLike) -> Array:
         """Returns points (m, 3) in the palm that are not in the object: `CLEARANCE` above untouched taxels [m].
 
-        Of a curved surface they are of taxels beside a patch only, as the object is near nowhere else.
+        Of a curved surface they are of taxels beside a patch only, as the object is near nowhere else; of a flat one
+        those beside touched taxels, and about `MAX_FAR` of the others, evenly from the first to the last.
         """
-        taxels = self.surface.taxels[np.flatnonzero(self.states[0, :-1] == UNTOUCHED)]
+        state, far = self.states[0], self.surface.taxels[self.states[0, :-1] == UNTOUCHED]
+        beside = ((state == PRESSED) | (state == RIM))[far["wide"]].any(axis=1)
+        others = np.flatnonzero(~beside)
+        taxels = far[np.sort(np.append(np.flatnonzero(beside), others[:: len(others) // MAX_FAR + 1]))]
         points = taxels["point"] + CLEARANCE * taxels["axes"][:, :, 2]
         return se3.apply(se3.check(T_palm_frame, "T_palm_frame"), points)
 
