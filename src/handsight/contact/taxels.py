@@ -405,10 +405,11 @@ class SkinTouch:
         Of a curved surface they are of taxels beside a patch only, as the object is near nowhere else; of a flat one
         those beside touched taxels, and about `MAX_FAR` of the others, evenly from the first to the last.
         """
-        state, far = self.states[0], self.surface.taxels[self.states[0, :-1] == UNTOUCHED]
-        beside = ((state == PRESSED) | (state == RIM))[far["wide"]].any(axis=1)
-        others = np.flatnonzero(~beside)
-        taxels = far[np.sort(np.append(np.flatnonzero(beside), others[:: len(others) // MAX_FAR + 1]))]
+        state, taxels = self.states[0], self.surface.taxels
+        untouched = np.flatnonzero(state[:-1] == UNTOUCHED)
+        beside = ((state == PRESSED) | (state == RIM))[taxels["wide"][untouched]].any(axis=1)
+        far = untouched[~beside]
+        taxels = taxels[np.sort(np.append(untouched[beside], far[:: len(far) // MAX_FAR + 1]))]
         points = taxels["point"] + CLEARANCE * taxels["axes"][:, :, 2]
         return se3.apply(se3.check(T_palm_frame, "T_palm_frame"), points)
 
