@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from handsight import se3
 from handsight.contact import TactileSurface, TaxelArray
-from handsight.contact.taxels import CLEARANCE, MAX_CONTACTS
+from handsight.contact.taxels import CLEARANCE, MAX_CONTACTS, MAX_FAR
 from handsight.errors import InvalidInput
 
 FIELDS = {
@@ -57,6 +57,25 @@ def test_untouched_ones_are_points_above_the_skin():
     points = se3.apply(se3.inverse(T), touch.outside(T))
     assert len(points) == touch.untouched.sum() == 54 - 12
     np.testing.assert_allclose(points[:, 2], CLEARANCE, atol=1e-12)
+
+
+def test_of_many_untouched_taxels_those_near_touched_ones_count_and_the_others_thinned_out():
+    array = TactileSurface.grid(
+        frame="palm", T_frame_grid=np.eye(4), rows=40, columns=30, pitch=0.002, threshold=0.03
+    )
+    values = np.zeros((40, 30))
+    values[10:13, 5:8] = 1.0
+    points = array.touch(values).outside(np.eye(4))[:, :2]
+    at, apart = array.points[:, :2], lambda a, b: np.linalg.norm(a[:, None] - b, axis=2)
+    to_touched = apart(at, at[values.ravel() > 0]).min(axis=1)
+    left_out = apart(at, points).min(axis=1) > 1e-9
+    assert not left_out[(to_touched > 0) & (to_touched < 0.0045)].any()
+    assert len(points) == ((to_touched > 0) & (to_touched < 0.0057)).sum() + MAX_FAR
+    assert apart(at[to_touched > 0], points).min(axis=1).max() < 0.01  # on 78 x 58 mm
+    few = TactileSurface.grid(
+        frame="palm", T_frame_grid=np.eye(4), rows=6, columns=4, pitch=0.01, threshold=0.03
+    )
+    assert len(few.touch(np.zeros((6, 4))).outside(np.eye(4))) == 24
 
 
 def test_nothing_is_pressed_below_the_threshold():

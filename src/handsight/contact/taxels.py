@@ -31,7 +31,8 @@ MAX_CONTACTS, MAX_PATCHES = 32, 16
 """Contacts of flat patches of one surface at most, the pressed taxels that are farthest from each other; and patches of
 one surface at most."""
 MAX_FAR = 40
-"""Untouched taxels of a flat surface that count, of those that are not beside a touched one."""
+"""Untouched taxels of a flat surface that count at most, beside those near touched ones: a search takes as much longer
+as there are more, and they tell hardly anything that their neighbours do not."""
 CLEARANCE, SIGMA_CLEARANCE = 5e-4, 3e-4
 """Height above an untouched taxel at which there is no object, as a face that lies on the skin is at no depth in it,
 and its standard deviation [m]. A can's side is that high 6 mm beside the line where it touches."""
@@ -403,13 +404,14 @@ class SkinTouch:
         """Returns points (m, 3) in the palm that are not in the object: `CLEARANCE` above untouched taxels [m].
 
         Of a curved surface they are of taxels beside a patch only, as the object is near nowhere else; of a flat one
-        those beside touched taxels, and about `MAX_FAR` of the others, evenly from the first to the last.
+        those up to two taxels from touched ones, and at most `MAX_FAR` of the others, farthest from each other.
         """
         state, taxels = self.states[0], self.surface.taxels
         untouched = np.flatnonzero(state[:-1] == UNTOUCHED)
         beside = ((state == PRESSED) | (state == RIM))[taxels["wide"][untouched]].any(axis=1)
         far = untouched[~beside]
-        taxels = taxels[np.sort(np.append(untouched[beside], far[:: len(far) // MAX_FAR + 1]))]
+        far = far[_farthest_points(taxels["point"][far], MAX_FAR)]
+        taxels = taxels[np.sort(np.append(untouched[beside], far))]
         points = taxels["point"] + CLEARANCE * taxels["axes"][:, :, 2]
         return se3.apply(se3.check(T_palm_frame, "T_palm_frame"), points)
 
