@@ -79,6 +79,11 @@ def sense_taxels(
         for i in range(n):
             if isolated[i]:
                 touched[i], state[i] = False, UNKNOWN
+    if not touched.any():
+        states[1] = -1
+        for i in range(n):
+            state[i] = UNTOUCHED if record.flat and state[i] == FAR else state[i]
+        return 0
     for i in range(n):
         near = taxels[i].near
         if touched[i]:  # with less than half of its strongest neighbour's rise, perhaps at its rim only
