@@ -120,8 +120,8 @@ def sigma_point(value: ArrayLike, name: str) -> float:
     return number
 
 
-def sigma_normal(value: ArrayLike, name: str) -> float:
-    """Returns the standard deviation of a direction [rad] as `sigma` does, within half a turn."""
+def sigma_angle(value: ArrayLike, name: str) -> float:
+    """Returns the standard deviation of a direction or a rotation [rad] as `sigma` does, within half a turn."""
     number = sigma(value, name)
     if number > np.pi:
         came = f"{number:g} (degrees? {np.deg2rad(number):.4g} rad)"

@@ -59,9 +59,9 @@ class PosePrior:
 
     @classmethod
     def from_sigmas(cls, T_palm_object: ArrayLike, sigma_position: float, sigma_rotation: float) -> PosePrior:
-        """Returns the prior with one standard deviation per axis of position [m] and of rotation [rad]."""
+        """Returns the prior with a standard deviation per axis of position [m], and of rotation [rad] within half a turn."""
         position = checks.sigma(sigma_position, "sigma_position")
-        rotation = checks.sigma(sigma_rotation, "sigma_rotation")
+        rotation = checks.sigma_angle(sigma_rotation, "sigma_rotation")
         T = se3.check(T_palm_object, "vision.T_palm_object")
         return cls(T, np.diag([position**2] * 3 + [rotation**2] * 3))
 
