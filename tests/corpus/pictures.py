@@ -3,7 +3,9 @@
 import io
 import json
 import random
+import struct
 import tempfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -169,6 +171,27 @@ def several(rng: random.Random | None) -> None:
     assert all(0 <= each.probability <= 1 for each in answer.instances)
 
 
+def rows(png: bytes, count: int) -> bytes:
+    """Returns a PNG of 16 bits with its header, and only its first rows."""
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+        )
+
+    at = png.index(b"IDAT")
+    (length,) = struct.unpack(">I", png[at - 4 : at])
+    pixels = zlib.decompress(png[at + 4 : at + 4 + length])
+    kept = pixels[: count * (1 + 2 * struct.unpack(">I", png[16:20])[0])]
+    return png[: at - 4] + chunk(b"IDAT", zlib.compress(kept)) + chunk(b"IEND", b"")
+
+
+def masked() -> None:
+    """Locates a box in a depth image of which a part is masked."""
+    lens = Camera(np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), (64, 48))
+    hs.locate(BOXES["a"], np.ma.masked_greater(np.linspace(0.3, 2.0, 48 * 64).reshape(48, 64), 1.0), lens)
+
+
 DOORS = [
     Door("locate_all", several, 60),
     Door("detections", lambda rng: hints("detections", spoilt(FOUND, rng)), 300),
@@ -195,6 +218,24 @@ CASES = [
     Case("a camera as it should be", lambda: camera(CAMERA), None),
     Case("a BOP scene as it should be", lambda: scene(SCENE), None),
     Case("a BOP scene without images", lambda: scene({}), "expected a camera for each image, got none"),
+    Case(
+        "a PNG of the first 10 of 24 rows",
+        lambda: depth(rows(PNG, 10)),
+        "expected a complete PNG, got 650 bytes of",
+    ),
+    Case(
+        "a PNG that ends in black",
+        lambda: depth(image(STEPS * (np.arange(24) < 10)[:, None].astype(np.uint16))),
+        None,
+    ),
+    Case("a camera's middle 1e300 away", lambda: camera({**CAMERA, "cx": 1e300}), "cx, cy within 1e+06, got"),
+    Case("a focal length of 1e-300", lambda: camera({**CAMERA, "fx": 1e-300}), "fx, fy from 0.01 to 1e+06"),
+    Case(
+        "a lens of 1e308",
+        lambda: camera({**CAMERA, "lens": [1e308] * 8}),
+        "lens: expected numbers within 10000",
+    ),
+    Case("masked depth", masked, "depth: expected numbers, got a masked array"),
     Case(
         "depth of 8 bits",
         lambda: depth(image(STEPS.astype(np.uint8))),

@@ -37,8 +37,13 @@ class Units:
 
     def check_names(self, observation: Observation) -> None:
         """Raises InvalidInput where an observation names a finger or a tactile array that the rig lacks."""
-        for argument, known in (("wrenches", self._fingers), ("contacts", self._fingers), ("skin", self._skin)):
-            given = getattr(observation, argument)
+        for argument, given, known in (
+            ("wrenches", observation.wrenches, self._fingers),
+            ("contacts", observation.contacts, self._fingers),
+            ("skin", observation.skin, self._skin),
+        ):
+            if type(given) is dict and given.keys() <= known:  # in a tenth of the time of the line below
+                continue
             if isinstance(given, Mapping) and not given.keys() <= known:
                 name = next(name for name in given if name not in known)
                 near = checks.suggestion(str(name), known)
@@ -78,13 +83,12 @@ class Units:
             force = hypot(*np.asarray(wrench).tolist()[:3])
             if force > UNITS.max_force:
                 yield None, f"finger {name}", force, f"{force:.4g} N (millinewtons? {1e-3 * force:.3g} N)"
-        vision, origin = observation.vision, np.zeros(3)
-        if vision is not None and vision.frame == "world":
-            if observation.T_world_palm is None:
-                return
-            origin = observation.T_world_palm[:3, 3]
-        if vision is not None:
-            distance = float(np.linalg.norm(vision.T_frame_object[:3, 3] - origin))
+        vision, T_world_palm = observation.vision, observation.T_world_palm
+        if vision is not None and (vision.frame != "world" or T_world_palm is not None):
+            place = vision.T_frame_object[:3, 3]
+            if vision.frame == "world" and T_world_palm is not None:
+                place = place - T_world_palm[:3, 3]
+            distance = float(np.linalg.norm(place))
             if distance > UNITS.max_range:
                 text = f"{distance:.4g} m away (millimetres? {1e-3 * distance:.3g} m)"
                 yield self._topics.vision, "poses", distance, text

@@ -1,6 +1,6 @@
 """Sweeps of a fingertip along a line: where one would meet an object of known pose, and what one has met."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -79,7 +79,7 @@ def with_symmetries_of_touch(model: ObjectModel, sigma: float) -> ObjectModel:
     """
     proposed, declared = propose_symmetries(model, sigma), model.symmetries
     more = (len(proposed.axes), len(proposed.rotations)) > (len(declared.axes), len(declared.rotations))
-    return model.with_symmetries(proposed) if more else model
+    return replace(model, symmetries=proposed) if more else model
 
 
 def tip_center(contact_world: Contacts, radius: float) -> Array:
