@@ -178,9 +178,6 @@ def write_file(path: Path, data: bytes) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path) as file:
             file.write(data)
-            file.flush()
-            # Without it, a machine that loses power may keep the name and lose the content.
-            os.fsync(file.fileno())
 
 
 @contextlib.contextmanager
