@@ -179,6 +179,7 @@ def _opened(url: str) -> AbstractContextManager[BinaryIO]:
                 old, new = urlsplit(req.full_url), urlsplit(given[-1])
                 known = new.scheme in (old.scheme, "https") and new.netloc == old.netloc
                 if not known and new.netloc not in os.environ.get(REDIRECTS, "").split():
+                    given[0].close()
                     expected = f"expected no redirect to another host than those of ${REDIRECTS}"
                     raise InvalidFile(f"{req.full_url}: {expected}, got {checks.brief(new.netloc)}")
                 return super().redirect_request(req, *given)
