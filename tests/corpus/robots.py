@@ -78,6 +78,11 @@ def weight_spoilt(rng: random.Random) -> None:
     given = {**WEIGHT}
     key = rng.choice(sorted(given))
     given[key] = spoilt_value(given[key], rng)
+    weigh(given)
+
+
+def weigh(given: dict[str, object]) -> None:
+    """Declares a weight, and corrects a pose by a measured one."""
     keys = ("mass", "center_of_mass", "sigma_center_of_mass")
     heavy = BOX.with_weight(**{name: given[name] for name in keys})  # type: ignore[arg-type]
     measured = WeightEvidence(heavy.center_of_mass, given["center_palm"], given["covariance"])  # type: ignore[arg-type]
@@ -193,7 +198,13 @@ DOORS = [
 CASES = [
     Case("readings of an array as they should be", lambda: skin([PRESSED]), None),
     Case("an array of another size", lambda: skin([np.zeros((4, 6))]), "skin['palm']: expected 6 rows of 4 numbers"),
+    Case("a tip of 1e155 m", lambda: search({**SEARCH, "radius": 1e155}), "touch.radius: expected"),
+    Case("a path that is a number", lambda: search({**SEARCH, "free": 1.0}), "touch.free_world: expected finite numbers of shape (n, 3)"),
+    Case("a path that is nothing", lambda: search({**SEARCH, "free": {}}), "touch.free_world: expected finite numbers of shape (n, 3)"),
+    Case("a touch without a path", lambda: search({**SEARCH, "free": []}), None),
     Case("a search as it should be", lambda: search(SEARCH), None),
+    Case("a weight known to 1e-154 m", lambda: weigh({**WEIGHT, "covariance": np.diag([1e-4, 1e-4, 5e-324])}), "weight.covariance: expected a positive definite"),
+    Case("a weight as it should be", lambda: weigh(WEIGHT), None),
     Case("a centre of mass in millimetres", lambda: BOX.with_weight(center_of_mass=[0, 0, 20.0]) and None,
          "center_of_mass: expected metres within 5, got [0, 0, 20] (millimetres? [0, 0, 0.02] m)"),
 ]  # fmt: skip

@@ -30,11 +30,11 @@ def write(rig: Rig, path: Path) -> None:
         if surface.layout is None:
             rows = "".join(",".join(f"{x:.9g}" for x in row) + "\n" for row in _table(surface))
             files[name] = tables.setdefault(rows, f"{path.stem}.{name}.csv")
-    for name, content in (
+    for place, content in (
         *((path.parent / file, f"x,y,z,nx,ny,nz,ax,ay,az\n{rows}") for rows, file in tables.items()),
         (path, text(rig, files)),
     ):
-        with text_file(name) as file:
+        with text_file(place) as file:
             file.write(content)
 
 

@@ -60,10 +60,10 @@ class Touch:
     def __post_init__(self) -> None:
         """Checks the fields; raises InvalidInput."""
         free = self.free_world
-        if len(free):
-            free = checks.position(free, "touch.free_world", (None, 3))
-        object.__setattr__(self, "free_world", np.asarray(free, dtype=np.float64).reshape(-1, 3))
-        object.__setattr__(self, "radius", float(checks.positive(self.radius, "touch.radius")))
+        if checks.ndim(free) == 1 and not len(free):
+            free = np.zeros((0, 3))
+        object.__setattr__(self, "free_world", checks.position(free, "touch.free_world", (None, 3)))
+        object.__setattr__(self, "radius", float(checks.sigma_point(self.radius, "touch.radius")))
         object.__setattr__(self, "sigma", float(checks.sigma(self.sigma, "touch.sigma")))
         met = self.contact_world
         if met is not None and not (isinstance(met, Contacts) and len(met) == 1 and met.has_normal.all()):
