@@ -16,6 +16,7 @@ from PIL import Image
 import handsight as hs
 from handsight import se3
 from handsight.camera import Camera
+from handsight.errors import InvalidInput
 from handsight.recording.bop import Hints
 from handsight.recording.frames import Beside, Frame, Unread, open_frames
 from handsight.vision import locate_all, read_camera, read_color, read_depth
@@ -93,6 +94,36 @@ def scene(value: object) -> None:
                 check_sentence(row.reason)
             else:
                 assert (row.camera.size, row.number[0]) == ((32, 24), 1)
+
+
+def bop_folder(rng: random.Random | None) -> None:
+    """Reads a BOP scene of two images of which one file is damaged, renamed or missing."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "000001"
+        (path / "depth").mkdir(parents=True)
+        (path / "rgb").mkdir()
+        files = {"scene_camera.json": json.dumps({"0": SCENE["0"], "1": SCENE["0"]}).encode()}
+        files |= {f"depth/00000{k}.png": PNG for k in range(2)} | {
+            f"rgb/00000{k}.jpg": JPEG for k in range(2)
+        }
+        if rng is not None:
+            name = rng.choice(sorted(files))
+            data = files.pop(name)
+            kind, odd = rng.randrange(4), rng.choice(["\x1b[2J", "-1", "1" * 30, "a" * 200, "\udcff"])
+            if kind:
+                data = spoilt_bytes(data, rng) if kind < 3 else data
+                files[name if kind < 3 else str(Path(name).with_stem(odd))] = data
+        for name, data in files.items():
+            (path / name).write_bytes(data)
+        frames = open_frames(path, Beside())
+        rows = list(frames.each)
+        for row in rows:
+            if isinstance(row, Unread):
+                check_sentence(row.reason)
+                if len(rows) == 1:
+                    raise InvalidInput(row.reason)
+            else:
+                assert row.depth.shape == (24, 32)
 
 
 FOUND = [
@@ -198,6 +229,7 @@ DOORS = [
     Door("targets", lambda rng: hints("targets", spoilt(TARGETS, rng)), 100),
     Door("start", lambda rng: hints("start", spoilt_bytes(POSES.encode(), rng)), 200),
     Door("open_frames", lambda rng: scene(spoilt_value(SCENE, rng)), 200),
+    Door("a BOP folder", bop_folder, 100),
     Door("read_depth", lambda rng: depth(spoilt_bytes(PNG, rng)), 300),
     Door("read_color", lambda rng: color(spoilt_bytes(rng.choice([PNG, JPEG]), rng)), 300),
     Door("read_camera", lambda rng: camera(spoilt_value(CAMERA, rng)), 300),
@@ -216,6 +248,7 @@ CASES = [
     Case("depth as it should be", lambda: depth(PNG), None),
     Case("colour as it should be", lambda: color(JPEG), None),
     Case("a camera as it should be", lambda: camera(CAMERA), None),
+    Case("a BOP folder as it should be", lambda: bop_folder(None), None),
     Case("a BOP scene as it should be", lambda: scene(SCENE), None),
     Case("a BOP scene without images", lambda: scene({}), "expected a camera for each image, got none"),
     Case(

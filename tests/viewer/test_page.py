@@ -1,5 +1,6 @@
 """The page without a browser: what is in its scene, when it is drawn, and when nothing is done."""
 
+import contextlib
 import dataclasses
 import inspect
 import sys
@@ -433,3 +434,21 @@ def test_garbage_from_a_browser_ends_its_connection_without_a_traceback(page, ca
     assert "Traceback" not in capfd.readouterr().err
     with connect(page.address.replace("http", "ws"), subprotocols=ours) as browser:
         assert browser.recv(timeout=20)
+
+
+@pytest.mark.parametrize(
+    "name", ["<script>alert(1)</script>", "\x1b[2J</div>", "../../x", "a" * 5000, "\ud800", ""]
+)
+def test_hostile_names_are_text_on_the_page(tracked, free_port, name):
+    needs_viser()
+    from handsight.viewer.page import Page
+
+    moment = dataclasses.replace(tracked.timeline.moments[-1], reason=name)
+    model = dataclasses.replace(tracked.model, name=name)
+    with contextlib.closing(Page(tracked.rig, model, port=free_port, title=name)) as page:
+        page.draw(moment)
+        contents = [each.content for each in (page.panel.status, page.panel.strip, page.panel.image)]
+    for content in contents:
+        assert "<script" not in content
+        assert "\x1b" not in content
+        assert content.count("<div") == content.count("</div")
