@@ -157,8 +157,8 @@ def _fetched(url: str, most: int) -> bytes | None:
         # Some file servers answer 403 where there is no file.
         if isinstance(reason, FileNotFoundError) or getattr(error, "code", None) in (403, 404, 410):
             return None
-        told = str(reason) if name == url else ""  # a message may repeat a password
-        raise InvalidFile(f"{name}: cannot be fetched: {told or type(error).__name__}") from None
+        text = str(reason) if name == url else ""  # a message may repeat a password
+        raise InvalidFile(f"{name}: cannot be fetched: {text or type(error).__name__}") from None
     if left:
         raise InvalidFile(f"{name}: cannot be fetched: it ended {left} bytes early")
     return bytes(data)
