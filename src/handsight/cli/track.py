@@ -18,7 +18,7 @@ from handsight.cli import options
 from handsight.cli.options import Run, renamed, tracker_settings
 from handsight.cli.terminal import FAILED, End, kept_going, live_rows, plain_table, print_out, say
 from handsight.errors import HandsightError, MissingExtra, printable
-from handsight.files import write_errors
+from handsight.files import text_file, write_errors
 
 if TYPE_CHECKING:
     from handsight.evaluation import TrackErrors, Truths
@@ -191,9 +191,9 @@ def write(result: "TrackResult", run: Run, folder: Path) -> Iterator[str]:
         with result.part():
             write_file(folder / name, rows)
             done.append(name)
-    with result.part(), write_errors(folder / "summary.json"):
+    with result.part(), text_file(folder / "summary.json") as file:
         text = json.dumps(result.summary(), indent=1, ensure_ascii=False, allow_nan=False)
-        (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+        file.write(text + "\n")
         done.append("summary.json")
     yield f"wrote {folder}: {', '.join(done)}"
     if not rows:

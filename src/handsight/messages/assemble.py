@@ -10,10 +10,11 @@ import numpy as np
 from handsight import se3
 from handsight.checks import MAX_DISTANCE, Array
 from handsight.messages.decode import Measurement
-from handsight.messages.report import Report, Units
+from handsight.messages.report import Report
 from handsight.messages.topics import Role
 from handsight.observation import Observation
 from handsight.rig import Rig
+from handsight.rig.units import Units
 
 
 class AssemblyOptions(NamedTuple):
