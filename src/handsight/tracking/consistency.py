@@ -29,7 +29,7 @@ class ConsistencyOptions(NamedTuple):
     """`ConsistencyOptions` say which instants of a recording are compared, and how."""
 
     kept: int = 800  # observations that are kept of a recording, spread over it
-    instants: int = 80  # of these, how many are read again with each change
+    instants: int = 48  # of these, how many are read again with each change
     poses: int = 10  # grasps of which the contacts are compared with the object
     loaded: float = 0.1  # a tip is loaded above this share of the largest load, and three times its `min_force`
     lifted: float = 0.02  # a palm that rose by so much while it grasped has lifted something [m]
@@ -125,6 +125,7 @@ class Reading:
         for k, each in enumerate(self.observations):
             self.touches.append(self._touch(each))
             self._put_loads(k, each, rig.hand.Ts_palm_tip(each.joint_positions or {})[tips])
+        self.forces[np.isnan(self.forces)] = 0.0
         self.sizes = np.linalg.norm(self.forces, axis=2)
 
     def _touch(self, observation: Observation) -> FingertipContacts:
@@ -143,11 +144,11 @@ class Reading:
                 R = T[:3, :3] if T_sensor is None else T[:3, :3] @ T_sensor[:3, :3]
                 sign = 1.0 if known.reading == "on_sensor" else -1.0
                 read = np.asarray(observation.wrenches[name])[:3] - known.bias_force
-                self.forces[k, i] = np.nan_to_num(sign * R @ read - known.mass * gravity)
+                self.forces[k, i] = sign * R @ read - known.mass * gravity
             elif name in touch.fingers and touch.contacts is not None and touch.loads is not None:
                 at = touch.fingers.index(name)
                 normal, load = touch.contacts.normals_palm[at], touch.loads[at]
-                self.forces[k, i] = np.nan_to_num(load[:3]) + np.nan_to_num(load[3], nan=1.0) * normal
+                self.forces[k, i] = np.nan_to_num(load[:3]) + (1.0 if math.isnan(load[3]) else load[3]) * normal
 
     @cached_property
     def rows(self) -> Array:
@@ -211,12 +212,12 @@ class Reading:
 
     def _turns(self) -> Array:
         """Returns how far vision's pose turns both in the palm and in the world, in one of which the object is still."""
-        views, turns = self.views, []
-        for (_, T, T_world), (_, T_later, T_later_world) in zip(views, views[len(views) // 10 or 1 :], strict=False):
-            if T_world is not None and T_later_world is not None:
-                both = [(T, T_later), (T_world, T_later_world)]
-                turns.append(min(np.linalg.norm(se3.rotation_log(b[:3, :3] @ a[:3, :3].T)) for a, b in both))
-        return np.asarray(np.clip(np.array(turns) / CONSISTENCY.turn, 0, 1) ** 2)
+        views = [(T, T_world) for _, T, T_world in self.views if T_world is not None]
+        R = np.array(views).reshape(-1, 2, 4, 4)[:, :, :3, :3]
+        later = R[len(R) // 10 or 1 :]
+        cosines = 0.5 * (R[: len(later)] * later).sum(axis=(2, 3)) - 0.5  # of the turn between two poses
+        turns = np.arccos(np.clip(cosines, -1, 1)).min(axis=1)
+        return np.asarray(np.clip(turns / CONSISTENCY.turn, 0, 1) ** 2)
 
     def off_object(self, model: ObjectModel) -> Array:
         """Returns for some grasps the share of the contacts that do not fit the object; 1 where vision does not."""

@@ -89,7 +89,7 @@ class Compared:
         return max((self.measures | left).values()) > MISTAKES.fits
 
     def gains(self, other: "Compared") -> float:
-        """Returns by how much less this costs than another, less the error of that."""
+        """Returns by how much less this costs than another; 0 where that may be by chance."""
         gain, variance = 0.0, 0.0
         for name, costs in self.costs.items():
             theirs = other.costs[name]
@@ -98,7 +98,7 @@ class Compared:
                 blocks = np.array_split(np.nan_to_num(theirs) - np.nan_to_num(costs), MISTAKES.blocks)
                 means = [float(block.mean()) for block in blocks if len(block)]
                 variance += float(np.var(means)) / max(len(means) - 1, 1)
-        return gain - MISTAKES.errors * math.sqrt(variance)
+        return gain if gain > MISTAKES.errors * math.sqrt(variance) else 0.0
 
 
 class Found(NamedTuple):
