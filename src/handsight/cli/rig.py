@@ -10,6 +10,7 @@ import typer
 from typer import Argument, Option
 
 from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run, find_rig
+from handsight.cli.rig_new import new
 from handsight.cli.terminal import kept_going, plain_table, print_out, say
 from handsight.cli.track import latency_text, print_diagnosis, refusals
 from handsight.errors import HandsightError, InvalidInput, printable
@@ -22,6 +23,7 @@ rig_app = typer.Typer(
     help="Check the file that describes a robot: hand, fingertips, camera.", no_args_is_help=True
 )
 calibrate_app = typer.Typer(help="Estimate a robot's constant errors from a recording.", no_args_is_help=True)
+rig_app.command("new")(new)
 INTO_FINGER = -0.5
 """A tip whose +z has a smaller cosine with the way from its last joint to it points into its finger."""
 WHY_UNTOUCHED = {
@@ -267,6 +269,8 @@ def _degrees(values: "Array") -> str:
 
 def _print_rig(rig: "Rig", name: str) -> None:
     """Prints a rig in millimetres and degrees, at most 80 columns wide if names are short."""
+    import numpy as np
+
     from handsight.contact import Sphere
 
     hand = rig.hand
@@ -287,17 +291,26 @@ def _print_rig(rig: "Rig", name: str) -> None:
         if topic == "none" and not of.calibration.mass:
             continue
         sensors.append((finger, topic, *noise, *ranges, f"{1e3 * of.calibration.mass:g}"))
+    joints = dict(zip(hand.joint_names, np.clip(0.0, *hand.limits.T).tolist(), strict=True))
+    poses = dict(zip(hand.tips, hand.Ts_palm_tip(joints), strict=True))
+    places = []
+    for finger, of in rig.fingers.items():
+        T = poses[finger] @ of.T_frame_surface
+        center, along = ([f"{x:.{digits}f}" for x in row] for digits, row in ((1, 1e3 * T[:3, 3]), (2, T[:3, 2])))
+        places.append((finger, ", ".join(center), ", ".join(along)))
     bold = {"header_style": "bold underline"}
     columns = ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")
     print_out(plain_table(columns, shapes, texts=2, **bold), "")
+    columns = ("with joints at 0", "centre in the palm [mm]", "points along")
+    print_out(plain_table(columns, places, texts=1, **bold), "")
     columns = ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")
     if sensors:
         print_out(plain_table(columns, sensors, texts=2, **bold), "")
     constant, random = math.degrees(rig.sigma_joint_offset), math.degrees(rig.sigma_joint)
-    places = {"tf": f"from {rig.topics.tf}", "joints": "from the joints", None: "not known"}
+    sources = {"tf": f"from {rig.topics.tf}", "joints": "from the joints", None: "not known"}
     rows = [
         ("joints", f"{constant:.2g}° constant, {random:.2g}° noise; on {rig.topics.joint_states}"),
-        ("palm in the world", places[rig.world_from]),
+        ("palm in the world", sources[rig.world_from]),
     ]
     if (c := rig.camera) is not None:
         by_vision = f"{1e3 * c.sigma_position:g} mm, {math.degrees(c.sigma_rotation):.2g}°"

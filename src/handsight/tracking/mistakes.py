@@ -1,7 +1,7 @@
 """Which likely mistake in a rig, or in what a driver publishes, explains that a recording contradicts itself.
 
 Each mistake is tried: the recording is read again as if it had been made, by the measures of `consistency`. One is
-named only where it lowers their sum by `MISTAKES.margin`, and by three standard errors of the samples' differences;
+named only where it lowers their sum by `MISTAKES.margin`, and by two standard errors of the samples' differences;
 then the next one is searched on top of it.
 """
 
@@ -32,7 +32,7 @@ class MistakeOptions(NamedTuple):
     fits: float = 0.1  # where no measure costs more, no mistake is searched
     unbalanced: float = 0.2  # of the balance, so much more: a weight, and links that touch as well, disturb it
     margin: float = 0.1  # the sum of the measures must be lower by so much
-    errors: float = 3.0  # and by so many standard errors
+    errors: float = 2.0  # and by so many standard errors of the samples' differences
     blocks: int = 8  # of samples that follow each other, which share errors: so many count as independent
     tie: float = 0.02  # changes whose sums differ by less fit as well
     compared: int = 24  # of the best changes without the object, so many are compared with it
@@ -41,6 +41,8 @@ class MistakeOptions(NamedTuple):
 
 
 MISTAKES = MistakeOptions()
+EXACT = "rest", "outward"
+"""Measures that are no mean of samples of the recording."""
 
 
 class Mistake(NamedTuple):
@@ -94,7 +96,7 @@ class Compared:
         for name, costs in self.costs.items():
             theirs = other.costs[name]
             gain += _mean(theirs) - _mean(costs)
-            if len(costs) == len(theirs):
+            if name not in EXACT and len(costs) == len(theirs):
                 blocks = np.array_split(np.nan_to_num(theirs) - np.nan_to_num(costs), MISTAKES.blocks)
                 means = [float(block.mean()) for block in blocks if len(block)]
                 variance += float(np.var(means)) / max(len(means) - 1, 1)
@@ -198,12 +200,11 @@ def _signs(rig: Rig, observations: Sequence[Observation]) -> Tried:
     for names, negated in product(_each_and_all(_sensed(rig, observations)), (False, True)):
         if negated and not any(rig.fingers[name].calibration.bias_force.any() for name in names):
             continue
-        fixes = []
-        for name in names:
-            reading = "on_tip" if rig.fingers[name].calibration.reading == "on_sensor" else "on_sensor"
-            fixes.append(f"fingers.{name}.sensor.reading: {reading}")
-        fix = f"set {', '.join(fixes)}{' and the negative of sensor.bias' if negated else ''}"
-        yield f"the other sign of the forces {_of(names)}", fix, _with(rig, names, partial(other, negated)), _as_is
+        changed = _with(rig, names, partial(other, negated))
+        readings = {name: changed.fingers[name].calibration.reading for name in names}
+        fix = "set " + ", ".join(f"fingers.{name}.sensor.reading: {reading}" for name, reading in readings.items())
+        fix += ", and the negative of each bias" if negated else ""
+        yield f"the other sign of the forces {_of(names)}", fix, changed, _as_is
 
 
 def _topics(rig: Rig, observations: Sequence[Observation]) -> Tried:
