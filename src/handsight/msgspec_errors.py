@@ -83,7 +83,18 @@ def _message(text: str, path: FieldPath, form: object, value: object) -> tuple[F
     if found := re.fullmatch(r"Object contains unknown field `(.*)`", text, re.DOTALL):
         return (*path, found[1]), f"unknown key{suggestion(found[1], _field_types(form))}"
     if found := re.fullmatch(r"Object missing required field `(.*)`", text):
-        return (*path, found[1]), "expected, got nothing"
+        missing = _field_types(form).get(found[1])
+        names = [
+            str(name)
+            for kind in alternatives(missing)
+            if get_origin(kind) is Literal
+            for name in get_args(kind)
+        ]
+        kind = getattr(alternatives(missing)[0], "__name__", "")
+        expected = " or ".join(names) or _kind_text(
+            kind if get_origin(missing) is not tuple else "array", missing
+        )
+        return (*path, found[1]), f"expected {expected}, got nothing"
     if text.startswith("Invalid enum value"):
         allowed = alternatives(form)
         names = [str(name) for kind in allowed if get_origin(kind) is Literal for name in get_args(kind)]

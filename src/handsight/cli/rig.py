@@ -75,7 +75,10 @@ def check(
 
         draw_rig(found, rig.name, plot)
         say(f"wrote {plot}")
-    sentences = [f"skin {name}: {text}" for name, text in (misplaced(found.skin, found.hand) if found.skin else {}).items()]
+    sentences = [
+        f"skin {name}: {text}"
+        for name, text in (misplaced(found.skin, found.hand) if found.skin else {}).items()
+    ]
     sentences += [
         f"fingers.{name}.surface: the tip points into its finger: its +z must leave it (turn it by 180°)"
         for name, cosine in outward(found).items()
@@ -94,7 +97,9 @@ def check(
     wrong |= _compare(found, recording, run)
     if wrong:
         raise typer.Exit(1)
-    typer.echo(printable(f"{recording.name} has everything that this rig listens to, and agrees with itself."))
+    typer.echo(
+        printable(f"{recording.name} has everything that this rig listens to, and agrees with itself.")
+    )
     if run is None:
         typer.echo(printable(f"The links' shapes and the declared values were not checked: {why}"))
     else:
@@ -296,7 +301,10 @@ def _print_rig(rig: "Rig", name: str) -> None:
     places = []
     for finger, of in rig.fingers.items():
         T = poses[finger] @ of.T_frame_surface
-        center, along = ([f"{x:.{digits}f}" for x in row] for digits, row in ((1, 1e3 * T[:3, 3]), (2, T[:3, 2])))
+        center, along = (
+            [f"{x:.{digits}f}" for x in np.round(row, digits) + 0.0]
+            for digits, row in ((1, 1e3 * T[:3, 3]), (2, T[:3, 2]))
+        )
         places.append((finger, ", ".join(center), ", ".join(along)))
     bold = {"header_style": "bold underline"}
     columns = ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")

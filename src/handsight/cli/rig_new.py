@@ -37,7 +37,10 @@ def new(
     """
     examples = {path.name.removesuffix(".rig.yaml"): path for path in sorted(EXAMPLES.glob("*.rig.yaml"))}
     if (hand is None) == (like is None):
-        raise InvalidInput("expected the hand's file, or --like and the name of an example, got " + ("neither" if like is None else "both"))
+        raise InvalidInput(
+            "expected the hand's file, or --like and the name of an example, got "
+            + ("neither" if like is None else "both")
+        )
     if like is not None:
         if like not in examples:
             raise InvalidInput(f"--like: expected one of {', '.join(examples)}, got {like!r:.60}")
@@ -51,8 +54,12 @@ def new(
             with path.open("x", encoding="utf-8") as file:
                 file.write(text)
         except FileExistsError:
-            raise InvalidFile(f"{path}: expected a new file, got one that exists; --output names another") from None
-    say(f"wrote {path}; next: handsight rig check {path}{'' if recording is None else f' {recording}'} --plot hand.png")
+            raise InvalidFile(
+                f"{path}: expected a new file, got one that exists; --output names another"
+            ) from None
+    say(
+        f"wrote {path}; next: handsight rig check {path}{'' if recording is None else f' {recording}'} --plot hand.png"
+    )
 
 
 def _guessed(file: Path, recording: Path | None) -> str:
@@ -100,8 +107,12 @@ def _guessed(file: Path, recording: Path | None) -> str:
     if others := sorted(types.keys() - used.keys()):
         lines.append(f"not used (taxels? see docs/sensors.md): {', '.join(others)}")
     if topics.wrenches:
-        lines.append("to fill in: each sensor's pose, reading (on_sensor or on_tip), noise, bias and tip_mass")
+        lines.append(
+            "to fill in: each sensor's pose, reading (on_sensor or on_tip), noise, bias and tip_mass"
+        )
     lines.append("to fill in: the camera's pose, and objects" if in_images else "to fill in: objects")
     for line in lines:
         say(line)
-    return "".join(f"# Guessed: {line}\n" for line in lines).replace("Guessed: to fill", "To fill") + save.text(rig)
+    return "".join(f"# Guessed: {line}\n" for line in lines).replace(
+        "Guessed: to fill", "To fill"
+    ) + save.text(rig)

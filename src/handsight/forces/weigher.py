@@ -68,6 +68,9 @@ class WeigherOptions(NamedTuple):
 WEIGHER = WeigherOptions()
 
 PULLED_UP = "the object seems to be pulled up: does gravity point the other way?"
+PULLED_APART = (
+    "the fingers seem to pull on the object: have the forces the right sign (each sensor's reading)?"
+)
 WEIGHS = "it weighs"
 ASSUMED = "the loads fit a weight only if sensors have wrong gains, or a small force is not measured"
 
@@ -219,7 +222,8 @@ class Weigher:
         limit = WEIGHER.right_mass if self.reason.startswith(WEIGHS) else WEIGHER.wrong_mass
         self.reason = ""
         if found.mass < -WEIGHER.wrong_mass * found.sigma_mass:
-            self.reason = PULLED_UP
+            arms = load.Ts_palm_tip[:, :3, 3] - load.middle_palm
+            self.reason = PULLED_UP if (load.forces * arms).sum() > 0 else PULLED_APART
         elif self.mass is not None:
             known = found.given_mass(self.mass, self.sigma_mass)
             off = abs(found.mass - self.mass) / np.hypot(found.sigma_mass, self.sigma_mass)
@@ -401,9 +405,9 @@ class WeightSensor:
     def doubt(self) -> str:
         """Why the loads make any pose doubtful; empty where they do not.
 
-        Gravity of the wrong sign makes the tips' own weight wrong too, and with it every contact.
+        Gravity of the wrong sign makes the tips' own weight wrong too, and forces of the wrong sign each contact.
         """
-        return PULLED_UP if self.weigher.reason == PULLED_UP else ""
+        return self.weigher.reason if self.weigher.reason in (PULLED_UP, PULLED_APART) else ""
 
     def elsewhere(self, estimate: PoseEstimate) -> str:
         """Returns how far the weight's centre is from where the rest has it; empty where they do not differ."""

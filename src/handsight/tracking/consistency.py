@@ -31,10 +31,14 @@ class ConsistencyOptions(NamedTuple):
     kept: int = 800  # observations that are kept of a recording, spread over it
     instants: int = 48  # of these, how many are read again with each change
     poses: int = 10  # grasps of which the contacts are compared with the object
-    loaded: float = 0.1  # a tip is loaded above this share of the largest load, and three times its `min_force`
+    loaded: float = (
+        0.1  # a tip is loaded above this share of the largest load, and three times its `min_force`
+    )
     lifted: float = 0.02  # a palm that rose by so much while it grasped has lifted something [m]
     rest: float = 0.1  # a sensor that never reads less beside its bias has another bias [N]
-    turn: float = math.radians(40.0)  # by which vision's pose turns where nothing does, that no noise explains [rad]
+    turn: float = math.radians(
+        40.0
+    )  # by which vision's pose turns where nothing does, that no noise explains [rad]
     arm: float = 0.008  # a joint nearer to a tip's centre does not say where its finger comes from [m]
     beyond: float = 0.2  # so far no joint is beyond its limits [rad]
 
@@ -138,7 +142,11 @@ class Reading:
         touch, T_world_palm = self.touches[k], observation.T_world_palm
         gravity = np.zeros(3) if T_world_palm is None else T_world_palm[:3, :3].T @ self.rig.gravity
         for i, (name, finger) in enumerate(self.rig.fingers.items()):
-            T, known, T_sensor = Ts_palm_tip[i] @ finger.T_frame_surface, finger.calibration, finger.tip.T_surface_sensor
+            T, known, T_sensor = (
+                Ts_palm_tip[i] @ finger.T_frame_surface,
+                finger.calibration,
+                finger.tip.T_surface_sensor,
+            )
             self.places[k, i] = T[:3, 3]
             if name in observation.wrenches:
                 R = T[:3, :3] if T_sensor is None else T[:3, :3] @ T_sensor[:3, :3]
@@ -148,7 +156,9 @@ class Reading:
             elif name in touch.fingers and touch.contacts is not None and touch.loads is not None:
                 at = touch.fingers.index(name)
                 normal, load = touch.contacts.normals_palm[at], touch.loads[at]
-                self.forces[k, i] = np.nan_to_num(load[:3]) + (1.0 if math.isnan(load[3]) else load[3]) * normal
+                self.forces[k, i] = (
+                    np.nan_to_num(load[:3]) + (1.0 if math.isnan(load[3]) else load[3]) * normal
+                )
 
     @cached_property
     def rows(self) -> Array:
@@ -228,10 +238,16 @@ class Reading:
         ]
         prior = np.diag(np.repeat(np.square(sigmas).sum(axis=0) + camera.drift[:2], 3))
         seen = [(self._touch(each), PosePrior(T, prior)) for each, T, _ in self.views]
-        grasps = [(touch, vision) for touch, vision in seen or [(touch, None) for touch in self.touches] if len(touch.fingers) > 2]
+        grasps = [
+            (touch, vision)
+            for touch, vision in seen or [(touch, None) for touch in self.touches]
+            if len(touch.fingers) > 2
+        ]
         for touch, vision in grasps[:: max(1, math.ceil(len(grasps) / CONSISTENCY.poses))]:
             if touch.contacts is not None:
                 found = correct_pose(model, touch.contacts, vision=vision)
                 wrong = any(each.evidence == "vision" for each in found.conflicts)
-                costs.append(1.0 if wrong or not found.consistent else len(found.outliers) / len(touch.fingers))
+                costs.append(
+                    1.0 if wrong or not found.consistent else len(found.outliers) / len(touch.fingers)
+                )
         return np.array(costs)

@@ -30,17 +30,19 @@ class MistakeOptions(NamedTuple):
     """`MistakeOptions` say when a mistake is named."""
 
     fits: float = 0.1  # where no measure costs more, no mistake is searched
-    unbalanced: float = 0.2  # of the balance, so much more: a weight, and links that touch as well, disturb it
+    unbalanced: float = 0.3  # the same of balance and squeeze
     margin: float = 0.1  # the sum of the measures must be lower by so much
     errors: float = 2.0  # and by so many standard errors of the samples' differences
     blocks: int = 8  # of samples that follow each other, which share errors: so many count as independent
     tie: float = 0.02  # changes whose sums differ by less fit as well
-    compared: int = 24  # of the best changes without the object, so many are compared with it
+    compared: int = 8  # of the best changes of each kind without the object, so many are compared with it
     most: int = 3  # mistakes that are named of one recording
     all_orders: int = 5  # of so many sensors all orders are tried; of more, exchanges of two
 
 
 MISTAKES = MistakeOptions()
+LARGE, LONGEST_ARM = 50.0, 0.2
+"""A largest force that no fingertip bears [N], and a largest torque by the largest force of no tip [m]."""
 EXACT = "rest", "outward"
 """Measures that are no mean of samples of the recording."""
 
@@ -54,8 +56,6 @@ class Mistake(NamedTuple):
     """The line of the rig that is to be changed, or what the driver is to do."""
     rig: Rig
     read: Change = lambda observation: observation
-    rank: int = 0
-    """Of mistakes that explain as much, that of the lowest rank is named."""
 
 
 class Compared:
@@ -85,12 +85,12 @@ class Compared:
         return sum(self.measures.values())
 
     @property
-    def suspicious(self) -> bool:
-        """Whether any measure but the balance, which a weight and other contacts disturb, is not that of a right rig."""
-        left = {"balance": self.measures["balance"] - MISTAKES.unbalanced}
-        return max((self.measures | left).values()) > MISTAKES.fits
+    def suspicious(self) -> set[str]:
+        """The measures that are not those of a right rig; a weight and links that touch unbalance right ones too."""
+        limits = {"balance": MISTAKES.unbalanced, "squeeze": MISTAKES.unbalanced}
+        return {name for name, cost in self.measures.items() if cost > limits.get(name, MISTAKES.fits)}
 
-    def gains(self, other: "Compared") -> float:
+    def gain(self, other: "Compared") -> float:
         """Returns by how much less this costs than another; 0 where that may be by chance."""
         gain, variance = 0.0, 0.0
         for name, costs in self.costs.items():
@@ -128,16 +128,22 @@ def find_mistakes(excerpt: Excerpt, model: ObjectModel | None = None) -> list[Fo
     found, now = list[Found](), Compared(excerpt, Mistake("", "", excerpt.rig)).with_object(model)
     while len(found) < MISTAKES.most and now.suspicious:
         tried = list[Compared]()
-        for mistake in mistakes(excerpt, now.mistake):
-            with contextlib.suppress(HandsightError):
-                tried.append(Compared(excerpt, mistake))
-        tried = sorted(tried, key=lambda each: each.total)[: MISTAKES.compared]
-        tried = sorted((each.with_object(model) for each in tried), key=lambda each: each.total)
-        tied = [each for each in tried if each.total < tried[0].total + MISTAKES.tie]
-        best = min(tied, key=lambda each: each.mistake.rank)
-        if best.gains(now) < MISTAKES.margin:
+        for kind, explained in KINDS.items():
+            if not now.suspicious & explained:
+                continue
+            of_kind = list[Compared]()
+            for mistake in mistakes(excerpt, now.mistake, kind):
+                with contextlib.suppress(HandsightError):
+                    of_kind.append(Compared(excerpt, mistake))
+            of_kind = sorted(of_kind, key=lambda each: each.total)[: MISTAKES.compared]
+            tried += [each.with_object(model) for each in of_kind]
+            tried.sort(key=lambda each: each.total)
+            if tried and not tried[0].suspicious:  # nothing is left to explain
+                break
+        if not tried or tried[0].gain(now) < MISTAKES.margin:
             break
-        found.append(Found(now, best, tuple(each.mistake for each in tied if each is not best)[:2]))
+        best, *others = (each for each in tried if each.total < tried[0].total + MISTAKES.tie)
+        found.append(Found(now, best, tuple(each.mistake for each in others[:2])))
         now = best
     return found
 
@@ -148,14 +154,10 @@ def _mean(costs: Array) -> float:
     return float(known.mean()) if len(known) else 0.0
 
 
-def mistakes(excerpt: Excerpt, now: Mistake) -> Iterator[Mistake]:
-    """Yields what may be wrong beside a mistake that was found already, the simplest first."""
-    rig, observations = now.rig, [now.read(each) for each in excerpt.observations.some()]
-    rank = 0
-    for kind in (_signs, _topics, _turned_sensors, _tips, _units, _joints, _palms, _cameras, _skin):
-        for what, fix, changed, read in kind(rig, observations):
-            rank += 1
-            yield Mistake(what, fix, changed, partial(_both, now.read, read), rank)
+def mistakes(excerpt: Excerpt, now: Mistake, kind: "Kind") -> Iterator[Mistake]:
+    """Yields mistakes of a kind that may have been made beside one that was found already."""
+    for what, fix, changed, read in kind(now.rig, [now.read(each) for each in excerpt.observations.some()]):
+        yield Mistake(what, fix, changed, partial(_both, now.read, read))
 
 
 def _both(first: Change, second: Change, observation: Observation) -> Observation:
@@ -166,6 +168,7 @@ def _as_is(observation: Observation) -> Observation:
     return observation
 
 
+Kind = Callable[[Rig, Sequence[Observation]], "Tried"]
 Tried = Iterator[tuple[str, str, Rig, Change]]
 """What is wrong, what to change, the rig without that, and what an observation is then."""
 
@@ -173,10 +176,6 @@ Tried = Iterator[tuple[str, str, Rig, Change]]
 def _with(rig: Rig, names: Iterable[str], change: Callable[[Finger], Finger]) -> Rig:
     """Returns a rig with some of its fingers changed."""
     return replace(rig, fingers=dict(rig.fingers) | {name: change(rig.fingers[name]) for name in names})
-
-
-def _sensed(rig: Rig, observations: Sequence[Observation]) -> list[str]:
-    return [name for name in rig.fingers if any(name in each.wrenches for each in observations)]
 
 
 def _each_and_all(names: Sequence[str]) -> list[tuple[str, ...]]:
@@ -188,33 +187,17 @@ def _of(names: Sequence[str]) -> str:
     return f"of {names[0]}" if len(names) == 1 else "of all fingers"
 
 
-def _signs(rig: Rig, observations: Sequence[Observation]) -> Tried:
-    """Forces with the other sign, or readings, bias and all."""
-
-    def other(negated: bool, finger: Finger) -> Finger:
-        known, sign = finger.calibration, -1 if negated else 1
-        reading: Any = "on_tip" if known.reading == "on_sensor" else "on_sensor"
-        bias = {"bias_force": sign * known.bias_force, "bias_torque": sign * known.bias_torque}
-        return replace(finger, calibration=replace(known, reading=reading, **bias))
-
-    for names, negated in product(_each_and_all(_sensed(rig, observations)), (False, True)):
-        if negated and not any(rig.fingers[name].calibration.bias_force.any() for name in names):
-            continue
-        changed = _with(rig, names, partial(other, negated))
-        readings = {name: changed.fingers[name].calibration.reading for name in names}
-        fix = "set " + ", ".join(f"fingers.{name}.sensor.reading: {reading}" for name, reading in readings.items())
-        fix += ", and the negative of each bias" if negated else ""
-        yield f"the other sign of the forces {_of(names)}", fix, changed, _as_is
-
-
 def _topics(rig: Rig, observations: Sequence[Observation]) -> Tried:
     """Topics of fingers exchanged: wrenches, contacts and the surfaces on tips."""
     tips = {finger.frame for finger in rig.fingers.values()}
     shapes = {name: surface.shape for name, surface in rig.skin.items() if surface.frame in tips}
     for kind, names in (
-        ("wrenches", [n for n in _sensed(rig, observations) if n in rig.topics.wrenches]),
+        ("wrenches", [name for name in rig.fingers if name in rig.topics.wrenches]),
         ("contacts", list(rig.topics.contacts)),
-        *(("skin", [n for n, each in shapes.items() if each == shape]) for shape in sorted(set(shapes.values()))),
+        *(
+            ("skin", [n for n, each in shapes.items() if each == shape])
+            for shape in sorted(set(shapes.values()))
+        ),
     ):
         for order in _orders(names):
             given: dict[str, str] = dict(getattr(rig.topics, kind))
@@ -246,12 +229,15 @@ def _exchanged(field: str, sources: Mapping[str, str], observation: Observation)
 
 
 TURNS = [
-    np.array([[sign * (axis == column) for column in range(3)] for axis, sign in zip(order, signs, strict=True)], float)
+    np.array(
+        [[sign * (axis == column) for column in range(3)] for axis, sign in zip(order, signs, strict=True)],
+        float,
+    )
     for order in permutations(range(3))
     for signs in product((1, -1), repeat=3)
 ]
 TURNS = [turn for turn in TURNS if np.linalg.det(turn) > 0]
-TURNS.sort(key=lambda turn: (-np.trace(turn @ np.diag([0.9, 0.95, 1.0]))))
+TURNS.sort(key=lambda turn: -np.trace(turn @ np.diag([0.9, 0.95, 1.0])))
 TURNS = TURNS[1:]
 """The 23 turns (3, 3) of axes onto axes, least first."""
 
@@ -274,10 +260,18 @@ def turn_text(R: Array) -> str:
     return f"{math.degrees(angle):.0f}° about [{', '.join(f'{x:.2g}' for x in axis)}]"
 
 
-def _turned_sensors(rig: Rig, observations: Sequence[Observation]) -> Tried:
-    """Axes of sensors turned, and, where a bias is declared, it with them."""
+def _sensors(rig: Rig, observations: Sequence[Observation], bias: bool = False) -> Tried:
+    """Forces with the other sign, and axes of sensors turned; their biases too where `bias` says so."""
 
-    def turned(R: Array, bias: bool, finger: Finger) -> Finger:
+    sensed = [name for name in rig.fingers if any(name in each.wrenches for each in observations)]
+
+    def other(finger: Finger) -> Finger:
+        known, sign = finger.calibration, -1 if bias else 1
+        reading: Any = "on_tip" if known.reading == "on_sensor" else "on_sensor"
+        biases = {"bias_force": sign * known.bias_force, "bias_torque": sign * known.bias_torque}
+        return replace(finger, calibration=replace(known, reading=reading, **biases))
+
+    def turned(R: Array, finger: Finger) -> Finger:
         T, known = finger.tip.T_surface_sensor, finger.calibration
         tip = finger.tip.with_sensor(_turned(np.eye(4) if T is None else T, R))
         axes = {"center_of_mass": R.T @ known.center_of_mass}
@@ -285,12 +279,20 @@ def _turned_sensors(rig: Rig, observations: Sequence[Observation]) -> Tried:
             axes |= {"bias_force": R.T @ known.bias_force, "bias_torque": R.T @ known.bias_torque}
         return replace(finger, tip=tip, calibration=replace(known, **axes))
 
-    for names, bias, R in product(_each_and_all(_sensed(rig, observations)), (False, True), TURNS):
-        if bias and not any(rig.fingers[name].calibration.bias_force.any() for name in names):
-            continue
-        changed = _with(rig, names, partial(turned, R, bias))
+    for names in _each_and_all(sensed):
+        changed = _with(rig, names, other)
+        readings = {name: changed.fingers[name].calibration.reading for name in names}
+        fix = "set " + ", ".join(
+            f"fingers.{name}.sensor.reading: {reading}" for name, reading in readings.items()
+        )
+        fix += ", and the negative of each bias" if bias else ""
+        yield f"the other sign of the forces {_of(names)}", fix, changed, _as_is
+    for names, R in product(_each_and_all(sensed), TURNS):
+        changed = _with(rig, names, partial(turned, R))
         finger = changed.fingers[names[0]]
-        T = finger.T_frame_surface @ (np.eye(4) if finger.tip.T_surface_sensor is None else finger.tip.T_surface_sensor)
+        T = finger.T_frame_surface @ (
+            np.eye(4) if finger.tip.T_surface_sensor is None else finger.tip.T_surface_sensor
+        )
         fix = f"set fingers.{names[0]}.sensor.pose: {pose_text(T)}"
         fix += ", and turn the others' by as much" * (len(names) > 1) + " and turn its bias" * bias
         yield f"the sensor {_of(names)} turned by {turn_text(R)}", fix, changed, _as_is
@@ -306,9 +308,13 @@ def _tips(rig: Rig, observations: Sequence[Observation]) -> Tried:
         T_frame_sensor = finger.T_frame_surface @ (np.eye(4) if sensor is None else sensor)
         return replace(finger, T_frame_surface=T, tip=finger.tip.with_sensor(se3.inverse(T) @ T_frame_sensor))
 
-    axes = [next(turn for turn in TURNS if np.allclose(turn[:, 2], axis)) for axis in (*-np.eye(3)[[2, 0, 1]], *np.eye(3)[:2])]
+    axes = [
+        next(turn for turn in TURNS if np.allclose(turn[:, 2], axis))
+        for axis in (*-np.eye(3)[[2, 0, 1]], *np.eye(3)[:2])
+    ]
     for names, (side, R) in product(
-        _each_and_all(list(rig.fingers)), [(1.0, axes[0]), (-1.0, np.eye(3)), (-1.0, axes[0]), *((1.0, R) for R in axes[1:])]
+        _each_and_all(list(rig.fingers)),
+        [(1.0, axes[0]), (-1.0, np.eye(3)), (-1.0, axes[0]), *((1.0, R) for R in axes[1:])],
     ):
         changed = _with(rig, names, partial(pointing, R, side))
         T = changed.fingers[names[0]].T_frame_surface
@@ -326,43 +332,59 @@ def _units(rig: Rig, observations: Sequence[Observation]) -> Tried:
         wrenches = {name: factors * wrench for name, wrench in observation.wrenches.items()}
         return replace(observation, wrenches=wrenches)
 
-    for what, force, torque in (
-        ("torques in N mm", 1.0, 1e-3),
-        ("forces in millinewtons", 1e-3, 1.0),
-        ("forces in millinewtons and torques in mN m", 1e-3, 1e-3),
-        ("torques in N m where they are read as N m of forces in millinewtons", 1.0, 1e3),
-    ):
+    read = np.array([wrench for each in observations for wrench in each.wrenches.values()]).reshape(-1, 6)
+    force, torque = (
+        np.nan_to_num(np.abs(read[:, part])).max(initial=0.0) for part in (slice(3), slice(3, 6))
+    )
+    tried = [
+        ("torques in N mm", 1.0, 1e-3, torque > LONGEST_ARM * force),
+        ("forces in millinewtons", 1e-3, 1.0, force > LARGE),
+        ("forces in millinewtons and torques in mN m", 1e-3, 1e-3, force > LARGE),
+    ]
+    for what, force, torque in (row[:3] for row in tried if row[3]):
         factors = np.repeat([force, torque], 3)
-        fix = f"have the driver of {next(iter(rig.topics.wrenches.values()), 'the sensors')} publish N and N m"
+        fix = (
+            f"have the driver of {next(iter(rig.topics.wrenches.values()), 'the sensors')} publish N and N m"
+        )
         yield what, fix, rig, partial(scaled, factors)
-    degrees = partial(_with_joints, lambda joints: {name: math.radians(x) for name, x in joints.items()})
-    yield "joints in degrees", f"have the driver of {rig.topics.joint_states} publish radians", rig, degrees
 
+    def in_radians(observation: Observation) -> Observation:
+        positions = {name: math.radians(x) for name, x in (observation.joint_positions or {}).items()}
+        return replace(observation, joint_positions=positions)
 
-def _with_joints(change: Callable[[Mapping[str, float]], dict[str, float]], observation: Observation) -> Observation:
-    return replace(observation, joint_positions=change(observation.joint_positions or {}))
+    if (
+        max((abs(x) for each in observations for x in (each.joint_positions or {}).values()), default=0.0)
+        > 2 * math.pi
+    ):
+        fix = f"have the driver of {rig.topics.joint_states} publish radians"
+        yield "joints in degrees", fix, rig, in_radians
 
 
 def _joints(rig: Rig, observations: Sequence[Observation]) -> Tried:
     """Positions of joints in another order than their names."""
-    names = [name for name in (observations[0].joint_positions or {}) if name in rig.hand.moving] if observations else []
+    every = list(observations[0].joint_positions or {}) if observations else []
+    names = [name for name in every if name in rig.hand.moving]
     chains, steps = rig.hand.kinematics(dict.fromkeys(rig.hand.moving, 0.0)).chains, list[list[str]]()
     for start, end in zip(chains.starts, chains.starts[1:], strict=False):
         steps.append([chains.joints[k] for k in chains.steps["value"][start:end]])
     orders = {
-        "in reverse": names[::-1],
-        "in the alphabet's order": sorted(names),
-        "in the order of the hand's file": [name for name in rig.hand.joint_names if name in names],
-        "shifted by one": [*names[1:], *names[:1]],
-        "shifted back by one": [*names[-1:], *names[:-1]],
+        "in reverse": every[::-1],
+        "in the alphabet's order": sorted(every),
+        "in the order of the hand's file": sorted(every, key=[*rig.hand.joint_names, *every].index),
+        "shifted by one": [*every[1:], *every[:1]],
+        "shifted back by one": [*every[-1:], *every[:-1]],
     }
-    exchanges = {"each finger's in reverse": dict(pair for chain in steps for pair in zip(chain, chain[::-1], strict=True))}
+    exchanges = {
+        "each finger's in reverse": dict(
+            pair for chain in steps for pair in zip(chain, chain[::-1], strict=True)
+        )
+    }
     for (a, one), (b, other) in combinations(zip(rig.hand.tips, steps, strict=True), 2):
         if len(one) == len(other):
             pairs = zip((*one, *other), (*other, *one), strict=True)
             exchanges[f"those of {a} and {b} exchanged"] = dict(pairs)
     exchanges |= {f"{a} and {b} exchanged": {a: b, b: a} for a, b in combinations(names, 2)}
-    exchanges = {what: dict(zip(names, order, strict=True)) for what, order in orders.items()} | exchanges
+    exchanges = {what: dict(zip(every, order, strict=True)) for what, order in orders.items()} | exchanges
     fix = f"give names and positions on {rig.topics.joint_states} the same order"
     for what, sources in exchanges.items():
         if any(name != source for name, source in sources.items()):
@@ -382,16 +404,31 @@ def _palms(rig: Rig, observations: Sequence[Observation]) -> Tried:
 
     if not any(each.T_world_palm is not None for each in observations):
         return
-    yield "gravity the other way", f"set world.gravity: {(-rig.gravity).tolist()}", replace(rig, gravity=-rig.gravity), _as_is
+    yield (
+        "gravity the other way",
+        f"set world.gravity: {(-rig.gravity).tolist()}",
+        replace(rig, gravity=-rig.gravity),
+        _as_is,
+    )
     named = f"frames.palm ({rig.frames['palm']!r}) and hand.palm ({rig.hand.palm!r})"
     for link in rig.hand.link_poses(observations[0].joint_positions or {}) if rig.world_from == "tf" else ():
         if link != rig.hand.palm:
             fix = f"set hand.palm: {link}, or the frame of {rig.hand.palm} as frames.palm in place of {rig.frames['palm']!r}"
-            yield f"the pose on {rig.topics.tf} as that of {link}", fix, rig, partial(moved, partial(at_link, link))
+            yield (
+                f"the pose on {rig.topics.tf} as that of {link}",
+                fix,
+                rig,
+                partial(moved, partial(at_link, link)),
+            )
     for R in TURNS:
         T = se3.compose(R, np.zeros(3))
         fix = f"{named} must be one frame: name another, or publish it turned by as much"
-        yield f"the palm on {rig.topics.tf} turned by {turn_text(R)}", fix, rig, partial(moved, lambda _, T=T: T)
+        yield (
+            f"the palm on {rig.topics.tf} turned by {turn_text(R)}",
+            fix,
+            rig,
+            partial(moved, lambda _, T=T: T),
+        )
 
 
 def _cameras(rig: Rig, observations: Sequence[Observation]) -> Tried:
@@ -402,7 +439,10 @@ def _cameras(rig: Rig, observations: Sequence[Observation]) -> Tried:
             return observation
         T = vision.T_frame_object
         quaternion = se3.quaternion_from_rotation(T[:3, :3])[[1, 2, 3, 0]]
-        return replace(observation, vision=replace(vision, T_frame_object=se3.from_position_quaternion(T[:3, 3], quaternion)))
+        return replace(
+            observation,
+            vision=replace(vision, T_frame_object=se3.from_position_quaternion(T[:3, 3], quaternion)),
+        )
 
     if rig.topics.vision is None:
         return
@@ -411,12 +451,22 @@ def _cameras(rig: Rig, observations: Sequence[Observation]) -> Tried:
     if (camera := rig.camera) is None:
         return
     other: Any = "palm" if camera.on == "world" else "world"
-    yield f"a camera on the {other}", f"set camera.fixed_to: {other}", replace(rig, camera=replace(camera, on=other)), _as_is
+    yield (
+        f"a camera on the {other}",
+        f"set camera.fixed_to: {other}",
+        replace(rig, camera=replace(camera, on=other)),
+        _as_is,
+    )
     for what, T in (
         ("the camera's pose inverted", se3.inverse(camera.T_mount_camera)),
         *((f"the camera turned by {turn_text(R)}", _turned(camera.T_mount_camera, R)) for R in TURNS),
     ):
-        yield what, f"set camera.pose: {pose_text(T)}", replace(rig, camera=replace(camera, T_mount_camera=T)), _as_is
+        yield (
+            what,
+            f"set camera.pose: {pose_text(T)}",
+            replace(rig, camera=replace(camera, T_mount_camera=T)),
+            _as_is,
+        )
 
 
 def _skin(rig: Rig, observations: Sequence[Observation]) -> Tried:
@@ -425,12 +475,39 @@ def _skin(rig: Rig, observations: Sequence[Observation]) -> Tried:
     def turned(R: Array, surface: TactileSurface) -> TactileSurface:
         middle = surface.points.mean(axis=0)
         T = se3.compose(R, middle - R @ middle)
-        layout = None if surface.layout is None else surface.layout._replace(T_frame_grid=T @ surface.layout.T_frame_grid)
+        layout = (
+            None
+            if surface.layout is None
+            else surface.layout._replace(T_frame_grid=T @ surface.layout.T_frame_grid)
+        )
         axes = surface.taxels["axes"]
-        return replace(surface, points=se3.apply(T, surface.points), normals=surface.normals @ R.T, x_axes=axes[:, :, 0] @ R.T, layout=layout)
+        return replace(
+            surface,
+            points=se3.apply(T, surface.points),
+            normals=surface.normals @ R.T,
+            x_axes=axes[:, :, 0] @ R.T,
+            layout=layout,
+        )
 
     tips = {finger.frame for finger in rig.fingers.values()}
-    for names, R in product(_each_and_all([name for name, each in rig.skin.items() if each.frame in tips]), TURNS):
+    for names, R in product(
+        _each_and_all([name for name, each in rig.skin.items() if each.frame in tips]), TURNS
+    ):
         changed = dict(rig.skin) | {name: turned(R, rig.skin[name]) for name in names}
         fix = f"turn the pose, or the places, of skin.{' and skin.'.join(names)} by {turn_text(R)} along the link's axes"
         yield f"the taxels {_of(names)} turned by {turn_text(R)}", fix, replace(rig, skin=changed), _as_is
+
+
+BY_LOAD = {"touch", "squeeze", "balance", "gravity", "rest", "object"}
+KINDS: dict[Kind, set[str]] = {
+    _topics: BY_LOAD,
+    _sensors: BY_LOAD,
+    partial(_sensors, bias=True): {"rest"},
+    _units: {"touch", "squeeze", "balance", "limits", "object"},
+    _tips: {"touch", "squeeze", "outward", "object"},
+    _cameras: {"vision", "object"},
+    _palms: {"gravity", "vision", "object"},
+    _joints: {"squeeze", "balance", "gravity", "limits", "object"},
+    _skin: BY_LOAD,
+}
+"""The kinds of mistakes, the likeliest first, and the measures that each can explain."""

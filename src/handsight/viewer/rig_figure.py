@@ -40,7 +40,12 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
     cameras = [] if rig.camera is None or rig.camera.on == "world" else [rig.camera.T_mount_camera]
     taxels = {name: (Ts[each.frame], each) for name, each in rig.skin.items() if each.frame in Ts}
     corners, triangles = np.concatenate(vertices), np.concatenate(faces)
-    all_points = np.concatenate([corners, AXIS * np.eye(3), *(T[None, :3, 3] for T in (*Ts.values(), *tips, *cameras))])
+    all_points = np.concatenate(
+        [corners, AXIS * np.eye(3), *(T[None, :3, 3] for T in (*Ts.values(), *cameras))]
+    )
+    all_points = np.concatenate(
+        [all_points, *(np.array([T[:3, 3], T[:3, 3] + AXIS * T[:3, 2]]) for T in tips)]
+    )
     up = np.median([T[:3, 2] for T in tips], axis=0)
     thin = np.linalg.svd(all_points - all_points.mean(axis=0), full_matrices=False)[2][2]
     out = sum(((T[:3, :3] @ each.normals.T).sum(axis=1) for T, each in taxels.values()), 1e-3 * thin)
