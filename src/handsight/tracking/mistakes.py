@@ -10,18 +10,17 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import combinations, permutations, product
-from typing import Any, NamedTuple
+from itertools import combinations, pairwise, permutations, product
+from typing import NamedTuple
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import TactileSurface
 from handsight.errors import HandsightError
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
-from handsight.rig import Finger, Rig
+from handsight.rig import Rig
 from handsight.rig.save import pose_text
 from handsight.tracking.consistency import MEASURES, Change, Excerpt, Reading
 
@@ -55,7 +54,8 @@ class Mistake(NamedTuple):
     fix: str
     """The line of the rig that is to be changed, or what the driver is to do."""
     rig: Rig
-    read: Change = lambda observation: observation
+    read: Change
+    """What its observations are then."""
 
 
 class Compared:
@@ -125,14 +125,16 @@ def find_mistakes(excerpt: Excerpt, model: ObjectModel | None = None) -> list[Fo
 
     `model`: the object in the hand, where it is known: contacts and vision's poses are then compared with it.
     """
-    found, now = list[Found](), Compared(excerpt, Mistake("", "", excerpt.rig)).with_object(model)
+    found, now = list[Found](), Compared(excerpt, Mistake("", "", excerpt.rig, _as_is)).with_object(model)
     while len(found) < MISTAKES.most and now.suspicious:
         tried = list[Compared]()
         for kind, explained in KINDS.items():
             if not now.suspicious & explained:
                 continue
             of_kind = list[Compared]()
-            for mistake in mistakes(excerpt, now.mistake, kind):
+            observations = [now.mistake.read(each) for each in excerpt.observations.some()]
+            for each in kind(now.mistake.rig, observations):
+                mistake = each._replace(read=partial(_then, now.mistake.read, each.read))
                 with contextlib.suppress(HandsightError):
                     of_kind.append(Compared(excerpt, mistake))
             of_kind = sorted(of_kind, key=lambda each: each.total)[: MISTAKES.compared]
@@ -154,13 +156,7 @@ def _mean(costs: Array) -> float:
     return float(known.mean()) if len(known) else 0.0
 
 
-def mistakes(excerpt: Excerpt, now: Mistake, kind: "Kind") -> Iterator[Mistake]:
-    """Yields mistakes of a kind that may have been made beside one that was found already."""
-    for what, fix, changed, read in kind(now.rig, [now.read(each) for each in excerpt.observations.some()]):
-        yield Mistake(what, fix, changed, partial(_both, now.read, read))
-
-
-def _both(first: Change, second: Change, observation: Observation) -> Observation:
+def _then(first: Change, second: Change, observation: Observation) -> Observation:
     return second(first(observation))
 
 
@@ -168,338 +164,216 @@ def _as_is(observation: Observation) -> Observation:
     return observation
 
 
-Kind = Callable[[Rig, Sequence[Observation]], "Tried"]
-Tried = Iterator[tuple[str, str, Rig, Change]]
-"""What is wrong, what to change, the rig without that, and what an observation is then."""
-
-
-def _with(rig: Rig, names: Iterable[str], change: Callable[[Finger], Finger]) -> Rig:
-    """Returns a rig with some of its fingers changed."""
-    return replace(rig, fingers=dict(rig.fingers) | {name: change(rig.fingers[name]) for name in names})
-
-
-def _each_and_all(names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Returns all fingers together, for what is wrong with one type of sensor, then each."""
-    return [tuple(names)] * (len(names) > 1) + [(name,) for name in names]
-
-
-def _of(names: Sequence[str]) -> str:
-    return f"of {names[0]}" if len(names) == 1 else "of all fingers"
-
-
-def _topics(rig: Rig, observations: Sequence[Observation]) -> Tried:
-    """Topics of fingers exchanged: wrenches, contacts and the surfaces on tips."""
+def _topics(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
+    """Topics of fingers exchanged: of wrenches, contacts, and surfaces of one shape on tips."""
     tips = {finger.frame for finger in rig.fingers.values()}
-    shapes = {name: surface.shape for name, surface in rig.skin.items() if surface.frame in tips}
-    for kind, names in (
-        ("wrenches", [name for name in rig.fingers if name in rig.topics.wrenches]),
-        ("contacts", list(rig.topics.contacts)),
-        *(
-            ("skin", [n for n, each in shapes.items() if each == shape])
-            for shape in sorted(set(shapes.values()))
-        ),
-    ):
-        for order in _orders(names):
-            given: dict[str, str] = dict(getattr(rig.topics, kind))
-            if kind == "skin":
-                given = {n: rig.topics.skin_fields.get(n, topic) for n, topic in given.items()}
-            changed = [(a, b) for a, b in zip(names, order, strict=True) if a != b]
-            where = "skin.{}.field" if kind == "skin" and rig.topics.skin_fields else f"topics.{kind}.{{}}"
-            fix = "set " + ", ".join(f"{where.format(a)}: {given[b]}" for a, b in changed)
-            what = f"another order of the topics of {', '.join(a for a, _ in changed)}"
-            yield what, fix, rig, partial(_exchanged, kind, dict(changed))
+    groups = [("wrenches", list(rig.topics.wrenches)), ("contacts", list(rig.topics.contacts))]
+    on_tips = [name for name, surface in rig.skin.items() if surface.frame in tips]
+    for shape in {rig.skin[name].shape for name in on_tips}:
+        groups.append(("skin", [name for name in on_tips if rig.skin[name].shape == shape]))
+    for kind, names in groups:
+        topics: Mapping[str, str] = getattr(rig.topics, kind)
+        orders = permutations(names) if len(names) <= MISTAKES.all_orders else _exchanges(names)
+        for order in sorted(orders, key=lambda order: sum(map(str.__ne__, order, names))):
+            if changed := {a: b for a, b in zip(names, order, strict=True) if a != b}:
+                fix = ", ".join(
+                    f"skin.{a}.field: {rig.topics.skin_fields[b]}"
+                    if kind == "skin" and b in rig.topics.skin_fields
+                    else f"topics.{kind}.{a}: {topics[b]}"
+                    for a, b in changed.items()
+                )
+                change = partial(_exchanged, "wrenches" if kind == "wrenches" else kind, changed)
+                yield Mistake(
+                    f"another order of the topics of {', '.join(changed)}", f"set {fix}", rig, change
+                )
 
 
-def _orders(names: Sequence[str]) -> Iterator[Sequence[str]]:
-    """Yields the other orders of some names, exchanges of two first; of many names, those alone."""
-    for i, j in combinations(range(len(names)), 2):
-        order = list(names)
-        order[i], order[j] = order[j], order[i]
-        yield order
-    if len(names) <= MISTAKES.all_orders:
-        yield from (p for p in permutations(names) if sum(a != b for a, b in zip(names, p, strict=True)) > 2)
+def _exchanges(names: Sequence[str]) -> Iterator[list[str]]:
+    """Yields the orders of names in which two are exchanged."""
+    for one, other in combinations(names, 2):
+        yield [{one: other, other: one}.get(name, name) for name in names]
 
 
 def _exchanged(field: str, sources: Mapping[str, str], observation: Observation) -> Observation:
     """Returns an observation in which some entries of a mapping are those of other names."""
     values = dict(getattr(observation, field))
     given = {to: values[source] for to, source in sources.items() if source in values}
-    kept = {name: value for name, value in values.items() if name not in sources}
-    return replace(observation, **{field: kept | given})
+    return replace(observation, **{field: {n: v for n, v in values.items() if n not in sources} | given})
 
 
-TURNS = [
-    np.array(
-        [[sign * (axis == column) for column in range(3)] for axis, sign in zip(order, signs, strict=True)],
-        float,
-    )
-    for order in permutations(range(3))
-    for signs in product((1, -1), repeat=3)
-]
-TURNS = [turn for turn in TURNS if np.linalg.det(turn) > 0]
-TURNS.sort(key=lambda turn: -np.trace(turn @ np.diag([0.9, 0.95, 1.0])))
-TURNS = TURNS[1:]
-"""The 23 turns (3, 3) of axes onto axes, least first."""
+def _turns() -> Iterator[tuple[str, Array]]:
+    """Yields the 23 turns (3, 3) of axes onto axes, with their names, those about one axis first."""
+    turns = [
+        np.eye(3)[list(order)] * signs
+        for order in permutations(range(3))
+        for signs in product((1, -1), repeat=3)
+    ]
+    for R in sorted((R for R in turns if np.linalg.det(R) > 0), key=lambda R: -np.abs(np.diag(R)).max())[1:]:
+        w = se3.rotation_log(R)
+        axis = w / np.linalg.norm(w)
+        name = "[" + ", ".join(f"{x:.2g}" for x in axis) + "]"
+        if np.abs(axis).max() > 0.99:
+            name = ("-" if axis.sum() < 0 else "") + "xyz"[int(np.abs(axis).argmax())]
+        yield f"{math.degrees(np.linalg.norm(w)):.0f}° about {name}", R
+
+
+TURNS = tuple(_turns())
 
 
 def _turned(T: Array, R: Array) -> Array:
     """Returns a pose (4, 4) turned by R (3, 3) in its own axes."""
-    T = np.array(T)
-    T[:3, :3] = T[:3, :3] @ R
-    return T
+    return np.asarray(T @ se3.compose(R, np.zeros(3)))
 
 
-def turn_text(R: Array) -> str:
-    """Returns a turn (3, 3) in words, such as "90° about z"."""
-    w = se3.rotation_log(R)
-    angle = float(np.linalg.norm(w))
-    axis = w / angle
-    if np.abs(axis).max() > 0.99:
-        sign = "-" if axis[np.abs(axis).argmax()] < 0 and angle < 3 else ""
-        return f"{math.degrees(angle):.0f}° about {sign}{'xyz'[int(np.abs(axis).argmax())]}"
-    return f"{math.degrees(angle):.0f}° about [{', '.join(f'{x:.2g}' for x in axis)}]"
+def _linear(matrix: Array, offsets: Mapping[str, Array], observation: Observation) -> Observation:
+    """Returns an observation whose wrenches are multiplied by a matrix (6, 6), each about its offset (6,)."""
+    new = {
+        name: b + matrix @ (observation.wrenches[name] - b)
+        for name, b in offsets.items()
+        if name in observation.wrenches
+    }
+    return replace(observation, wrenches={**observation.wrenches, **new})
 
 
-def _sensors(rig: Rig, observations: Sequence[Observation], bias: bool = False) -> Tried:
-    """Forces with the other sign, and axes of sensors turned; their biases too where `bias` says so."""
+def _each_and_all(names: Iterable[str]) -> list[tuple[str, ...]]:
+    """Returns all fingers together, for what is wrong with one type of sensor, then each."""
+    alone = [(name,) for name in names]
+    return [tuple(name for (name,) in alone), *alone] if len(alone) > 1 else alone
 
+
+def _sensors(rig: Rig, observations: Sequence[Observation], bias: bool = False) -> Iterator[Mistake]:
+    """Forces with the other sign, and sensors turned; `bias`: their declared biases are along the right axes."""
     sensed = [name for name in rig.fingers if any(name in each.wrenches for each in observations)]
-
-    def other(finger: Finger) -> Finger:
-        known, sign = finger.calibration, -1 if bias else 1
-        reading: Any = "on_tip" if known.reading == "on_sensor" else "on_sensor"
-        biases = {"bias_force": sign * known.bias_force, "bias_torque": sign * known.bias_torque}
-        return replace(finger, calibration=replace(known, reading=reading, **biases))
-
-    def turned(R: Array, finger: Finger) -> Finger:
-        T, known = finger.tip.T_surface_sensor, finger.calibration
-        tip = finger.tip.with_sensor(_turned(np.eye(4) if T is None else T, R))
-        axes = {"center_of_mass": R.T @ known.center_of_mass}
-        if bias:
-            axes |= {"bias_force": R.T @ known.bias_force, "bias_torque": R.T @ known.bias_torque}
-        return replace(finger, tip=tip, calibration=replace(known, **axes))
-
-    for names in _each_and_all(sensed):
-        changed = _with(rig, names, other)
-        readings = {name: changed.fingers[name].calibration.reading for name in names}
-        fix = "set " + ", ".join(
-            f"fingers.{name}.sensor.reading: {reading}" for name, reading in readings.items()
-        )
-        fix += ", and the negative of each bias" if bias else ""
-        yield f"the other sign of the forces {_of(names)}", fix, changed, _as_is
-    for names, R in product(_each_and_all(sensed), TURNS):
-        changed = _with(rig, names, partial(turned, R))
-        finger = changed.fingers[names[0]]
-        T = finger.T_frame_surface @ (
-            np.eye(4) if finger.tip.T_surface_sensor is None else finger.tip.T_surface_sensor
-        )
-        fix = f"set fingers.{names[0]}.sensor.pose: {pose_text(T)}"
-        fix += ", and turn the others' by as much" * (len(names) > 1) + " and turn its bias" * bias
-        yield f"the sensor {_of(names)} turned by {turn_text(R)}", fix, changed, _as_is
+    for names, (turn, R) in product(_each_and_all(sensed), [("", -np.eye(3)), *TURNS]):
+        offsets, fixes = dict[str, Array](), list[str]()
+        for name in names:
+            finger, known = rig.fingers[name], rig.fingers[name].calibration
+            offsets[name] = np.zeros(6) if bias else np.concatenate([known.bias_force, known.bias_torque])
+            T = finger.tip.T_surface_sensor
+            T_frame_sensor = finger.T_frame_surface @ (np.eye(4) if T is None else T)
+            other = "on_tip" if known.reading == "on_sensor" else "on_sensor"
+            key = f"pose: {pose_text(_turned(T_frame_sensor, R))}" if turn else f"reading: {other}"
+            fixes.append(f"fingers.{name}.sensor.{key}")
+        of = f"of {names[0]}" if len(names) == 1 else "of all fingers"
+        what = f"the sensor {of} turned by {turn}" if turn else f"the other sign of the forces {of}"
+        fix = f"set {', '.join(fixes)}" + ", and its bias along its axes now" * bias
+        yield Mistake(what, fix, rig, partial(_linear, np.kron(np.eye(2), R), offsets))
 
 
-def _tips(rig: Rig, observations: Sequence[Observation]) -> Tried:
-    """Tips that point along another axis, and are on the frame's other side."""
-
-    def pointing(R: Array, side: float, finger: Finger) -> Finger:
-        T = _turned(finger.T_frame_surface, R)
-        T[:3, 3] *= side
-        sensor = finger.tip.T_surface_sensor
-        T_frame_sensor = finger.T_frame_surface @ (np.eye(4) if sensor is None else sensor)
-        return replace(finger, T_frame_surface=T, tip=finger.tip.with_sensor(se3.inverse(T) @ T_frame_sensor))
-
-    axes = [
-        next(turn for turn in TURNS if np.allclose(turn[:, 2], axis))
-        for axis in (*-np.eye(3)[[2, 0, 1]], *np.eye(3)[:2])
-    ]
-    for names, (side, R) in product(
-        _each_and_all(list(rig.fingers)),
-        [(1.0, axes[0]), (-1.0, np.eye(3)), (-1.0, axes[0]), *((1.0, R) for R in axes[1:])],
-    ):
-        changed = _with(rig, names, partial(pointing, R, side))
-        T = changed.fingers[names[0]].T_frame_surface
-        more = ", and so of the others" if len(names) > 1 else ""
-        along = "xyz"[int(np.abs(R[:, 2]).argmax())]
-        what = f"the tip {_of(names)} pointing along its {'-' if R[:, 2].min() < -0.5 else '+'}{along}"
-        what += ", on the other side of its frame" if side < 0 else ""
-        yield what, f"set fingers.{names[0]}.surface: {pose_text(T)}{more}", changed, _as_is
-
-
-def _units(rig: Rig, observations: Sequence[Observation]) -> Tried:
-    """Forces, torques and joints in other units."""
-
-    def scaled(factors: Array, observation: Observation) -> Observation:
-        wrenches = {name: factors * wrench for name, wrench in observation.wrenches.items()}
-        return replace(observation, wrenches=wrenches)
-
+def _units(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
+    """Forces, torques and joints in other units, where they are too large for the usual ones."""
     read = np.array([wrench for each in observations for wrench in each.wrenches.values()]).reshape(-1, 6)
     force, torque = (
-        np.nan_to_num(np.abs(read[:, part])).max(initial=0.0) for part in (slice(3), slice(3, 6))
+        float(np.nan_to_num(np.abs(part)).max(initial=0.0)) for part in (read[:, :3], read[:, 3:])
     )
-    tried = [
-        ("torques in N mm", 1.0, 1e-3, torque > LONGEST_ARM * force),
-        ("forces in millinewtons", 1e-3, 1.0, force > LARGE),
-        ("forces in millinewtons and torques in mN m", 1e-3, 1e-3, force > LARGE),
-    ]
-    for what, force, torque in (row[:3] for row in tried if row[3]):
-        factors = np.repeat([force, torque], 3)
-        fix = (
-            f"have the driver of {next(iter(rig.topics.wrenches.values()), 'the sensors')} publish N and N m"
-        )
-        yield what, fix, rig, partial(scaled, factors)
-
-    def in_radians(observation: Observation) -> Observation:
-        positions = {name: math.radians(x) for name, x in (observation.joint_positions or {}).items()}
-        return replace(observation, joint_positions=positions)
-
+    for what, factors, possible in (
+        ("torques in N mm", (1.0, 1e-3), torque > LONGEST_ARM * force),
+        ("forces in millinewtons", (1e-3, 1.0), force > LARGE),
+        ("forces in millinewtons, torques in mN m", (1e-3, 1e-3), force > LARGE),
+    ):
+        if possible:
+            change = partial(_linear, np.diag(np.repeat(factors, 3)), dict.fromkeys(rig.fingers, np.zeros(6)))
+            yield Mistake(what, "have the sensors' driver publish N and N m", rig, change)
     if (
         max((abs(x) for each in observations for x in (each.joint_positions or {}).values()), default=0.0)
         > 2 * math.pi
     ):
         fix = f"have the driver of {rig.topics.joint_states} publish radians"
-        yield "joints in degrees", fix, rig, in_radians
+        yield Mistake("joints in degrees", fix, rig, _in_radians)
 
 
-def _joints(rig: Rig, observations: Sequence[Observation]) -> Tried:
-    """Positions of joints in another order than their names."""
-    every = list(observations[0].joint_positions or {}) if observations else []
-    names = [name for name in every if name in rig.hand.moving]
-    chains, steps = rig.hand.kinematics(dict.fromkeys(rig.hand.moving, 0.0)).chains, list[list[str]]()
-    for start, end in zip(chains.starts, chains.starts[1:], strict=False):
-        steps.append([chains.joints[k] for k in chains.steps["value"][start:end]])
-    orders = {
-        "in reverse": every[::-1],
-        "in the alphabet's order": sorted(every),
-        "in the order of the hand's file": sorted(every, key=[*rig.hand.joint_names, *every].index),
-        "shifted by one": [*every[1:], *every[:1]],
-        "shifted back by one": [*every[-1:], *every[:-1]],
-    }
-    exchanges = {
-        "each finger's in reverse": dict(
-            pair for chain in steps for pair in zip(chain, chain[::-1], strict=True)
+def _in_radians(observation: Observation) -> Observation:
+    positions = {name: math.radians(x) for name, x in (observation.joint_positions or {}).items()}
+    return replace(observation, joint_positions=positions)
+
+
+def _tips(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
+    """Tips that point along another axis of theirs."""
+    for names, axis in product(_each_and_all(rig.fingers), ("-z", "x", "-x", "y", "-y")):
+        z = np.eye(3)["xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1)
+        R, fixes, fingers = (
+            next(R for _, R in TURNS if np.array_equal(R[:, 2], z)),
+            list[str](),
+            dict(rig.fingers),
         )
-    }
-    for (a, one), (b, other) in combinations(zip(rig.hand.tips, steps, strict=True), 2):
-        if len(one) == len(other):
-            pairs = zip((*one, *other), (*other, *one), strict=True)
-            exchanges[f"those of {a} and {b} exchanged"] = dict(pairs)
-    exchanges |= {f"{a} and {b} exchanged": {a: b, b: a} for a, b in combinations(names, 2)}
-    exchanges = {what: dict(zip(every, order, strict=True)) for what, order in orders.items()} | exchanges
-    fix = f"give names and positions on {rig.topics.joint_states} the same order"
-    for what, sources in exchanges.items():
-        if any(name != source for name, source in sources.items()):
-            change = partial(_exchanged, "joint_positions", sources)
-            yield f"positions of joints {what}", fix, rig, change
+        for name in names:
+            finger, T = fingers[name], _turned(fingers[name].T_frame_surface, R)
+            sensor = np.eye(4) if finger.tip.T_surface_sensor is None else finger.tip.T_surface_sensor
+            tip = finger.tip.with_sensor(se3.inverse(T) @ finger.T_frame_surface @ sensor)
+            fingers[name] = replace(finger, T_frame_surface=T, tip=tip)
+            fixes.append(f"fingers.{name}.surface: {pose_text(T)}")
+        what = f"the tip of {names[0] if len(names) == 1 else 'each finger'} pointing along its {axis}"
+        yield Mistake(what, f"set {', '.join(fixes)}", replace(rig, fingers=fingers), _as_is)
 
 
-def _palms(rig: Rig, observations: Sequence[Observation]) -> Tried:
-    """Another palm in the world than that of the hand, and gravity the other way."""
+def _cameras(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
+    """Vision's quaternion as w, x, y, z, and a camera on the other mount."""
+    fix = f"have {rig.topics.vision} publish its orientation as x, y, z, w"
+    yield Mistake("vision's quaternion as w, x, y, z", fix, rig, _as_wxyz)
+    if (camera := rig.camera) is not None:
+        other = replace(camera, on="palm" if camera.on == "world" else "world")
+        fix = f"set camera.fixed_to: {other.on}"
+        yield Mistake(f"a camera on the {other.on}", fix, replace(rig, camera=other), _as_is)
 
-    def moved(T_moved: Callable[[Observation], Array], observation: Observation) -> Observation:
+
+def _as_wxyz(observation: Observation) -> Observation:
+    """Returns an observation whose vision was read as x, y, z, w, and was w, x, y, z."""
+    if (vision := observation.vision) is None:
+        return observation
+    T = vision.T_frame_object
+    quaternion = se3.quaternion_from_rotation(T[:3, :3])[[1, 2, 3, 0]]
+    T = se3.from_position_quaternion(T[:3, 3], quaternion)
+    return replace(observation, vision=replace(vision, T_frame_object=T))
+
+
+def _palms(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
+    """Gravity the other way, and a palm in the world that is another link, or turned."""
+
+    def moved(T_palm_true: Callable[[Observation], Array], observation: Observation) -> Observation:
         T = observation.T_world_palm
-        return observation if T is None else replace(observation, T_world_palm=T @ T_moved(observation))
+        return observation if T is None else replace(observation, T_world_palm=T @ T_palm_true(observation))
 
-    def at_link(link: str, observation: Observation) -> Array:
+    def from_link(link: str, observation: Observation) -> Array:
         return se3.inverse(rig.hand.link_poses(observation.joint_positions or {})[link])
 
-    if not any(each.T_world_palm is not None for each in observations):
-        return
-    yield (
-        "gravity the other way",
-        f"set world.gravity: {(-rig.gravity).tolist()}",
-        replace(rig, gravity=-rig.gravity),
-        _as_is,
-    )
-    named = f"frames.palm ({rig.frames['palm']!r}) and hand.palm ({rig.hand.palm!r})"
+    fix = f"set world.gravity: {(-rig.gravity).tolist()}"
+    yield Mistake("gravity the other way", fix, replace(rig, gravity=-rig.gravity), _as_is)
     for link in rig.hand.link_poses(observations[0].joint_positions or {}) if rig.world_from == "tf" else ():
         if link != rig.hand.palm:
-            fix = f"set hand.palm: {link}, or the frame of {rig.hand.palm} as frames.palm in place of {rig.frames['palm']!r}"
-            yield (
-                f"the pose on {rig.topics.tf} as that of {link}",
-                fix,
-                rig,
-                partial(moved, partial(at_link, link)),
-            )
-    for R in TURNS:
-        T = se3.compose(R, np.zeros(3))
-        fix = f"{named} must be one frame: name another, or publish it turned by as much"
-        yield (
-            f"the palm on {rig.topics.tf} turned by {turn_text(R)}",
-            fix,
-            rig,
-            partial(moved, lambda _, T=T: T),
-        )
+            fix = f"set hand.palm: {link}, or as frames.palm the frame of {rig.hand.palm}"
+            change = partial(moved, partial(from_link, link))
+            yield Mistake(f"{rig.frames['palm']!r} on {rig.topics.tf} as {link}", fix, rig, change)
+    for turn, R in TURNS:
+        fix = f"frames.palm ({rig.frames['palm']!r}) must be the frame of hand.palm ({rig.hand.palm!r})"
+        change = partial(moved, lambda _, R=R: _turned(np.eye(4), R))
+        yield Mistake(f"the palm in the world turned by {turn}", fix, rig, change)
 
 
-def _cameras(rig: Rig, observations: Sequence[Observation]) -> Tried:
-    """Vision's quaternion as w, x, y, z, and the camera elsewhere."""
-
-    def reordered(observation: Observation) -> Observation:
-        if (vision := observation.vision) is None:
-            return observation
-        T = vision.T_frame_object
-        quaternion = se3.quaternion_from_rotation(T[:3, :3])[[1, 2, 3, 0]]
-        return replace(
-            observation,
-            vision=replace(vision, T_frame_object=se3.from_position_quaternion(T[:3, 3], quaternion)),
-        )
-
-    if rig.topics.vision is None:
-        return
-    fix = f"have {rig.topics.vision} publish orientation as x, y, z, w"
-    yield "vision's quaternion as w, x, y, z", fix, rig, reordered
-    if (camera := rig.camera) is None:
-        return
-    other: Any = "palm" if camera.on == "world" else "world"
-    yield (
-        f"a camera on the {other}",
-        f"set camera.fixed_to: {other}",
-        replace(rig, camera=replace(camera, on=other)),
-        _as_is,
-    )
-    for what, T in (
-        ("the camera's pose inverted", se3.inverse(camera.T_mount_camera)),
-        *((f"the camera turned by {turn_text(R)}", _turned(camera.T_mount_camera, R)) for R in TURNS),
-    ):
-        yield (
-            what,
-            f"set camera.pose: {pose_text(T)}",
-            replace(rig, camera=replace(camera, T_mount_camera=T)),
-            _as_is,
-        )
-
-
-def _skin(rig: Rig, observations: Sequence[Observation]) -> Tried:
-    """Tactile surfaces on tips turned about their middle, along the axes of their links."""
-
-    def turned(R: Array, surface: TactileSurface) -> TactileSurface:
-        middle = surface.points.mean(axis=0)
-        T = se3.compose(R, middle - R @ middle)
-        layout = (
-            None
-            if surface.layout is None
-            else surface.layout._replace(T_frame_grid=T @ surface.layout.T_frame_grid)
-        )
-        axes = surface.taxels["axes"]
-        return replace(
-            surface,
-            points=se3.apply(T, surface.points),
-            normals=surface.normals @ R.T,
-            x_axes=axes[:, :, 0] @ R.T,
-            layout=layout,
-        )
-
-    tips = {finger.frame for finger in rig.fingers.values()}
-    for names, R in product(
-        _each_and_all([name for name, each in rig.skin.items() if each.frame in tips]), TURNS
-    ):
-        changed = dict(rig.skin) | {name: turned(R, rig.skin[name]) for name in names}
-        fix = f"turn the pose, or the places, of skin.{' and skin.'.join(names)} by {turn_text(R)} along the link's axes"
-        yield f"the taxels {_of(names)} turned by {turn_text(R)}", fix, replace(rig, skin=changed), _as_is
+def _joints(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
+    """Positions of joints in another order than their names."""
+    names, moving = list(observations[0].joint_positions or {}), rig.hand.moving
+    chains = rig.hand.kinematics(dict.fromkeys(moving, 0.0)).chains
+    fingers = [chains.steps["value"][start:end] for start, end in pairwise(chains.starts)]
+    orders = {
+        "in reverse": names[::-1],
+        "in the alphabet's order": sorted(names),
+        "in the order of the hand's file": sorted(names, key=[*rig.hand.joint_names, *names].index),
+        "shifted by one": [*names[1:], *names[:1]],
+        "shifted back by one": [*names[-1:], *names[:-1]],
+    }
+    sources = {what: dict(zip(names, order, strict=True)) for what, order in orders.items()}
+    for (a, one), (b, other) in combinations(zip(rig.hand.tips, fingers, strict=True), 2):
+        if len(one) == len(other):
+            pairs = [(chains.joints[i], chains.joints[k]) for i, k in zip(one, other, strict=True)]
+            sources[f"of {a} and {b} exchanged"] = dict([*pairs, *((k, i) for i, k in pairs)])
+    sources |= {f"{a} and {b} exchanged": {a: b, b: a} for a, b in combinations(moving, 2)}
+    fix = f"give names and positions on {rig.topics.joint_states} one order"
+    for what, source in sources.items():
+        yield Mistake(f"positions of joints {what}", fix, rig, partial(_exchanged, "joint_positions", source))
 
 
 BY_LOAD = {"touch", "squeeze", "balance", "gravity", "rest", "object"}
-KINDS: dict[Kind, set[str]] = {
+KINDS: dict[Callable[[Rig, Sequence[Observation]], Iterator[Mistake]], set[str]] = {
     _topics: BY_LOAD,
     _sensors: BY_LOAD,
     partial(_sensors, bias=True): {"rest"},
@@ -508,6 +382,5 @@ KINDS: dict[Kind, set[str]] = {
     _cameras: {"vision", "object"},
     _palms: {"gravity", "vision", "object"},
     _joints: {"squeeze", "balance", "gravity", "limits", "object"},
-    _skin: BY_LOAD,
 }
 """The kinds of mistakes, the likeliest first, and the measures that each can explain."""
