@@ -97,9 +97,7 @@ def check(
     wrong |= _compare(found, recording, run)
     if wrong:
         raise typer.Exit(1)
-    typer.echo(
-        printable(f"{recording.name} has everything that this rig listens to, and agrees with itself.")
-    )
+    typer.echo(printable(f"{recording.name} has everything that this rig listens to."))
     if run is None:
         typer.echo(printable(f"The links' shapes and the declared values were not checked: {why}"))
     else:
@@ -138,7 +136,8 @@ def _compare(rig: "Rig", recording: Path, run: "Run | None") -> bool:
     for finger in (name for name in largest if name not in touched):
         least = f"a contact takes {rig.fingers[finger].tip.min_force:g} N on its tip"
         text = f"finger {finger}: never touched; {least}, and the largest force was {largest[finger]:.3g} N"
-        (why, count) = max(((r, n) for (f, r), n in reasons.items() if f == finger), key=lambda each: each[1])
+        counts = ((count, reason) for (name, reason), count in reasons.items() if name == finger)
+        count, why = max(counts, default=(0, ""))
         if count:
             text += f": {count} readings of a load are {WHY_UNTOUCHED.get(why, why)}"
             lacking.append(text)
