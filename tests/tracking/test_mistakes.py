@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from handsight import se3
-from handsight.objects import ObjectModel
 from handsight.tracking.consistency import Excerpt
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.mistakes import TURNS, find_mistakes
@@ -160,7 +159,7 @@ def test_of_two_mistakes_both_are_named(recorded):
 
 def test_exchanged_fields_of_taxels_are_named(recorded):
     rig, model, observations = recorded("can", sensors="xela")
-    a, b = list(rig.skin)[0], list(rig.skin)[-2]
+    a, b = next(iter(rig.skin)), list(rig.skin)[-2]
     exchanged = [
         replace(o, skin=dict(o.skin) | {a: o.skin[b], b: o.skin[a]}) if {a, b} <= o.skin.keys() else o
         for o in observations
@@ -176,4 +175,5 @@ def test_an_excerpt_spreads_over_a_recording_of_any_length(recorded):
         excerpt.put(replace(observations[0], stamp=float(k)), touched=False)
     stamps = [each.stamp for each in excerpt.observations.some()]
     assert 20 < len(stamps) <= 48
-    assert np.ptp(np.diff(stamps)) == 0 and stamps[-1] > 4500
+    assert np.ptp(np.diff(stamps)) == 0
+    assert stamps[-1] > 4500

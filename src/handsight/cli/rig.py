@@ -46,10 +46,10 @@ def check(
     sensor whose readings cannot be used is named, with what to change: all zero, never changing, inverted, counts
     without a scale, swapped bytes.
 
-    Where a recording contradicts itself as the rig reads it (forces that are not in balance, fingers that pull, weight
-    that is not along gravity, contacts that do not fit the object), likely mistakes are tried: the other sign of forces,
-    exchanged topics, turned sensors, tips and cameras, other units, orders of joints, another palm, quaternions as w, x,
-    y, z. The one that explains it is named, with the line to change. Measures are from 0, right, to 1.
+    Where a recording contradicts itself as the rig reads it (forces that are not in balance, fingers that pull, a weight
+    that is not along gravity, contacts that do not fit the object), likely mistakes are tried: forces of the other sign,
+    exchanged topics, turned sensors and tips, other units, other orders of joints, another palm, a quaternion as w, x, y,
+    z. The one that explains it is named, with the line to change. The measures are from 0, which is right, to 1.
 
     For a recording it also lists the fingers that never touched anything, by how much the shapes of the hand's links
     are too large (those that would be inside the object although the contacts of the fingertips fit), and what the
@@ -143,7 +143,7 @@ def _compare(rig: "Rig", recording: Path, run: "Run | None") -> bool:
             lacking.append(text)
         else:
             untouched.append(text)
-    mistakes = find_mistakes(excerpt, run and run.model)
+    mistakes = find_mistakes(excerpt, None if run is None else run.model)
     for sentence in (*lacking, *sensors.remarks(), *untouched, *mistakes):
         typer.echo(printable(f"- {sentence}"))
     return bool(lacking or mistakes or not touched)
@@ -308,8 +308,8 @@ def _print_rig(rig: "Rig", name: str) -> None:
     bold = {"header_style": "bold underline"}
     columns = ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")
     print_out(plain_table(columns, shapes, texts=2, **bold), "")
-    columns = ("with joints at 0", "centre in the palm [mm]", "points along")
-    print_out(plain_table(columns, places, texts=1, **bold), "")
+    at_zero = ("with joints at 0", "centre in the palm [mm]", "points along")
+    print_out(plain_table(at_zero, places, texts=1, **bold), "")
     columns = ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")
     if sensors:
         print_out(plain_table(columns, sensors, texts=2, **bold), "")

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from handsight.forces import ObjectWeight, Slip
     from handsight.objects import ObjectModel
     from handsight.tracking import Tracker
-    from handsight.tracking.verdicts import Diagnosis
     from handsight.tracking.replay import Step, Tally
+    from handsight.tracking.verdicts import Diagnosis
 
 
 def track(

@@ -198,7 +198,7 @@ class Reading:
         found["rest"] = np.clip(least - CONSISTENCY.rest, 0, 1)
         limits = {n: each for n, each in zip(hand.joint_names, hand.limits, strict=True) if n in hand.moving}
         read = [[(each.joint_positions or {})[name] for name in limits] for each in self.observations]
-        low, high = np.array(list(limits.values())).T + [[-CONSISTENCY.beyond], [CONSISTENCY.beyond]]
+        low, high = np.array(list(limits.values())).T + CONSISTENCY.beyond * np.array([[-1], [1]])
         found["limits"] = ((read < low) | (read > high)).mean(axis=1)
         found["outward"] = np.clip(-np.array(list(outward(self.rig).values())), 0, 1)
         found["vision"] = self._turns()
@@ -221,7 +221,7 @@ class Reading:
         return found
 
     def _turns(self) -> Array:
-        """Returns how far vision's pose turns both in the palm and in the world, in one of which the object is still."""
+        """Returns how far vision's pose turns both in the palm and in the world; in one of them the object is still."""
         views = [(T, T_world) for _, T, T_world in self.views if T_world is not None]
         R = np.array(views).reshape(-1, 2, 4, 4)[:, :, :3, :3]
         later = R[len(R) // 10 or 1 :]
@@ -231,23 +231,20 @@ class Reading:
 
     def off_object(self, model: ObjectModel) -> Array:
         """Returns for some grasps the share of the contacts that do not fit the object; 1 where vision does not."""
-        camera, costs = self.rig.camera or MountedCamera(), []
+        camera, costs = self.rig.camera or MountedCamera(), list[float]()
         sigmas = [
             [camera.sigma_position, camera.sigma_rotation],
             [camera.sigma_position_constant, camera.sigma_rotation_constant],
         ]
         prior = np.diag(np.repeat(np.square(sigmas).sum(axis=0) + camera.drift[:2], 3))
-        seen = [(self._touch(each), PosePrior(T, prior)) for each, T, _ in self.views]
-        grasps = [
-            (touch, vision)
-            for touch, vision in seen or [(touch, None) for touch in self.touches]
-            if len(touch.fingers) > 2
-        ]
+        grasps: list[tuple[FingertipContacts, PosePrior | None]]
+        grasps = [(self._touch(each), PosePrior(T, prior)) for each, T, _ in self.views]
+        grasps = grasps or [(touch, None) for touch in self.touches]
+        grasps = [each for each in grasps if len(each[0].fingers) > 2]
         for touch, vision in grasps[:: max(1, math.ceil(len(grasps) / CONSISTENCY.poses))]:
             if touch.contacts is not None:
                 found = correct_pose(model, touch.contacts, vision=vision)
                 wrong = any(each.evidence == "vision" for each in found.conflicts)
-                costs.append(
-                    1.0 if wrong or not found.consistent else len(found.outliers) / len(touch.fingers)
-                )
+                share = len(found.outliers) / len(touch.fingers)
+                costs.append(1.0 if wrong or not found.consistent else share)
         return np.array(costs)

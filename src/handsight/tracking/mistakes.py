@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations, pairwise, permutations, product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,8 +29,8 @@ class MistakeOptions(NamedTuple):
     """`MistakeOptions` say when a mistake is named."""
 
     fits: float = 0.1  # where no measure costs more, no mistake is searched
-    unbalanced: float = 0.3  # the same of balance and squeeze
-    margin: float = 0.1  # the sum of the measures must be lower by so much
+    noisy: float = 0.3  # the same of the measures that are larger in right recordings too
+    margin: float = 0.15  # the sum of the measures must be lower by so much
     errors: float = 2.0  # and by so many standard errors of the samples' differences
     blocks: int = 8  # of samples that follow each other, which share errors: so many count as independent
     tie: float = 0.02  # changes whose sums differ by less fit as well
@@ -42,6 +42,8 @@ class MistakeOptions(NamedTuple):
 MISTAKES = MistakeOptions()
 LARGE, LONGEST_ARM = 50.0, 0.2
 """A largest force that no fingertip bears [N], and a largest torque by the largest force of no tip [m]."""
+NOISY = "balance", "squeeze", "object"
+"""Measures that a weight, links that touch as well, and outliers among contacts raise."""
 EXACT = "rest", "outward"
 """Measures that are no mean of samples of the recording."""
 
@@ -86,8 +88,8 @@ class Compared:
 
     @property
     def suspicious(self) -> set[str]:
-        """The measures that are not those of a right rig; a weight and links that touch unbalance right ones too."""
-        limits = {"balance": MISTAKES.unbalanced, "squeeze": MISTAKES.unbalanced}
+        """The measures that are not those of a right rig."""
+        limits = dict.fromkeys(NOISY, MISTAKES.noisy)
         return {name for name, cost in self.measures.items() if cost > limits.get(name, MISTAKES.fits)}
 
     def gain(self, other: "Compared") -> float:
@@ -198,7 +200,8 @@ def _exchanged(field: str, sources: Mapping[str, str], observation: Observation)
     """Returns an observation in which some entries of a mapping are those of other names."""
     values = dict(getattr(observation, field))
     given = {to: values[source] for to, source in sources.items() if source in values}
-    return replace(observation, **{field: {n: v for n, v in values.items() if n not in sources} | given})
+    changed: Any = {field: {n: v for n, v in values.items() if n not in sources} | given}
+    return replace(observation, **changed)
 
 
 def _turns() -> Iterator[tuple[str, Array]]:
@@ -237,8 +240,8 @@ def _linear(matrix: Array, offsets: Mapping[str, Array], observation: Observatio
 
 def _each_and_all(names: Iterable[str]) -> list[tuple[str, ...]]:
     """Returns all fingers together, for what is wrong with one type of sensor, then each."""
-    alone = [(name,) for name in names]
-    return [tuple(name for (name,) in alone), *alone] if len(alone) > 1 else alone
+    every = tuple(names)
+    return [every] * (len(every) > 1) + [(name,) for name in every]
 
 
 def _sensors(rig: Rig, observations: Sequence[Observation], bias: bool = False) -> Iterator[Mistake]:
@@ -326,6 +329,10 @@ def _as_wxyz(observation: Observation) -> Observation:
     return replace(observation, vision=replace(vision, T_frame_object=T))
 
 
+def _constant(T: Array, observation: Observation) -> Array:
+    return T
+
+
 def _palms(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
     """Gravity the other way, and a palm in the world that is another link, or turned."""
 
@@ -345,7 +352,8 @@ def _palms(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
             yield Mistake(f"{rig.frames['palm']!r} on {rig.topics.tf} as {link}", fix, rig, change)
     for turn, R in TURNS:
         fix = f"frames.palm ({rig.frames['palm']!r}) must be the frame of hand.palm ({rig.hand.palm!r})"
-        change = partial(moved, lambda _, R=R: _turned(np.eye(4), R))
+        T = se3.compose(R, np.zeros(3))
+        change = partial(moved, partial(_constant, T))
         yield Mistake(f"the palm in the world turned by {turn}", fix, rig, change)
 
 

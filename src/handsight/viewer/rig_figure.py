@@ -1,4 +1,4 @@
-"""A rig as a picture: the hand from its taxels' side and from beside, tips, sensors, camera, and taxels with normals."""
+"""A rig as a picture: the hand from its taxels' side and from beside, tips, sensors, camera, taxels with normals."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -66,7 +66,8 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
             normals = each.normals @ T[:3, :3].T
             view.draw_taxels(axes, se3.apply(T, each.points), normals, plt.get_cmap("tab20")(k % 20), label)
         axes.set_title(title, fontsize=10)
-    title = f"{name}: {len(tips)} tips (arrows: where they point), {len(sensors)} sensors (their axes x, y, z: red, green, blue)"
+    title = f"{name}: {len(tips)} tips (arrows: where they point)"
+    title += f", {len(sensors)} sensors (axes x, y, z: red, green, blue)"
     title += f", {sum(len(e.points) for _, e in taxels.values())} taxels" if taxels else ""
     title += "; the camera is in the world, not here" if rig.camera is not None and not cameras else ""
     figure.suptitle(title, fontsize=10)
