@@ -46,10 +46,11 @@ def check(
     sensor whose readings cannot be used is named, with what to change: all zero, never changing, inverted, counts
     without a scale, swapped bytes.
 
-    Where a recording contradicts itself as the rig reads it (forces that are not in balance, fingers that pull, a weight
-    that is not along gravity, contacts that do not fit the object), likely mistakes are tried: forces of the other sign,
-    exchanged topics, turned sensors and tips, other units, other orders of joints, another palm, a quaternion as w, x, y,
-    z. The one that explains it is named, with the line to change. The measures are from 0, which is right, to 1.
+    Where a recording contradicts itself as the rig reads it (forces that are not in balance, fingers that pull, a
+    weight that is not along gravity, contacts that do not fit the object), likely mistakes are tried: forces of the
+    other sign, exchanged topics, turned sensors and tips, other units, other orders of joints, another palm, a
+    quaternion as w, x, y, z. The one that explains it is named, with the line to change. The measures are from 0, which
+    is right, to 1.
 
     For a recording it also lists the fingers that never touched anything, by how much the shapes of the hand's links
     are too large (those that would be inside the object although the contacts of the fingertips fit), and what the

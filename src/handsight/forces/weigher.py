@@ -68,9 +68,7 @@ class WeigherOptions(NamedTuple):
 WEIGHER = WeigherOptions()
 
 PULLED_UP = "the object seems to be pulled up: does gravity point the other way?"
-PULLED_APART = (
-    "the fingers seem to pull on the object: have the forces the right sign (each sensor's reading)?"
-)
+WRONG_SIGN = "the fingers seem to pull on the object: have the forces the right sign (each sensor's reading)?"
 WEIGHS = "it weighs"
 ASSUMED = "the loads fit a weight only if sensors have wrong gains, or a small force is not measured"
 
@@ -223,7 +221,7 @@ class Weigher:
         self.reason = ""
         if found.mass < -WEIGHER.wrong_mass * found.sigma_mass:
             arms = load.Ts_palm_tip[:, :3, 3] - load.middle_palm
-            self.reason = PULLED_UP if (load.forces * arms).sum() > 0 else PULLED_APART
+            self.reason = PULLED_UP if (load.forces * arms).sum() > 0 else WRONG_SIGN
         elif self.mass is not None:
             known = found.given_mass(self.mass, self.sigma_mass)
             off = abs(found.mass - self.mass) / np.hypot(found.sigma_mass, self.sigma_mass)
@@ -407,7 +405,7 @@ class WeightSensor:
 
         Gravity of the wrong sign makes the tips' own weight wrong too, and forces of the wrong sign each contact.
         """
-        return self.weigher.reason if self.weigher.reason in (PULLED_UP, PULLED_APART) else ""
+        return self.weigher.reason if self.weigher.reason in (PULLED_UP, WRONG_SIGN) else ""
 
     def elsewhere(self, estimate: PoseEstimate) -> str:
         """Returns how far the weight's centre is from where the rest has it; empty where they do not differ."""

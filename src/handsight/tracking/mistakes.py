@@ -139,14 +139,15 @@ def find_mistakes(excerpt: Excerpt, model: ObjectModel | None = None) -> list[Fo
                 mistake = each._replace(read=partial(_then, now.mistake.read, each.read))
                 with contextlib.suppress(HandsightError):
                     of_kind.append(Compared(excerpt, mistake))
-            of_kind = sorted(of_kind, key=lambda each: each.total)[: MISTAKES.compared]
-            tried += [each.with_object(model) for each in of_kind]
-            tried.sort(key=lambda each: each.total)
-            if tried and not tried[0].suspicious:  # nothing is left to explain
+            finalists = sorted(of_kind, key=lambda each: each.total)[: MISTAKES.compared]
+            tried += [each.with_object(model) for each in of_kind if each in finalists]
+            if any(not each.suspicious for each in tried):  # nothing is left to explain
                 break
-        if not tried or tried[0].gain(now) < MISTAKES.margin:
+        least = min((each.total for each in tried), default=math.inf)
+        tied = [each for each in tried if each.total < least + MISTAKES.tie]
+        if not tied or tied[0].gain(now) < MISTAKES.margin:
             break
-        best, *others = (each for each in tried if each.total < tried[0].total + MISTAKES.tie)
+        best, *others = tied  # the likeliest one first
         found.append(Found(now, best, tuple(each.mistake for each in others[:2])))
         now = best
     return found
