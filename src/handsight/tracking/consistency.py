@@ -180,8 +180,10 @@ class Reading:
             forces, arms = self.forces[k, loaded[k]], self.places[k, loaded[k]]
             arms = arms - arms.mean(axis=0)
             push = (forces * arms).sum() / np.linalg.norm(forces) / np.linalg.norm(arms)
-            total = self.forces[k].sum(axis=0)
             rows[k, 1] = np.clip(0.5 - push, 0, 1)
+            if touch.loads is not None and np.isnan(touch.loads[:, :4]).any():  # sensed without friction
+                continue
+            total = self.forces[k].sum(axis=0)
             rows[k, 2] = np.linalg.norm(total) / self.sizes[k].sum()
             if each.T_world_palm is not None and height > lowest + CONSISTENCY.lifted:
                 down = each.T_world_palm[:3, :3].T @ self.rig.gravity

@@ -34,7 +34,8 @@ class MistakeOptions(NamedTuple):
     errors: float = 2.0  # and by so many standard errors of the samples' differences
     blocks: int = 8  # of samples that follow each other, which share errors: so many count as independent
     tie: float = 0.02  # changes whose sums differ by less fit as well
-    compared: int = 8  # of the best changes of each kind without the object, so many are compared with it
+    compared: int = 12  # of the best of each kind without the object, so many are compared with it
+    similar: float = 0.05  # of sums that differ by less, the likelier mistakes are compared
     most: int = 3  # mistakes that are named of one recording
     all_orders: int = 5  # of so many sensors all orders are tried; of more, exchanges of two
 
@@ -139,7 +140,9 @@ def find_mistakes(excerpt: Excerpt, model: ObjectModel | None = None) -> list[Fo
                 mistake = each._replace(read=partial(_then, now.mistake.read, each.read))
                 with contextlib.suppress(HandsightError):
                     of_kind.append(Compared(excerpt, mistake))
-            finalists = sorted(of_kind, key=lambda each: each.total)[: MISTAKES.compared]
+            finalists = sorted(of_kind, key=lambda each: round(each.total / MISTAKES.similar))[
+                : MISTAKES.compared
+            ]
             tried += [each.with_object(model) for each in of_kind if each in finalists]
             if any(not each.suspicious for each in tried):  # nothing is left to explain
                 break
@@ -293,7 +296,9 @@ def _in_radians(observation: Observation) -> Observation:
 
 def _tips(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
     """Tips that point along another axis of theirs."""
-    for names, axis in product(_each_and_all(rig.fingers), ("-z", "x", "-x", "y", "-y")):
+    pads = {surface.frame for surface in rig.skin.values()}  # whose places do not depend on the tip
+    tips = [name for name, finger in rig.fingers.items() if finger.frame not in pads]
+    for names, axis in product(_each_and_all(tips) if tips else (), ("-z", "x", "-x", "y", "-y")):
         z = np.eye(3)["xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1)
         R, fixes, fingers = (
             next(R for _, R in TURNS if np.array_equal(R[:, 2], z)),
