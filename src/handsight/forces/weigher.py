@@ -59,6 +59,7 @@ class WeigherOptions(NamedTuple):
     """
     right_mass: float = 1.64  # a declared mass stays contradicted until it is nearer (a level of 10 %)
     biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
+    pull: float = 0.3  # cosine of forces with the way out of the grasp, below whose negative fingers pull
     restart_after: float = 3.0
     """How long loads may contradict the kept instants before these are dropped [s]."""
     trusted_directions: int = 3
@@ -221,7 +222,8 @@ class Weigher:
         self.reason = ""
         if found.mass < -WEIGHER.wrong_mass * found.sigma_mass:
             arms = load.Ts_palm_tip[:, :3, 3] - load.middle_palm
-            self.reason = PULLED_UP if (load.forces * arms).sum() > 0 else WRONG_SIGN
+            push = (load.forces * arms).sum() / (np.linalg.norm(load.forces) * np.linalg.norm(arms) + 1e-9)
+            self.reason = WRONG_SIGN if push < -WEIGHER.pull else PULLED_UP
         elif self.mass is not None:
             known = found.given_mass(self.mass, self.sigma_mass)
             off = abs(found.mass - self.mass) / np.hypot(found.sigma_mass, self.sigma_mass)

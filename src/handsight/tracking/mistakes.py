@@ -99,7 +99,7 @@ class Compared:
         for name, costs in self.costs.items():
             theirs = other.costs[name]
             gain += _mean(theirs) - _mean(costs)
-            if name not in EXACT and len(costs) == len(theirs):
+            if name not in EXACT and len(costs) == len(theirs) > 0:
                 blocks = np.array_split(np.nan_to_num(theirs) - np.nan_to_num(costs), MISTAKES.blocks)
                 means = [float(block.mean()) for block in blocks if len(block)]
                 variance += float(np.var(means)) / max(len(means) - 1, 1)
@@ -128,6 +128,8 @@ def find_mistakes(excerpt: Excerpt, model: ObjectModel | None = None) -> list[Fo
 
     `model`: the object in the hand, where it is known: contacts and vision's poses are then compared with it.
     """
+    if not excerpt.observations.kept:
+        return []
     found, now = list[Found](), Compared(excerpt, Mistake("", "", excerpt.rig, _as_is)).with_object(model)
     while len(found) < MISTAKES.most and now.suspicious:
         tried = list[Compared]()
