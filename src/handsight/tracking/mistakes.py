@@ -30,6 +30,7 @@ class MistakeOptions(NamedTuple):
 
     fits: float = 0.1  # where no measure costs more, no mistake is searched
     noisy: float = 0.3  # the same of the measures that are larger in right recordings too
+    balance: float = 0.25  # share of the balance in the sum
     margin: float = 0.15  # the sum of the measures must be lower by so much
     errors: float = 2.0  # and by so many standard errors of the samples' differences
     blocks: int = 8  # of samples that follow each other, which share errors: so many count as independent
@@ -84,8 +85,8 @@ class Compared:
 
     @property
     def total(self) -> float:
-        """Their sum."""
-        return sum(self.measures.values())
+        """Their sum; the balance has a small share, as links without sensors may bear a part of the forces."""
+        return sum(self.measures.values()) - (1 - MISTAKES.balance) * self.measures["balance"]
 
     @property
     def suspicious(self) -> set[str]:
@@ -95,10 +96,11 @@ class Compared:
 
     def gain(self, other: "Compared") -> float:
         """Returns by how much less this costs than another; 0 where that may be by chance."""
-        gain, variance = 0.0, 0.0
+        variance, gain = 0.0, other.total - self.total
+        if any(cost > other.measures[name] + MISTAKES.fits for name, cost in self.measures.items()):
+            return 0.0  # what is right makes nothing worse
         for name, costs in self.costs.items():
             theirs = other.costs[name]
-            gain += _mean(theirs) - _mean(costs)
             if name not in EXACT and len(costs) == len(theirs) > 0:
                 blocks = np.array_split(np.nan_to_num(theirs) - np.nan_to_num(costs), MISTAKES.blocks)
                 means = [float(block.mean()) for block in blocks if len(block)]
@@ -145,12 +147,13 @@ def find_mistakes(excerpt: Excerpt, model: ObjectModel | None = None) -> list[Fo
             finalists = sorted(of_kind, key=lambda each: round(each.total / MISTAKES.similar))[
                 : MISTAKES.compared
             ]
-            tried += [each.with_object(model) for each in of_kind if each in finalists]
+            compared = [each.with_object(model) for each in of_kind if each in finalists]
+            tried += [each for each in compared if each.gain(now) >= MISTAKES.margin]
             if any(not each.suspicious for each in tried):  # nothing is left to explain
                 break
         least = min((each.total for each in tried), default=math.inf)
         tied = [each for each in tried if each.total < least + MISTAKES.tie]
-        if not tied or tied[0].gain(now) < MISTAKES.margin:
+        if not tied:
             break
         best, *others = tied  # the likeliest one first
         found.append(Found(now, best, tuple(each.mistake for each in others[:2])))
