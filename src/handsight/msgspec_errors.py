@@ -125,8 +125,15 @@ def _type_text(form: object) -> str:
     if get_origin(first) is Literal:
         return " or ".join(map(str, get_args(first)))
     origin = get_origin(first) or first
-    names = {tuple: "array", list: "array", float: "float", int: "int", str: "str", bool: "bool"}
-    return _kind_text(names.get(origin, "object"), form)  # type: ignore[call-overload]
+    names: dict[object, str] = {
+        tuple: "array",
+        list: "array",
+        float: "float",
+        int: "int",
+        str: "str",
+        bool: "bool",
+    }
+    return _kind_text(names.get(origin, "object"), form)
 
 
 def alternatives(form: object) -> list[object]:
