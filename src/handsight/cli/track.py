@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from handsight.forces import ObjectWeight, Slip
     from handsight.objects import ObjectModel
     from handsight.tracking import Tracker
-    from handsight.tracking.diagnosis import Diagnosis
     from handsight.tracking.replay import Step, Tally
+    from handsight.tracking.verdicts import Diagnosis
 
 
 def track(
@@ -334,6 +334,12 @@ class TrackResult:
             lines.append(spent + (f"; at the end: {self.reason}" if self.reason else ""))
         lines += refusals(tally)
         lines += self._touch_sentences()
+        if re.search("contacts and vision have differed", self.reason) or (
+            "vision" in self.reason and not tally.answered
+        ):
+            lines.append(
+                "vision: check its topic, the order of its quaternion (x, y, z, w), camera.pose and frames.palm"
+            )
         if self.images:
             searched, detected, searched_hand, hands = self.images.values()
             hand = f"the hand in {hands} of {searched_hand} searched for it"
@@ -368,7 +374,7 @@ class TrackResult:
             if part >= 0.5:
                 yield (
                     f"finger {finger}: contradicts the others in {100 * part:.0f} % of the poses while it touched; "
-                    "check its reading, bias, sensor.pose and surface"
+                    "check its topic, reading, bias, sensor.pose and surface; `handsight rig check` tries them"
                 )
         if pressed := sum(step.skin.pressed for step in self.steps):
             yield f"tactile arrays: pressed in {pressed} of {len(self.steps)} poses"

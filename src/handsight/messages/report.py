@@ -116,11 +116,20 @@ def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -
         elif absent:
             of = f"{absent} of {report.observations} observations"
             lacking.append(f"no transform from {world!r} to {palm!r} in {of}")
-    return [printable(each) for each in lacking] + shortened(
-        f"joint {joint!r}: never on {topics.joint_states}{_nearest(joint, joint_names)}"
-        for joint in rig.hand.moving
-        if report.observations and joint not in joint_names
-    )
+    absent_joints = [joint for joint in rig.hand.moving if report.observations and joint not in joint_names]
+    if absent_joints:
+        named, more = ", ".join(map(repr, absent_joints[:4])), len(absent_joints) - 4
+        of = (
+            f"joint {named}"
+            if len(absent_joints) == 1
+            else f"joints {named}{f' and {more} more' if more > 0 else ''}"
+        )
+        near = _nearest(absent_joints[0], joint_names).replace(
+            "the nearest", f"the nearest to {absent_joints[0]!r}"
+        )
+        near = near if len(absent_joints) > 1 else _nearest(absent_joints[0], joint_names)
+        lacking.append(f"{of}: never on {topics.joint_states}{near}")
+    return [printable(each) for each in lacking]
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:
