@@ -177,9 +177,9 @@ class Worker:
         self._executor.add_node(node)
 
     @property
-    def tracker(self):
-        """The tracker of the present object."""
-        return self._live.tracker
+    def trust(self):
+        """The state of the track, and why it cannot be trusted further."""
+        return self._live.trust
 
     def step(self, timeout):
         """Returns what is to be published now; waits at most `timeout` [s] for something to come."""

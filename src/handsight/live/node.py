@@ -14,15 +14,15 @@ from handsight.live.requests import REQUESTS, requested_model
 from handsight.messages import RawMessage
 from handsight.messages.clocks import CLOCKS
 from handsight.rig import Rig
-from handsight.tracking import Tracker, TrackerSettings
+from handsight.tracking import State, TrackerSettings
 
 
 class Stepped(Protocol):
     """A `Stepped` is a `LiveTracker`, or a transport that also receives its messages within `step`."""
 
     @property
-    def tracker(self) -> Tracker:
-        """The tracker of the current object."""
+    def trust(self) -> tuple[State, str]:
+        """The state of the track, and why it cannot be trusted further."""
 
     def step(self, timeout: float) -> list[Answer]:
         """Returns the messages to publish now; waits at most `timeout` [s] for something to do."""
@@ -76,9 +76,10 @@ def work(
         while not ended.is_set():
             for answer in live.step(0.05):
                 publish(answer)
-            if live.tracker.state != state:
-                state = live.tracker.state
-                say(f"{state} {live.tracker.reason}".rstrip())
+            now, reason = live.trust
+            if now != state:
+                state = now
+                say(f"{state} {reason}".rstrip())
     finally:
         ended.set()
 

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import hypot
 from typing import NamedTuple
 
@@ -99,6 +99,29 @@ class Report:
     """Finds values that seem to be in a wrong unit."""
     ended: bool = False
     """Whether all messages have come."""
+
+    def copied(self) -> "Report":
+        """Returns a copy that does not change any more."""
+        return replace(
+            self,
+            topics={name: replace(each, reasons=each.reasons.copy()) for name, each in self.topics.items()},
+            fingers=self.fingers.copy(),
+            without=self.without.copy(),
+            without_skin=self.without_skin.copy(),
+        )
+
+    def since(self, before: "Report") -> "Report":
+        """Returns the report of what came after an earlier copy of this one."""
+        return replace(
+            self,
+            topics={name: each.since(before.topics.get(name)) for name, each in self.topics.items()},
+            observations=self.observations - before.observations,
+            placed=self.placed - before.placed,
+            fingers={name: why for name, why in self.fingers.items() if before.fingers.get(name) != why},
+            without=self.without - before.without,
+            without_skin=self.without_skin - before.without_skin,
+            backwards=None if self.backwards == before.backwards else self.backwards,
+        )
 
     def sentences(self) -> list[str]:
         """Returns a sentence for each problem that a user should know of, worst first."""

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple, Protocol
 
 from handsight.messages.definitions import CONTACTS, PLAIN_TAXELS, SHADOW, TAXELS
@@ -168,6 +168,24 @@ class TopicReport:
     def any_defined(self) -> bool:
         """Whether its messages may be of any type that comes with its definition, as the rig has a path into them."""
         return any(surface.field for surface in self.surfaces)
+
+    @property
+    def readable(self) -> int:
+        """Number of messages that could be read, and whose numbers are finite."""
+        return self.messages - self.nan - self.bad
+
+    @property
+    def left_out(self) -> int:
+        """Number of messages that were left out, for whatever reason."""
+        return self.duplicated + self.nan + self.late + self.bad + self.stale + self.stuck
+
+    def since(self, before: "TopicReport | None") -> "TopicReport":
+        """Returns the report of the messages that came after an earlier report; all of them for None."""
+        if before is None:
+            return self
+        names = "messages", "used", "duplicated", "nan", "late", "bad", "stale", "stuck", "gaps"
+        counts: dict[str, Any] = {name: getattr(self, name) - getattr(before, name) for name in names}
+        return replace(self, reasons=self.reasons - before.reasons, **counts)
 
     def reject(self, error: MessageRejected) -> None:
         """Counts a message as `nan` or `bad`, with its reason."""
