@@ -16,17 +16,25 @@ from importlib import import_module
 from operator import itemgetter
 
 import rclpy
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from handsight.errors import HandsightError
-from handsight.live.node import PublishedTypes, done, live_tracker, queue_lengths, time_to_wait, work
+from handsight.live.node import (
+    PublishedTypes,
+    done,
+    live_tracker,
+    parameters,
+    queue_lengths,
+    time_to_wait,
+    work,
+)
 from handsight.messages import OwnTopic, RawMessage
 from handsight.viewer import view
 
-PARAMETERS = {"rig": "", "object": "", "rate": 0.0, "images": True, "equal": False, "view": 0}
+OF_ROS = "use_sim_time", "start_type_description_service", "qos_overrides"
+"""Parameters that every node has, and of which one begins so."""
 LASTING = QoSProfile(
     depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE
 )
@@ -71,24 +79,18 @@ def definition(message):
 
 def tracker(node):
     """Returns the tracker that the parameters describe."""
-    as_it_comes = ParameterDescriptor(dynamic_typing=True)
-    given = {
-        name: node.declare_parameter(name, value, as_it_comes).value for name, value in PARAMETERS.items()
-    }
-    if not given["rig"]:
-        raise SystemExit("handsight: expected the parameter rig, got nothing")
+    declared = node.get_parameters_by_prefix("")
+    given = parameters({name: each.value for name, each in declared.items() if not name.startswith(OF_ROS)})
+    for name, value in given._asdict().items():
+        if name not in declared:
+            node.declare_parameter(name, value)
     live = live_tracker(
-        str(given["rig"]),
-        str(given["object"]),
-        encoding="cdr",
-        rate=float(given["rate"]),
-        images=bool(given["images"]),
-        equal=bool(given["equal"]),
+        given.rig, given.object, encoding="cdr", rate=given.rate, images=given.images, equal=given.equal
     )
     say = node.get_logger().info
     say(f"follows {live.tracker.model.name}")
-    if port := int(given["view"]):
-        live.show = view(live.tracker, port=port, say=say).update
+    if given.view:
+        live.show = view(live.tracker, port=given.view, say=say).update
     return live
 
 
@@ -220,7 +222,7 @@ def main():
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node("handsight")
+    node = rclpy.create_node("handsight", automatically_declare_parameters_from_overrides=True)
     try:
         live = tracker(node)
     except HandsightError as error:

@@ -130,7 +130,7 @@ class Health:
         self._latencies.append(seconds)
 
     def trust(self, tracker: Tracker, now: float) -> tuple[int, State, str]:
-        """Returns the level, state and reason of the pose: a tracker that hears nothing does not know that it is old."""
+        """Returns the level, state and reason of the pose, which also a tracker that hears nothing gets older."""
         answers = self._answers.rate(now)
         if answers is not None and answers.silent:
             what = f"no observation for {answers.silence:.1f} s"
@@ -202,6 +202,7 @@ class Health:
             "open directions": "" if estimate is None else len(estimate.unobservable),
             "corrections": tracker.corrections,
         }
+        values |= {f"images, {name}": count for name, count in tracker.images.items()}
         values |= {f"no contact of {name}": why for name, why in tracker.fingertips.reasons.items()}
         values |= {f"no force of {name}": "not measured" for name in tracker.slip.unmeasured}
         return Status("pose", level, reason or "tracking", values)

@@ -110,6 +110,8 @@ class LiveTracker:
         self.health = Health(self._stream, self._inbox.dropped, self._came)
         self._flushed = True
         self._markers_at = self._object_at = -math.inf
+        # Not every transport can distinguish them from others on /tf.
+        self._own_transforms = deque[bytes](maxlen=200)
 
     @property
     def subscriptions(self) -> Mapping[str, tuple[str, ...]]:
@@ -133,12 +135,13 @@ class LiveTracker:
         return self.health.trust(self.tracker, time.monotonic())[1:]
 
     def put(self, message: RawMessage) -> None:
-        """Adds a message, which waits for the next `step`; from any thread."""
+        """Adds a message, which waits for the next `step`, but not its own /tf; from any thread."""
         if message.topic in REQUESTS:
             # An object may take seconds to build, and the transport's thread must not wait for it.
             threading.Thread(target=self._fulfil, args=(message,), daemon=True).start()
             return
-        self._inbox.put(message, time.monotonic())
+        if message.topic != OwnTopic.TF or message.data not in self._own_transforms:
+            self._inbox.put(message, time.monotonic())
 
     def reset(self) -> "Future[str]":
         """Starts a new track from the next pose of vision; the future's result is a sentence. From any thread."""
@@ -253,6 +256,7 @@ class LiveTracker:
         answers = [self._writer.pose(tracker.stamp, estimate)]
         if tracker.state != "lost":
             answers.append(self._writer.transform(tracker.stamp, estimate.T_palm_object))
+            self._own_transforms.append(answers[-1].data)
         now = time.monotonic()
         if now - self._markers_at >= LIVE.marker_period and self.markers_wanted():
             self._markers_at = now

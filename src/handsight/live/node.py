@@ -1,13 +1,15 @@
-"""What the nodes of all transports share: creation from parameters, the worker's loop, and queue lengths."""
+"""What the nodes of all transports share: parameters, the worker's loop, and queue lengths."""
 
+import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
-from handsight.errors import HandsightError
+from handsight.checks import brief, suggestion
+from handsight.errors import HandsightError, InvalidInput, printable
 from handsight.live.answers import Answer
 from handsight.live.live_tracker import LiveTracker
 from handsight.live.requests import REQUESTS, requested_model
@@ -15,6 +17,8 @@ from handsight.messages import RawMessage
 from handsight.messages.clocks import CLOCKS
 from handsight.rig import Rig
 from handsight.tracking import State, TrackerSettings
+from handsight.tracking.concurrent_images import image_process
+from handsight.tracking.warm import find_hand, find_object
 
 
 class Stepped(Protocol):
@@ -28,6 +32,40 @@ class Stepped(Protocol):
         """Returns the messages to publish now; waits at most `timeout` [s] for something to do."""
 
 
+class Parameters(NamedTuple):
+    """`Parameters` are those of a node, for `live_tracker`."""
+
+    rig: str = ""
+    object: str = ""
+    rate: float = 0.0
+    images: bool = True
+    equal: bool = False
+    view: int = 0
+    """The port of a page that shows the tracker in the browser; 0: none."""
+
+
+def parameters(given: Mapping[str, object]) -> Parameters:
+    """Returns a node's parameters from those that a user gave, by name; the others have their defaults.
+
+    Raises InvalidInput for an unknown name, a value of another type, and where the rig is missing.
+    """
+    types = {str: "a text", float: "a number of 0 or more", bool: "true or false", int: "a port or 0"}
+    values: dict[str, Any] = {}
+    for name, value in given.items():
+        if name not in Parameters._fields:
+            raise InvalidInput(f"parameter {printable(name)}: unknown{suggestion(name, Parameters._fields)}")
+        kind = type(Parameters._field_defaults[name])
+        # A number, or a name of digits alone, may have come as an integer.
+        fits = type(value) is kind or (type(value) is int and kind in (str, float))
+        most = {float: math.inf, int: 65536}.get(kind)
+        if not fits or (most is not None and not 0 <= float(str(value)) < most):
+            raise InvalidInput(f"parameter {name}: expected {types[kind]}, got {brief(repr(value))}")
+        values[name] = kind(value)
+    if not values.get("rig"):
+        raise InvalidInput("parameter rig: expected the rig file, got nothing")
+    return Parameters(**values)
+
+
 def live_tracker(
     rig: str | Path,
     name: str | None,
@@ -37,7 +75,7 @@ def live_tracker(
     images: bool = True,
     equal: bool = False,
 ) -> LiveTracker:
-    """Returns the tracker that a node's parameters describe.
+    """Returns the tracker that a node's parameters describe, with all that it calls loaded or compiled.
 
     `rig`: the rig file. `name`: the object, in the rig or the library, or a mesh file; None or empty: the rig's only
     one. `rate`: corrections per second; None or 0: whenever a contact has changed. `images`: whether to use depth
@@ -46,8 +84,17 @@ def live_tracker(
     known = Rig.from_file(rig)
     if not name and len(known.objects) == 1:
         name = next(iter(known.objects))
-    model, settings = requested_model(name or "", known), TrackerSettings(rate=rate or None, images=images)
-    return LiveTracker(known, model, encoding=encoding, settings=settings, equal=equal)
+    model, settings = (
+        requested_model(name or "", known),
+        TrackerSettings(rate=rate or None, images=images, concurrent_images=images and not equal),
+    )
+    live = LiveTracker(known, model, encoding=encoding, settings=settings, equal=equal)
+    if settings.concurrent_images and known.topics.depth is not None:
+        image_process().ready.wait()
+    elif images and known.topics.depth is not None:
+        find_object()
+        find_hand()
+    return live
 
 
 def queue_lengths(live: LiveTracker) -> tuple[int, int]:

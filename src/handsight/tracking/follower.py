@@ -107,14 +107,16 @@ class Follower:
 
     def initial(self, start: PosePrior | None, offsets: JointOffsets) -> TrackState:
         """Returns the state before any observation; `start`: the object's pose in the palm, None where unknown."""
-        vision = VisionUpdate(self.rig, self.model)
+        vision, settings = VisionUpdate(self.rig, self.model), self.settings
         return TrackState(
             start=start,
             smoother=_started(vision, start),
             grasp=GraspState(),
             memory=ContactMemory(self.settings.memory, self.process_noise),
             vision=vision,
-            images=ImageVision(self.rig, self.model, self.source, on=self.settings.images),
+            images=ImageVision(
+                self.rig, self.model, self.source, on=settings.images, concurrent=settings.concurrent_images
+            ),
             slip=SlipUpdate(self.rig, self.model),
             weight=WeightSensor(self.rig, self.model),
             offsets=offsets,
@@ -267,24 +269,37 @@ class Follower:
         """Updates the smoother by the observation's image, or by its pose from vision if it has no image."""
         known, grasped = state.estimate, state.grasp.grasped
         T_palm_object = known.T_palm_object if known is not None and grasped else None
-        result = state.images.observe(observation, state.vision.camera_from_palm, T_palm_object)
-        state.processed = result.observation
-        before = state.smoother
-        if result.hand is not None:
-            state.vision, state.smoother = state.vision.palm_detected(result.hand, before)
+        processed, hand = state.images.observe(observation, state.vision.camera_from_palm, T_palm_object)
+        state.processed, before = processed, state.smoother
+        if hand is not None:
+            state.vision, state.smoother = state.vision.palm_detected(hand, before)
             if state.table is not None and before is not None and state.smoother is not before:
-                state.table = state.table.informed(before, result.hand.bias(before.pivot))
-        if (vision := result.observation.vision) is None:
+                state.table = state.table.informed(before, hand.bias(before.pivot))
+        if (vision := processed.vision) is None:
             return
         # Since the image was taken, an object in the hand has moved with the palm, another one stayed in the world.
         latency = self.camera.latency if state.smoother is None else state.smoother.latency
         stamp = observation.stamp if vision.stamp is None else vision.stamp
-        past = state.images.history.palm_at(stamp, latency) if grasped else None
+        past = state.images.history.palm_at(stamp, latency)
+        if self.settings.concurrent_images and vision is not observation.vision:  # maybe seconds late
+            if stamp < state.grasp.since or (grasped and past is None):
+                return
+            if (
+                self.camera.on == "palm"
+                and not grasped
+                and past is not None
+                and state.T_world_palm is not None
+            ):
+                # The camera has moved with the palm since, and the object has not.
+                T_mount_camera = self.camera.T_mount_camera
+                T_now_then = se3.inverse(state.T_world_palm @ T_mount_camera) @ past[0] @ T_mount_camera
+                processed = replace(processed, vision=vision.transformed(T_now_then))
+        past = past if grasped else None
         T_world_palm, motion = past or (state.T_world_palm, STILL)
         if vision is not observation.vision:
             # An image's covariance includes what it shares with those before.
             motion = motion._replace(drift_gain=0.0)
-        state.vision, after = state.vision.updated(result.observation, state.smoother, T_world_palm, motion)
+        state.vision, after = state.vision.updated(processed, state.smoother, T_world_palm, motion)
         state.smoother = after
         if before is not None and after is not None and (after.process_noise < before.process_noise).any():
             state.table = None  # vision has started anew, as the object was moved

@@ -1,0 +1,167 @@
+"""Depth images evaluated by a process of their own, so that touch never waits for one.
+
+A thread would not do: between its kernels it holds Python's interpreter lock, for which each update would wait.
+"""
+
+import itertools
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from functools import cache
+from typing import IO, NamedTuple, cast
+
+from handsight.camera import Camera
+from handsight.errors import InvalidInput
+from handsight.objects import ObjectModel
+from handsight.rig import Rig
+from handsight.tracking.object_in_images import ImageResult, ObjectInImages, TakenImage
+
+MAX_TRACKS = 4
+"""Number of tracks whose object the process follows; of more, the oldest are forgotten."""
+
+
+class Outcome(NamedTuple):
+    """An `Outcome` is the process's answer to an image."""
+
+    result: ImageResult | None
+    error: InvalidInput | None
+    """Why the image cannot be used."""
+    counts: dict[str, int]
+    lost: bool
+
+
+class ConcurrentImages:
+    """A `ConcurrentImages` follows the object in images as `ObjectInImages` does, but answers later.
+
+    While one image is evaluated, only the newest of the others waits.
+    """
+
+    def __init__(self, rig: Rig, model: ObjectModel) -> None:
+        """`rig`: its camera must have intrinsics."""
+        self._start(rig, model)
+
+    def _start(self, rig: Rig, model: ObjectModel) -> None:
+        self._camera = Camera.of(rig.camera)
+        self.followed, self.track = (rig, model), next(_tracks)
+        self.waiting: TakenImage | None = None
+        self.done = deque[Outcome]()
+        self.lost, self.counts = True, dict[str, int]()
+
+    def __getstate__(self) -> tuple[Rig, ObjectModel]:
+        """Returns what is followed; what another process knows of it is not copied."""
+        return self.followed
+
+    def __setstate__(self, state: tuple[Rig, ObjectModel]) -> None:
+        self._start(*state)
+
+    def evaluated(self, image: TakenImage | None) -> ImageResult | None:
+        """Takes the next image, if there is one; returns the result of an earlier one, None: none is ready.
+
+        Raises InvalidInput for an image that cannot be the camera's.
+        """
+        if image is not None:
+            self._camera.check_depth(image.depth, "observation.depth")
+            image_process().put(self, image)
+        if not self.done:
+            return None
+        outcome = self.done.popleft()
+        self.lost, self.counts = outcome.lost, outcome.counts
+        if outcome.error is not None:
+            raise outcome.error
+        return outcome.result
+
+
+_tracks = itertools.count()
+
+
+class ImageProcess:
+    """An `ImageProcess` is the process that evaluates images, and the thread that talks to it."""
+
+    def __init__(self) -> None:
+        self._waiting, self._filled = deque[ConcurrentImages](), threading.Condition()
+        self.ready = threading.Event()
+        """Set once the process has loaded what it needs."""
+        threading.Thread(target=self._talk, name="handsight-images", daemon=True).start()
+
+    def put(self, images: ConcurrentImages, image: TakenImage) -> None:
+        """Gives the process an image, in place of one of that track that waits."""
+        with self._filled:
+            if images.waiting is None:
+                self._waiting.append(images)
+            images.waiting = image
+            self._filled.notify()
+
+    def _talk(self) -> None:
+        while True:  # a process that dies is replaced
+            # One core stays free for touch.
+            threads, places = str(max((os.cpu_count() or 2) - 1, 1)), os.pathsep.join(filter(None, sys.path))
+            environment = {**os.environ, "NUMBA_NUM_THREADS": threads, "PYTHONPATH": places}
+            serve = f"from {__name__} import serve; serve()"
+            with subprocess.Popen(
+                [sys.executable, "-P", "-c", serve],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env=environment,
+            ) as self.child:
+                try:
+                    self._converse(cast(IO[bytes], self.child.stdin), cast(IO[bytes], self.child.stdout))
+                except (EOFError, OSError, pickle.UnpicklingError):
+                    self.child.kill()
+                    time.sleep(1.0)
+
+    def _converse(self, questions: IO[bytes], answers: IO[bytes]) -> None:
+        pickle.load(answers)
+        self.ready.set()
+        known = deque[int](maxlen=MAX_TRACKS)
+        while True:
+            with self._filled:
+                self._filled.wait_for(lambda: self._waiting)
+                images = self._waiting.popleft()
+                image, images.waiting = images.waiting, None
+            new = images.track not in known
+            pickle.dump((images.track, images.followed if new else None, image), questions, protocol=5)
+            questions.flush()
+            if new:
+                known.append(images.track)
+            images.done.append(pickle.load(answers))
+
+
+@cache
+def image_process() -> ImageProcess:
+    """Returns this program's process for images, which starts with the first call."""
+    return ImageProcess()
+
+
+def serve() -> None:
+    """Evaluates images from standard input until it ends; for a process of its own."""
+    from handsight.tracking.warm import find_hand, find_object
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # a library's prints must not get between the answers
+    find_object()
+    find_hand()
+    tracks = dict[int, ObjectInImages]()
+    pickle.dump("ready", answers)
+    answers.flush()
+    while True:
+        try:
+            track, followed, image = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+        if followed is not None:
+            tracks[track] = ObjectInImages(*followed)
+            if len(tracks) > MAX_TRACKS:
+                del tracks[next(iter(tracks))]
+        images, result, error = tracks[track], None, None
+        try:
+            result = images.evaluated(image)
+        except InvalidInput as refused:
+            error = refused
+        pickle.dump(Outcome(result, error, images.counts, images.lost), answers, protocol=5)
+        answers.flush()
