@@ -3,6 +3,7 @@
 A thread would not do: between its kernels it holds Python's interpreter lock, for which each update would wait.
 """
 
+import contextlib
 import itertools
 import os
 import pickle
@@ -102,17 +103,16 @@ class ImageProcess:
             threads, places = str(max((os.cpu_count() or 2) - 1, 1)), os.pathsep.join(filter(None, sys.path))
             environment = {**os.environ, "NUMBA_NUM_THREADS": threads, "PYTHONPATH": places}
             serve = f"from {__name__} import serve; serve()"
-            with subprocess.Popen(
+            self.child = subprocess.Popen(
                 [sys.executable, "-P", "-c", serve],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 env=environment,
-            ) as self.child:
-                try:
-                    self._converse(cast(IO[bytes], self.child.stdin), cast(IO[bytes], self.child.stdout))
-                except (EOFError, OSError, pickle.UnpicklingError):
-                    self.child.kill()
-                    time.sleep(1.0)
+            )
+            with contextlib.suppress(EOFError, OSError, pickle.UnpicklingError):
+                self._converse(cast(IO[bytes], self.child.stdin), cast(IO[bytes], self.child.stdout))
+            self.child.kill()
+            time.sleep(1.0)
 
     def _converse(self, questions: IO[bytes], answers: IO[bytes]) -> None:
         pickle.load(answers)
