@@ -86,7 +86,9 @@ def test_before_the_grasp_a_late_image_says_where_the_object_is_in_the_world(can
     monkeypatch.setattr(Slow, "evaluated", evaluated)
     tracker = hs.Tracker(rig, can.model, settings=SETTINGS)
     for k, sample in enumerate(passing):
-        T_world_palm = se3.compose(np.eye(3), np.array([4e-3 * k, 0, 0])) @ passing[0].observation.T_world_palm
+        T_world_palm = (
+            se3.compose(np.eye(3), np.array([4e-3 * k, 0, 0])) @ passing[0].observation.T_world_palm
+        )
         depth = np.zeros((240, 320), np.float32) if k % 3 == 0 else None
         seen = replace(sample.observation, T_world_palm=T_world_palm, depth=depth, vision=None, wrenches={})
         tracker.update(seen)

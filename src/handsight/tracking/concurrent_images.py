@@ -103,15 +103,12 @@ class ImageProcess:
             threads, places = str(max((os.cpu_count() or 2) - 1, 1)), os.pathsep.join(filter(None, sys.path))
             environment = {**os.environ, "NUMBA_NUM_THREADS": threads, "PYTHONPATH": places}
             serve = f"from {__name__} import serve; serve()"
-            self.child = subprocess.Popen(
-                [sys.executable, "-P", "-c", serve],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                env=environment,
-            )
-            with contextlib.suppress(EOFError, OSError, pickle.UnpicklingError):
+            command, pipe = [sys.executable, "-P", "-c", serve], subprocess.PIPE
+            with (
+                contextlib.suppress(EOFError, OSError, pickle.UnpicklingError),
+                subprocess.Popen(command, stdin=pipe, stdout=pipe, env=environment) as self.child,
+            ):
                 self._converse(cast(IO[bytes], self.child.stdin), cast(IO[bytes], self.child.stdout))
-            self.child.kill()
             time.sleep(1.0)
 
     def _converse(self, questions: IO[bytes], answers: IO[bytes]) -> None:
