@@ -175,6 +175,24 @@ def test_the_process_answers_what_the_images_would_and_is_replaced_when_it_dies(
 
 
 @pytest.mark.slow
+def test_what_the_other_process_cannot_load_is_raised_in_a_sentence_and_it_goes_on(can, process):
+    rig = rig_with_images(can.rig)
+    observation, followed = (
+        pictures(rig, can.model, can.samples[:1], every=1)[0],
+        ConcurrentImages(rig, can.model),
+    )
+    for source in (
+        lambda *_: None,
+        pytest.main,
+    ):  # one cannot be sent, the other is called with the wrong arguments
+        followed.evaluated(taken_image(rig, observation)._replace(source=source))
+        with pytest.raises(InvalidInput, match=r"observation\.depth: expected that the process"):
+            answer(followed)
+    followed.evaluated(taken_image(rig, observation))
+    assert answer(followed).hand is not None
+
+
+@pytest.mark.slow
 def test_of_images_that_come_faster_than_they_are_evaluated_the_newest_is(can, process):
     rig = rig_with_images(can.rig)
     taken = [o for o in pictures(rig, can.model, can.samples[:30], every=3) if o.depth is not None]

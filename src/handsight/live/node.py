@@ -1,5 +1,6 @@
 """What the nodes of all transports share: parameters, the worker's loop, and queue lengths."""
 
+import gc
 import math
 import threading
 import time
@@ -94,6 +95,9 @@ def live_tracker(
     elif images and known.topics.depth is not None:
         find_object()
         find_hand()
+    # To search all that lives for garbage takes a tenth of a second, for which an update would wait.
+    gc.collect()
+    gc.freeze()
     return live
 
 

@@ -121,7 +121,12 @@ class ImageProcess:
                 images = self._waiting.popleft()
                 image, images.waiting = images.waiting, None
             new = images.track not in known
-            pickle.dump((images.track, images.followed if new else None, image), questions, protocol=5)
+            try:
+                question = pickle.dumps((images.track, images.followed if new else None, image), protocol=5)
+            except Exception as error:  # of any kind: a user's source of first poses may be anything
+                images.done.append(Outcome(None, _refused(error), images.counts, images.lost))
+                continue
+            pickle.dump(question, questions, protocol=5)
             questions.flush()
             if new:
                 known.append(images.track)
@@ -148,17 +153,29 @@ def serve() -> None:
     answers.flush()
     while True:
         try:
-            track, followed, image = pickle.load(sys.stdin.buffer)
+            question = pickle.load(sys.stdin.buffer)
         except EOFError:
             return
-        if followed is not None:
-            tracks[track] = ObjectInImages(*followed)
-            if len(tracks) > MAX_TRACKS:
-                del tracks[next(iter(tracks))]
-        images, result, error = tracks[track], None, None
         try:
-            result = images.evaluated(image)
-        except InvalidInput as refused:
-            error = refused
-        pickle.dump(Outcome(result, error, images.counts, images.lost), answers, protocol=5)
+            track, followed, image = pickle.loads(question)
+            if followed is not None:
+                tracks[track] = ObjectInImages(*followed)
+                if len(tracks) > MAX_TRACKS:
+                    del tracks[next(iter(tracks))]
+            result, images = tracks[track].evaluated(image), tracks[track]
+            outcome = Outcome(result, None, images.counts, images.lost)
+        except Exception as error:  # of any kind: the tracker raises it
+            outcome = Outcome(None, _refused(error), {}, lost=True)
+        pickle.dump(outcome, answers, protocol=5)
         answers.flush()
+
+
+def _refused(error: Exception) -> InvalidInput:
+    """Returns an error that names the image, for whatever went wrong with it in the other process."""
+    return (
+        error
+        if isinstance(error, InvalidInput)
+        else InvalidInput(
+            f"observation.depth: expected that the process for images can use it, got {type(error).__name__}: {error}"
+        )
+    )
