@@ -14,10 +14,10 @@ import handsight as hs
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.observation import PoseMeasurement
-from handsight.tracking import TrackerSettings, images
+from handsight.tracking import TrackerSettings, follower
 from handsight.tracking.camera_from_palm import CameraFromPalm
 from handsight.tracking.concurrent_images import ConcurrentImages, image_process
-from handsight.tracking.object_in_images import ImageResult, Instant, ObjectInImages, TakenImage
+from handsight.tracking.images import ImageResult, Instant, ObjectInImages, TakenImage
 from handsight.vision import locate
 from tests.tracking.test_images import error, pictures, rig_with_images
 
@@ -42,8 +42,7 @@ class Slow:
 
 @pytest.fixture
 def slow(monkeypatch):
-    monkeypatch.setattr(images, "ConcurrentImages", Slow)
-    monkeypatch.setattr(images, "image_process", lambda: None)
+    monkeypatch.setattr(follower, "ConcurrentImages", Slow)
 
 
 def test_an_image_that_is_answered_late_is_placed_by_its_stamp(can, slow):

@@ -178,11 +178,6 @@ class Worker:
         self._live, self._ears, self._executor = live, ears, SingleThreadedExecutor()
         self._executor.add_node(node)
 
-    @property
-    def trust(self):
-        """The state of the track, and why it cannot be trusted further."""
-        return self._live.trust
-
     def step(self, timeout):
         """Returns what is to be published now; waits at most `timeout` [s] for something to come."""
         self._executor.spin_once(timeout_sec=time_to_wait(timeout, self._ears.heard))
@@ -232,7 +227,7 @@ def main():
     ears, say = Ears(node, live), node.get_logger().info
     worker = Worker(node, live, ears)
     say(f"is ready: {len(ears)} topics are heard")
-    work(worker, publish, say, ended)
+    work(live, worker.step, publish, say, ended)
     node.destroy_node()
     rclpy.try_shutdown()
 

@@ -24,7 +24,6 @@ from handsight.live.node import PublishedTypes, queue_lengths, time_to_wait
 from handsight.messages import RawMessage
 from handsight.messages.decode import typestore
 from handsight.messages.topics import OwnTopic
-from handsight.tracking import State
 
 MAX_TAKEN = 100
 """Number of messages that are taken from DDS in one call."""
@@ -113,11 +112,6 @@ class Bridge:
                     self._filled.attach(reader)
                     self._readers.append((topic, kind, reader))
         self._published = BuiltinDataReader(network.participant, BuiltinTopicDcpsPublication)
-
-    @property
-    def trust(self) -> tuple[State, str]:
-        """The state of the track, and why it cannot be trusted further."""
-        return self._live.trust
 
     def step(self, timeout: float) -> list[Answer]:
         """Returns the messages to publish now; waits at most `timeout` [s] for a message. For one thread only.

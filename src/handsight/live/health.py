@@ -40,14 +40,11 @@ ONCE = "tf_static", "info"
 
 
 class Rate(NamedTuple):
-    """A `Rate` compares what comes now with what used to come."""
+    """A `Rate` compares the messages of an input per second, usually and now; `silence`: since the last one [s]."""
 
     expected: float
-    """The usual number of messages per second."""
     measured: float
-    """The number per second now."""
     silence: float
-    """The time since the last message [s]."""
 
     @property
     def silent(self) -> bool:
@@ -86,27 +83,17 @@ class Arrivals:
         return Rate(expected, measured, now - self._last)
 
 
-class Counts(NamedTuple):
-    """A `Counts` has all that was counted until an instant."""
-
-    stamp: float
-    report: Report
-    dropped: Counter[str]
-    refusals: Counter[str]
-
-
 class Health:
     """A `Health` judges a live tracker and its input; all times are `time.monotonic`'s [s]."""
 
-    def __init__(self, stream: ObservationStream, dropped: Counter[str], now: float) -> None:
+    def __init__(self, stream: ObservationStream, dropped: Counter[str]) -> None:
         """`dropped`: number of messages that were dropped because too many waited, by topic."""
         self.skipped = 0
         """Number of joint states that were skipped, as newer ones waited."""
         self._stream, self._dropped, self._refusals = stream, dropped, Counter[str]()
         self._inputs, self._answers = dict[str, Arrivals](), Arrivals()
         self._latencies, self._notes = deque[float](maxlen=500), deque[tuple[float, str]](maxlen=5)
-        self._before = deque[Counts]((self._counts(now),))
-        """The counts at each second of the window, the oldest first."""
+        self._counted = deque((self._counts(-math.inf),))
         self._judged_at = self._published_at = -math.inf
         self._last: tuple[object, ...] = ()
 
@@ -158,37 +145,33 @@ class Health:
         self._last, self._published_at = judged, now
         return [self._of_pose(tracker, *trust), self._of_input(tracker, level, sentences, rates)]
 
-    def _counts(self, now: float) -> Counts:
-        return Counts(now, self._stream.report.copied(), self._dropped.copy(), self._refusals.copy())
+    def _counts(self, now: float) -> tuple[float, Report, Counter[str], Counter[str]]:
+        """Returns all that was counted until now."""
+        return now, self._stream.report.copied(), self._dropped.copy(), self._refusals.copy()
 
     def _judged(self, now: float) -> tuple[int, list[str], dict[str, Rate]]:
         """Returns the level of the input, a sentence for each fault, and the rates by topic."""
-        if now - self._before[-1].stamp >= HEALTH.period:
-            self._before.append(self._counts(now))
-            while now - self._before[1].stamp >= HEALTH.window:
-                self._before.popleft()
-        before, report = self._before[0], self._stream.report
-        rates = {
-            name: rate
-            for name, arrivals in self._inputs.items()
-            if report.topics[name].role not in ONCE and (rate := arrivals.rate(now)) is not None
-        }
+        if now - self._counted[-1][0] >= HEALTH.period:
+            self._counted.append(self._counts(now))
+            while now - self._counted[1][0] >= HEALTH.window:
+                self._counted.popleft()
+        (_, before, dropped, refused), report = self._counted[0], self._stream.report
+        heard = {name: arrivals.rate(now) for name, arrivals in self._inputs.items()}
+        rates = {name: rate for name, rate in heard.items() if rate and report.topics[name].role not in ONCE}
         silent = [name for name, rate in rates.items() if rate.silent]
-        wrong = [
-            f"{name}: silent for {rates[name].silence:.1f} s, usually {rates[name].expected:.3g} a second"
-            for name in silent
-        ]
+        wrong = [] if report.joint_states in rates else [f"no joint states on {report.joint_states} so far"]
+        for name in [*silent, *(name for name, rate in rates.items() if rate.slow and name not in silent)]:
+            now_is = (
+                f"silent for {rates[name].silence:.1f} s"
+                if name in silent
+                else f"{rates[name].measured:.3g} Hz"
+            )
+            wrong.append(f"{name}: {now_is}, usually {rates[name].expected:.3g} Hz")
         wrong += [
-            f"{name}: {rate.measured:.3g} a second, usually {rate.expected:.3g}"
-            for name, rate in rates.items()
-            if rate.slow and name not in silent
+            f"{n} messages on {name} dropped: too many came" for name, n in (self._dropped - dropped).items()
         ]
-        if report.joint_states not in rates:
-            wrong.insert(0, f"no joint states on {report.joint_states} so far")
-        dropped, refused = self._dropped - before.dropped, self._refusals - before.refusals
-        wrong += [f"{n} messages on {topic} dropped: too many came" for topic, n in dropped.items()]
-        wrong += [f"{count} observations left out: {why}" for why, count in refused.items()]
-        wrong += [*self._stream.lacks(), *report.since(before.report).sentences()]
+        wrong += [f"{n} observations left out: {why}" for why, n in (self._refusals - refused).items()]
+        wrong += [*self._stream.lacks(), *report.since(before).sentences()]
         stale = any(report.topics[name].role not in OCCASIONAL for name in silent)
         return STALE if stale else WARN if wrong else OK, wrong, rates
 
@@ -215,16 +198,10 @@ class Health:
             "dropped": self._dropped.total(),
         }
         for name, rate in rates.items():
-            measured = 0.0 if rate.silent else rate.measured
-            values[f"{name} [Hz], measured"], values[f"{name} [Hz], expected"] = (
-                f"{measured:.3g}",
-                f"{rate.expected:.3g}",
-            )
-        values |= {
-            f"{name}, left out": topic.left_out
-            for name, topic in self._stream.report.topics.items()
-            if topic.left_out
-        }
+            values[f"{name} [Hz], measured"] = f"{0.0 if rate.silent else rate.measured:.3g}"
+            values[f"{name} [Hz], expected"] = f"{rate.expected:.3g}"
+        topics = self._stream.report.topics.items()
+        values |= {f"{name}, left out": topic.left_out for name, topic in topics if topic.left_out}
         if latencies := sorted(self._latencies):
             slow = latencies[int(0.99 * (len(latencies) - 1))]
             values["answered after [ms], median"] = f"{1e3 * median(latencies):.2f}"

@@ -107,7 +107,7 @@ class LiveTracker:
         """The tracker of the current object; only for the thread of `step`."""
         self._stream = ObservationStream(rig, order=ReorderBuffer if equal else PromptBuffer)
         self._came = time.monotonic()
-        self.health = Health(self._stream, self._inbox.dropped, self._came)
+        self.health = Health(self._stream, self._inbox.dropped)
         self._flushed = True
         self._markers_at = self._object_at = -math.inf
         # Not every transport can distinguish them from others on /tf.

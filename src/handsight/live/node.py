@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from handsight.checks import brief, suggestion
 from handsight.errors import HandsightError, InvalidInput, printable
@@ -17,20 +17,9 @@ from handsight.live.requests import REQUESTS, requested_model
 from handsight.messages import RawMessage
 from handsight.messages.clocks import CLOCKS
 from handsight.rig import Rig
-from handsight.tracking import State, TrackerSettings
+from handsight.tracking import TrackerSettings
 from handsight.tracking.concurrent_images import image_process
 from handsight.tracking.warm import find_hand, find_object
-
-
-class Stepped(Protocol):
-    """A `Stepped` is a `LiveTracker`, or a transport that also receives its messages within `step`."""
-
-    @property
-    def trust(self) -> tuple[State, str]:
-        """The state of the track, and why it cannot be trusted further."""
-
-    def step(self, timeout: float) -> list[Answer]:
-        """Returns the messages to publish now; waits at most `timeout` [s] for something to do."""
 
 
 class Parameters(NamedTuple):
@@ -119,13 +108,20 @@ def time_to_wait(timeout: float, received: float) -> float:
 
 
 def work(
-    live: Stepped, publish: Callable[[Answer], None], say: Callable[[str], None], ended: threading.Event
+    live: LiveTracker,
+    step: Callable[[float], list[Answer]],
+    publish: Callable[[Answer], None],
+    say: Callable[[str], None],
+    ended: threading.Event,
 ) -> None:
-    """Publishes answers until `ended` is set, and reports each change of state to `say`; sets `ended` if it fails."""
+    """Publishes the answers of `step` until `ended` is set, and reports each change of state to `say`.
+
+    `step`: that of `live`, or of a transport that also receives its messages within it. Sets `ended` if it fails.
+    """
     state = ""
     try:
         while not ended.is_set():
-            for answer in live.step(0.05):
+            for answer in step(0.05):
                 publish(answer)
             now, reason = live.trust
             if now != state:

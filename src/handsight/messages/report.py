@@ -2,9 +2,10 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from copy import deepcopy
+from dataclasses import dataclass, field, fields, replace
 from math import hypot
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from handsight.errors import printable
 from handsight.messages.topics import TOPICS, RosType, TopicReport
 from handsight.observation import Observation
 from handsight.rig import Rig
+
+T = TypeVar("T", TopicReport, "Report")
 
 
 class UnitLimits(NamedTuple):
@@ -102,26 +105,15 @@ class Report:
 
     def copied(self) -> "Report":
         """Returns a copy that does not change any more."""
-        return replace(
-            self,
-            topics={name: replace(each, reasons=each.reasons.copy()) for name, each in self.topics.items()},
-            fingers=self.fingers.copy(),
-            without=self.without.copy(),
-            without_skin=self.without_skin.copy(),
-        )
+        return deepcopy(replace(self, units=None))
 
     def since(self, before: "Report") -> "Report":
-        """Returns the report of what came after an earlier copy of this one."""
-        return replace(
-            self,
-            topics={name: each.since(before.topics.get(name)) for name, each in self.topics.items()},
-            observations=self.observations - before.observations,
-            placed=self.placed - before.placed,
-            fingers={name: why for name, why in self.fingers.items() if before.fingers.get(name) != why},
-            without=self.without - before.without,
-            without_skin=self.without_skin - before.without_skin,
-            backwards=None if self.backwards == before.backwards else self.backwards,
-        )
+        """Returns what was counted after an earlier copy; what is wrong with a sensor, only if it has changed."""
+        backwards = None if self.backwards == before.backwards else self.backwards
+        new = {topic: TopicReport(topic, "joints", ()) for topic in self.topics.keys() - before.topics.keys()}
+        topics = {name: _counted(each, (before.topics | new)[name]) for name, each in self.topics.items()}
+        fingers = {name: why for name, why in self.fingers.items() if before.fingers.get(name) != why}
+        return replace(_counted(self, before), topics=topics, fingers=fingers, backwards=backwards)
 
     def sentences(self) -> list[str]:
         """Returns a sentence for each problem that a user should know of, worst first."""
@@ -150,6 +142,16 @@ class Report:
         return [printable(each) for each in messages] + shortened(
             f"{name}: wrenches of no finger of the rig; not used" for name in others
         )
+
+
+def _counted(now: T, before: T) -> T:
+    """Returns a report with all its numbers counted after an earlier one."""
+    changes: dict[str, Any] = {
+        each.name: getattr(now, each.name) - getattr(before, each.name)
+        for each in fields(now)
+        if type(getattr(now, each.name)) in (int, Counter)
+    }
+    return replace(now, **changes)
 
 
 def shortened(sentences: Iterable[str]) -> list[str]:

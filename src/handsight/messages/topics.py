@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, Protocol
 
 from handsight.messages.definitions import CONTACTS, PLAIN_TAXELS, SHADOW, TAXELS
@@ -178,14 +178,6 @@ class TopicReport:
     def left_out(self) -> int:
         """Number of messages that were left out, for whatever reason."""
         return self.duplicated + self.nan + self.late + self.bad + self.stale + self.stuck
-
-    def since(self, before: "TopicReport | None") -> "TopicReport":
-        """Returns the report of the messages that came after an earlier report; all of them for None."""
-        if before is None:
-            return self
-        names = "messages", "used", "duplicated", "nan", "late", "bad", "stale", "stuck", "gaps"
-        counts: dict[str, Any] = {name: getattr(self, name) - getattr(before, name) for name in names}
-        return replace(self, reasons=self.reasons - before.reasons, **counts)
 
     def reject(self, error: MessageRejected) -> None:
         """Counts a message as `nan` or `bad`, with its reason."""

@@ -20,18 +20,17 @@ from handsight.camera import Camera
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
-from handsight.tracking.object_in_images import ImageResult, ObjectInImages, TakenImage
+from handsight.tracking.images import ImageResult, ObjectInImages, TakenImage
 
 MAX_TRACKS = 4
 """Number of tracks whose object the process follows; of more, the oldest are forgotten."""
+_tracks = itertools.count()
 
 
 class Outcome(NamedTuple):
-    """An `Outcome` is the process's answer to an image."""
+    """An `Outcome` is the process's answer to an image: what it has measured, or why it cannot be used."""
 
-    result: ImageResult | None
-    error: InvalidInput | None
-    """Why the image cannot be used."""
+    result: ImageResult | InvalidInput | None
     counts: dict[str, int]
     lost: bool
 
@@ -44,40 +43,29 @@ class ConcurrentImages:
 
     def __init__(self, rig: Rig, model: ObjectModel) -> None:
         """`rig`: its camera must have intrinsics."""
-        self._start(rig, model)
-
-    def _start(self, rig: Rig, model: ObjectModel) -> None:
-        self._camera = Camera.of(rig.camera)
-        self.followed, self.track = (rig, model), next(_tracks)
+        self._camera, self.followed, self.track = Camera.of(rig.camera), (rig, model), next(_tracks)
         self.waiting: TakenImage | None = None
         self.done = deque[Outcome]()
         self.lost, self.counts = True, dict[str, int]()
 
-    def __getstate__(self) -> tuple[Rig, ObjectModel]:
-        """Returns what is followed; what another process knows of it is not copied."""
-        return self.followed
-
-    def __setstate__(self, state: tuple[Rig, ObjectModel]) -> None:
-        self._start(*state)
+    def __reduce__(self) -> tuple[object, ...]:
+        """Returns how a copy starts anew: what the process knows is not copied."""
+        return ConcurrentImages, self.followed
 
     def evaluated(self, image: TakenImage | None) -> ImageResult | None:
         """Takes the next image, if there is one; returns the result of an earlier one, None: none is ready.
 
-        Raises InvalidInput for an image that cannot be the camera's.
+        Raises InvalidInput for an image, this or an earlier one, that cannot be used.
         """
         if image is not None:
             self._camera.check_depth(image.depth, "observation.depth")
             image_process().put(self, image)
         if not self.done:
             return None
-        outcome = self.done.popleft()
-        self.lost, self.counts = outcome.lost, outcome.counts
-        if outcome.error is not None:
-            raise outcome.error
-        return outcome.result
-
-
-_tracks = itertools.count()
+        result, self.counts, self.lost = self.done.popleft()
+        if isinstance(result, InvalidInput):
+            raise result
+        return result
 
 
 class ImageProcess:
@@ -98,12 +86,15 @@ class ImageProcess:
             self._filled.notify()
 
     def _talk(self) -> None:
-        while True:  # a process that dies is replaced
-            # One core stays free for touch.
-            threads, places = str(max((os.cpu_count() or 2) - 1, 1)), os.pathsep.join(filter(None, sys.path))
-            environment = {**os.environ, "NUMBA_NUM_THREADS": threads, "PYTHONPATH": places}
-            serve = f"from {__name__} import serve; serve()"
-            command, pipe = [sys.executable, "-P", "-c", serve], subprocess.PIPE
+        """Starts the process, and another one when it dies."""
+        # One core stays free for touch.
+        threads, places = str(max((os.cpu_count() or 2) - 1, 1)), os.pathsep.join(filter(None, sys.path))
+        environment = {**os.environ, "NUMBA_NUM_THREADS": threads, "PYTHONPATH": places}
+        command, pipe = (
+            [sys.executable, "-P", "-c", f"from {__name__} import serve; serve()"],
+            subprocess.PIPE,
+        )
+        while True:
             with (
                 contextlib.suppress(EOFError, OSError, pickle.UnpicklingError),
                 subprocess.Popen(command, stdin=pipe, stdout=pipe, env=environment) as self.child,
@@ -124,12 +115,10 @@ class ImageProcess:
             try:
                 question = pickle.dumps((images.track, images.followed if new else None, image), protocol=5)
             except Exception as error:  # of any kind: a user's source of first poses may be anything
-                images.done.append(Outcome(None, _refused(error), images.counts, images.lost))
+                images.done.append(Outcome(_refused(error), images.counts, images.lost))
                 continue
-            pickle.dump(question, questions, protocol=5)
-            questions.flush()
-            if new:
-                known.append(images.track)
+            _send(question, questions)
+            known.extend([images.track] if new else [])
             images.done.append(pickle.load(answers))
 
 
@@ -144,38 +133,33 @@ def serve() -> None:
     from handsight.tracking.warm import find_hand, find_object
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    answers = os.fdopen(os.dup(1), "wb")
+    answers, tracks = os.fdopen(os.dup(1), "wb"), dict[int, ObjectInImages]()
     os.dup2(2, 1)  # a library's prints must not get between the answers
     find_object()
     find_hand()
-    tracks = dict[int, ObjectInImages]()
-    pickle.dump("ready", answers)
-    answers.flush()
-    while True:
-        try:
+    _send("ready", answers)
+    with contextlib.suppress(EOFError):
+        while True:
             question = pickle.load(sys.stdin.buffer)
-        except EOFError:
-            return
-        try:
-            track, followed, image = pickle.loads(question)
-            if followed is not None:
-                tracks[track] = ObjectInImages(*followed)
-                if len(tracks) > MAX_TRACKS:
-                    del tracks[next(iter(tracks))]
-            result, images = tracks[track].evaluated(image), tracks[track]
-            outcome = Outcome(result, None, images.counts, images.lost)
-        except Exception as error:  # of any kind: the tracker raises it
-            outcome = Outcome(None, _refused(error), {}, lost=True)
-        pickle.dump(outcome, answers, protocol=5)
-        answers.flush()
+            try:
+                track, followed, image = pickle.loads(question)
+                if followed is not None:
+                    tracks[track] = ObjectInImages(*followed)
+                    if len(tracks) > MAX_TRACKS:
+                        del tracks[next(iter(tracks))]
+                result, images = tracks[track].evaluated(image), tracks[track]
+                outcome = Outcome(result, images.counts, images.lost)
+            except Exception as error:  # of any kind: the tracker raises it
+                outcome = Outcome(_refused(error), {}, lost=True)
+            _send(outcome, answers)
+
+
+def _send(value: object, stream: IO[bytes]) -> None:
+    pickle.dump(value, stream, protocol=5)
+    stream.flush()
 
 
 def _refused(error: Exception) -> InvalidInput:
-    """Returns an error that names the image, for whatever went wrong with it in the other process."""
-    return (
-        error
-        if isinstance(error, InvalidInput)
-        else InvalidInput(
-            f"observation.depth: expected that the process for images can use it, got {type(error).__name__}: {error}"
-        )
-    )
+    """Returns an error that names the image, for whatever went wrong with it."""
+    expected = "observation.depth: expected that the process for images can use it"
+    return error if isinstance(error, InvalidInput) else InvalidInput(f"{expected}, got {error!r}")

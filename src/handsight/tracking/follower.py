@@ -19,11 +19,12 @@ from handsight.objects import ObjectModel
 from handsight.objects.resting import resting_poses
 from handsight.observation import Observation
 from handsight.rig import MountedCamera, Rig
+from handsight.tracking.concurrent_images import ConcurrentImages
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
 from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside
 from handsight.tracking.hypotheses import HYPOTHESES, ambiguity, with_others
-from handsight.tracking.images import ImageVision
+from handsight.tracking.images import ImageVision, ObjectInImages
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import VisionUpdate
 from handsight.tracking.misfit import MISFIT, NO_INNOVATIONS, better_object
@@ -107,7 +108,7 @@ class Follower:
 
     def initial(self, start: PosePrior | None, offsets: JointOffsets) -> TrackState:
         """Returns the state before any observation; `start`: the object's pose in the palm, None where unknown."""
-        vision, settings = VisionUpdate(self.rig, self.model), self.settings
+        vision = VisionUpdate(self.rig, self.model)
         return TrackState(
             start=start,
             smoother=_started(vision, start),
@@ -115,7 +116,11 @@ class Follower:
             memory=ContactMemory(self.settings.memory, self.process_noise),
             vision=vision,
             images=ImageVision(
-                self.rig, self.model, self.source, on=settings.images, concurrent=settings.concurrent_images
+                self.rig,
+                self.model,
+                self.source,
+                on=self.settings.images,
+                follow=ConcurrentImages if self.settings.concurrent_images else ObjectInImages,
             ),
             slip=SlipUpdate(self.rig, self.model),
             weight=WeightSensor(self.rig, self.model),

@@ -1,25 +1,63 @@
 """Depth images as measurements: of the object's pose in the camera, and, by the hand, of the camera's own pose."""
 
+from __future__ import annotations
+
 from bisect import bisect_left
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from handsight import se3
-from handsight.checks import Array
+from handsight.camera import Camera, Depth
+from handsight.checks import Array, Mask
 from handsight.copies import shallow_copy
+from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
-from handsight.observation import Observation
-from handsight.rig import Rig
+from handsight.observation import Observation, PoseMeasurement
+from handsight.rig import MountedCamera, Rig
 from handsight.tracking.camera_from_palm import CameraFromPalm, HandView
-from handsight.tracking.concurrent_images import ConcurrentImages, image_process
 from handsight.tracking.hints import SearchHints
-from handsight.tracking.object_in_images import IMAGES, Instant, ObjectInImages, TakenImage
 from handsight.tracking.smoother import STILL, Motion
-from handsight.vision import FirstPoseSource
+from handsight.vision import FirstPoseSource, PalmDetection
+from handsight.vision.depth_noise import PRESETS
+from handsight.vision.object.depth_tracker import HIDDEN, DepthTracker, Sighting
+from handsight.vision.palm.hand_in_image import HandInImage
 
+if TYPE_CHECKING:
+    from handsight.tracking.concurrent_images import ConcurrentImages
+
+
+class ImageOptions(NamedTuple):
+    """`ImageOptions` say how a tracker uses depth images."""
+
+    correlation_time: float = 1.0
+    """Images within this time share their errors, which come from smoothing, bias and the visible side [s]."""
+    twin_distance: float = 0.4
+    """How far from where touch has it an object is followed that may be another one like it [diameters]."""
+    palm_period: float = 0.5
+    """Time between two searches for a palm that was detected; in between, its pose follows from the joints [s]."""
+    sigma_palm_position: float = 0.01
+    """Uncertainty of the palm's position in the next image once it was detected, per axis [m]."""
+    sigma_palm_rotation: float = float(np.deg2rad(3.0))  # the same of its rotation [rad]
+    history: float = 1.0  # how long joints and palm are kept: an image arrives later than it was taken [s]
+    palm_twist: float = 0.03
+    """Time before and after an instant, between which the velocity of the palm is measured [s]."""
+    max_instants: int = 2000  # the most instants that are kept
+
+
+IMAGES = ImageOptions()
 STAMP = attrgetter("stamp")
+
+
+class Instant(NamedTuple):
+    """An `Instant` is the joint positions and the palm's pose at one stamp; None where they were not measured."""
+
+    stamp: float
+    joint_positions: Mapping[str, float] | None
+    T_world_palm: Array | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +66,7 @@ class History:
 
     instants: tuple[Instant, ...] = ()
 
-    def after(self, instant: Instant) -> "History":
+    def after(self, instant: Instant) -> History:
         """Returns the history with one more instant, which replaces one of the same stamp."""
         kept = self.instants
         if kept and kept[-1].stamp == instant.stamp:
@@ -70,14 +108,43 @@ class History:
         return then.T_world_palm, Motion(twist, stamp - then.stamp)
 
 
+class TakenImage(NamedTuple):
+    """A `TakenImage` is a depth image with what was known when it was taken."""
+
+    stamp: float
+    """[s]"""
+    depth: Depth
+    then: Instant
+    from_palm: CameraFromPalm
+    """The camera's error, as earlier images have measured it."""
+    T_palm_object: Array | None
+    """(4, 4) the pose of an object in the hand; None where it is not grasped."""
+    source: FirstPoseSource
+    """Finds the object where nothing else says where it is."""
+
+
+class ImageResult(NamedTuple):
+    """An `ImageResult` is what an image has measured."""
+
+    vision: PoseMeasurement | None
+    """The object's pose in the camera; None where it was not detected."""
+    hand: HandView | None
+    """The palm in the image; None where it was not searched for, or not detected."""
+
+
 class ImageVision:
     """An `ImageVision` evaluates the images of a rig's depth camera for one object, over time."""
 
     def __init__(
-        self, rig: Rig, model: ObjectModel, source: FirstPoseSource, *, on: bool, concurrent: bool
+        self,
+        rig: Rig,
+        model: ObjectModel,
+        source: FirstPoseSource,
+        *,
+        on: bool,
+        follow: Callable[[Rig, ObjectModel], ObjectInImages | ConcurrentImages],
     ) -> None:
-        """`source`: finds the object where nothing else says where it is. `concurrent`: answers later, see
-        `TrackerSettings.concurrent_images`.
+        """`source`: finds the object where nothing else says where it is. `follow`: evaluates the images.
 
         Observations are left unchanged if it is not `on`, or if the rig has no camera with intrinsics.
         """
@@ -87,13 +154,11 @@ class ImageVision:
         self.history = History()
         """Joint positions and palm of the last second."""
         self._on = on and rig.camera is not None and rig.camera.intrinsics is not None
-        if self._on and concurrent:
-            image_process()  # which takes a while to start
-        self._follow = ConcurrentImages if concurrent else ObjectInImages
+        self._follow = follow
         self._images: ObjectInImages | ConcurrentImages | None = None
         """None before the first depth image."""
 
-    def copied(self) -> "ImageVision":
+    def copied(self) -> ImageVision:
         """Returns a copy that evolves apart from this one."""
         copy = shallow_copy(self)
         if isinstance(copy._images, ObjectInImages):
@@ -138,3 +203,105 @@ class ImageVision:
             # This camera's images are the better measurement, so poses that come between them are left out.
             observation = replace(observation, vision=None)
         return observation, hand
+
+
+class ObjectInImages:
+    """An `ObjectInImages` follows the object in a camera's depth images, without the pixels of the hand."""
+
+    def __init__(self, rig: Rig, model: ObjectModel) -> None:
+        """`rig`: its camera must have intrinsics."""
+        self._mounted = camera = rig.camera or MountedCamera()
+        self._camera = Camera.of(camera)
+        self.tracker = DepthTracker(model, self._camera, noise=PRESETS[camera.depth_camera])
+        self._hand = HandInImage(rig)
+        self.lost = True
+        """Whether the last image did not show the object."""
+        self._detected_at = self._palm_searched_at = -np.inf
+        self.counts = {"looked_at": 0, "object_seen": 0, "hand_sought": 0, "hand_seen": 0}
+        """The number of images, of those in which the object was detected, of searches for the palm, and of detections
+        of the palm."""
+
+    def _count(self, name: str) -> None:
+        self.counts = {**self.counts, name: self.counts[name] + 1}
+
+    def evaluated(self, taken: TakenImage | None) -> ImageResult | None:
+        """Returns what an image measures; None for None. Raises InvalidInput for one that cannot be the camera's."""
+        if taken is None:
+            return None
+        stamp, depth, then, from_palm, T_palm_object, self.tracker.source = taken
+        image = self._camera.check_depth(depth, "observation.depth")
+        self._count("looked_at")
+        view, mask, T_camera_palm = self._observe_hand(stamp, image, then, from_palm)
+        # Touch only says where to search for a lost object: a search that started from touch each time would return
+        # what touch has measured as if the camera had measured it too.
+        expected = None if T_palm_object is None or T_camera_palm is None else T_camera_palm @ T_palm_object
+
+        def updated(tracker: DepthTracker, hint: Array | None) -> Sighting:
+            return tracker.update(
+                stamp,
+                image,
+                hand=mask,
+                T_camera_palm=T_camera_palm,
+                gripped=expected is not None,
+                expected=hint,
+            )
+
+        found = updated(self.tracker, expected if self.lost else None)
+        if (
+            expected is not None
+            and self._distance(found, expected) > IMAGES.twin_distance * self.tracker.model.diameter
+        ):
+            # What is followed is not in the hand: it is another object of the kind, if one is seen in the hand, too.
+            other = self.tracker.restarted(stamp, expected)
+            in_hand = updated(other, None)
+            if in_hand.T_camera_object is not None:
+                self.tracker, found = other, in_hand
+        self.lost = found.T_camera_object is None
+        # The pose of an object that is nearly hidden is only the predicted one, not a measurement.
+        if found.T_camera_object is None or found.covariance is None or found.reason == HIDDEN:
+            return ImageResult(None, view)
+        self._count("object_seen")
+        # n images that share their errors tell as much as one, so each gets n times the covariance.
+        sharing = max(1.0, IMAGES.correlation_time / max(stamp - self._detected_at, 1e-3))
+        self._detected_at = stamp
+        pose = PoseMeasurement(found.T_camera_object, "camera", sharing * found.covariance, stamp)
+        return ImageResult(pose, view)
+
+    def _distance(self, found: Sighting, expected: Array) -> float:
+        """Returns how far the middle of a found object is from where it is expected [m]; 0 for one that is lost."""
+        T, center = found.T_camera_object, np.append(self.tracker.model.center_object, 1.0)
+        return 0.0 if T is None else float(np.linalg.norm((T - expected)[:3] @ center))
+
+    def _observe_hand(
+        self, stamp: float, depth: Depth, then: Instant, from_palm: CameraFromPalm
+    ) -> tuple[HandView | None, Mask | None, Array | None]:
+        """Returns the detected palm, the hand's pixels, and T_camera_palm (4, 4); each None where it is unknown."""
+        joints, camera = then.joint_positions, self._mounted
+        T_mount_palm = np.eye(4) if camera.on == "palm" else then.T_world_palm
+        if T_mount_palm is None:
+            return None, None, None
+        T_camera_mount = se3.inverse(camera.T_mount_camera)
+        known = len(from_palm.confirmed) > 0
+        sigmas = IMAGES.sigma_palm_position, IMAGES.sigma_palm_rotation
+        if known:
+            T_camera_palm = T_camera_mount @ from_palm.confirmed[-1].expected(T_mount_palm)
+        else:
+            T_camera_palm = T_camera_mount @ T_mount_palm
+            sigmas = (
+                max(camera.sigma_position_constant, sigmas[0]),
+                max(camera.sigma_rotation_constant, sigmas[1]),
+            )
+        found = None
+        if not known or abs(stamp - self._palm_searched_at) >= IMAGES.palm_period:
+            self._palm_searched_at = stamp
+            self._count("hand_sought")
+            found = self._hand.detected(self._camera, depth, joints, T_camera_palm, sigmas, follow=known)
+        view = None
+        if isinstance(found, PalmDetection):
+            self._count("hand_seen")
+            T_camera_palm = found.T_camera_palm
+            detected = GaussianPose(T_camera_palm, found.covariance).transformed(camera.T_mount_camera)
+            view = HandView(T_mount_palm, detected)
+        elif not known:
+            return None, None, None
+        return view, self._hand.mask(self._camera, depth, joints, T_camera_palm), T_camera_palm
