@@ -6,7 +6,7 @@ A measurement that was not taken is None, or has no entry in its mapping; no num
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -54,13 +54,6 @@ class PoseMeasurement:
         if self.stamp is not None:
             object.__setattr__(self, "stamp", _seconds(self.stamp, "vision.stamp"))
         self.T_frame_object.setflags(write=False)
-
-    def transformed(self, T_other_frame: Array) -> PoseMeasurement:
-        """Returns the same pose in another frame of that kind, such as the camera's at another time (4, 4)."""
-        covariance = self.covariance
-        if covariance is not None:
-            covariance = se3.rotate_covariance(T_other_frame[:3, :3], covariance)
-        return replace(self, T_frame_object=T_other_frame @ self.T_frame_object, covariance=covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,12 +3,21 @@
 import pytest
 
 from handsight.errors import InvalidInput
-from handsight.live.node import Parameters, parameters
+from handsight.live.node import PARAMETERS, parameters
 
 
 def test_what_is_given_is_taken_and_the_rest_has_defaults():
     given = {"rig": "robot.yaml", "object": 7, "rate": 20, "images": False}
-    assert parameters(given) == Parameters("robot.yaml", "7", 20.0, images=False, equal=False, view=0)
+    found = parameters(given)
+    assert found == {
+        "rig": "robot.yaml",
+        "object": "7",
+        "rate": 20.0,
+        "images": False,
+        "equal": False,
+        "view": 0,
+    }
+    assert found.keys() == PARAMETERS.keys()
 
 
 @pytest.mark.parametrize(

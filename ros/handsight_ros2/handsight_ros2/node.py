@@ -81,16 +81,15 @@ def tracker(node):
     """Returns the tracker that the parameters describe."""
     declared = node.get_parameters_by_prefix("")
     given = parameters({name: each.value for name, each in declared.items() if not name.startswith(OF_ROS)})
-    for name, value in given._asdict().items():
+    for name, value in given.items():
         if name not in declared:
             node.declare_parameter(name, value)
-    live = live_tracker(
-        given.rig, given.object, encoding="cdr", rate=given.rate, images=given.images, equal=given.equal
-    )
+    port = given.pop("view")
+    live = live_tracker(given.pop("rig"), given.pop("object"), encoding="cdr", **given)
     say = node.get_logger().info
     say(f"follows {live.tracker.model.name}")
-    if given.view:
-        live.show = view(live.tracker, port=given.view, say=say).update
+    if port:
+        live.show = view(live.tracker, port=port, say=say).update
     return live
 
 

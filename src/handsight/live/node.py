@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from handsight.checks import brief, suggestion
 from handsight.errors import HandsightError, InvalidInput, printable
@@ -21,39 +21,30 @@ from handsight.tracking import TrackerSettings
 from handsight.tracking.concurrent_images import image_process
 from handsight.tracking.warm import find_hand, find_object
 
-
-class Parameters(NamedTuple):
-    """`Parameters` are those of a node, for `live_tracker`."""
-
-    rig: str = ""
-    object: str = ""
-    rate: float = 0.0
-    images: bool = True
-    equal: bool = False
-    view: int = 0
-    """The port of a page that shows the tracker in the browser; 0: none."""
+PARAMETERS = {"rig": "", "object": "", "rate": 0.0, "images": True, "equal": False, "view": 0}
+"""The parameters of a node with their defaults: those of `live_tracker`, and the port of a page in the browser."""
 
 
-def parameters(given: Mapping[str, object]) -> Parameters:
+def parameters(given: Mapping[str, object]) -> dict[str, Any]:
     """Returns a node's parameters from those that a user gave, by name; the others have their defaults.
 
     Raises InvalidInput for an unknown name, a value of another type, and where the rig is missing.
     """
     types = {str: "a text", float: "a number of 0 or more", bool: "true or false", int: "a port or 0"}
-    values: dict[str, Any] = {}
+    values: dict[str, Any] = {**PARAMETERS}
     for name, value in given.items():
-        if name not in Parameters._fields:
-            raise InvalidInput(f"parameter {printable(name)}: unknown{suggestion(name, Parameters._fields)}")
-        kind = type(Parameters._field_defaults[name])
+        if name not in PARAMETERS:
+            raise InvalidInput(f"parameter {printable(name)}: unknown{suggestion(name, PARAMETERS)}")
+        kind: type = type(PARAMETERS[name])
         # A number, or a name of digits alone, may have come as an integer.
         fits = type(value) is kind or (type(value) is int and kind in (str, float))
         most = {float: math.inf, int: 65536}.get(kind)
         if not fits or (most is not None and not 0 <= float(str(value)) < most):
             raise InvalidInput(f"parameter {name}: expected {types[kind]}, got {brief(repr(value))}")
         values[name] = kind(value)
-    if not values.get("rig"):
+    if not values["rig"]:
         raise InvalidInput("parameter rig: expected the rig file, got nothing")
-    return Parameters(**values)
+    return values
 
 
 def live_tracker(

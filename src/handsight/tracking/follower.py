@@ -26,7 +26,7 @@ from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside
 from handsight.tracking.hypotheses import HYPOTHESES, ambiguity, with_others
 from handsight.tracking.images import ImageVision, ObjectInImages
 from handsight.tracking.joint_offsets import JointOffsets
-from handsight.tracking.measurements import VisionUpdate
+from handsight.tracking.measurements import EYE, VisionUpdate
 from handsight.tracking.misfit import MISFIT, NO_INNOVATIONS, better_object
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
@@ -285,26 +285,20 @@ class Follower:
         # Since the image was taken, an object in the hand has moved with the palm, another one stayed in the world.
         latency = self.camera.latency if state.smoother is None else state.smoother.latency
         stamp = observation.stamp if vision.stamp is None else vision.stamp
-        past = state.images.history.palm_at(stamp, latency)
+        past, T_then_now = state.images.history.palm_at(stamp, latency), EYE
         if self.settings.concurrent_images and vision is not observation.vision:  # maybe seconds late
             if stamp < state.grasp.since or (grasped and past is None):
                 return
-            if (
-                self.camera.on == "palm"
-                and not grasped
-                and past is not None
-                and state.T_world_palm is not None
-            ):
-                # The camera has moved with the palm since, and the object has not.
-                T_mount_camera = self.camera.T_mount_camera
-                T_now_then = se3.inverse(state.T_world_palm @ T_mount_camera) @ past[0] @ T_mount_camera
-                processed = replace(processed, vision=vision.transformed(T_now_then))
+            if not grasped and past is not None and state.T_world_palm is not None:
+                T_then_now = se3.inverse(past[0]) @ state.T_world_palm
         past = past if grasped else None
         T_world_palm, motion = past or (state.T_world_palm, STILL)
         if vision is not observation.vision:
             # An image's covariance includes what it shares with those before.
             motion = motion._replace(drift_gain=0.0)
-        state.vision, after = state.vision.updated(processed, state.smoother, T_world_palm, motion)
+        state.vision, after = state.vision.updated(
+            processed, state.smoother, T_world_palm, motion, T_then_now
+        )
         state.smoother = after
         if before is not None and after is not None and (after.process_noise < before.process_noise).any():
             state.table = None  # vision has started anew, as the object was moved
