@@ -15,7 +15,6 @@ import numpy as np
 
 import handsight as hs
 from benchmarks import timing
-from handsight import se3
 from handsight.contact import TactileSurface
 from handsight.rig import Rig
 from handsight.simulation import Scenario, model_of, rig_of, simulate
@@ -51,11 +50,10 @@ def observed(rig: Rig, shapes: dict[str, tip_scenes.Shape], samples: list[Any]) 
         pitch=palm.pitch, threshold=0.03,
     )  # fmt: skip
     given = [replace(sample.observation, skin={}) for sample in samples]
-    found = []
+    found, rest = list[hs.Observation](), samples[0].observation.skin["palm"]  # its offsets, in the open hand
     for sample, tips in zip(samples, tip_scenes.taxel_observations(rig, shapes, given, 3), strict=True):
-        T = se3.inverse(T_PALM_GRID) @ sample.T_palm_object
-        force = float(np.clip(sample.observation.skin["palm"], 0.015, None).sum())
-        push = skin_scenes.taxel_forces(flat, solid, T, force if force > 5 else 0.0)
+        force = float((sample.observation.skin["palm"] - rest).sum())
+        push = skin_scenes.taxel_forces(flat, solid, sample.T_palm_object, force if force > 0.3 else 0.0)
         reading = np.stack([0.3 * push, 0.0 * push, push], axis=2)
         reading = reading * (1 + 0.05 * rng.normal(size=reading.shape)) + 2e-3 * rng.normal(
             size=reading.shape
