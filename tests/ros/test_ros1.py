@@ -105,7 +105,7 @@ def test_the_launch_file_starts_and_ends_the_node(tmp_path):
     with graph(tmp_path) as running:
         running.environment |= {"ROS_PACKAGE_PATH": str(PACKAGE.parent), "HANDSIGHT_PYTHON": sys.executable}
         launched = running.run(
-            "roslaunch", "handsight_ros1", "handsight.launch", f"rig:={RIG}", "object:=can"
+            "roslaunch", "handsight_ros1", "handsight.launch", f"rig:={RIG}", "object:=can", "rate:=20"
         )
         try:
             running.wait_for(lambda: "is ready" in launched.log.read_text(), "the node", launched)
@@ -151,12 +151,25 @@ def test_the_node_survives_what_happens_in_a_lab(tmp_path):
         assert "registered anew" in node.log.read_text()
 
 
-def test_a_wrong_parameter_is_said_in_a_sentence(tmp_path):
+def test_a_wrong_parameter_is_said_in_a_sentence_and_so_is_that_there_is_no_master(tmp_path):
     with graph(tmp_path) as running:
+        for given, expected in (
+            ({"object": "spoon"}, "object: expected a name of the rig (can)"),
+            ({"images": "maybe"}, "parameter images: expected true or false, got 'maybe'"),
+            (
+                {"images": "true", "objekt": "can"},
+                "parameter objekt: unknown; the nearest valid one is 'object'",
+            ),
+        ):
+            with pytest.raises(AssertionError, match="the node ended") as error:
+                running.node(RIG, **given)
+            assert expected in str(error.value)
+            assert "Traceback" not in str(error.value)
+        running.master.kill()
+        running.master.wait()
         with pytest.raises(AssertionError, match="the node ended") as error:
-            running.node(RIG, object="spoon")
-        assert "object: expected a name of the rig (can)" in str(error.value)
-        assert "Traceback" not in str(error.value)
+            running.node(RIG)
+        assert f"handsight: no ROS master answers at {running.uri}" in str(error.value)
 
 
 def test_a_silent_connection_keeps_no_subscriber_waiting(tmp_path):

@@ -2,13 +2,17 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from copy import deepcopy
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar
 
 from handsight.checks import nearest_name
 from handsight.errors import printable
 from handsight.messages.topics import TOPICS, RosType, TopicReport
 from handsight.rig import Rig
 from handsight.rig.units import Units
+
+T = TypeVar("T", TopicReport, "Report")
 
 
 @dataclass(slots=True)
@@ -38,6 +42,18 @@ class Report:
     ended: bool = False
     """Whether all messages have come."""
 
+    def copied(self) -> "Report":
+        """Returns a copy that does not change any more."""
+        return deepcopy(replace(self, units=None))
+
+    def since(self, before: "Report") -> "Report":
+        """Returns what was counted after an earlier copy; what is wrong with a sensor, only if it has changed."""
+        backwards = None if self.backwards == before.backwards else self.backwards
+        new = {topic: TopicReport(topic, "joints", ()) for topic in self.topics.keys() - before.topics.keys()}
+        topics = {name: _counted(each, (before.topics | new)[name]) for name, each in self.topics.items()}
+        fingers = {name: why for name, why in self.fingers.items() if before.fingers.get(name) != why}
+        return replace(_counted(self, before), topics=topics, fingers=fingers, backwards=backwards)
+
     def sentences(self) -> list[str]:
         """Returns a sentence for each problem that a user should know of, worst first."""
         messages = []
@@ -65,6 +81,16 @@ class Report:
         return [printable(each) for each in messages] + shortened(
             f"{name}: wrenches of no finger of the rig; not used" for name in others
         )
+
+
+def _counted(now: T, before: T) -> T:
+    """Returns a report with all its numbers counted after an earlier one."""
+    changes: dict[str, Any] = {
+        each.name: getattr(now, each.name) - getattr(before, each.name)
+        for each in fields(now)
+        if type(getattr(now, each.name)) in (int, Counter)
+    }
+    return replace(now, **changes)
 
 
 def shortened(sentences: Iterable[str]) -> list[str]:
