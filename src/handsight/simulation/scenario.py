@@ -13,6 +13,7 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.observation import Observation
+from handsight.rig import Rig
 from handsight.rig.rig import DepthCamera
 
 Profile = Literal["ramp", "steps", "sine", "creep", "jerks"]
@@ -259,6 +260,8 @@ class Scenario:
     depth_camera: DepthCamera = "structured_light"
     """How the camera measures depth, which determines its errors."""
     nuisances: Nuisances = dataclasses.field(default_factory=Nuisances)
+    rig: Rig | None = None
+    """The rig of the hand, a force/torque sensor in each fingertip; None: the Shadow hand."""
 
     def __post_init__(self) -> None:
         meshes, name = (".stl", ".obj", ".ply", ".off"), self.object
@@ -286,10 +289,17 @@ class Scenario:
             raise InvalidInput(
                 "skin: expected can or a mesh, got box, which the hand cannot press on its palm"
             )
+        if self.rig is not None and (self.skin or self.sensors != "wrench"):
+            raise InvalidInput("sensors: expected wrench, without skin, for a rig's own hand, got taxels")
         rate, per_second = checks.positive(self.rate, "rate"), SCENARIO.steps_per_second
         steps = per_second / rate
         if rate < SCENARIO.min_rate or steps < 1 or abs(steps - round(steps)) > 1e-9 * steps:
             raise InvalidInput(f"rate: expected a divisor of {per_second} per second, got {rate:g}")
+
+    @property
+    def fingers(self) -> tuple[str, ...]:
+        """Names of the hand's fingers."""
+        return ("ff", "mf", "rf", "lf", "th") if self.rig is None else tuple(self.rig.fingers)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
