@@ -24,6 +24,8 @@ class ServoOptions(NamedTuple):
     armature: float = 1e-3  # [kg m²]; links without an inertia move as if they had this one
     damping: float = 0.11  # twice the root of stiffness times armature: critical [N m s/rad]
     arm: float = 0.05  # at which a sliding joint pushes as a hinge does [m]
+    arm_mass: float = 4.0  # of what the arm carries [kg]
+    arm_inertia: float = 0.02  # of the same [kg m²]
     min_tip_mass: float = 1e-4  # of a tip whose rig declares none [kg]
 
 
@@ -112,8 +114,11 @@ def hand_of(rig: Rig) -> tuple["MjSpec", HandInWorld]:
     spec.compiler.boundmass, spec.compiler.boundinertia = 1e-6, 1e-9
     spec.compiler.balanceinertia = True
     spec.worldbody.add_frame().attach_body(own.body(model.body(root).name), "hand/", "")
-    for joint in list(spec.body(f"hand/{model.body(root).name}").joints):
+    mount = spec.body(f"hand/{model.body(root).name}")
+    for joint in list(mount.joints):
         spec.delete(joint)  # the arm's last one
+    # A light body that an arm carries would make contacts soft.
+    mount.explicitinertial, mount.mass, mount.inertia = True, SERVO.arm_mass, np.full(3, SERVO.arm_inertia)
     tips = {
         finger: TipInWorld.of(part, f"hand/{part.frame}") for finger, part in rig.fingers.items()
     }
@@ -133,7 +138,8 @@ def hand_of(rig: Rig) -> tuple["MjSpec", HandInWorld]:
         actuator.biasprm[1:3] = -SERVO.stiffness * share, -SERVO.damping * share
         joints.append(joint.name)
     colliding = [geom for geom in spec.geoms if geom.contype or geom.conaffinity] or list(spec.geoms)
-    for geom in list(spec.geoms):
+    for geom in spec.geoms:
+        geom.group = 4 if geom in colliding and len(colliding) < len(spec.geoms) else 1
         of_tip = geom.parent.name in {tip.link for tip in tips.values()}
         geom.contype, geom.conaffinity = int(geom in colliding and not of_tip), 0
         geom.priority, geom.margin, geom.mass = 0, 0.0, np.nan
@@ -144,7 +150,7 @@ def hand_of(rig: Rig) -> tuple["MjSpec", HandInWorld]:
         T = T @ each
     return spec, HandInWorld(
         palm=f"hand/{rig.hand.palm}",
-        mount=f"hand/{model.body(root).name}",
+        mount=mount.name,
         T_mount_palm=T,
         tips=tips,
         joints=tuple(joints),

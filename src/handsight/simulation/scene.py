@@ -309,8 +309,13 @@ def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str, softness: float) 
 
 @lru_cache(maxsize=8)
 def convex_hull(path: str) -> tuple[Array, Any]:
-    """Returns vertices (k, 3) [m] and faces (m, 3) of a mesh file's convex hull, in the file's frame."""
+    """Returns vertices (k, 3) [m] and faces (m, 3) of the convex hull of `can`, `box` or a mesh file, in its frame."""
     import trimesh
+
+    if path in ("can", "box"):
+        creation = trimesh.creation
+        mesh = creation.box(BOX_SIZE) if path == "box" else creation.cylinder(*CAN_SIZE, sections=64)
+        return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
     from handsight.objects.files import read_shape
 

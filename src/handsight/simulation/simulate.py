@@ -239,7 +239,7 @@ def simulate_each(
     for k, variant in enumerate(variants):
         if not variant.shares_world(scenario.nuisances):
             raise InvalidInput(f"variants[{k}]: expected the world of the scenario's nuisances, got another")
-    world = World(scenario, grasp or grasp_for(scenario.object, int(scenario.seed), skin=scenario.skin))
+    world = World(scenario, grasp or grasp_for(scenario.object, int(scenario.seed), skin=scenario.skin, rig=scenario.rig))
     sensors = [Sensors(replace(scenario, nuisances=variant), world) for variant in variants]
     yield from samples(scenario, world, sensors, progress)
 
