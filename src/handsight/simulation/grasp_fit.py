@@ -29,7 +29,7 @@ class FitOptions(NamedTuple):
     drawn: int = 60  # random starts, of which the best is fitted
     steps: int = 40  # of a fit
     soft: float = 0.003  # width over which neighbouring faces share their normals [m]
-    points: int = 150  # of the links, that must be clear of object and table
+    points: int = 400  # of the links, that must be clear of object and table
     max_left: float = 2.0  # force that may remain unbalanced [N]
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight._deprecated import renamed_members
-from handsight.errors import InvalidObject
+from handsight.errors import InvalidObject, NotFound
 from handsight.rig import Rig
 from handsight.simulation.grasp_candidates import Body, Hold, body_of, grasp_candidates
 from handsight.simulation.grasp_fit import HandFit
@@ -59,7 +59,8 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
     """Returns a grasp that holds the scenario's object through a manipulation with the scenario's seed and nuisances.
 
     The same scenario gives the same grasp. `progress` is called with the share of the search that is done, 0 to 1.
-    Raises MissingExtra, InvalidFile, or InvalidObject for an object that the hand cannot hold.
+    Raises MissingExtra, InvalidFile, or, where the hand cannot get around the object, InvalidObject; for the hand of a
+    rig, which is not known to have any grasp, NotFound.
     """
     known = {"can": POWER_CAN} if scenario.skin else {"can": CAN, "box": BOX}
     if scenario.rig is None and scenario.object in known:
@@ -91,9 +92,8 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
     if best[1] is None:
         size = " x ".join(f"{1000 * side:.0f}" for side in np.ptp(built.bounds_object, axis=0))
         why = _text(failures) or "no opposite sides that thumb and fingers span"
-        raise InvalidObject(
-            f"object: expected one that fits in the open hand, got {size} mm ({opening}{why})"
-        )
+        message = f"object: expected one that fits in the open hand, got {size} mm ({opening}{why})"
+        raise InvalidObject(message) if scenario.rig is None else NotFound(message)
     return GraspSearchResult(best[1], False, trials, best[2], _text(failures))
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject, MissingExtra
+from handsight.objects import ObjectModel
 from handsight.rig import Rig
 from handsight.simulation.hand_in_world import HandInWorld, TipInWorld, hand_of
 from handsight.simulation.scenario import SCENARIO
@@ -127,8 +128,8 @@ def scene(
     tip_errors: TipErrors = (),
     rig: Rig | None = None,
 ) -> SimulatedScene:
-    """Returns the scene with an object: `name` is `can`, `box` or a mesh file; and the hand of a rig, or the Shadow
-    hand.
+    """Returns the scene with an object: `name` is `can`, `box`, a mesh file or in the library; and the hand of a
+    rig, or the Shadow hand.
 
     The object has that mass [kg], its centre of mass is displaced by `shift` [m]; `friction` and `tip_errors`, of
     radius and length [m], are the tips'. Raises MissingExtra without mujoco or gymnasium-robotics, InvalidFile or
@@ -309,7 +310,7 @@ def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str, softness: float) 
 
 @lru_cache(maxsize=8)
 def convex_hull(path: str) -> tuple[Array, Any]:
-    """Returns vertices (k, 3) [m] and faces (m, 3) of the convex hull of `can`, `box` or a mesh file, in its frame."""
+    """Returns vertices (k, 3) [m] and faces (m, 3) of the convex hull of an object, in its frame; `path` as `scene`'s `name`."""
     import trimesh
 
     if path in ("can", "box"):
@@ -319,7 +320,8 @@ def convex_hull(path: str) -> tuple[Array, Any]:
 
     from handsight.objects.files import read_shape
 
-    vertices, name, most = read_shape(path).vertices, Path(path).name, SCENARIO.max_extent
+    shape = read_shape(path) if Path(path).suffix else ObjectModel.from_library(path)
+    vertices, name, most = shape.vertices, Path(path).name, SCENARIO.max_extent
     extent = float(np.ptp(vertices, axis=0).max())
     if not extent <= most:
         raise InvalidObject(f"{name}: expected metres, at most {most:g}, got {extent:.3g}")
