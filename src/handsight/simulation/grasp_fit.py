@@ -29,7 +29,7 @@ class FitOptions(NamedTuple):
     drawn: int = 60  # random starts, of which the best is fitted
     steps: int = 40  # of a fit
     soft: float = 0.003  # width over which neighbouring faces share their normals [m]
-    points: int = 400  # of the links, that must be clear of object and table
+    points: int = 250  # of the links, that must be clear of object and table
     max_left: float = 2.0  # force that may remain unbalanced [N]
 
 
@@ -108,8 +108,9 @@ class HandFit:
 
     def _grasp(self, used: tuple[int, ...], R0: Array, x: Array, R: Array) -> tuple[Grasp | None, str]:
         """Returns the closing motion that ends in a posture, or None and the reason."""
-        points, normals, _ = self._contacts(x, used, R0)
-        distances, _ = self._distances(points)
+        points, _, _ = self._contacts(x, used, R0)
+        heights = points @ self._stand.normals.T - self._stand.offsets
+        distances, normals = heights.max(axis=1), self._stand.normals[heights.argmax(axis=1)]
         if np.abs(distances).max() > POSTURE.max_miss:
             return None, "out of reach"
         if self._clearance(x, used, R0).min(initial=np.inf) < POSTURE.min_clearance:
@@ -166,7 +167,8 @@ class HandFit:
         return T[:, :3, 3] + np.einsum("kij,kj->ki", T[:, :3, :3], at), normals, caps + 0.003 - at[:, 2]
 
     def _clearance(self, x: Array, used: tuple[int, ...], R0: Array) -> Array:
-        """Returns how far links and unused tips are from the object, and all from the table [m]."""
+        """Returns how far links and unused tips are from the object, all from the table, and tips from each other
+        [m]."""
         T = se3.compose(se3.rotation_exp(x[3:6]) @ R0, x[:3])
         links = se3.apply(T, self._surface.points_palm(dict(zip(self._names, x[6:].tolist(), strict=True))))
         tips = se3.apply(T, self._tips(x[6:])[:, :3, 3])
@@ -174,7 +176,9 @@ class HandFit:
         others = [k for k in range(len(tips)) if k not in used]
         near = self._distances(np.vstack([links, tips[others]]))[0]
         near[len(links) :] -= radii[others]
-        return np.concatenate([near, links[:, 2], tips[:, 2] - radii])
+        one, other = np.triu_indices(len(tips), 1)
+        between = np.linalg.norm(tips[one] - tips[other], axis=1) - radii[one] - radii[other]
+        return np.concatenate([near, links[:, 2], tips[:, 2] - radii, between])
 
     def _residuals(
         self, x: Array, used: tuple[int, ...], R0: Array, q: Array, away: float = 0.0

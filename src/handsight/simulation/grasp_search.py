@@ -94,7 +94,7 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
         why = _text(failures) or "no opposite sides that thumb and fingers span"
         message = f"object: expected one that fits in the open hand, got {size} mm ({opening}{why})"
         raise InvalidObject(message) if scenario.rig is None else NotFound(message)
-    return GraspSearchResult(best[1], False, trials, best[2], _text(failures))
+    return GraspSearchResult(best[1], False, trials, best[2], opening + _text(failures))
 
 
 @lru_cache(maxsize=16)
