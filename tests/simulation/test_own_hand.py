@@ -61,7 +61,9 @@ def assert_tips_are_where_the_hand_has_them(rig, rng):
         data.qpos[place] = joints[name]
     mujoco.mj_kinematics(built.model, data)
     T_palm_world = se3.inverse(pose(data, built.hand.palm))
-    np.testing.assert_allclose(pose(data, built.hand.mount) @ built.hand.T_mount_palm, se3.inverse(T_palm_world), atol=1e-12)
+    np.testing.assert_allclose(
+        pose(data, built.hand.mount) @ built.hand.T_mount_palm, se3.inverse(T_palm_world), atol=1e-12
+    )
     for finger, T_palm_frame in zip(rig.hand.tips, rig.hand.Ts_palm_tip(joints), strict=True):
         own = rig.fingers[finger]
         expected = T_palm_frame @ own.T_frame_surface @ own.tip.T_surface_sensor
@@ -88,7 +90,9 @@ def test_an_arm_in_the_hands_file_is_left_out(tmp_path, rng):
 
 
 @pytest.mark.parametrize("reading", ["on_tip", "on_sensor"])
-def test_an_untouched_tips_reading_is_its_bias_and_weight_by_the_rigs_own_calibration(reading, tmp_path, grasp):
+def test_an_untouched_tips_reading_is_its_bias_and_weight_by_the_rigs_own_calibration(
+    reading, tmp_path, grasp
+):
     rig = hs.Rig.from_file(written(tmp_path, reading=reading))
     sample = next(simulate(Scenario(object="box", rig=rig, nuisances=NONE), grasp=grasp))
     assert not sample.contacts_truth
@@ -144,7 +148,9 @@ def test_the_opening_is_how_far_two_fingertips_can_be_from_each_other(claw):
 
 def test_a_rig_without_wrenches_is_refused_with_the_finger_that_has_none(claw):
     rig = replace(claw, topics=replace(claw.topics, wrenches={"one": "/claw/one"}))
-    with pytest.raises(InvalidInput, match="topics.wrenches: expected one for each fingertip .*, got none for two"):
+    with pytest.raises(
+        InvalidInput, match="topics.wrenches: expected one for each fingertip .*, got none for two"
+    ):
         find_grasp(Scenario(object="box", rig=rig))
     with pytest.raises(InvalidInput, match="sensors: expected wrench"):
         Scenario(object="box", rig=claw, sensors="xela")
@@ -176,7 +182,9 @@ def test_the_command_records_the_hand_of_a_rig_and_track_runs_on_it(tmp_path, mo
     assert called(monkeypatch, tmp_path, *arguments[:4], "--blind") == 2
 
 
-def test_where_no_grasp_of_the_rigs_hand_holds_the_command_ends_with_1_and_the_reasons(tmp_path, monkeypatch, capsys):
+def test_where_no_grasp_of_the_rigs_hand_holds_the_command_ends_with_1_and_the_reasons(
+    tmp_path, monkeypatch, capsys
+):
     rig = written(tmp_path)
     trimesh.creation.box((0.4, 0.4, 0.4)).export(tmp_path / "crate.stl")
     assert called(monkeypatch, tmp_path, "simulate", "crate.stl", "--rig", rig.name, columns=200) == 1

@@ -140,7 +140,9 @@ def simulate(
     own = None if rig is None else Rig.from_file(rig)
     if own is not None and world == "usual":  # errors as the rig states them
         start = dataclasses.replace(start, joint_offset=own.sigma_joint_offset, joint_noise=own.sigma_joint)
-        worst = {of: max(getattr(f, f"sigma_{of}") for f in own.fingers.values()) for of in ("force", "torque")}
+        worst = {
+            of: max(getattr(f, f"sigma_{of}") for f in own.fingers.values()) for of in ("force", "torque")
+        }
         start = dataclasses.replace(start, force_noise=worst["force"], torque_noise=worst["torque"])
     chosen: dict[str, Any] = {"motion": motion, "depth_camera": depth_camera}  # Scenario refuses unknown ones
     chosen |= {
@@ -176,7 +178,11 @@ def simulate(
             before = f" ({found.failures})" if found.failures else ""
             end = "the last one holds" if found.succeeded else "none holds, this one did longest"
             say(f"wrote {beside}: {found.hold}; of {found.trials} grasps tried {end}{before}")
-    used = found.grasp if grasp is None else read_grasp(grasp, scene(scenario.object, rig=own).joints if own else None)
+    used = (
+        found.grasp
+        if grasp is None
+        else read_grasp(grasp, scene(scenario.object, rig=own).joints if own else None)
+    )
     samples, dropped = record(scenario, path, used, blind=blind, plot=plot)
     size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
     say(f"wrote {path}: {samples} observations, {size}, and {rig_beside(path).name}")

@@ -31,6 +31,7 @@ class FitOptions(NamedTuple):
     soft: float = 0.003  # width over which neighbouring faces share their normals [m]
     points: int = 250  # of the links, that must be clear of object and table
     max_left: float = 2.0  # force that may remain unbalanced [N]
+    max_lacking: float = 0.5  # mean share of the tips' forces that the balance does not allow
 
 
 FIT = FitOptions()
@@ -99,7 +100,9 @@ class HandFit:
         assert best is not None
         _, used, R0, x = best
         q = x[6:]
-        low, high = (np.concatenate([np.full(6, s * np.inf), b]) for s, b in ((-1, self._low), (1, self._high)))
+        low, high = (
+            np.concatenate([np.full(6, s * np.inf), b]) for s, b in ((-1, self._low), (1, self._high))
+        )
         found = least_squares(
             self._residuals, np.clip(x, low + 1e-4, high - 1e-4), bounds=(low, high), args=(used, R0, q),
             x_scale=np.repeat([0.1, 0.5], [6, len(q)]), max_nfev=FIT.steps, ftol=1e-3, xtol=1e-4,
@@ -118,7 +121,8 @@ class HandFit:
         wish = np.full(len(used), GRASP.thumb_force / (len(used) - 1))
         wish[0] = GRASP.thumb_force
         pressing, left = forces(points, normals, wish)
-        if left > FIT.max_left:
+        lacking = 1 - np.minimum(np.linalg.norm(pressing, axis=1) / wish, 1.0)
+        if left > FIT.max_left or lacking.mean() > FIT.max_lacking:
             return None, "no balance"
         q, T_world_palm = x[6:], se3.compose(se3.rotation_exp(x[3:6]) @ R0, x[:3])
         positions = dict(zip(self._names, q.tolist(), strict=True))
@@ -128,9 +132,9 @@ class HandFit:
         torques = np.einsum("kij,ki->j", J, pressing @ T_world_palm[:3, :3])
         of_joint = dict(zip(pose.moving_joints, torques.tolist(), strict=True))
         closed = {name: p + of_joint.get(name, 0.0) / SERVO.stiffness for name, p in positions.items()}
-        away = POSTURE.tip_clearance
         opened = least_squares(
-            lambda joints: self._residuals(np.concatenate([x[:6], joints]), used, R0, q, away), np.clip(q, self._low + 1e-4, self._high - 1e-4),
+            lambda joints: self._residuals(np.r_[x[:6], joints], used, R0, q, POSTURE.tip_clearance),
+            np.clip(q, self._low + 1e-4, self._high - 1e-4),
             bounds=(self._low, self._high), max_nfev=FIT.steps, ftol=1e-3, xtol=1e-4,
         ).x  # fmt: skip
         height = float(self._stand.middle[2])
@@ -141,10 +145,12 @@ class HandFit:
     def _tips(self, q: Array) -> Array:
         """Returns T_palm_surface (n, 4, 4) of the fingers' tips."""
         Ts = self._hand.Ts_palm_tip(dict(zip(self._names, q.tolist(), strict=True)))
-        return np.array([
-            Ts[self._place[name]] @ part.T_frame_surface
-            for name, part in zip(self._fingers, self._parts, strict=True)
-        ])
+        return np.array(
+            [
+                Ts[self._place[name]] @ part.T_frame_surface
+                for name, part in zip(self._fingers, self._parts, strict=True)
+            ]
+        )
 
     def _distances(self, points: Array) -> tuple[Array, Array]:
         """Returns distances (n,) of points from the standing object's planes [m], and normals (n, 3), blended."""
@@ -180,9 +186,7 @@ class HandFit:
         between = np.linalg.norm(tips[one] - tips[other], axis=1) - radii[one] - radii[other]
         return np.concatenate([near, links[:, 2], tips[:, 2] - radii, between])
 
-    def _residuals(
-        self, x: Array, used: tuple[int, ...], R0: Array, q: Array, away: float = 0.0
-    ) -> Array:
+    def _residuals(self, x: Array, used: tuple[int, ...], R0: Array, q: Array, away: float = 0.0) -> Array:
         """Returns the errors of a posture, weighted; its tips should be at distance `away` from the object [m]."""
         points, normals, below = self._contacts(x, used, R0)
         distances, _ = self._distances(points)

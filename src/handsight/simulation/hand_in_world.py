@@ -9,7 +9,7 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput
-from handsight.hand.chains import JointKind, ancestors, body_joints
+from handsight.hand.chains import ancestors, body_joints
 from handsight.hand.description import read_spec
 from handsight.rig import Finger, Rig
 
@@ -57,10 +57,11 @@ class TipInWorld:
     def of(cls, finger: Finger, link: str) -> "TipInWorld":
         """Returns the tip that a rig declares."""
         known, tip = finger.calibration, finger.tip
+        T_surface_sensor = np.eye(4) if tip.T_surface_sensor is None else tip.T_surface_sensor
         return cls(
             link=link,
-            T_link_sensor=finger.T_frame_surface @ tip.T_surface_sensor,
-            T_sensor_surface=se3.inverse(tip.T_surface_sensor),
+            T_link_sensor=finger.T_frame_surface @ T_surface_sensor,
+            T_sensor_surface=se3.inverse(T_surface_sensor),
             semi_axes=tip.semi_axes,
             mass=max(float(known.mass), SERVO.min_tip_mass),
             center=known.center_of_mass,
@@ -119,9 +120,32 @@ def hand_of(rig: Rig) -> tuple["MjSpec", HandInWorld]:
         spec.delete(joint)  # the arm's last one
     # A light body that an arm carries would make contacts soft.
     mount.explicitinertial, mount.mass, mount.inertia = True, SERVO.arm_mass, np.full(3, SERVO.arm_inertia)
-    tips = {
-        finger: TipInWorld.of(part, f"hand/{part.frame}") for finger, part in rig.fingers.items()
-    }
+    tips = {finger: TipInWorld.of(part, f"hand/{part.frame}") for finger, part in rig.fingers.items()}
+    joints = _add_servos(spec)
+    colliding = [geom for geom in spec.geoms if geom.contype or geom.conaffinity] or list(spec.geoms)
+    for geom in spec.geoms:
+        geom.group = 4 if geom in colliding and len(colliding) < len(spec.geoms) else 1
+        of_tip = geom.parent.name in {tip.link for tip in tips.values()}
+        geom.contype, geom.conaffinity = int(geom in colliding and not of_tip), 0
+        geom.priority, geom.margin, geom.mass = 0, 0.0, np.nan
+    T_mount_palm = np.eye(4)
+    for body in reversed(upward[: upward.index(root)]):
+        R = se3.rotation_from_quaternion(np.roll(model.body_quat[body], -1))
+        T_mount_palm = T_mount_palm @ se3.compose(R, model.body_pos[body])
+    return spec, HandInWorld(
+        palm=f"hand/{rig.hand.palm}",
+        mount=mount.name,
+        T_mount_palm=T_mount_palm,
+        tips=tips,
+        joints=joints,
+        neighbours=tuple((a, b) for i, a in enumerate(tips) for b in [*tips][i + 1 :]),
+    )
+
+
+def _add_servos(spec: "MjSpec") -> tuple[str, ...]:
+    """Adds a position servo to each joint, and returns the joints' names as the hand's file has them."""
+    import mujoco
+
     joints = []
     for joint in spec.joints:
         joint.name = joint.name.removeprefix("hand/")
@@ -137,22 +161,4 @@ def hand_of(rig: Rig) -> tuple["MjSpec", HandInWorld]:
         actuator.gainprm[0] = SERVO.stiffness * share
         actuator.biasprm[1:3] = -SERVO.stiffness * share, -SERVO.damping * share
         joints.append(joint.name)
-    colliding = [geom for geom in spec.geoms if geom.contype or geom.conaffinity] or list(spec.geoms)
-    for geom in spec.geoms:
-        geom.group = 4 if geom in colliding and len(colliding) < len(spec.geoms) else 1
-        of_tip = geom.parent.name in {tip.link for tip in tips.values()}
-        geom.contype, geom.conaffinity = int(geom in colliding and not of_tip), 0
-        geom.priority, geom.margin, geom.mass = 0, 0.0, np.nan
-    Ts = [se3.compose(se3.rotation_from_quaternion(np.roll(model.body_quat[b], -1)), model.body_pos[b])
-          for b in reversed(upward[: upward.index(root)])]
-    T = np.eye(4)
-    for each in Ts:
-        T = T @ each
-    return spec, HandInWorld(
-        palm=f"hand/{rig.hand.palm}",
-        mount=mount.name,
-        T_mount_palm=T,
-        tips=tips,
-        joints=tuple(joints),
-        neighbours=tuple((a, b) for i, a in enumerate(tips) for b in [*tips][i + 1 :]),
-    )
+    return tuple(joints)

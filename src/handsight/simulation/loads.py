@@ -60,7 +60,10 @@ class Payload:
         n, rng = scenario.nuisances, np.random.default_rng((int(scenario.seed), 10))
         off, force = rng.normal(size=3), rng.normal(size=3)
         touch: dict[str, Any] = {"friction": float(n.friction), "pyramidal": bool(n.pyramidal_friction)}
-        touch |= {"softness": float(n.contact_softness), "tip_errors": tip_errors(n, int(scenario.seed), scenario.fingers)}
+        touch |= {
+            "softness": float(n.contact_softness),
+            "tip_errors": tip_errors(n, int(scenario.seed), scenario.fingers),
+        }
         touch["rig"] = scenario.rig
         usual = scene(scenario.object, **touch)
         low, high = usual.bounds_object

@@ -69,7 +69,11 @@ class Renderer:
             if not show_object and drawn.objtype == self._mujoco.mjtObj.mjOBJ_GEOM and drawn.objid == geom:
                 drawn.rgba[3] = 0.0
         if ghost is not None:
-            (T_palm_object, rgba), model, palm = ghost, self._scene.model, self._data.body(self._scene.hand.palm)
+            (T_palm_object, rgba), model, palm = (
+                ghost,
+                self._scene.model,
+                self._data.body(self._scene.hand.palm),
+            )
             T_world_palm = se3.compose(palm.xmat.reshape(3, 3), palm.xpos)
             # MuJoCo moves a mesh's frame to its principal axes of inertia.
             quaternion_xyzw = np.roll(model.geom_quat[geom], -1)

@@ -25,7 +25,9 @@ def rig_of(scenario: Scenario) -> Rig:
     without mujoco or gymnasium-robotics.
     """
     usual, wrenches = Nuisances(), scenario.sensors == "wrench"
-    if scenario.rig is not None:  # hand, sensors and their topics are its own, all else is the simulated scene's
+    if (
+        scenario.rig is not None
+    ):  # hand, sensors and their topics are its own, all else is the simulated scene's
         own, around = scenario.rig, rig_of(replace(scenario, rig=None))
         known = own.topics
         topics_used = replace(around.topics, joint_states=known.joint_states, wrenches=known.wrenches)

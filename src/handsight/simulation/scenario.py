@@ -241,7 +241,8 @@ class Scenario:
 
     object: str = "can"
     """`can` (large-diameter grasp), `box` (tripod grasp), a mesh file in metres, or a name in the library; the convex
-    hull of these is simulated. Their grasp, and any grasp of a rig's own hand, is searched: it rests as in the file, or on a side if it can be held only then."""
+    hull of these is simulated. Their grasp, and any grasp of a rig's own hand, is searched: the object rests as in the
+    file, or on a side if it can be held only then."""
     seed: int = 0
     """Seed of all random numbers."""
     motion: Motion = "grasp"

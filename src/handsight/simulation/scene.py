@@ -208,9 +208,10 @@ def _add_tips(
     """Adds the ellipsoid of each fingertip on a sensor, which measures every force on it."""
     for (finger, of), (wider, longer) in zip(hand.tips.items(), errors, strict=True):
         tip = spec.body(of.link).add_body(name=f"{finger}_tip", **_placed(of.T_link_sensor))
+        semi_axes = of.semi_axes + np.array([wider, wider, longer])
         tip.add_geom(
-            name=f"{finger}_tip", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=of.semi_axes + [wider, wider, longer],
-            **_placed(of.T_sensor_surface), mass=of.mass, contype=1 | SCENE.table_collision_bit, conaffinity=0, condim=4,
+            name=f"{finger}_tip", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=semi_axes, mass=of.mass,
+            contype=1 | SCENE.table_collision_bit, conaffinity=0, condim=4, **_placed(of.T_sensor_surface),
             friction=[friction, SCENARIO.torsion * friction, 0.0001],
             priority=1, margin=0.0, rgba=[0.25, 0.25, 0.28, 1],
             **stiffness(softness),
@@ -310,7 +311,7 @@ def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str, softness: float) 
 
 @lru_cache(maxsize=8)
 def convex_hull(path: str) -> tuple[Array, Any]:
-    """Returns vertices (k, 3) [m] and faces (m, 3) of the convex hull of an object, in its frame; `path` as `scene`'s `name`."""
+    """Returns vertices (k, 3) [m] and faces (m, 3) of an object's convex hull, in its frame; `path`: `scene`'s `name`."""
     import trimesh
 
     if path in ("can", "box"):

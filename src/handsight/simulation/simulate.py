@@ -84,7 +84,9 @@ class Sensors:
         joints = joints + n.joint_noise * self._noise.normal(size=len(joints))
         errors = self._constant.bias + self._constant.drift * self.world.time
         errors = errors + _errors(n.force_noise, n.torque_noise, self._noise, len(hand.tips))
-        loads = self._constant.gains * [of.sign * self.world.reading(finger) for finger, of in hand.tips.items()]
+        loads = self._constant.gains * [
+            of.sign * self.world.reading(finger) for finger, of in hand.tips.items()
+        ]
         play = np.repeat([n.force_backlash, n.torque_backlash], 3)
         self._loads = np.clip(loads if self._loads is None else self._loads, loads - play, loads + play)
         wrenches = zip(hand.tips, self._loads + errors, no_wrench, strict=True)
@@ -239,7 +241,10 @@ def simulate_each(
     for k, variant in enumerate(variants):
         if not variant.shares_world(scenario.nuisances):
             raise InvalidInput(f"variants[{k}]: expected the world of the scenario's nuisances, got another")
-    world = World(scenario, grasp or grasp_for(scenario.object, int(scenario.seed), skin=scenario.skin, rig=scenario.rig))
+    world = World(
+        scenario,
+        grasp or grasp_for(scenario.object, int(scenario.seed), skin=scenario.skin, rig=scenario.rig),
+    )
     sensors = [Sensors(replace(scenario, nuisances=variant), world) for variant in variants]
     yield from samples(scenario, world, sensors, progress)
 
