@@ -311,7 +311,7 @@ def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str, softness: float) 
 
 @lru_cache(maxsize=8)
 def convex_hull(path: str) -> tuple[Array, Any]:
-    """Returns vertices (k, 3) [m] and faces (m, 3) of an object's convex hull, in its frame; `path`: `scene`'s `name`."""
+    """Returns vertices (k, 3) [m] and faces (m, 3) of an object's convex hull; `path` as `scene` takes `name`."""
     import trimesh
 
     if path in ("can", "box"):
