@@ -121,7 +121,7 @@ def test_contacts_sensed_from_the_rigs_wrenches_are_the_simulators(claw, grasp):
 
 
 def test_fitted_postures_press_tips_on_the_object_from_opposite_sides(claw):
-    fit = HandFit(claw, body_of(convex_hull("box")[0]), 0)
+    fit = HandFit(claw, scene("box", rig=claw), body_of(convex_hull("box")[0]), 0)
     found = [(grasp, name) for (grasp, _, name), _ in zip(fit.grasps(), range(8), strict=False) if grasp]
     assert found
     for grasp, name in found:
@@ -137,8 +137,27 @@ def test_fitted_postures_press_tips_on_the_object_from_opposite_sides(claw):
             assert np.linalg.norm(outside) > 0.01
 
 
+@pytest.mark.slow
+def test_a_gripper_whose_jaws_slide_grasps_too(tmp_path):
+    rig = written(tmp_path)
+    text = (
+        (tmp_path / "claw.urdf")
+        .read_text()
+        .replace('_knuckle" type="revolute"', '_knuckle" type="prismatic"')
+    )
+    text = text.replace(
+        '<axis xyz="0 1 0"/><limit lower="-0.9" upper="0.9"',
+        '<axis xyz="1 0 0"/><limit lower="-0.03" upper="0.03"',
+    )
+    (tmp_path / "claw.urdf").write_text(text)
+    found = find_grasp(Scenario(object="can", rig=hs.Rig.from_file(rig)))
+    assert found.succeeded
+    # Jaws aim beyond where they touch, by millimetres: a slide is as stiff as a hinge on an arm of 5 cm.
+    assert max(abs(aim) for joint, aim in found.grasp.closed.items() if "knuckle" in joint) < 0.05
+
+
 def test_the_opening_is_how_far_two_fingertips_can_be_from_each_other(claw):
-    fit = HandFit(claw, body_of(convex_hull("box")[0]), 0)
+    fit = HandFit(claw, scene("box", rig=claw), body_of(convex_hull("box")[0]), 0)
     # Both joints of two opposite fingers stretched outwards reach farthest, in the plane of finger and hinge.
     turns = [np.array([a, b]) for a in np.linspace(-0.9, 0.9, 19) for b in np.linspace(-1.2, 1.2, 25)]
     out = max(0.05 * math.sin(a) + 0.035 * math.sin(a + b) for a, b in turns)

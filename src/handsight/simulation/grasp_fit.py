@@ -16,9 +16,10 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.rig import Rig
 from handsight.simulation.grasp_candidates import GRASP, Body, forces, rests
-from handsight.simulation.hand_in_world import SERVO
+from handsight.simulation.hand_in_world import servo_name
 from handsight.simulation.motion import Grasp
 from handsight.simulation.posture import POSTURE
+from handsight.simulation.scene import SimulatedScene
 
 
 class FitOptions(NamedTuple):
@@ -40,7 +41,7 @@ FIT = FitOptions()
 class HandFit:
     """A `HandFit` is a rig's hand around an object; `grasps` yields closing motions."""
 
-    def __init__(self, rig: Rig, body: Body, seed: int) -> None:
+    def __init__(self, rig: Rig, scene: SimulatedScene, body: Body, seed: int) -> None:
         """Measures how far the hand opens, by random postures."""
         self._hand, self._fingers, self._rng = rig.hand, list(rig.fingers), np.random.default_rng((seed, 20))
         self._parts = [rig.fingers[name] for name in self._fingers]
@@ -50,6 +51,8 @@ class HandFit:
         self._names = tuple(dict.fromkeys((*rig.hand.moving, *self._surface.joints)))
         limits = dict(zip(rig.hand.joint_names, np.clip(rig.hand.limits, -1.5, 1.5), strict=True))
         self._low, self._high = np.array([limits[name] for name in self._names]).T
+        servos = (scene.model.actuator(servo_name(name)) for name in self._names)
+        self._stiffness = {name: float(s.gainprm[0]) for name, s in zip(self._names, servos, strict=True)}
         self._place = {name: k for k, name in enumerate(rig.hand.tips)}
         postures = self._rng.uniform(self._low, self._high, (FIT.samples, len(self._low)))
         centers = np.array([self._tips(q)[:, :3, 3] for q in postures])
@@ -131,7 +134,7 @@ class HandFit:
         J = pose.jacobians(se3.apply(T_palm_world, points), rows)[:, :3]
         torques = np.einsum("kij,ki->j", J, pressing @ T_world_palm[:3, :3])
         of_joint = dict(zip(pose.moving_joints, torques.tolist(), strict=True))
-        closed = {name: p + of_joint.get(name, 0.0) / SERVO.stiffness for name, p in positions.items()}
+        closed = {name: p + of_joint.get(name, 0.0) / self._stiffness[name] for name, p in positions.items()}
         opened = least_squares(
             lambda joints: self._residuals(np.r_[x[:6], joints], used, R0, q, POSTURE.tip_clearance),
             np.clip(q, self._low + 1e-4, self._high - 1e-4),
@@ -169,7 +172,7 @@ class HandFit:
         towards = -np.einsum("kij,ki->kj", T[:, :3, :3], normals)
         semi = np.array([self._parts[k].tip.semi_axes for k in used])
         at = semi**2 * towards / np.linalg.norm(semi * towards, axis=1)[:, None]
-        caps = np.array([self._parts[k].tip.cap or -0.0 for k in used])
+        caps = np.array([self._parts[k].tip.cap or 0.0 for k in used])
         return T[:, :3, 3] + np.einsum("kij,kj->ki", T[:, :3, :3], at), normals, caps + 0.003 - at[:, 2]
 
     def _clearance(self, x: Array, used: tuple[int, ...], R0: Array) -> Array:

@@ -71,7 +71,7 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
     if scenario.rig is None:
         candidates, opening = _shadow_grasps(built, body), ""
     else:
-        fit = HandFit(scenario.rig, body, int(scenario.seed))
+        fit = HandFit(scenario.rig, built, body, int(scenario.seed))
         candidates, opening = fit.grasps(), f"fingertips open to {1000 * fit.opening:.0f} mm; "
     failures: Counter[str] = Counter()
     best: tuple[float, Grasp | None, str] = (-1.0, None, "")
