@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import logging
 import threading
 from importlib import import_module
 from types import ModuleType
@@ -54,6 +55,8 @@ class Page:
         viser = require_viser()
         if not 1 <= port <= PAGE.max_port:  # viser would wait for ever
             raise InvalidInput(f"port: expected a number from 1 to {PAGE.max_port}, got {port}")
+        # What is no message of a browser ends its connection, and needs no traceback.
+        logging.getLogger("websockets").setLevel(logging.CRITICAL)
         try:
             with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
                 self.server = viser.ViserServer(host=PAGE.host, port=port, label="handsight", verbose=False)
