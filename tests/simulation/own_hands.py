@@ -51,6 +51,6 @@ def real(name, monkeypatch):
     """The rig of an example, with a force/torque sensor in each tip; skipped where the hand's file is absent."""
     file = data_file(f"hands/{FILES[name]}")
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(file.parents[FILES[name].count("/")]))
-    rig = hs.Rig.from_file(Path(__file__).parents[2] / f"examples/{name}.rig.yaml")
+    rig = hs.Rig.from_file(Path(hs.__file__).with_name("data") / f"rigs/{name}.rig.yaml")
     wrenches = {finger: f"/{finger}/wrench" for finger in rig.fingers}
     return replace(rig, skin={}, topics=replace(rig.topics, skin={}, skin_fields={}, wrenches=wrenches))
