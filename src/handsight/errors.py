@@ -45,7 +45,7 @@ class NotWritten(InvalidFile):
 
 
 class NotFound(HandsightError):
-    """An object was not found by touch; the message says what is known, and what is still open."""
+    """An object was not found by touch, or no grasp of it; the message says what is known, and what is still open."""
 
 
 class MissingExtra(HandsightError, ImportError):

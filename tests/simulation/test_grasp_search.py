@@ -102,7 +102,7 @@ def test_if_every_trial_fails_the_longest_grasp_is_taken_and_failures_are_counte
     )
     tried = []
 
-    def trial(scenario, grasp):
+    def trial(scenario, grasp, pressing):
         tried.append(grasp)
         assert scenario.motion == "manipulate"
         return next(lasted)

@@ -15,8 +15,14 @@ from simulation.simulated import only
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"object": "cup"}, "object: expected can, box or a mesh file (.stl, .obj, .ply, .off), got 'cup'"),
-        ({"object": 3}, "object: expected can, box or a mesh file (.stl, .obj, .ply, .off), got 3"),
+        (
+            {"object": "cup"},
+            "object: expected can, box, a mesh file (.stl, .obj, .ply, .off) or an object of the library, got 'cup'",
+        ),
+        (
+            {"object": 3},
+            "object: expected can, box, a mesh file (.stl, .obj, .ply, .off) or an object of the library, got 3",
+        ),
         ({"seed": -1}, "seed: expected a whole number of at least 0, got -1"),
         ({"seed": 1.5}, "seed: expected a whole number of at least 0, got 1.5"),
         (

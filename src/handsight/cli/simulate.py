@@ -11,7 +11,7 @@ from typer import Argument, Option
 
 from handsight.cli.options import DEPTH_CAMERAS, rig_beside
 from handsight.cli.terminal import announce_compiling, bar, check_plots, say
-from handsight.errors import InvalidFile, InvalidInput
+from handsight.errors import InvalidFile, InvalidInput, NotFound
 
 if TYPE_CHECKING:
     from handsight.checks import Array
@@ -26,7 +26,7 @@ BEGINS = 1000.0
 
 
 def simulate(
-    object: Annotated[str, Argument(help="can, box, or a mesh file in metres.")],
+    object: Annotated[str, Argument(help="can, box, a mesh file in metres, or a name in the library.")],
     output: Annotated[
         Path | None,
         Option("--output", "-o", help="File for the recording: MCAP. Default: OBJECT-SEED.mcap."),
@@ -74,6 +74,12 @@ def simulate(
             "several times.",
         ),
     ] = None,
+    rig: Annotated[
+        Path | None,
+        Option(
+            help="Rig file of your own hand, with a force/torque sensor in each fingertip. Default: a Shadow hand."
+        ),
+    ] = None,
     blind: Annotated[
         bool,
         Option(
@@ -92,7 +98,11 @@ def simulate(
         ),
     ] = None,
 ) -> None:
-    """Record a simulated Shadow hand that grasps an object, with the truth on a topic of its own.
+    """Record a simulated hand that grasps an object, with the truth on a topic of its own.
+
+    The hand is the Shadow hand, or any URDF or MJCF hand of a --rig: its grasps are searched as well, nothing is known
+    of it but its file and its fingertips. Joints have position servos of 3 N m/rad, coupled ones too; camera, table and
+    world are the simulation's. Where no grasp holds, the reasons are printed, and the exit code is 1.
 
     The rig is written beside the recording as OUTPUT.rig.yaml, and the grasp of a mesh as OUTPUT.grasp.json: grasps are
     tried in the simulator until one holds. Everything is synthetic (MuJoCo). Errors of the measurements are set by
@@ -110,6 +120,7 @@ def simulate(
     ```
     handsight simulate can --output can.mcap
     handsight simulate box --images --nuisance joint_offset=0 --nuisance force_noise=0.02
+    handsight simulate box --rig my.rig.yaml
     handsight simulate can --blind --plot search.png
     handsight simulate can --motion ramp --nuisance friction=0.6 --nuisance pull_force=6 --nuisance pull_torque=0.05
     handsight simulate box --sensors xela --nuisance taxel_dead=2
@@ -118,18 +129,28 @@ def simulate(
     ```
     """
     from handsight.files import write_errors
+    from handsight.rig import Rig
     from handsight.simulation import Nuisances, Scenario, constant_errors, find_grasp, read_grasp, write_grasp
+    from handsight.simulation.scene import scene
 
     announce_compiling()
     if world not in ("usual", "harsh"):
         raise InvalidInput(f"--world: expected usual or harsh, got {world!r:.60}")
     start = Nuisances.harsh(seed) if world == "harsh" else Nuisances()
+    own = None if rig is None else Rig.from_file(rig)
+    if own is not None and world == "usual":  # errors as the rig states them
+        start = dataclasses.replace(start, joint_offset=own.sigma_joint_offset, joint_noise=own.sigma_joint)
+        worst = {
+            of: max(getattr(f, f"sigma_{of}") for f in own.fingers.values()) for of in ("force", "torque")
+        }
+        start = dataclasses.replace(start, force_noise=worst["force"], torque_noise=worst["torque"])
     chosen: dict[str, Any] = {"motion": motion, "depth_camera": depth_camera}  # Scenario refuses unknown ones
     chosen |= {
         "images": images,
         "skin": skin,
         "sensors": sensors,
         "nuisances": nuisances(nuisance or [], start),
+        "rig": own,
     }
     scenario = Scenario(object=object, seed=seed, **chosen)
     if blind and images:
@@ -138,6 +159,8 @@ def simulate(
         raise InvalidInput(
             f"--sensors: expected wrench with --blind, whose finger has no other, got {sensors}"
         )
+    if blind and own is not None:
+        raise InvalidInput("--rig: expected none with --blind, whose hand is the Shadow hand, got some")
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
     if path.suffix.lower() != ".mcap":
         raise InvalidFile(f"{path}: expected a name that ends in .mcap")
@@ -147,13 +170,19 @@ def simulate(
     if grasp is None:
         with bar("searching a grasp") as advance:
             found = find_grasp(scenario, advance)
+        if own is not None and not found.succeeded:
+            raise NotFound(f"{object}: no grasp holds it; of {found.trials} tried: {found.failures}")
         if found.trials:  # the grasp is not built in, but had to be searched for
             beside = path.with_suffix(".grasp.json")
             write_grasp(found, scenario.object, beside)
             before = f" ({found.failures})" if found.failures else ""
             end = "the last one holds" if found.succeeded else "none holds, this one did longest"
             say(f"wrote {beside}: {found.hold}; of {found.trials} grasps tried {end}{before}")
-    used = found.grasp if grasp is None else read_grasp(grasp)
+    used = (
+        found.grasp
+        if grasp is None
+        else read_grasp(grasp, scene(scenario.object, rig=own).joints if own else None)
+    )
     samples, dropped = record(scenario, path, used, blind=blind, plot=plot)
     size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
     say(f"wrote {path}: {samples} observations, {size}, and {rig_beside(path).name}")
@@ -303,7 +332,9 @@ def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     from handsight.objects import ObjectSpec
     from handsight.simulation.robot import declared_weight
 
-    spec = rig.objects.get(scenario.object) or ObjectSpec(mesh=Path(scenario.object))
+    mesh = Path(scenario.object)
+    named = ObjectSpec(mesh=mesh) if mesh.suffix else ObjectSpec(name=scenario.object)
+    spec = rig.objects.get(scenario.object) or named
     n, k = scenario.nuisances, scenario.nuisances.object_scale
     if n.declared_mass:
         mass, sigma = declared_weight(n)
@@ -317,4 +348,6 @@ def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     if spec.cylinder is not None:
         radius, height = spec.cylinder
         return dataclasses.replace(spec, cylinder=(k * radius, k * height))
+    if spec.name is not None and k != 1:
+        raise InvalidInput(f"--nuisance object_scale: expected 1 for an object of the library, got {k:g}")
     return dataclasses.replace(spec, scale=k * spec.scale)

@@ -7,7 +7,6 @@ description can make it allocate without bounds, loop or crash.
 import re
 import warnings
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +21,7 @@ from handsight.hand.surface import ShapeKind
 from handsight.hand.urdf import MIN_INERTIA, MIN_MASS, Urdf
 
 if TYPE_CHECKING:
-    from mujoco import MjModel
+    from mujoco import MjModel, MjSpec
 
 
 class HandWarning(UserWarning):
@@ -36,16 +35,8 @@ def read(path: str | Path, *, visual: bool = False) -> tuple["MjModel", tuple[st
     MissingExtra; warns where meshes of a URDF's collision shapes are left out.
     """
     found = find_file(path)
-    try:
-        import mujoco
-    except ImportError:
-        raise MissingExtra(f"{found.name}: needs MuJoCo: pip install 'handsight[robot]'") from None
-    root = read_xml(found)
-    if root.tag not in ("mujoco", "robot"):
-        expected = "expected a URDF (<robot>) or an MJCF (<mujoco>)"
-        raise InvalidFile(f"{found.name}: {expected}, got <{root.tag:.40}>")
-    parsed = Mjcf(root, found) if root.tag == "mujoco" else Urdf(root, found, visual=visual)
-    model = _compile(mujoco, parsed, found.name)
+    parsed = _parsed(found, visual=visual)
+    _, model = _compile(parsed, found.name)
     _check_numbers(model, found.name)
     if isinstance(parsed, Mjcf):
         return model, tuple(parsed.missing.values())
@@ -59,8 +50,27 @@ def read(path: str | Path, *, visual: bool = False) -> tuple["MjModel", tuple[st
     return model, tuple(dict.fromkeys(parsed.missing["visual"] + missing))
 
 
-def _compile(mujoco: ModuleType, parsed: Mjcf | Urdf, name: str) -> "MjModel":
-    """Returns the model; raises InvalidFile where MuJoCo refuses the text, with the line of the user's file."""
+def read_spec(path: str | Path) -> tuple["MjSpec", "MjModel"]:
+    """Returns what MuJoCo builds of a URDF or MJCF file, to be put into a scene, and its model; raises as `read`."""
+    found = find_file(path)
+    return _compile(_parsed(found), found.name)
+
+
+def _parsed(found: Path, *, visual: bool = False) -> Mjcf | Urdf:
+    """Returns the checked content of a file; raises InvalidFile."""
+    root = read_xml(found)
+    if root.tag not in ("mujoco", "robot"):
+        expected = "expected a URDF (<robot>) or an MJCF (<mujoco>)"
+        raise InvalidFile(f"{found.name}: {expected}, got <{root.tag:.40}>")
+    return Mjcf(root, found) if root.tag == "mujoco" else Urdf(root, found, visual=visual)
+
+
+def _compile(parsed: Mjcf | Urdf, name: str) -> tuple["MjSpec", "MjModel"]:
+    """Returns spec and model; raises InvalidFile where MuJoCo refuses the text, with the line of the user's file."""
+    try:
+        import mujoco
+    except ImportError:
+        raise MissingExtra(f"{name}: needs MuJoCo: pip install 'handsight[robot]'") from None
     text, elements = to_text(parsed.robot)
     try:
         with warnings.catch_warnings():
@@ -76,7 +86,7 @@ def _compile(mujoco: ModuleType, parsed: Mjcf | Urdf, name: str) -> "MjModel":
             else:
                 for mesh in spec.meshes:  # open and flat ones have no volume
                     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-            return spec.compile()
+            return spec, spec.compile()
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         message = " ".join(str(error).split())
         found = re.search(r",? line (\d+)", message)

@@ -1,5 +1,6 @@
 """A grasp as a small JSON file beside its recording, and back."""
 
+from collections.abc import Collection
 from pathlib import Path
 
 import msgspec
@@ -57,10 +58,14 @@ def write_grasp(found: GraspSearchResult, object: str, path: Path) -> None:
         path.write_bytes(msgspec.json.format(msgspec.json.encode(form), indent=1) + b"\n")
 
 
-def read_grasp(path: Path) -> Grasp:
-    """Returns the grasp of a file that `write_grasp` wrote; raises InvalidFile, which begins with the file's name."""
+def read_grasp(path: Path, joints: Collection[str] | None = None) -> Grasp:
+    """Returns the grasp of a file that `write_grasp` wrote; raises InvalidFile, which begins with the file's name.
+
+    `joints`: those of a rig's own hand; None: the Shadow hand's.
+    """
     numbers = {"FF": "321", "MF": "321", "RF": "321", "LF": "4321", "TH": "43210"}
     servos = {f"robot0:{finger}J{number}" for finger, of_finger in numbers.items() for number in of_finger}
+    servos = servos if joints is None else set(joints)
     try:
         form = msgspec.json.decode(read_bytes(path, 1_000_000), type=_GraspFile)
         position = checks.finite(form.position_palm, "position_palm", (3,))
@@ -68,9 +73,9 @@ def read_grasp(path: Path) -> Grasp:
             raise InvalidInput(f"position_palm: expected less than a metre, got {form.position_palm}")
         quaternion = checks.unit(form.quaternion_xyzw_palm, "quaternion_xyzw_palm", (4,))
         quaternion_world = checks.unit(form.quaternion_xyzw_world, "quaternion_xyzw_world", (4,))
-        for name, joints in (("opening", form.opening), ("closed", form.closed)):
-            checks.finite(list(joints.values()), name, (len(joints),))
-            if others := [joint for joint in joints if joint not in servos]:
+        for name, of_joint in (("opening", form.opening), ("closed", form.closed)):
+            checks.finite(list(of_joint.values()), name, (len(of_joint),))
+            if others := [joint for joint in of_joint if joint not in servos]:
                 raise InvalidInput(f"{name}: expected joints of the hand, got {others[0]}")
         height = checks.positive(form.height, "height")
     except (msgspec.DecodeError, InvalidInput) as error:

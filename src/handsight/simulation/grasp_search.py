@@ -10,12 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight._deprecated import renamed_members
-from handsight.errors import InvalidObject
-from handsight.simulation.grasp_candidates import Hold, body_of, grasp_candidates
+from handsight.errors import InvalidObject, NotFound
+from handsight.rig import Rig
+from handsight.simulation.grasp_candidates import Body, Hold, body_of, grasp_candidates
+from handsight.simulation.grasp_fit import HandFit
 from handsight.simulation.motion import BOX, CAN, LEGS, MOTION, POWER_CAN, Grasp
 from handsight.simulation.posture import Posture
 from handsight.simulation.scenario import SCENARIO, Scenario
-from handsight.simulation.scene import convex_hull, scene
+from handsight.simulation.scene import SimulatedScene, convex_hull, scene
 from handsight.simulation.world import World
 
 
@@ -57,26 +59,30 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
     """Returns a grasp that holds the scenario's object through a manipulation with the scenario's seed and nuisances.
 
     The same scenario gives the same grasp. `progress` is called with the share of the search that is done, 0 to 1.
-    Raises MissingExtra, InvalidFile, or InvalidObject for an object that the hand cannot hold.
+    Raises MissingExtra, InvalidFile, or, where the hand cannot get around the object, InvalidObject; for the hand of a
+    rig, which is not known to have any grasp, NotFound.
     """
     known = {"can": POWER_CAN} if scenario.skin else {"can": CAN, "box": BOX}
-    if scenario.object in known:
+    if scenario.rig is None and scenario.object in known:
         return GraspSearchResult(known[scenario.object], True, 0, "its own grasp", "")
     tried = replace(scenario, motion="manipulate", images=False)
-    built, promising = scene(scenario.object), grasp_candidates(body_of(convex_hull(scenario.object)[0]))
+    built = scene(scenario.object, rig=scenario.rig)
+    body = body_of(convex_hull(scenario.object)[0])
+    if scenario.rig is None:
+        candidates, opening = _shadow_grasps(built, body), ""
+    else:
+        fit = HandFit(scenario.rig, built, body, int(scenario.seed))
+        candidates, opening = fit.grasps(), f"fingertips open to {1000 * fit.opening:.0f} mm; "
     failures: Counter[str] = Counter()
     best: tuple[float, Grasp | None, str] = (-1.0, None, "")
     trials = 0
-    for fitted, hold in enumerate(islice(_in_turn(promising), GRASP_SEARCH.max_fitted)):
+    for fitted, (grasp, reason, name) in enumerate(islice(candidates, GRASP_SEARCH.max_fitted)):
         if progress is not None:
             progress(max(fitted / GRASP_SEARCH.max_fitted, trials / GRASP_SEARCH.max_trials))
-        grasp, reason = Posture(built, hold).grasp()
         if grasp is not None:
             trials += 1
-            fingers = ", ".join(finger for finger in hold.points if finger != "th")
-            side = ("the side", "obliquely above", "above")[round(hold.roll / (np.pi / 4))]
-            name = f"thumb against {fingers}, from {side}"
-            lasted, reason = _trial(tried, grasp)
+            pressing = "th" if scenario.rig is None else name.partition(" against ")[0]
+            lasted, reason = _trial(tried, grasp, pressing)
             if not reason:
                 return GraspSearchResult(grasp, True, trials, name, _text(failures))
             best = max(best, (lasted, grasp, name), key=lambda b: b[0])
@@ -86,14 +92,23 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
     if best[1] is None:
         size = " x ".join(f"{1000 * side:.0f}" for side in np.ptp(built.bounds_object, axis=0))
         why = _text(failures) or "no opposite sides that thumb and fingers span"
-        raise InvalidObject(f"object: expected one that fits in the open hand, got {size} mm ({why})")
-    return GraspSearchResult(best[1], False, trials, best[2], _text(failures))
+        message = f"object: expected one that fits in the open hand, got {size} mm ({opening}{why})"
+        raise InvalidObject(message) if scenario.rig is None else NotFound(message)
+    return GraspSearchResult(best[1], False, trials, best[2], opening + _text(failures))
 
 
 @lru_cache(maxsize=16)
-def grasp_for(name: str, seed: int, *, skin: bool = False) -> Grasp:
+def grasp_for(name: str, seed: int, *, skin: bool = False, rig: Rig | None = None) -> Grasp:
     """Returns the grasp that `find_grasp` finds for an object and a seed, searched once; raises as `find_grasp`."""
-    return find_grasp(Scenario(object=name, seed=seed, skin=skin)).grasp
+    return find_grasp(Scenario(object=name, seed=seed, skin=skin, rig=rig)).grasp
+
+
+def _shadow_grasps(built: SimulatedScene, body: Body) -> Iterator[tuple[Grasp | None, str, str]]:
+    """Yields the Shadow hand's grasps and their names, and the reason where there is none; see `HandFit.grasps`."""
+    for hold in _in_turn(grasp_candidates(body)):
+        fingers = ", ".join(finger for finger in hold.points if finger != "th")
+        side = ("the side", "obliquely above", "above")[round(hold.roll / (np.pi / 4))]
+        yield *Posture(built, hold).grasp(), f"thumb against {fingers}, from {side}"
 
 
 def _in_turn(found: list[Hold]) -> Iterator[Hold]:
@@ -106,8 +121,11 @@ def _in_turn(found: list[Hold]) -> Iterator[Hold]:
         yield best
 
 
-def _trial(scenario: Scenario, grasp: Grasp) -> tuple[float, str]:
-    """Returns how long a grasp holds the object [s], and why no longer; the reason is empty if it holds to the end."""
+def _trial(scenario: Scenario, grasp: Grasp, pressing: str) -> tuple[float, str]:
+    """Returns how long a grasp holds the object [s], and why no longer; the reason is empty if it holds to the end.
+
+    The finger `pressing` and another must touch the object nearly all the time.
+    """
     try:
         world = World(scenario, grasp)
     except InvalidObject:
@@ -136,7 +154,7 @@ def _trial(scenario: Scenario, grasp: Grasp) -> tuple[float, str]:
         if unsensed > GRASP_SEARCH.max_other_force:
             return world.time, "pressed by links without a sensor"
         tips = {tip for tip, force, _ in touches if force > GRASP_SEARCH.min_force and tip.endswith("_tip")}
-        checked, in_contact = checked + 1, in_contact + ("th_tip" in tips and len(tips) > 1)
+        checked, in_contact = checked + 1, in_contact + (f"{pressing}_tip" in tips and len(tips) > 1)
     return world.time, "" if in_contact >= GRASP_SEARCH.min_contact_share * checked else "hardly in contact"
 
 

@@ -1,6 +1,7 @@
 """The object's mass, and the forces on it that no sensor of the hand measures."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.simulation.scenario import SCENARIO, Nuisances, Profile, Scenario
-from handsight.simulation.scene import FINGERS, PALM, SimulatedScene, TipErrors, scene
+from handsight.simulation.scene import SimulatedScene, TipErrors, scene
 
 if TYPE_CHECKING:
     from mujoco import MjData
@@ -59,7 +60,11 @@ class Payload:
         n, rng = scenario.nuisances, np.random.default_rng((int(scenario.seed), 10))
         off, force = rng.normal(size=3), rng.normal(size=3)
         touch: dict[str, Any] = {"friction": float(n.friction), "pyramidal": bool(n.pyramidal_friction)}
-        touch |= {"softness": float(n.contact_softness), "tip_errors": tip_errors(n, int(scenario.seed))}
+        touch |= {
+            "softness": float(n.contact_softness),
+            "tip_errors": tip_errors(n, int(scenario.seed), scenario.fingers),
+        }
+        touch["rig"] = scenario.rig
         usual = scene(scenario.object, **touch)
         low, high = usual.bounds_object
         point = (low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low)
@@ -77,7 +82,7 @@ class Payload:
         """Applies the unsensed force and the support to the object for the next step."""
         if not self.force_palm.any() and not self.support:
             return
-        palm, body = data.body(PALM), data.body("object")
+        palm, body = data.body(self.scene.hand.palm), data.body("object")
         R = body.xmat.reshape(3, 3)
         forces = palm.xmat.reshape(3, 3) @ self.force_palm, np.array([0.0, 0.0, self.support])
         levers = (R @ point + body.xpos - body.xipos for point in (self.point_object, self.base_object))
@@ -85,9 +90,9 @@ class Payload:
         body.xfrc_applied[:3], body.xfrc_applied[3:] = sum(forces), torque
 
 
-def tip_errors(nuisances: Nuisances, seed: int) -> TipErrors:
+def tip_errors(nuisances: Nuisances, seed: int, fingers: Sequence[str]) -> TipErrors:
     """Returns by how much each finger's true radius and length differ from the rig's [m]."""
-    draws = np.clip(np.random.default_rng((seed, 14)).normal(size=(len(FINGERS), 2)), -2, 2)
+    draws = np.clip(np.random.default_rng((seed, 14)).normal(size=(len(fingers), 2)), -2, 2)
     return tuple((float(wider), float(longer)) for wider, longer in nuisances.tip_size * draws)
 
 

@@ -14,7 +14,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.simulation.camera import CALIBRATED_CAMERA
 from handsight.simulation.scenario import Sample, Scenario
-from handsight.simulation.scene import IMAGE_SIZE, PALM, SCENE, SimulatedScene, mujoco_module, scene
+from handsight.simulation.scene import IMAGE_SIZE, SCENE, SimulatedScene, mujoco_module, scene
 from handsight.vision.pixels import Color
 
 if TYPE_CHECKING:
@@ -69,7 +69,11 @@ class Renderer:
             if not show_object and drawn.objtype == self._mujoco.mjtObj.mjOBJ_GEOM and drawn.objid == geom:
                 drawn.rgba[3] = 0.0
         if ghost is not None:
-            (T_palm_object, rgba), model, palm = ghost, self._scene.model, self._data.body(PALM)
+            (T_palm_object, rgba), model, palm = (
+                ghost,
+                self._scene.model,
+                self._data.body(self._scene.hand.palm),
+            )
             T_world_palm = se3.compose(palm.xmat.reshape(3, 3), palm.xpos)
             # MuJoCo moves a mesh's frame to its principal axes of inertia.
             quaternion_xyzw = np.roll(model.geom_quat[geom], -1)
@@ -126,7 +130,7 @@ def render(
     None: the pose of the robot's own camera. Raises InvalidInput; MissingExtra where nothing can
     draw.
     """
-    built = scene(scenario.object)
+    built = scene(scenario.object, rig=scenario.rig)
     if sample.configuration.shape != (built.model.nq,):
         raise InvalidInput(f"sample: expected one of the scenario's ({scenario.object}), got another scene's")
     T = CALIBRATED_CAMERA if T_world_camera is None else se3.check(T_world_camera, "T_world_camera")

@@ -1,5 +1,6 @@
 """The robot's own knowledge: its rig and its model of the object, as a user would write them down."""
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -24,6 +25,16 @@ def rig_of(scenario: Scenario) -> Rig:
     without mujoco or gymnasium-robotics.
     """
     usual, wrenches = Nuisances(), scenario.sensors == "wrench"
+    if (
+        scenario.rig is not None
+    ):  # hand, sensors and their topics are its own, all else is the simulated scene's
+        own, around = scenario.rig, rig_of(replace(scenario, rig=None))
+        known = own.topics
+        topics_used = replace(around.topics, joint_states=known.joint_states, wrenches=known.wrenches)
+        return replace(
+            own, camera=around.camera, table=around.table, gravity=around.gravity, world_from="tf", skin={},
+            frames=around.frames, topics=topics_used, objects=around.objects,
+        )  # fmt: skip
     skin_topics, skin_fields = topics(scenario.sensors, scenario.skin)
     return Rig(
         hand=_hand(),

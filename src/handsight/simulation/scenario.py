@@ -11,8 +11,10 @@ import numpy as np
 
 from handsight import checks
 from handsight.checks import Array
-from handsight.errors import InvalidInput
+from handsight.errors import HandsightError, InvalidInput
+from handsight.objects.library import Library
 from handsight.observation import Observation
+from handsight.rig import Rig
 from handsight.rig.rig import DepthCamera
 
 Profile = Literal["ramp", "steps", "sine", "creep", "jerks"]
@@ -238,8 +240,9 @@ class Scenario:
     """A `Scenario` is one grasp or manipulation of an object, one draw of its errors, and how it is recorded."""
 
     object: str = "can"
-    """`can` (large-diameter grasp), `box` (tripod grasp), or a mesh file in metres, whose convex hull is simulated. The
-    grasp of a mesh is searched: it rests as in the file, or on a side if it can be held only then."""
+    """`can` (large-diameter grasp), `box` (tripod grasp), a mesh file in metres, or a name in the library; the convex
+    hull of these is simulated. Their grasp, and any grasp of a rig's own hand, is searched: the object rests as in the
+    file, or on a side if it can be held only then."""
     seed: int = 0
     """Seed of all random numbers."""
     motion: Motion = "grasp"
@@ -259,15 +262,16 @@ class Scenario:
     depth_camera: DepthCamera = "structured_light"
     """How the camera measures depth, which determines its errors."""
     nuisances: Nuisances = dataclasses.field(default_factory=Nuisances)
+    rig: Rig | None = None
+    """The rig of the hand, a force/torque sensor in each fingertip; None: the Shadow hand."""
 
     def __post_init__(self) -> None:
         meshes, name = (".stl", ".obj", ".ply", ".off"), self.object
         if not isinstance(name, str) or (
-            name not in ("can", "box") and Path(name).suffix.lower() not in meshes
+            name not in ("can", "box") and Path(name).suffix.lower() not in meshes and not _in_library(name)
         ):
-            raise InvalidInput(
-                f"object: expected can, box or a mesh file ({', '.join(meshes)}), got {name!r:.80}"
-            )
+            expected = f"expected can, box, a mesh file ({', '.join(meshes)}) or an object of the library"
+            raise InvalidInput(f"object: {expected}, got {name!r:.80}")
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
             raise InvalidInput(f"seed: expected a whole number of at least 0, got {self.seed!r:.60}")
         for name, kinds in (
@@ -286,10 +290,25 @@ class Scenario:
             raise InvalidInput(
                 "skin: expected can or a mesh, got box, which the hand cannot press on its palm"
             )
+        if self.rig is not None and (self.skin or self.sensors != "wrench"):
+            raise InvalidInput("sensors: expected wrench, without skin, for a rig's own hand, got taxels")
         rate, per_second = checks.positive(self.rate, "rate"), SCENARIO.steps_per_second
         steps = per_second / rate
         if rate < SCENARIO.min_rate or steps < 1 or abs(steps - round(steps)) > 1e-9 * steps:
             raise InvalidInput(f"rate: expected a divisor of {per_second} per second, got {rate:g}")
+
+    @property
+    def fingers(self) -> tuple[str, ...]:
+        """Names of the hand's fingers."""
+        return ("ff", "mf", "rf", "lf", "th") if self.rig is None else tuple(self.rig.fingers)
+
+
+def _in_library(name: str) -> bool:
+    try:
+        Library().entry(name)
+    except HandsightError:
+        return False
+    return True
 
 
 @dataclass(frozen=True, slots=True, eq=False)

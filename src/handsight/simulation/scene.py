@@ -1,4 +1,4 @@
-"""The scene in MuJoCo: Shadow hand with ellipsoidal fingertips on six-axis sensors, object, table, camera.
+"""The scene in MuJoCo: a hand with ellipsoidal fingertips on six-axis sensors, object, table, camera.
 
 World: the table's top is at height 0, z up; the object stands at the origin until it is moved. The forearm comes from
 -x, so the table ends shortly before the object on that side.
@@ -17,6 +17,9 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject, MissingExtra
+from handsight.objects import ObjectModel
+from handsight.rig import Rig
+from handsight.simulation.hand_in_world import HandInWorld, TipInWorld, hand_of
 from handsight.simulation.scenario import SCENARIO
 
 if TYPE_CHECKING:
@@ -95,6 +98,7 @@ class SimulatedScene:
     """Names of fingers by their tip's geom."""
     bounds_object: Array
     """(2, 3) in the object's frame [m]."""
+    hand: HandInWorld
 
 
 def tip_shape(finger: str) -> tuple[Array, float]:
@@ -121,18 +125,18 @@ def scene(
     friction: float = 1.0,
     pyramidal: bool = False,
     softness: float = 0.0,
-    tip_errors: TipErrors = ((0.0, 0.0),) * 5,
+    tip_errors: TipErrors = (),
+    rig: Rig | None = None,
 ) -> SimulatedScene:
-    """Returns the scene with an object: `name` is `can`, `box` or a mesh file.
+    """Returns the scene with an object: `name` is `can`, `box`, a mesh file or in the library; and the hand of a
+    rig, or the Shadow hand.
 
     The object has that mass [kg], its centre of mass is displaced by `shift` [m]; `friction` and `tip_errors`, of
     radius and length [m], are the tips'. Raises MissingExtra without mujoco or gymnasium-robotics, InvalidFile or
     InvalidObject for a mesh that cannot be used.
     """
     mujoco = mujoco_module()
-    spec = mujoco.MjSpec.from_file(str(hand_file()))
-    spec.delete(spec.geom("floor0"))
-    spec.delete(spec.body("floor0"))  # it carries the marks of that file's task
+    spec, hand = _shadow_hand(mujoco) if rig is None else hand_of(rig)
     spec.option.gravity = GRAVITY
     spec.option.timestep = 1 / SCENARIO.steps_per_second
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -141,22 +145,23 @@ def scene(
     cones = mujoco.mjtCone
     spec.option.cone = cones.mjCONE_PYRAMIDAL if pyramidal else cones.mjCONE_ELLIPTIC
     spec.option.impratio = 50.0 if pyramidal else 10.0  # else a pyramid lets a held object creep
-    _change_hand(mujoco, spec, friction, softness, tip_errors)
+    _add_tips(mujoco, spec, hand, friction, softness, tip_errors or ((0.0, 0.0),) * len(hand.tips))
+    _carry(mujoco, spec, hand)
     _add_table_and_camera(mujoco, spec)
     bounds = _add_object(mujoco, spec, name, softness)
     if mass != SCENARIO.object_mass or any(shift):
         # The inertia about the centre of mass is proportional to the mass.
-        body, usual = spec.body("object"), scene(name).model.body("object")
+        body, usual = spec.body("object"), scene(name, rig=rig).model.body("object")
         body.explicitinertial, body.mass = True, mass
         body.ipos, body.iquat = usual.ipos + shift, usual.iquat
         body.inertia = usual.inertia * (mass / usual.mass[0])
     model = spec.compile()
-    joints = [model.joint(i) for i in range(model.njnt)]
     return SimulatedScene(
         model=model,
-        joints={joint.name: int(joint.qposadr[0]) for joint in joints if joint.name.startswith("robot0:")},
-        tips={model.geom(f"{finger}_tip").id: finger for finger in FINGERS},
+        joints={name: int(model.joint(name).qposadr[0]) for name in hand.joints},
+        tips={model.geom(f"{finger}_tip").id: finger for finger in hand.tips},
         bounds_object=bounds,
+        hand=hand,
     )
 
 
@@ -168,51 +173,81 @@ def hand_file() -> Path:
     return Path(found.origin).parent / HAND_FILE
 
 
-def _change_hand(
-    mujoco: ModuleType, spec: "MjSpec", friction: float, softness: float, tips: TipErrors
-) -> None:
-    """Replaces each distal link's collision shape by an ellipsoid on a sensor, which measures every force on the link.
-
-    The hand floats, welded to a mocap body that represents the arm.
-    """
+def _shadow_hand(mujoco: ModuleType) -> tuple["MjSpec", HandInWorld]:
+    """Returns a scene with the Shadow hand alone, its distal links without their collision shapes."""
+    spec = mujoco.MjSpec.from_file(str(hand_file()))
+    spec.delete(spec.geom("floor0"))
+    spec.delete(spec.body("floor0"))  # it carries the marks of that file's task
     replaced = {f"robot0:C_{finger}distal" for finger in FINGERS}
     for pair in list(spec.pairs):
         if pair.geomname1 in replaced or pair.geomname2 in replaced:
             spec.delete(pair)
-    for finger, (wider, longer) in zip(FINGERS, tips, strict=True):
+    tips = {}
+    for finger, unloaded in zip(FINGERS, UNLOADED, strict=True):
         semi_axes, center_z = tip_shape(finger)
-        semi_axes += [wider, wider, longer]
         spec.delete(spec.geom(f"robot0:C_{finger}distal"))
         spec.geom(f"robot0:V_{finger}distal").group = SCENE.hidden_group
-        tip = spec.body(f"robot0:{finger}distal").add_body(name=f"{finger}_tip", pos=[0, 0, SCENE.sensor_z])
+        T_link_sensor = se3.compose(np.eye(3), np.array([0.0, 0.0, SCENE.sensor_z]))
+        center = np.array([0.0, 0.0, center_z])
+        T_sensor_surface = se3.compose(np.eye(3), center)
+        link = f"robot0:{finger}distal"
+        tips[finger] = TipInWorld(
+            link, T_link_sensor, T_sensor_surface, semi_axes, SCENE.tip_mass, center, unloaded, 1.0
+        )
+    mount = spec.body("robot0:hand mount")
+    mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # else its Euler angles override the quaternion
+    # Tips that are no neighbours never meet.
+    meeting = (("ff", "mf"), ("mf", "rf"), ("rf", "lf"), *((finger, "th") for finger in FINGERS[:4]))
+    joints = tuple(joint.name for joint in spec.joints)
+    return spec, HandInWorld(PALM, mount.name, T_MOUNT_PALM, tips, joints, meeting)
+
+
+def _add_tips(
+    mujoco: ModuleType, spec: "MjSpec", hand: HandInWorld, friction: float, softness: float, errors: TipErrors
+) -> None:
+    """Adds the ellipsoid of each fingertip on a sensor, which measures every force on it."""
+    for (finger, of), (wider, longer) in zip(hand.tips.items(), errors, strict=True):
+        tip = spec.body(of.link).add_body(name=f"{finger}_tip", **_placed(of.T_link_sensor))
+        semi_axes = of.semi_axes + np.array([wider, wider, longer])
         tip.add_geom(
-            name=f"{finger}_tip", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=semi_axes,
-            pos=[0, 0, center_z], mass=SCENE.tip_mass, contype=1 | SCENE.table_collision_bit, conaffinity=0, condim=4,
+            name=f"{finger}_tip", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=semi_axes, mass=of.mass,
+            contype=1 | SCENE.table_collision_bit, conaffinity=0, condim=4, **_placed(of.T_sensor_surface),
             friction=[friction, SCENARIO.torsion * friction, 0.0001],
             priority=1, margin=0.0, rgba=[0.25, 0.25, 0.28, 1],
             **stiffness(softness),
         )  # fmt: skip
+        if not np.array_equal(of.center, of.T_sensor_surface[:3, 3]):
+            tip.explicitinertial, tip.mass, tip.ipos = True, of.mass, of.center
+            tip.inertia = of.mass * of.semi_axes.max() ** 2 * np.full(3, 0.4)
         tip.add_site(name=f"{finger}_ft")
         site = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": f"{finger}_ft"}
         spec.add_sensor(name=f"{finger}_force", type=mujoco.mjtSensor.mjSENS_FORCE, **site)
         spec.add_sensor(name=f"{finger}_torque", type=mujoco.mjtSensor.mjSENS_TORQUE, **site)
-    # The hand's geoms collide only in declared pairs; tips that are no neighbours never meet.
-    for a, b in (("ff", "mf"), ("mf", "rf"), ("rf", "lf"), *((finger, "th") for finger in FINGERS[:4])):
+    # The hand's geoms collide only in declared pairs.
+    for a, b in hand.neighbours:
         spec.add_pair(geomname1=f"{a}_tip", geomname2=f"{b}_tip", condim=1)
-    mount = spec.body("robot0:hand mount")
-    mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # else its Euler angles override the quaternion
+
+
+def _placed(T: Array) -> dict[str, Array]:
+    """Returns position and quaternion of a pose (4, 4), as MuJoCo takes them."""
+    return {"pos": T[:3, 3], "quat": np.roll(se3.quaternion_from_rotation(T[:3, :3]), 1)}
+
+
+def _carry(mujoco: ModuleType, spec: "MjSpec", hand: HandInWorld) -> None:
+    """Lets the hand float, welded to a mocap body that represents the arm."""
+    mount = spec.body(hand.mount)
     mount.pos, mount.quat = [0, 0, 0], [1, 0, 0, 0]
     mount.add_freejoint(name="mount")
     spec.worldbody.add_body(name="arm", mocap=True)
     data = np.zeros(mujoco.mjNEQDATA)
     data[6] = data[10] = 1.0  # the quaternion's w, and a torque scale of 1
     spec.add_equality(
-        type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name1="arm", name2="robot0:hand mount",
+        type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name1="arm", name2=hand.mount,
         data=data, solref=[0.004, 1.0], solimp=[0.99, 0.999, 0.001, 0.5, 2.0],
     )  # fmt: skip
     # As under a robot's controller, arm and hand are weightless; the tips' weight stays, for sensors measure it.
     for body in spec.bodies:
-        if body.name.startswith("robot0:"):
+        if body.name.startswith(("robot0:", "hand/")):
             body.gravcomp = 1.0
 
 
@@ -242,7 +277,8 @@ def _add_table_and_camera(mujoco: ModuleType, spec: "MjSpec") -> None:
     )
     # All lights together are less than full, or white parts would lose their shape.
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.25] * 3, [0.15] * 3
-    spec.light("light0").ambient, spec.light("light0").diffuse = [0.0] * 3, [0.25] * 3
+    if spec.light("light0") is not None:  # of the Shadow hand's file
+        spec.light("light0").ambient, spec.light("light0").diffuse = [0.0] * 3, [0.25] * 3
     spec.worldbody.add_light(
         pos=[-0.5, 0.6, 1.2], dir=[0.35, -0.45, -0.82], diffuse=[0.4] * 3, castshadow=True
     )
@@ -275,12 +311,18 @@ def _add_object(mujoco: ModuleType, spec: "MjSpec", name: str, softness: float) 
 
 @lru_cache(maxsize=8)
 def convex_hull(path: str) -> tuple[Array, Any]:
-    """Returns vertices (k, 3) [m] and faces (m, 3) of a mesh file's convex hull, in the file's frame."""
+    """Returns vertices (k, 3) [m] and faces (m, 3) of an object's convex hull; `path` as `scene` takes `name`."""
     import trimesh
+
+    if path in ("can", "box"):
+        creation = trimesh.creation
+        mesh = creation.box(BOX_SIZE) if path == "box" else creation.cylinder(*CAN_SIZE, sections=64)
+        return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
     from handsight.objects.files import read_shape
 
-    vertices, name, most = read_shape(path).vertices, Path(path).name, SCENARIO.max_extent
+    shape = read_shape(path) if Path(path).suffix else ObjectModel.from_library(path)
+    vertices, name, most = shape.vertices, Path(path).name, SCENARIO.max_extent
     extent = float(np.ptp(vertices, axis=0).max())
     if not extent <= most:
         raise InvalidObject(f"{name}: expected metres, at most {most:g}, got {extent:.3g}")

@@ -13,11 +13,13 @@ from handsight.errors import InvalidInput, InvalidObject
 from handsight.observation import Observation, PoseMeasurement
 from handsight.simulation.camera import add_depth_noise, calibration_error, moved_about_target, true_camera
 from handsight.simulation.grasp_search import grasp_for
+from handsight.simulation.hand_in_world import HandInWorld
 from handsight.simulation.loads import tip_errors
 from handsight.simulation.motion import Grasp
 from handsight.simulation.rendering import Renderer
+from handsight.simulation.robot import rig_of
 from handsight.simulation.scenario import SCENARIO, Nuisances, Sample, Scenario
-from handsight.simulation.scene import FINGERS, GRAVITY, PALM, SCENE, UNLOADED, mujoco_module, tip_shape
+from handsight.simulation.scene import FINGERS, GRAVITY, UNLOADED, mujoco_module
 from handsight.simulation.taxels import TaxelSensors
 from handsight.simulation.world import World
 from handsight.vision.depth_noise import PRESETS
@@ -33,7 +35,7 @@ class Sensors:
         """Draws by the scenario's seed; each sensor has its own random stream, which no other's settings change."""
         self.scenario, self.world, self.nuisances = scenario, world, scenario.nuisances
         seed, n = int(scenario.seed), scenario.nuisances
-        self._constant = constant_errors(n, seed, len(world.scene.joints))
+        self._constant = constant_errors(n, seed, len(world.scene.joints), world.scene.hand)
         self._noise, self._vision, self._image_noise = (np.random.default_rng((seed, k)) for k in (3, 5, 6))
         self._losses, self._jitter, self._wander = (np.random.default_rng((seed, k)) for k in (16, 17, 18))
         self.T_world_scene = self._constant.T_world_scene
@@ -50,6 +52,8 @@ class Sensors:
         self._wrenches, self._samples = scenario.sensors == "wrench", 0
         self._angles = list(world.scene.joints.values())
         self._dofs = np.array([world.scene.model.joint(name).dofadr[0] for name in world.scene.joints])
+        moving = rig_of(scenario).hand.moving
+        self._moving = np.array([name in moving for name in world.scene.joints])
 
     def close(self) -> None:
         """Frees the renderer of the images."""
@@ -61,7 +65,8 @@ class Sensors:
         self._past.append((self.T_world_scene @ self.world.pose("object"), self.world.data.qpos.copy()))
         T_world_object, configuration = self._past[0]  # as old as the delay, or the oldest there is
         n, color, depth, vision = self.nuisances, None, None, None
-        lost, no_vision, no_image, *no_wrench = self._losses.random(3 + len(FINGERS)) < n.message_loss
+        hand = self.world.scene.hand
+        lost, no_vision, no_image, *no_wrench = self._losses.random(3 + len(hand.tips)) < n.message_loss
         self.lost = bool(lost)
         T_camera_world = self._T_camera_world @ self._drifted()
         if self._due(10.0):
@@ -78,18 +83,20 @@ class Sensors:
         joints = self.world.data.qpos[self._angles] + self._constant.joint_offsets - self._deflections()
         joints = joints + n.joint_noise * self._noise.normal(size=len(joints))
         errors = self._constant.bias + self._constant.drift * self.world.time
-        errors = errors + _errors(n.force_noise, n.torque_noise, self._noise, len(FINGERS))
-        loads = self._constant.gains * np.array([self.world.reading(finger) for finger in FINGERS])
+        errors = errors + _errors(n.force_noise, n.torque_noise, self._noise, len(hand.tips))
+        loads = self._constant.gains * [
+            of.sign * self.world.reading(finger) for finger, of in hand.tips.items()
+        ]
         play = np.repeat([n.force_backlash, n.torque_backlash], 3)
         self._loads = np.clip(loads if self._loads is None else self._loads, loads - play, loads + play)
-        wrenches = zip(FINGERS, self._loads + errors, no_wrench, strict=True)
+        wrenches = zip(hand.tips, self._loads + errors, no_wrench, strict=True)
         late = min(n.stamp_jitter, 0.9 / self.scenario.rate) * self._jitter.random()
         return Observation(
             stamp=self.world.time + late,
             joint_positions=dict(zip(self.world.scene.joints, joints.tolist(), strict=True)),
             wrenches={finger: wrench for finger, wrench, lost in wrenches if not lost and self._wrenches},
             vision=None if no_vision else vision,
-            T_world_palm=self.T_world_scene @ self.world.pose(PALM),
+            T_world_palm=self.T_world_scene @ self.world.pose(hand.palm),
             color=None if no_image else color,
             depth=None if no_image else depth,
             skin=self._skin,
@@ -123,19 +130,18 @@ class Sensors:
         return bool(np.floor(so_far[1]) > np.floor(so_far[0]))
 
     def _deflections(self) -> Array:
-        """Returns the rotations of all joints (24,) that would move the tips as the loads deflect them [rad]."""
+        """Returns the rotations of all joints (n,) that would move the tips as the loads deflect them [rad]."""
         found = np.zeros(len(self.world.scene.joints))
         if self.nuisances.tip_compliance == 0:
             return found
         model, data = self.world.scene.model, self.world.data
-        for finger in FINGERS:
+        for finger, of in self.world.scene.hand.tips.items():
             T = self.world.pose(f"{finger}_tip")
-            force = -T[:3, :3] @ self.world.reading(finger)[:3] - SCENE.tip_mass * GRAVITY
-            center = T[:3, :3] @ [0, 0, tip_shape(finger)[1]] + T[:3, 3]
+            force = -T[:3, :3] @ self.world.reading(finger)[:3] - of.mass * GRAVITY
+            center = (T @ of.T_sensor_surface)[:3, 3]
             jacobian = np.zeros((3, model.nv))
             mujoco_module().mj_jac(model, data, jacobian, None, center, model.body(f"{finger}_tip").id)
-            of_finger = f"robot0:{finger.upper()}J"
-            own = [i for i, name in enumerate(self.world.scene.joints) if name.startswith(of_finger)]
+            own = np.flatnonzero(self._moving & jacobian[:, self._dofs].any(axis=0))
             J = jacobian[:, self._dofs[own]]
             # Damped by 1 mm, else a stretched finger would turn far to move its tip along itself.
             gram = J @ J.T + 1e-6 * np.eye(3)
@@ -148,7 +154,7 @@ class ConstantErrors:
     """`ConstantErrors` are what a robot's sensors and its rig have wrong all the time, as drawn: truth for tests."""
 
     joint_offsets: Array
-    """(24,) of the joints' readings [rad]."""
+    """(n,) of the joints' readings [rad], or [m] of a slide."""
     gains: Array
     """(5, 6) of the fingers' force/torque sensors, 1 for a right one."""
     bias: Array
@@ -163,12 +169,19 @@ class ConstantErrors:
     """(4, 4) in the world: it maps true poses to where the rig's camera places them, without vision's drift."""
 
 
-def constant_errors(nuisances: Nuisances, seed: int, joints: int = 24) -> ConstantErrors:
-    """Returns the constant errors that a seed draws for a hand of that many joints, of the sizes of the nuisances."""
+def constant_errors(
+    nuisances: Nuisances, seed: int, joints: int = 24, hand: HandInWorld | None = None
+) -> ConstantErrors:
+    """Returns the constant errors that a seed draws for a hand of that many joints, of the sizes of the nuisances.
+
+    `hand` None: the Shadow hand.
+    """
+    fingers = FINGERS if hand is None else tuple(hand.tips)
+    unloaded = UNLOADED if hand is None else np.array([tip.unloaded for tip in hand.tips.values()])
     n, rng = nuisances, np.random.default_rng((seed, 2))
     offsets = n.joint_offset * rng.normal(size=joints)
-    bias = UNLOADED + _errors(n.force_bias, n.torque_bias, rng, len(FINGERS)) + tip_biases(n, seed)
-    drift = _errors(n.force_drift, n.torque_drift, rng, len(FINGERS))
+    bias = unloaded + _errors(n.force_bias, n.torque_bias, rng, len(fingers)) + tip_biases(n, seed, fingers)
+    drift = _errors(n.force_drift, n.torque_drift, rng, len(fingers))
     height, *tilt = np.random.default_rng((seed, 9)).normal(size=3)
     turn = se3.rotation_exp(n.table_tilt * np.array([*tilt, 0.0]))
     return ConstantErrors(
@@ -176,18 +189,19 @@ def constant_errors(nuisances: Nuisances, seed: int, joints: int = 24) -> Consta
         gains=1 + n.force_gain * np.random.default_rng((seed, 15)).normal(size=bias.shape),
         bias=bias,
         drift=drift,
-        tips=np.array(tip_errors(n, seed)),
+        tips=np.array(tip_errors(n, seed, fingers)),
         T_world_scene=se3.compose(turn, np.array([0.0, 0.0, n.table_height * height])),
         T_measured_true=calibration_error(n, seed),
     )
 
 
-def tip_biases(nuisances: Nuisances, seed: int) -> Array:
-    """Returns constant errors (5, 6) of the fingers' wrenches [N, N m]: one finger's force is wrong, all else is 0."""
+def tip_biases(nuisances: Nuisances, seed: int, fingers: Sequence[str]) -> Array:
+    """Returns constant errors (n, 6) of the fingers' wrenches [N, N m]: one finger's force is wrong, all else is 0."""
     rng = np.random.default_rng((seed, 12))
-    gripping = ("ff", "mf", "th")  # the fingers that grip can and box alike
-    finger, direction = rng.choice([FINGERS.index(name) for name in gripping]), rng.normal(size=3)
-    bias = np.zeros((len(FINGERS), 6))
+    # Of the Shadow hand, the fingers that grip can and box alike.
+    gripping = [k for k, name in enumerate(fingers) if fingers != FINGERS or name not in ("rf", "lf")]
+    finger, direction = rng.choice(gripping), rng.normal(size=3)
+    bias = np.zeros((len(fingers), 6))
     bias[finger, :3] = nuisances.tip_bias * direction / np.linalg.norm(direction)
     return bias
 
@@ -227,7 +241,10 @@ def simulate_each(
     for k, variant in enumerate(variants):
         if not variant.shares_world(scenario.nuisances):
             raise InvalidInput(f"variants[{k}]: expected the world of the scenario's nuisances, got another")
-    world = World(scenario, grasp or grasp_for(scenario.object, int(scenario.seed), skin=scenario.skin))
+    world = World(
+        scenario,
+        grasp or grasp_for(scenario.object, int(scenario.seed), skin=scenario.skin, rig=scenario.rig),
+    )
     sensors = [Sensors(replace(scenario, nuisances=variant), world) for variant in variants]
     yield from samples(scenario, world, sensors, progress)
 

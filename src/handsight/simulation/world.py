@@ -8,10 +8,11 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidObject
+from handsight.simulation.hand_in_world import servo_name
 from handsight.simulation.loads import PULL, Payload, Pull, pulls
 from handsight.simulation.motion import LEGS, MOTION, PULLED, WEIGH_LEGS, Grasp, palm_poses, perturbed
 from handsight.simulation.scenario import SCENARIO, Phase, Scenario, TipContact
-from handsight.simulation.scene import PALM, PALM_GEOM, T_MOUNT_PALM, mujoco_module
+from handsight.simulation.scene import PALM_GEOM, mujoco_module
 
 if TYPE_CHECKING:
     from mujoco import MjData
@@ -57,7 +58,7 @@ class World:
         self.duration = MOTION.at_rest + float(legs[:, 0].sum())
         times = np.arange(round(self.duration * SCENARIO.steps_per_second) + 1) / SCENARIO.steps_per_second
         Ts_world_palm = palm_poses(legs, times - MOTION.at_rest, T_world_palm, middle)
-        self._arm = rows(Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
+        self._arm = rows(Ts_world_palm @ se3.inverse(self.scene.hand.T_mount_palm))
         self._start = rows((T_world_middle @ T_middle_object)[None])[0]
         self.steps = 0
         self._closed = 0.0
@@ -114,7 +115,7 @@ class World:
             slip_speed = np.inf if self.dropped() else min((c.speed for c in touching), default=0.0)
             speed = float(np.linalg.norm(self.data.joint("object").qvel[:3]))
             wrench_palm = self._pull.wrench(self.time, slip_speed, speed).reshape(2, 3)
-            wrench = wrench_palm @ self.pose(PALM)[:3, :3].T
+            wrench = wrench_palm @ self.pose(self.scene.hand.palm)[:3, :3].T
             self.data.xfrc_applied[self.scene.model.body("object").id] = wrench.ravel()
         elif self.phase == "move":
             self._load.press(self.data)
@@ -142,7 +143,7 @@ class World:
 
     def T_palm_object(self) -> Array:
         """Returns the true pose (4, 4)."""
-        return se3.inverse(self.pose(PALM)) @ self.pose("object")
+        return se3.inverse(self.pose(self.scene.hand.palm)) @ self.pose("object")
 
     def moved(self) -> tuple[float, float]:
         """Returns how far [m], and by what angle [rad], the object has moved in the palm since it became free."""
@@ -181,7 +182,7 @@ class World:
 
     def _contacts(self, named: Mapping[int, str]) -> tuple[TipContact, ...]:
         """Returns the contacts of geoms, each with its name."""
-        T_palm_world, found = se3.inverse(self.pose(PALM)), []
+        T_palm_world, found = se3.inverse(self.pose(self.scene.hand.palm)), []
         for i, contact in enumerate(self.data.contact[: self.data.ncon]):
             for side, geom in enumerate(contact.geom.tolist()):
                 if geom not in named or contact.exclude:
@@ -225,7 +226,7 @@ class World:
         free.qpos[:], free.qvel[:] = row, 0.0
 
     def _servo(self, joint: str) -> "MjData":
-        return self.data.actuator(joint.replace("robot0:", "robot0:A_"))
+        return self.data.actuator(servo_name(joint))
 
     def _move_arm(self) -> None:
         row = self._arm[min(self.steps, len(self._arm) - 1)]
