@@ -3,6 +3,7 @@
 import contextlib
 import io
 import threading
+from collections.abc import Callable
 from importlib import import_module
 from types import ModuleType
 from typing import NamedTuple
@@ -14,6 +15,7 @@ from handsight.checks import Array
 from handsight.errors import HandsightError, InvalidInput, MissingExtra
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
+from handsight.viewer.guard import Guard
 from handsight.viewer.moment import Moment
 from handsight.viewer.panel import Panel
 from handsight.viewer.picture import Picture
@@ -54,8 +56,12 @@ class Page:
         viser = require_viser()
         if not 1 <= port <= PAGE.max_port:  # viser would wait for ever
             raise InvalidInput(f"port: expected a number from 1 to {PAGE.max_port}, got {port}")
+        self.on_open: Callable[[dict[str, list[str]]], None] = lambda _: None
+        """Called with the fields of the URL when a browser opens the page."""
+        self.guard = Guard(lambda fields: self.on_open(fields))
         try:
-            with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
+            # viser prints a banner.
+            with contextlib.redirect_stdout(io.StringIO()), self.guard.installed():
                 self.server = viser.ViserServer(host=PAGE.host, port=port, label="handsight", verbose=False)
         except OSError as error:
             raise HandsightError(f"port: expected one that is free from {port} on, got {error}") from None
@@ -84,8 +90,8 @@ class Page:
 
     @property
     def address(self) -> str:
-        """Address of the page for a browser."""
-        return f"http://{PAGE.host}:{self.port}"
+        """Address of the page for a browser, with the token without which nobody may read it."""
+        return f"http://{PAGE.host}:{self.port}/?token={self.guard.token}"
 
     @property
     def watched(self) -> bool:
