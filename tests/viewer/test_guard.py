@@ -1,5 +1,7 @@
 """Who may read the page: the browser that was given its address, and nothing else on this machine or another."""
 
+import socket
+import time
 import urllib.error
 import urllib.request
 
@@ -106,3 +108,24 @@ def test_a_server_that_cannot_be_guarded_is_not_used(tracked, monkeypatch):
         HandsightError, match="^viser: expected a version whose server can be guarded, got another$"
     ):
         Page(tracked.rig, tracked.model)
+
+
+def test_a_page_ends_within_a_second_although_a_browser_does_not_answer(page):
+    asked = "\r\n".join(
+        [
+            *("GET / HTTP/1.1", f"Host: 127.0.0.1:{page.port}", f"Cookie: {cookie(page)}"),
+            *(
+                "Connection: Upgrade",
+                "Upgrade: websocket",
+                f"Sec-WebSocket-Protocol: viser-v{viser.__version__}",
+            ),
+            *("Sec-WebSocket-Version: 13", "Sec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==", "\r\n"),
+        ]
+    )
+    with socket.create_connection(("127.0.0.1", page.port)) as silent:
+        silent.sendall(asked.encode())
+        assert silent.recv(12) == b"HTTP/1.1 101"
+        began = time.monotonic()
+        page.close()
+        assert time.monotonic() - began < 1.0
+        assert not page.server._websock_server._server_thread.is_alive()

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 
 LOCAL = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d+)?")
-"""Hosts by which a browser asks this machine, by any port, as a tunnel has another: a name that leads here is refused."""
-CLOSE_TIMEOUT = 0.3
+"""Hosts by which a browser asks this machine, at any port, as a tunnel has its own."""
+CLOSE_TIMEOUT = 0.1
 """Given to a browser to answer that the page ends [s]."""
 
 
