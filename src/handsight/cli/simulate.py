@@ -92,7 +92,7 @@ def simulate(
         ),
     ] = None,
 ) -> None:
-    """Record a simulated Shadow hand that grasps an object, with the truth on a topic of its own.
+    """Record a simulated Shadow hand that grasps an object, with its true pose in the palm on a topic of its own.
 
     The rig is written beside the recording as OUTPUT.rig.yaml, and the grasp of a mesh as OUTPUT.grasp.json: grasps are
     tried in the simulator until one holds. Everything is synthetic (MuJoCo). Errors of the measurements are set by
