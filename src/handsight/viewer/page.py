@@ -75,6 +75,8 @@ class Page:
     def begin(self, rig: Rig, model: ObjectModel, title: str) -> None:
         """Clears the page, to show another hand or another object."""
         self._rig, self._model = rig, model
+        self.origin: float | None = None
+        """Stamp from which the page counts time [s], where it shows a recording; links to moments are by it."""
         self._lock = threading.Lock()  # both the player and the panel's checkboxes draw
         self._aimed = False
         self._drawn: tuple[Picture | None, float, dict[Color, Array]] = None, 0.0, {}
@@ -104,7 +106,12 @@ class Page:
             self._aim(moment)
             forces = moment.forces(self._rig)
             self.scene.draw(moment, forces)
-            self.panel.draw(moment, forces)
+            when = f"{moment.stamp:.2f} s"
+            if self.origin is not None:
+                time = f"{moment.stamp - self.origin:.2f}"
+                link = f'<a href="?token={self.guard.token}&amp;t={time}">link to it</a>'
+                when = f"{time} s · {link}"
+            self.panel.draw(moment, forces, when)
             self._draw_picture(moment)
             self.last = moment
 
