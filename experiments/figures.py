@@ -6,7 +6,7 @@
 
 It simulates the can and the box as `handsight simulate` does (seed 0), and tracks them by `handsight track` with
 each option of docs/robots.md; and it tracks the recordings that come with the package, as `handsight demo` does. These
-were simulated by an earlier version, so their figures are others. Errors are of the base's centre [mm]. Seconds of
+were recorded once with the same seed; a simulation of today differs a little. Errors are of the base's centre [mm]. Seconds of
 CPU are the machine's, and never compared. A measured error may differ by 0.15 mm and a count by 2 %: processors round
 differently.
 """

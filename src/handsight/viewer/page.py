@@ -166,13 +166,13 @@ class Page:
         low, high = np.min(places, axis=0), np.max(places, axis=0)
         center, span = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
         up = np.array([0.0, 0.0, 1.0]) if moment.T_world_palm is None else moment.T_world_palm[2, :3]
-        # The view is across the line from palm to object, from somewhat above.
+        # The view is across the line from palm to object, from the palm's side, which is in front, and from somewhat above.
         along = places[-1] - places[0]
         across = np.cross(up, along)
         if np.linalg.norm(across) < 0.2 * np.linalg.norm(along):
             across = se3.perpendicular(up)
         across = across / np.linalg.norm(across)
-        view = across + 0.45 * np.cross(across, up) + 0.4 * up
+        view = across - 0.45 * np.cross(across, up) + 0.4 * up
         position = center + PAGE.distance * span * np.asarray(view / np.linalg.norm(view))
         self.server.scene.set_up_direction(up)
         self.server.initial_camera.up = up
