@@ -4,11 +4,11 @@
     python -m experiments.figures --check    # measures what the first lines show, and compares: 1 if anything differs
     python -m experiments.figures --pages    # compares the pages with the file, without measuring
 
-It simulates the can and the box as `handsight simulate` does (seed 0), and tracks them by `handsight track` with
-each option of docs/robots.md; and it tracks the recordings that come with the package, as `handsight demo` does. These
-were recorded once with the same seed; a simulation of today differs a little. Errors are of the base's centre [mm]. Seconds of
-CPU are the machine's, and never compared. A measured error may differ by 0.15 mm and a count by 2 %: processors round
-differently.
+It simulates the can and the box as `handsight simulate` does (seed 0), and tracks them by `handsight
+track` with each option of docs/robots.md; and it tracks the recordings that come with the package, as
+`handsight demo` does. These were recorded once with the same seed; a simulation of today differs a
+little. Errors are of the base's centre [mm]. Seconds of CPU are the machine's, and never compared. A
+measured error may differ by 0.15 mm and a count by 2 %: processors round differently.
 """
 
 import argparse

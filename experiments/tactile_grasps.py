@@ -3,7 +3,8 @@
 The simulated hand grasps box, can and two YCB meshes (convex hulls; skipped without $HANDSIGHT_DATA), and presses the
 can on its palm (`power`), where the taxels of the palm count too. Each sensor measures one and the same simulation,
 with its own errors (5 % noise, 5 % hysteresis, 3 % crosstalk, one dead taxel a surface), and the joints and vision with
-theirs. The pose is corrected once, at the end of a grasp, from vision and the contacts.
+theirs. The pose is corrected once, at the end of a grasp, from vision, the contacts, and the table where it stands on
+one: pressed on the palm, it does not.
 
   observable  error of shift and turn (a radian is as long as the object's radius) that the force/torque tips observe
   ratio       its mean over that of the force/torque tips
@@ -35,7 +36,7 @@ from testbed.report import Rows
 
 KINDS: tuple[SensorKind, ...] = ("wrench", "xela", "paxini", "inspire")
 MESHES = ("006_mustard_bottle", "021_bleach_cleanser")
-HELD_OUT = 700
+HELD_OUT = 900
 """First seed, of which no constant was chosen."""
 
 
@@ -96,7 +97,9 @@ def answers(scenario: Scenario) -> Rows:
         if touch.contacts is None:
             return []
         observation = sample.observation
-        vision = standing(vision_prior(observation), model, observation.T_world_palm)
+        vision = vision_prior(observation)
+        if not scenario.skin:  # pressed on the palm, it tilts by up to 8° on the table
+            vision = standing(vision, model, observation.T_world_palm)
         estimate = hs.correct_pose(model, touch.contacts, vision=vision, skin=skins[kind].evidence())
         unobservable = estimate.unobservable if unobservable is None else unobservable
         errors = pose_errors(model, estimate.T_palm_object, sample, unobservable)

@@ -48,6 +48,49 @@ def test_a_tip_of_one_component_senses_the_point_too():
     assert np.isnan(force).all()
 
 
+def test_a_contact_across_the_edge_of_a_layout_is_beyond_it_and_as_uncertain_as_it_says():
+    """Up to 9 mm from the taxels, on shapes and seeds on which no constant was chosen."""
+    felt, found, squared = [], [], []
+    for k in range(160):
+        rng = np.random.default_rng([31, k])
+        shape = SHAPES[HELD_OUT[k // 20 % 2]]
+        if k % 20 == 0:
+            surface = tip(shape, rng)
+        place = rng.normal(size=3)
+        place *= shape.axes / np.linalg.norm(place)
+        if not 2e-3 < np.linalg.norm(surface.points - place, axis=1).min() < 9e-3:
+            continue
+        truth = pressed(shape, surface, rng, place=place, dead=0)
+        touch = surface.touch(truth.readings)
+        if not len(touch.patches):
+            continue
+        patch, mine = strongest(touch), touch.states[1, :-1] == touch.strongest
+        share = np.where(mine, touch.rise[:-1, 2].clip(0), 0)
+        edge = np.linalg.norm(share @ surface.taxels["edge"]) / share.sum()
+        if edge > 0.45:
+            felt.append(np.linalg.norm(share @ surface.points / share.sum() - truth.point))
+            found.append(np.linalg.norm(patch["point"] - truth.point))
+            squared.append(errors(patch, truth)["nees"])
+    assert len(found) > 20
+    assert np.mean(found) < 0.7 * np.mean(felt)
+    assert np.median(squared) < 1
+    assert np.mean(squared) < 3
+
+
+def test_a_shear_in_proportion_to_the_pressure_moves_neither_centre_nor_normal_of_a_patch():
+    """Taxels that face a shear read more along their normals, but bear no more of the load."""
+    surface = tip(BALL, np.random.default_rng(3), taxels=60, pitch=0.0028)
+    r2 = (surface.points[:, :2] ** 2).sum(axis=1)
+    pressure = np.where(surface.points[:, 2] > 0, np.maximum(1 - r2 / 0.005**2, 0), 0)
+    found = []
+    for shear in ([0.0, 0.0], [0.6, 0.0], [-0.3, 0.5]):
+        forces = pressure[:, None] * [*shear, -1.0]
+        own = np.einsum("nik,ni->nk", surface.taxels["axes"], forces) * [1, 1, -1]
+        found.append(strongest(surface.touch(own)))
+        np.testing.assert_allclose(found[-1]["point"], found[0]["point"], atol=2e-5)
+        np.testing.assert_allclose(found[-1]["normal"], found[0]["normal"], atol=2e-3)
+
+
 def test_a_patch_has_the_torsion_about_its_normal():
     errors, sizes = [], []
     for k in range(60):

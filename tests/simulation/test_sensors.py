@@ -87,6 +87,13 @@ def test_the_forces_of_a_skin_are_the_force_on_it(seed):
     force = rng.uniform(0.1, 5) * (push + rng.uniform(0, 0.5) * side / np.linalg.norm(side))
     found = skin.forces(solid, T_solid, force, push)
     np.testing.assert_allclose(found.sum(axis=0), force, atol=1e-9)
+    # Its torque about the push is borne too, by forces that add up to none.
+    springs = replace(skin, taxels=np.arange(len(skin.points)), places=skin.points)
+    twisted, plain = (springs.forces(solid, T_solid, force, push, torque=each) for each in (0.01, 0.0))
+    np.testing.assert_allclose((twisted - plain).sum(axis=0), 0, atol=1e-9)
+    if (np.linalg.norm(plain[:-1], axis=1) > 1e-3).sum() > 2:  # one spring has no arm
+        moment = np.cross(skin.points, (twisted - plain)[:-1]).sum(axis=0) @ push
+        assert moment == pytest.approx(0.01, rel=1e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -10,7 +10,7 @@ import pytest
 import handsight as hs
 import tip_scenes
 from forces.hand_in_air import CENTER, MASS, TILTS, Held, contacts, rig, sensor_frame
-from forces.loads import FINGERS, Clock, load, steady
+from forces.loads import FINGERS, Clock, load, sliding, steady
 from forces.loads import rig as some_rig
 from handsight import se3
 from handsight.contact import TactileSurface, compensate
@@ -186,14 +186,62 @@ def test_a_palm_that_sticks_holds_the_object_while_all_fingers_are_at_their_limi
     assert said.unmeasured == ()
 
 
-def test_a_tip_whose_taxels_may_miss_a_part_of_its_load_is_at_its_limit_before():
+def tips_of_taxels():
+    """A rig of fingers with taxels, for a detector."""
     tips = {name: SimpleNamespace(**vars(tip) | {"frame": name}) for name, tip in some_rig().fingers.items()}
-    stub = SimpleNamespace(fingers=tips, skin={name: surface(name) for name in tips})
-    loads = list(steady([load(0.46)] * len(FINGERS), 0.1))  # of a friction of 0.5
-    for by_taxels, slips in (((), False), (FINGERS, True)):
-        one = SlipDetector(stub, (0.5, 0.02))
-        said = [one.update(0.002 * k, FINGERS, row, (), by_taxels) for k, row in enumerate(loads, 1)][-1]
-        assert said.slipping is slips
+    return SimpleNamespace(fingers=tips, skin={name: surface(name) for name in tips})
+
+
+def swinging(ratio, seconds=0.2):
+    """Loads that change by a quarter, to and fro, 5 times a second, and do not turn, which would show friction."""
+    times = np.arange(0, seconds, 0.002)
+    return [np.array([load(ratio, 2 + 0.5 * np.sin(31 * t))] * len(FINGERS)) for t in times]
+
+
+@pytest.mark.parametrize(
+    ("loads", "taxels", "slips"),
+    [
+        (list(steady([load(0.46)] * 3, 0.1)), (), False),  # of a friction of 0.5
+        (swinging(0.46), (), False),
+        (swinging(0.46), FINGERS, True),
+        (swinging(0.42), FINGERS, False),
+        (list(steady([load(0.5)] * 3, 0.3)), FINGERS, False),
+    ],
+)
+def test_tips_of_taxels_slip_where_they_may_be_at_their_limits_and_their_loads_are_not_constant(
+    loads, taxels, slips
+):
+    """Their ratios are known to 5 %, so a rest just below the limit is told from a slide by its constant loads."""
+    one = SlipDetector(tips_of_taxels(), (0.5, 0.02))
+    said = [one.update(0.002 * k, FINGERS, row, (), taxels) for k, row in enumerate(loads, 1)]
+    assert any(each.slipping for each in said) is slips
+
+
+@pytest.mark.parametrize("taxels", [(), FINGERS])
+def test_friction_is_learnt_from_noisy_ratios_of_taxels_as_from_wrenches(taxels):
+    rng, one = np.random.default_rng(5), SlipDetector(tips_of_taxels())
+    for k, row in enumerate(list(sliding(0.6, 2.0))[::5], 1):  # 100 readings a second
+        noise = 1 + (0.04 if taxels else 0.0) * rng.normal(size=row.shape)
+        said = one.update(0.01 * k, FINGERS, row * noise, (), taxels)
+    assert said.friction == pytest.approx(0.6, rel=0.06)
+    assert said.sigma_friction < SLIP.max_sigma * said.friction
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_errors_of_taxels_that_last_longer_than_a_mean_do_not_contradict_a_weight(seed):
+    names = list(rig().fingers)
+    off = 0.015 * np.random.default_rng(seed).normal(size=(len(TILTS), len(names)))
+
+    def lasting(seen):
+        seen = functools.reduce(by_taxels, names, seen)
+        factors = 1 + off[int(seen.stamp)]
+        wrenches = zip(seen.wrenches.items(), factors, strict=True)
+        return replace(seen, wrenches={name: factor * wrench for (name, wrench), factor in wrenches})
+
+    frames = [rig().fingers[name].frame for name in names]
+    found = weighed(Weigher(hand(*frames)), Held(), lasting)
+    assert found.believed is not None, found.reason
+    assert abs(found.believed.mass - MASS) < 3 * found.believed.sigma_mass
 
 
 def test_a_palm_of_pressure_alone_is_named_and_is_no_evidence():

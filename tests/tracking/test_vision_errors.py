@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,7 @@ def run(scenario, samples, observations):
 def test_more_vision_makes_no_answer_worse_and_its_latency_and_drift_are_covered(simulated):
     """χ² of six numbers is below 12.6 in 95 %. One fifth of a second late, vision is 8 mm wrong where nothing tells."""
     rows = {name: [] for name in ("usual", "first", "late", "drift")}
-    for name, seed in (("can", 1), ("can", 2), ("box", 0), ("box", 1), ("box", 2)):
+    for name, seed in product(("can", "box"), range(4)):
         scenario = Scenario(object=name, seed=seed, motion="manipulate", rate=50)
         samples = simulated(scenario)
         usual = [sample.observation for sample in samples]
@@ -69,7 +70,9 @@ def test_more_vision_makes_no_answer_worse_and_its_latency_and_drift_are_covered
                 true = 0.2 if row == "late" else 0.02  # the simulator's own is 20 ms
                 assert abs(latency - true) < max(0.02, 3 * sigma), (name, seed, row)
     error, inside = ({row: np.mean(rows[row], axis=0)[k] for row in rows} for k in range(2))
-    assert error["usual"] <= 1.1 * error["first"]
+    off = {row: np.array(rows[row])[:, 0] for row in rows}
+    worse = off["usual"] - off["first"]  # of eight runs: boxes may slide by more than vision adds
+    assert worse.mean() <= 0.1 * error["first"] + worse.std(ddof=1) / np.sqrt(len(worse))
     assert error["late"] <= 1.5 * error["usual"]
     assert min(inside.values()) >= 0.92, inside
 

@@ -33,6 +33,9 @@ one surface at most."""
 CLEARANCE, SIGMA_CLEARANCE = 5e-4, 3e-4
 """Height above an untouched taxel at which there is no object, as a face that lies on the skin is at no depth in it,
 and its standard deviation [m]. A can's side is that high 6 mm beside the line where it touches."""
+GIVES = 2e-8
+"""By how much skin gives way to pressure, one standard deviation [m/Pa]: 1.5 mm of rubber gives 1.7e-8, 5 mm of foam
+1e-7."""
 MOST_TAXELS, FLAT = 4096, math.radians(3.0)
 """Taxels of one surface at most; the angle up to which normals are parallel [rad]."""
 
@@ -355,8 +358,8 @@ class SkinTouch:
         Of flat patches they are at most `MAX_CONTACTS` pressed taxels, of the others their centres of pressure.
         `T_palm_frame` (4, 4): the pose of the link. `by_error` (6, j): the shift [m] and the turn [rad] of the link by
         one standard deviation of each of j joint errors. `without`: the number of a patch to leave out. The covariances
-        of flat patches are without the error that the taxels have in common (`sigmas_common`). Those of a gel's
-        contacts have it as often as there are contacts, as together they do not average it.
+        of flat patches are without the error that the taxels have in common (`sigmas_common`), but for its turn. Those
+        of a gel's contacts have it as often as there are contacts, as together they do not average it.
         """
         surface, T = self.surface, se3.check(T_palm_frame, "T_palm_frame")
         chosen = np.flatnonzero(self._spread(without))
@@ -364,16 +367,14 @@ class SkinTouch:
         if not len(chosen) and not len(patches):
             return None
         chosen = chosen[_farthest_points(surface.points[chosen], MAX_CONTACTS)]
-        taxels, record, n = surface.taxels[chosen], surface.record[0], len(chosen)
+        record, n = surface.record[0], len(chosen)
         C = np.zeros((n + len(patches), 6, 6))
-        sideways = record["pitch"] ** 2 / 12
-        heights = taxels["axes"] * [sideways, sideways, record["variance_point"]]
-        C[:n, :3, :3] = heights @ taxels["axes"].swapaxes(1, 2)
-        C[:n, 3:, 3:] = record["variance_normal"] * np.eye(3)
+        if n:
+            C[:n] = self._covariances(chosen)
         shared = patches["contacts"][:, None, None]
         C[n:] = patches["covariance"] + shared * np.diag(record["variance_mount"])
-        points = se3.apply(T, np.concatenate([taxels["point"], patches["point"]]))
-        normals = np.concatenate([-taxels["axes"][:, :, 2], patches["normal"]]) @ T[:3, :3].T
+        points = se3.apply(T, np.concatenate([surface.points[chosen], patches["point"]]))
+        normals = np.concatenate([-surface.normals[chosen], patches["normal"]]) @ T[:3, :3].T
         C = se3.rotate_covariance(T[:3, :3], C)
         for k in range(n, len(C) if by_error is not None else n):
             J = np.array(by_error)
@@ -381,6 +382,23 @@ class SkinTouch:
             J[3:] = -se3.skew(normals[k]) @ J[3:]
             C[k] += shared[k - n] * J @ J.T
         return Contacts(points, normals, covariance=C)
+
+    def _covariances(self, chosen: Indices) -> Array:
+        """Returns covariances (n, 6, 6) of pressed taxels of flat patches as contacts, in the link.
+
+        The surface may be turned, and a body that is turned into it is deeper where it presses more, by as much as the
+        skin gives way. Contacts have either error as often as there are contacts, as together they do not average it.
+        """
+        taxels, record, n = self.surface.taxels[chosen], self.surface.record[0], len(chosen)
+        height, turn = record["variance_mount"][[0, 3]]
+        arms = taxels["point"] - taxels["point"].mean(axis=0)
+        stronger = arms @ np.linalg.lstsq(arms, self.rise[chosen, -1], rcond=1e-6)[0]  # than the mean, evenly
+        deeper = np.minimum((GIVES * stronger / record["pitch"] ** 2) ** 2, height)
+        variances, C = np.full((n, 1, 3), record["pitch"] ** 2 / 12), np.zeros((n, 6, 6))
+        variances[:, 0, 2] = record["variance_point"] + n * deeper
+        C[:, :3, :3] = (taxels["axes"] * variances) @ taxels["axes"].swapaxes(1, 2)
+        C[:, 3:, 3:] = (record["variance_normal"] + n * turn) * np.eye(3)
+        return C
 
     def _spread(self, without: int = -1) -> Mask:
         """Returns the taxels (n + 1,) that are contacts by themselves: the pressed ones of flat patches."""

@@ -19,7 +19,7 @@ from handsight.correction.estimate import PoseEstimate, bounded_covariance
 from handsight.correction.problem import Problem, Records, descents_at
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
-from handsight.objects.symmetry import nearest, tangents
+from handsight.objects.symmetry import tangents
 
 ANSWERS = ("best", "maximum", "mean")
 """What an answer can be: "best" is the mean where a mode is not Gaussian, and else the maximum."""
@@ -106,7 +106,7 @@ def _merged(problem: Problem, rows: Records, answer: str) -> Records:
         share = np.exp(beside["log_weight"] - row["log_weight"])
         if share.sum() < 0.01:
             continue
-        Ts = nearest(model.symmetries, beside["T_palm_object"], T, model.radius)
+        Ts = model.nearest(beside["T_palm_object"], T)
         offsets = np.vstack([np.zeros(6), se3.difference(Ts, T)])
         shares = np.append(1.0, share) / (1 + share.sum())
         middle = shares @ offsets

@@ -10,7 +10,6 @@ from handsight import se3
 from handsight._kernels.records import GRID, SHEET
 from handsight.checks import Array, Indices
 from handsight.objects import ObjectModel
-from handsight.objects.symmetry import nearest
 
 SAME_MODE = (0.015, float(np.deg2rad(20.0)))
 """Two modes are distinct when they differ by more than this shift [m] or by more than this turn [rad]."""
@@ -59,7 +58,7 @@ def in_metres(information: Array, radius: float) -> Array:
 def pose_distances(model: ObjectModel, Ts: Array, T: Array) -> tuple[Array, Array]:
     """Returns the shift of the object's center [m] and the turn [rad] from a pose `T` (4, 4) to each of `Ts` (n, 4, 4),
     modulo symmetry: both (n,)."""
-    equivalent = nearest(model.symmetries, Ts, T, model.radius)
+    equivalent = model.nearest(Ts, T)
     center = model.center_object[None]
     shift = se3.apply(equivalent, center)[:, 0] - se3.apply(T, center)
     turn = se3.rotation_log(equivalent[:, :3, :3] @ T[:3, :3].T)

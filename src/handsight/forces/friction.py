@@ -79,17 +79,22 @@ class Friction:
         """By finger, the ratio vector from which the next turn is measured."""
         self._turns = np.zeros(BINS, dtype=np.int64)
         """(BINS,) number of turns in each bin of the logarithm of the ratio."""
+        self._error = 0
+        """Standard deviation of the ratios in bins."""
         self._heap: tuple[float, int] | None = None
         """Mean ratio of the highest heap, and its turns; None before there was one."""
         self._kept_up: Mapping[str, float] = {}
         """By finger, the highest ratio that it has kept up."""
 
-    def update(self, vectors: Mapping[str, Vector], since: float, sliding: Collection[str] = ()) -> None:
+    def update(
+        self, vectors: Mapping[str, Vector], since: float, sliding: Collection[str] = (), error: float = 0.0
+    ) -> None:
         """Learns from the current ratio vectors, by finger; a finger without one starts anew next time.
 
         `since` is the time since the last update [s]. `sliding` are fingers of which other evidence tells that they
-        slide along the object.
+        slide along the object. `error`: standard deviation of the ratios, as a share of them, by which a heap is wider.
         """
+        self._error = round(error / FRICTION.bin_width)
         load = {name: math.hypot(*vector) for name, vector in vectors.items()}
         rise = 1 - math.exp(-min(since, FRICTION.keep_up) / FRICTION.keep_up)
         higher = {name: ratio for name, ratio in load.items() if ratio > self._kept_up.get(name, 0.0)}
@@ -144,7 +149,7 @@ class Friction:
         """Counts turns at a ratio."""
         self._turns = self._turns.copy()
         self._turns[round(math.log(ratio) / FRICTION.bin_width) - FIRST] += turns
-        self._heap = _highest_heap(self._turns, FRICTION.near_heap * self._kept_by_two)
+        self._heap = _highest_heap(self._turns, FRICTION.near_heap * self._kept_by_two, self._error)
 
 
 def joined(estimates: Iterable[tuple[float, float]]) -> tuple[float, float]:
@@ -154,23 +159,25 @@ def joined(estimates: Iterable[tuple[float, float]]) -> tuple[float, float]:
     return mu, mu / math.sqrt(sum(weights))
 
 
-def _highest_heap(turns: NDArray[np.int64], shared: float) -> tuple[float, int] | None:
+def _highest_heap(turns: NDArray[np.int64], shared: float, error: int) -> tuple[float, int] | None:
     """Returns the mean ratio of the highest heap, with the bins just below it, and its turns; None without a heap.
 
-    `turns` (BINS,); `shared` is the ratio up to which two fingers have kept one up. A few turns that are spread over
-    higher ratios, as by a tip that touches at two places, are not the limit.
+    `turns` (BINS,); `shared` is the ratio up to which two fingers have kept one up, `error` the standard deviation of
+    ratios in bins. A few turns that are spread over higher ratios, as by a tip that touches at two places, are not the
+    limit.
     """
+    band, spread = FRICTION.band + 2 * error, FRICTION.spread + error
     shared_bin = math.log(shared) / FRICTION.bin_width - FIRST if shared > 0 else -math.inf
     through = np.concatenate([[0], np.cumsum(turns)])
     occupied = np.flatnonzero(turns)
     heaps = np.zeros(BINS, dtype=np.int64)
-    heaps[occupied] = through[np.minimum(occupied + FRICTION.band, BINS)] - through[occupied]
+    heaps[occupied] = through[np.minimum(occupied + band, BINS)] - through[occupied]
     for at in occupied[::-1].tolist():
         below = FRICTION.max_below if at <= shared_bin else FRICTION.max_below_alone
         near = heaps[max(at - below, 0) : at + 1].max()
         if heaps[at] >= max(FRICTION.min_turns, FRICTION.min_share * near):
-            first = max(at - FRICTION.spread, 0)
-            heap = turns[first : at + FRICTION.band]
+            first = max(at - spread, 0)
+            heap = turns[first : at + band]
             total = int(heap.sum())
             mean = FIRST + first + float(np.arange(len(heap)) @ heap) / total
             return math.exp(FRICTION.bin_width * mean), total

@@ -107,10 +107,13 @@ def load_sensors(rig: Rig, names: Collection[str] = ()) -> tuple[LoadSensor, ...
 
 
 def _of_taxels(frame: str, surfaces: Sequence[TactileSurface]) -> LoadSensor:
-    """Returns the sensor that a link's taxels are, about their middle; its gain is as uncertain as a taxel's."""
+    """Returns the sensor that a link's taxels are, about their middle; its gain is as uncertain as a taxel's.
+
+    A threshold is six standard deviations of noise at least: of four, it would be passed once a second without a touch.
+    """
     points = np.concatenate([surface.points for surface in surfaces])
     middle, zero = points.mean(axis=0), np.zeros(3)
-    noise = np.sqrt(LOADS.patch) * max(surface.threshold for surface in surfaces) / 3
+    noise = np.sqrt(LOADS.patch) * max(surface.threshold for surface in surfaces) / 6
     arm = np.sqrt(((points - middle) ** 2).sum(axis=1).mean())
     sigma, gain = noise * np.repeat([1.0, arm], 3), max(surface.noise for surface in surfaces)
     nothing = WrenchCalibration(zero, zero, 1e-9, zero)
@@ -211,8 +214,11 @@ def load_sum(
     columns = [rig.hand.moving.index(name) for name in chains.joints if name in offsets]
     J[:, :, columns] = chains.jacobians(places.copy(), np.arange(len(sensors)), axes)[:, :, learnt]
     wrench, by_joint, by_bias, readings, forces = _summed(sensors, observations, gravity, Ts_palm_sensor, J)
-    B = by_bias * np.concatenate([sensor.sigma for sensor in sensors])
-    taxels = np.array([sensor.taxels for sensor in sensors])
+    sigmas, taxels = np.array([sensor.sigma for sensor in sensors]), np.array([s.taxels for s in sensors])
+    B = by_bias * sigmas.ravel()
+    # Errors in proportion to a load, as of hysteresis, last longer than a mean.
+    gains = taxels * np.array([sensor.sigma_gain for sensor in sensors]) / np.sqrt(LOADS.patch)
+    lasting = by_bias * ((gains * np.linalg.norm(forces, axis=1) / sigmas[:, 0])[:, None] * sigmas).ravel()
     index = {name: i for i, name in enumerate(rig.fingers)}
     return LoadSum(
         stamp=(observations[0].stamp + observations[-1].stamp) / 2,
@@ -222,7 +228,7 @@ def load_sum(
         by_joint=by_joint,
         by_bias=by_bias,
         readings=readings,
-        noise=(B @ B.T + rig.sigma_joint**2 * by_joint @ by_joint.T) / n,
+        noise=(B @ B.T + rig.sigma_joint**2 * by_joint @ by_joint.T) / n + lasting @ lasting.T,
         acceleration=float(np.sqrt((acceleration**2).mean())),
         turning=float(np.sqrt((turning**2).mean())),
         Ts_palm_tip=np.where(taxels[:, None, None], Ts_palm_sensor, Ts_palm_link),

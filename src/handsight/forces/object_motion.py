@@ -61,8 +61,8 @@ def slip_twist(contacts: Contacts, loads: Array, origin: Array) -> Array | None:
     Papadopoulos 1991). That is a velocity (v, e ω_n) along (f_t, τ / e), and none along the normal. The twist is fitted
     to these velocities by least squares.
     """
-    towards = np.column_stack([loads[:, :3], loads[:, 4] / FRICTION.torsion])
-    sizes = np.linalg.norm(towards, axis=1)
+    towards = loads[:, [0, 1, 2, 4]] / [1.0, 1.0, 1.0, FRICTION.torsion]
+    sizes = np.sqrt((towards * towards).sum(axis=1))
     usable = (sizes > 0) & np.isfinite(sizes)
     if not usable.any():
         return None

@@ -28,7 +28,11 @@ class SlipOptions(NamedTuple):
     begin_ratio: float = 0.98  # a slip begins when the least ratio is above this
     end_ratio: float = 0.97  # and ends when it has been below this for `min_hold`
     max_sigma: float = 0.25  # share of μ; where μ is less certain no slip is reported
-    gain_sigmas: float = 2.0  # of taxels' gain, by which their ratios may be higher than they read
+    gain_sigmas: float = 2.0
+    """A ratio of taxels may be higher than they read by so many standard deviations of their gain. That hides whether a
+    finger rests just below its limit or slides; but loads at rest are constant, and those of a slide are not."""
+    change_sigmas: float = 1.2  # of taxels' gain, by which loads that are not constant differ from their mean
+    rest: float = 0.05  # time constant of that running mean [s]
     stick_ratio: float = 0.4  # a slip ends at once when a ratio is below this
     min_chatter: float = 0.08
     """A finger at its limit bounces if its normal force changes by this share of itself from one reading to the next;
@@ -63,20 +67,25 @@ class _Limits(NamedTuple):
     """The same above which friction is learnt from it [N]."""
     noise: float
     """Of its tangential load [N]."""
-    factor: float
-    """On its ratio: what taxels miss of a load changes with the place that is touched, so theirs is at the limit where
-    it may be."""
+    gain: float
+    """Relative error of its ratio; 0: of a six-axis sensor, which has the same gain at every place."""
 
     @classmethod
     def of(cls, sensor: LoadSensor) -> "_Limits":
         """Returns those of a load sensor."""
-        sigma, gain = float(sensor.sigma[0]), sensor.sigma_gain * sensor.taxels
+        sigma = float(sensor.sigma[0])
         return cls(
             max(SLIP.min_force, SLIP.min_force_sigmas * sigma),
             max(SLIP.sure_force, SLIP.sure_force_sigmas * sigma),
             math.hypot(sigma, sensor.sigma[3] / FRICTION.torsion),
-            1 + SLIP.gain_sigmas * gain,
+            sensor.sigma_gain * sensor.taxels,
         )
+
+    @property
+    def factor(self) -> float:
+        """On its ratio: what taxels miss of a load changes with the place that is touched, so theirs is at the limit
+        where it may be."""
+        return 1 + SLIP.gain_sigmas * self.gain
 
 
 class _Ratios(NamedTuple):
@@ -166,6 +175,8 @@ class SlipDetector:
         }
         self._means: Mapping[str, Load] = {}
         """By finger, the running mean of its load."""
+        self._rests: Mapping[str, Load] = {}
+        """The same over `SLIP.rest`."""
         self._ratios: Mapping[str, _Ratios] = {}
         """By finger that touches, its last ratios."""
 
@@ -196,13 +207,9 @@ class SlipDetector:
             ]
             for name in usable
         }
-        weight = 1 - math.exp(-since / SLIP.time_constant)
         goes_on = since <= SLIP.max_gap
-        before = self._means if goes_on else {}
-        self._means = {
-            name: [mean + weight * (x - mean) for mean, x in zip(before.get(name, row), row, strict=True)]
-            for name, row in usable.items()
-        }
+        self._means = _follow(self._means if goes_on else {}, usable, since / SLIP.time_constant)
+        self._rests = _follow(self._rests if goes_on else {}, usable, since / SLIP.rest)
         mu = self.friction.coefficient
         self._ratios = {
             name: _read(limits[name].noise, stamp, row, mu, self._ratios.get(name) if goes_on else None)
@@ -213,7 +220,8 @@ class SlipDetector:
             if normal > limits[name].sure_force:
                 scale = normal * self._relative.get(name, 1.0)
                 sure[name] = x / scale, y / scale, z / scale, torque / FRICTION.torsion / scale
-        self.friction.update(sure, since if goes_on else 0.0, sliding)
+        gain = max((limit.gain for limit in limits.values()), default=0.0)
+        self.friction.update(sure, since if goes_on else 0.0, sliding, gain)
         mu, sigma = self.friction.coefficient, self.friction.sigma
         ratios = {}
         if mu is not None:
@@ -226,9 +234,8 @@ class SlipDetector:
         # Hysteresis, in the ratio and in time.
         was, least = self.now, min(ratios.values(), default=0.0)
         known = mu is not None and sigma is not None and sigma <= SLIP.max_sigma * mu
-        if known and (
-            least >= (SLIP.end_ratio if was.slipping else SLIP.begin_ratio) or self._bounces(ratios)
-        ):
+        at_limit = least >= (SLIP.end_ratio if was.slipping else SLIP.begin_ratio) or self._bounces(ratios)
+        if known and at_limit and any(self._changes(name, limits[name].gain) for name in ratios):
             self._at_limit = stamp
         holds_after = SLIP.min_hold if was.slipping else 0.0
         slipping = least >= SLIP.stick_ratio and stamp - self._at_limit <= holds_after
@@ -237,12 +244,26 @@ class SlipDetector:
         self.now = Slip(slipping, ratios, mu, began, ended, sigma, unmeasured)
         return self.now
 
+    def _changes(self, name: str, gain: float) -> bool:
+        """Returns whether a finger's load changes by more than its noise."""
+        now, rest = self._means[name], self._rests[name]
+        return math.dist(now, rest) >= SLIP.change_sigmas * gain * math.hypot(*now)
+
     def _bounces(self, ratios: Mapping[str, float]) -> bool:
         """Returns whether all fingers but one are at their limit and bounce."""
         at_limit = [name for name, ratio in ratios.items() if ratio >= SLIP.begin_ratio]
         if len(at_limit) < max(SLIP.min_bouncing, len(ratios) - 1):
             return False
         return statistics.median(self._ratios[name].chatter for name in at_limit) >= SLIP.min_chatter
+
+
+def _follow(before: Mapping[str, Load], rows: Mapping[str, Load], passed: float) -> Mapping[str, Load]:
+    """Returns running means after new rows; `passed` is the time since the last ones, in time constants."""
+    weight = 1 - math.exp(-passed)
+    return {
+        name: [mean + weight * (x - mean) for mean, x in zip(before.get(name, row), row, strict=True)]
+        for name, row in rows.items()
+    }
 
 
 def _read(sigma: float, stamp: float, row: Load, mu: float | None, before: "_Ratios | None") -> "_Ratios":

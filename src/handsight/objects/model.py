@@ -186,7 +186,7 @@ class ObjectModel(Geometry):
         return model_record(self, self.symmetries)
 
     def nearest(self, T: Array, T_reference: Array) -> Array:
-        """Returns, of the poses (4, 4) that symmetry makes equivalent to `T`, the one nearest to a reference (4, 4).
+        """Returns, of the poses that symmetry makes equivalent to `T` (..., 4, 4), those nearest to a reference (4, 4).
 
         The answer is that of `symmetry.nearest`; a kernel computes it, faster, where it knows the kind of symmetry.
         """
@@ -196,9 +196,10 @@ class ObjectModel(Geometry):
             return nearest(self.symmetries, T, T_reference, self.radius)
         from handsight._kernels.solve.batch import equivalent
 
-        out = np.empty((4, 4))
-        equivalent(self.record.model, np.array(T), np.array(T_reference), out)
-        return out
+        Ts = np.array(T).reshape(-1, 4, 4)
+        out = np.empty_like(Ts)
+        equivalent(self.record.model, Ts, np.array(T_reference), out)
+        return out.reshape(np.shape(T))
 
     def with_symmetries(self, symmetries: Symmetries) -> Self:
         """Returns the same object with these symmetries declared."""

@@ -307,6 +307,8 @@ class TipContact:
     """(3,) unit; the direction in which the other body pushes the tip."""
     velocity_palm: Array
     """(6,) twist of the other body relative to the tip: velocity of its point there [m/s], angular velocity [rad/s]."""
+    torque: float = 0.0
+    """Of the other body on the tip, about the normal [N m]."""
 
     @property
     def speed(self) -> float:

@@ -164,12 +164,14 @@ class ElasticSkin:
         push: Array,
         uneven: Array | float = 0.0,
         stiffness: float = SKIN.rubber,
+        torque: float = 0.0,
     ) -> Array:
         """Returns the forces (n + 1, 3) of a solid on the taxels in the link, and on skin without one in the last row.
 
         Their sum is `force` (3,) [N]. `push` (3,) is the unit direction in which the solid presses into the skin:
         along it springs are compressed, each of which presses back along its own normal. The rest of the force is
-        shared in proportion to the pressure. `uneven` (n,): each taxel's distance below its place [m].
+        shared in proportion to the pressure, and so is `torque` about `push` [N m], in proportion to the distance from
+        the centre of pressure too. `uneven` (n,): each taxel's distance below its place [m].
         """
         found = np.zeros((len(self.places) + 1, 3))
         cosines = -self.normals @ push
@@ -182,5 +184,8 @@ class ElasticSkin:
         if not borne.any():
             return found
         pressed = -(borne / cosines)[:, None] * normals
-        np.add.at(found, taxels, pressed + (borne / borne.sum())[:, None] * (force - pressed.sum(axis=0)))
+        share = borne / borne.sum()
+        arms = np.cross(push, self.points[near] - share @ self.points[near])
+        turn = torque / max(share @ (arms**2).sum(axis=1), 1e-9)
+        np.add.at(found, taxels, pressed + share[:, None] * (force - pressed.sum(axis=0) + turn * arms))
         return found

@@ -186,7 +186,8 @@ class TaxelSensors:
                 else:
                     point = se3.apply(T_frame_palm, mine[0].point_palm[None])[0]
                     solid, T = Solid(-push[None], np.array([-push @ point])), np.eye(4)
-                total += skin.forces(solid, T, force, push, uneven)
+                torque = sum(each.torque for each in mine)
+                total += skin.forces(solid, T, force, push, uneven, torque=torque)
             ends = np.cumsum([len(self._uneven[name]) for name in names])
             found |= dict(zip(names, np.split(total, ends)[:-1], strict=True))
         return found

@@ -162,7 +162,7 @@ class World:
         for i, contact in enumerate(self.data.contact[: self.data.ncon]):
             names = [self.scene.model.geom(int(geom)).name for geom in contact.geom]
             if "object" in names and "table" not in names and contact.exclude == 0:
-                force = float(np.linalg.norm(self._force(i)))
+                force = float(np.linalg.norm(self._wrench(i)[:3]))
                 found.append((names[1 - names.index("object")], force, -float(contact.dist)))
         return found
 
@@ -192,23 +192,25 @@ class World:
                 # A contact's position is in the middle of the overlap.
                 point = contact.pos + sign * contact.dist / 2 * axes[0]
                 velocity = self._velocity(other, point) - self._velocity(geom, point)
+                wrench = self._wrench(i)
                 found.append(
                     TipContact(
                         finger=named[geom],
                         point_palm=se3.apply(T_palm_world, point[None])[0],
-                        force_palm=T_palm_world[:3, :3] @ (sign * axes.T @ self._force(i)),
+                        force_palm=T_palm_world[:3, :3] @ (sign * axes.T @ wrench[:3]),
                         other=self.scene.model.geom(other).name,
                         normal_palm=T_palm_world[:3, :3] @ (sign * axes[0]),
                         velocity_palm=(velocity @ T_palm_world[:3, :3].T).ravel(),
+                        torque=float(wrench[3]),
                     )
                 )
         return tuple(found)
 
-    def _force(self, i: int) -> Array:
-        """Returns the force (3,) of the i-th contact along its own axes, its normal first [N]."""
+    def _wrench(self, i: int) -> Array:
+        """Returns force [N] and torque [N m], (6,), of the i-th contact along its own axes, its normal first."""
         wrench = np.zeros(6)
         self._mujoco.mj_contactForce(self.scene.model, self.data, i, wrench)
-        return wrench[:3]
+        return wrench
 
     def _velocity(self, geom: int, point: Array) -> Array:
         """Returns velocity [m/s] of a point of a geom's body, and the body's angular velocity [rad/s], (2, 3) in the

@@ -19,7 +19,7 @@ from handsight.rig import Finger, Rig
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.skin import NOTHING, SkinContacts
 
-SILENT, WRENCH = np.full(6, np.nan), {(np.dtype(np.float64), (6,))}
+SILENT, FLOAT = np.full(6, np.nan), np.dtype(np.float64)
 REASONS = (*("silent" if name == "invalid" else name for name in REASON_NAMES), "on the table")
 """Why a finger has no contact, by the kernel's number; number 0 is a contact."""
 CONFLICT = 21.1
@@ -165,10 +165,10 @@ class FingertipSensors:
             came = checks.brief(wrenches)
             raise InvalidInput(f"observation.wrenches: expected a mapping from finger to wrench, got {came}")
         rows = [wrenches.get(name, SILENT) for name in self.names]
-        if {type(row) for row in rows} == {np.ndarray} and {(row.dtype, row.shape) for row in rows} == WRENCH:
+        if rows and all(type(row) is np.ndarray and row.dtype == FLOAT and row.shape == (6,) for row in rows):
             readings = np.array(rows)
-            # Comparisons with NaN are False: if there is one, each row is checked below.
-            if readings.min() >= -checks.MAX_LOAD and readings.max() <= checks.MAX_LOAD:
+            # A comparison with NaN is False: if there is one, each row is checked below.
+            if np.abs(readings).max() <= checks.MAX_LOAD:
                 return readings
         named = zip(self.names, rows, strict=True)
         return np.array(

@@ -125,7 +125,8 @@ class SkinContacts:
     def bears(self) -> bool:
         """Whether anything is touched beside the contacts of fingers."""
         tips = self.tips.values()
-        return any(touch.states[1].max() >= (name in tips) for name, (touch, _) in self.touches.items())
+        touches = ((name, touch) for name, (touch, _) in self.touches.items() if len(touch.patches))
+        return any(touch.states[1].max() >= (name in tips) for name, touch in touches)
 
     def beside_tips(self) -> tuple[tuple[str, ...], Contacts, Array]:
         """Returns the loads on the taxels of k links that are no fingertips, as a tip's load is given.

@@ -54,6 +54,8 @@ class Correction:
     """ANSWER of each mode of this prior, the estimate's own first, when other modes were last searched for."""
     searched_at: float = -math.inf
     """When that was [s]."""
+    disputed_at: float | None = None
+    """Since when corrections have contradicted the estimate, which is then an earlier one's [s]; None: they do not."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

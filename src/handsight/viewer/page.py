@@ -166,7 +166,7 @@ class Page:
         low, high = np.min(places, axis=0), np.max(places, axis=0)
         center, span = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
         up = np.array([0.0, 0.0, 1.0]) if moment.T_world_palm is None else moment.T_world_palm[2, :3]
-        # The view is across the line from palm to object, from the palm's side, which is in front, and from somewhat above.
+        # The view is across the line from palm to object, from above and the palm's side: the hand is in front.
         along = places[-1] - places[0]
         across = np.cross(up, along)
         if np.linalg.norm(across) < 0.2 * np.linalg.norm(along):

@@ -91,8 +91,7 @@ class MomentScene:
         self.turns = scene.add_line_segments("/open/turns", lines, blue, thickness=0.003, **gone)
         purple = LAYERS["covariance"][1]
         self.covariance = scene.add_icosphere("/covariance", 1.0, purple, cast_shadow=False, **gone)
-        size = STYLE.axis_length
-        self.axes = scene.add_frame("/axes", axes_length=size, axes_radius=0.02 * size, visible=False)
+        self.axes = scene.add_frame("/axes", axes_length=STYLE.axis_length, axes_radius=0.001, visible=False)
         self.world = scene.add_frame("/world", show_axes=False, visible=False)
         """Axes of the world at the palm's origin: gravity and grid are in it, and turn with it."""
         down, dark = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, -STYLE.gravity_length]]]), LAYERS["frame"][1]

@@ -81,9 +81,10 @@ def width(model: Any, constraints: Any) -> float:
 
 
 @entry
-def equivalent(model: Any, T: Any, T_reference: Any, out: Any) -> None:
-    """Fills `out` (4, 4) with the equivalent of a pose (4, 4) nearest to the reference (4, 4)."""
-    store_transform(nearest(model[0], transform_of(T), transform_of(T_reference)), out)
+def equivalent(model: Any, Ts: Any, T_reference: Any, out: Any) -> None:
+    """Fills `out` (n, 4, 4) with the equivalents of poses (n, 4, 4) nearest to the reference (4, 4)."""
+    for k in range(len(Ts)):
+        store_transform(nearest(model[0], transform_of(Ts[k]), transform_of(T_reference)), out[k])
 
 
 @entry

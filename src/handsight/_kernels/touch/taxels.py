@@ -32,6 +32,12 @@ class TaxelOptions(NamedTuple):
     those up to two taxels away."""
     sampled: float = 0.21  # sigma of the centre by the cells' size, in cells of a patch of one taxel
     beyond: float = 0.5  # sigma of a patch at the edge, beyond which nothing is measured, in cells
+    half_width: float = 5e-3
+    """Half the width of a contact [m]: (4 R F / (pi k))^(1/4) of a round body on a bed of springs, 5 mm for R = 9 mm
+    (of body and tip together), F = 1.5 N, k = 2.5e7 N/m^3. The root makes little of them: 3 to 10 mm of tips."""
+    hidden: float = 0.58
+    """Sigma of the shift to a contact's middle beyond the edge, as a share of it: it may be anywhere from none to twice
+    as far, 1 / sqrt(3). The surface's fall and turn out there, of which nothing is known, are as uncertain."""
     wide: float = 0.14  # sigma by uneven skin, in cells, of a patch whose variance is that of a cell
     uneven: float = 0.07  # sigma of the normal by such a patch, as a share of the normals' spread
     min_rest: int = 5  # fewest readings of an untouched surface whose mean is used as its baseline
@@ -73,6 +79,11 @@ def sense_taxels(
         for i in range(n):
             if isolated[i]:
                 touched[i], state[i] = False, UNKNOWN
+    if not touched.any():
+        states[1] = -1
+        for i in range(n):
+            state[i] = UNTOUCHED if record.flat and state[i] == FAR else state[i]
+        return 0
     for i in range(n):
         near = taxels[i].near
         if touched[i]:  # with less than half of its strongest neighbour's rise, perhaps at its rim only
@@ -152,13 +163,23 @@ def _measure(
 
     The centre is a weighted mean of the taxels' points, raised from the chord to the surface: at a taxel the
     surface's slope against the mean normal is n_t / n_z, and half of that times the taxel's distance is its depth.
+    Weights are the forces along the mean normal. Along the taxels' own, those that face a shear would bear more: a load
+    at the limit of friction μ would turn the normal towards itself by μ r² / (2 R²), with r the patch's radius (root
+    mean square) and R the tip's, and seem within its cone.
     """
     m, last, cell = len(members), rise.shape[1] - 1, record.pitch
     share, zero = np.empty(m), (0.0, 0.0, 0.0)
     for k in range(m):
         share[k] = max(rise[members[k], last], 0.0)
     patch.total, patch.flat, patch.contacts = share.sum(), True, 1.0
-    share /= patch.total
+    if last == 2:
+        mean = zero
+        for k in range(m):
+            mean = add(mean, scale(vector(taxels[members[k]].axes[:, 2]), share[k]))
+        mean = scale(mean, 1.0 / max(norm(mean), 1e-12))
+        for k in range(m):
+            share[k] = max(-dot(_force(taxels[members[k]].axes, rise[members[k]]), mean), 0.0)
+    share /= max(share.sum(), 1e-12)
     point, normal, edge, bend = zero, zero, zero, np.zeros((3, 3))
     for k in range(m):
         taxel, w = taxels[members[k]], share[k]
@@ -177,12 +198,21 @@ def _measure(
         spread += 0.5 * share[k] * dot(sideways, sideways)
         patch.flat = patch.flat and (along >= TAXELS.flat or not touched[members[k]])
     point = add(point, scale(normal, raised))
+    # Of a contact across the layout's edge only the near part is felt. With all of that on taxels at the edge, whose
+    # neighbours are on one half, 2 / pi on average, the contact's middle is half its width farther.
+    near_part, edge = point, _across(edge, normal)
+    shift = scale(edge, -TAXELS.half_width * (math.pi / 2) ** 2 * norm(edge))
+    turn = mul(matrix(bend), shift)
+    sag = 0.5 * dot(turn, shift)
+    point = add(point, sub(shift, scale(normal, sag)))
+    normal = add(normal, turn)
+    normal = scale(normal, 1.0 / norm(normal))
 
     # Each row is the change of point and normal by one sigma of an independent error: first of each reading.
-    rows, force, moment, second, measured = np.zeros((m + 11, 6)), zero, zero, np.zeros((3, 3)), last == 2
+    rows, force, moment, second, measured = np.zeros((m + 14, 6)), zero, zero, np.zeros((3, 3)), last == 2
     for k in range(m):
         i, w, axes = members[k], share[k] * patch.total, taxels[members[k]].axes
-        arm, own = sub(vector(taxels[i].point), point), vector(axes[:, 2])
+        arm, own = sub(vector(taxels[i].point), near_part), vector(axes[:, 2])
         relative = record.noise**2 + (TAXELS.filled**2 if filled[i] else 0.0)
         sigma = math.sqrt(relative * w * w + (record.threshold / 3.0) ** 2) / patch.total
         store(scale(_across(arm, normal), sigma), rows[k, :3])
@@ -190,23 +220,24 @@ def _measure(
         for a in range(9):
             second[a // 3, a % 3] += share[k] * arm[a // 3] * arm[a % 3]
         if last == 2:
-            shear = add(scale(vector(axes[:, 0]), rise[i, 0]), scale(vector(axes[:, 1]), rise[i, 1]))
-            pushed = sub(shear, scale(own, rise[i, 2]))
+            pushed = _force(axes, rise[i])
             force, moment = add(force, pushed), add(moment, cross(arm, pushed))
             measured = measured and rise[i, 2] < record.full_scale
     # Then shifts of the centre, which the normal follows by the surface's bend: by the cells' size, by uneven skin, and
     # at the edge. Last the normal's own error, and the height's, which is the only one out of the surface.
-    turned = math.sqrt(record.variance_normal + TAXELS.uneven**2 * spread)
+    turned = record.variance_normal + TAXELS.uneven**2 * spread + TAXELS.hidden**2 * dot(turn, turn)
     store(scale(edge, TAXELS.beyond * cell), rows[m + 6, :3])
     for a in range(3):
         rows[m + a, a] = TAXELS.sampled * cell * (share**2).sum()
         rows[m + 3 + a, :3] = TAXELS.wide / cell * second[a]
-        rows[m + 7 + a, 3 + a] = turned
-    for k in range(m, m + 10):
+        rows[m + 7 + a, 3 + a] = math.sqrt(turned)
+        rows[m + 10 + a, a] = TAXELS.hidden * norm(shift)
+    for k in range(m, m + 13):
         shift = _across(vector(rows[k, :3]), normal)
         store(shift, rows[k, :3])
         store(_across(sub(vector(rows[k, 3:]), mul(matrix(bend), shift)), normal), rows[k, 3:])
-    store(scale(normal, math.sqrt(record.variance_point * (share**2).sum())), rows[m + 10, :3])
+    height = record.variance_point * (share**2).sum() + (TAXELS.hidden * sag) ** 2
+    store(scale(normal, math.sqrt(height)), rows[m + 13, :3])
     for a in range(6):
         for b in range(6):
             patch.covariance[a, b] = (rows[:, a] * rows[:, b]).sum()
@@ -216,8 +247,15 @@ def _measure(
         force, moment = (math.nan, math.nan, math.nan), (math.nan, math.nan, math.nan)
     store(force, patch.force)
     store(force, patch.wrench[:3])
-    store(add(moment, cross(point, force)), patch.wrench[3:])
+    store(add(moment, cross(near_part, force)), patch.wrench[3:])
     patch.torque = -dot(moment, normal)
+
+
+@inner
+def _force(axes: Any, rise: Any) -> Any:
+    """Returns the force on a taxel of three components in its link."""
+    shear = add(scale(vector(axes[:, 0]), rise[0]), scale(vector(axes[:, 1]), rise[1]))
+    return sub(shear, scale(vector(axes[:, 2]), rise[2]))
 
 
 @inner
