@@ -25,14 +25,7 @@ import handsight
 
 ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / "docs" / "figures.json"
-OPTIONS = (
-    "",
-    "--rate 100",
-    "--answer maximum",
-    "--outside 0",
-    "--outside 0 --answer maximum",
-    "--samples 4000",
-)
+OPTIONS = ("", "--rate 100", "--answer maximum", "--outside 0", "--outside 0 --answer maximum")
 ERROR_TOLERANCE, COUNT_TOLERANCE = 0.15, 0.02
 Figures = dict[str, Any]
 
