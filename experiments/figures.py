@@ -62,8 +62,10 @@ def measured(options: tuple[str, ...]) -> Figures:
         made = {name: Path(folder) / f"{name}.mcap" for name in ("can", "box")}
         for name, path in made.items():
             command("simulate", name, "--output", path)
+        # The first ones compile what is not compiled yet, and their CPU time is not shown.
+        packaged = {name: tracked(data / f"{name}.mcap", "") for name in made}
         simulated = {name: {each: tracked(path, each) for each in options} for name, path in made.items()}
-    return {"simulated": simulated, "packaged": {name: tracked(data / f"{name}.mcap", "") for name in made}}
+    return {"simulated": simulated, "packaged": packaged}
 
 
 def differences(before: Figures, now: Figures, at: str = "") -> list[str]:
@@ -89,6 +91,9 @@ def lines(figures: Figures) -> dict[str, dict[str, str]]:
         "{:.1f} mm, rotation {:.1f}°".format(who, *can[""][who])
         for who in ("vision", "tracked")
     }
+    ends[r"1841 poses of 1841 observations, \d+ corrections"] = (
+        f"1841 poses of 1841 observations, {can['']['corrections']} corrections"
+    )
     table = {
         rf"\| {re.escape(f'`{each}`') if each else ''} ?\| \d+, .*": f"| {f'`{each}` ' if each else ''}| "
         + " | ".join(
@@ -107,7 +112,7 @@ def lines(figures: Figures) -> dict[str, dict[str, str]]:
     return {
         "docs/robots.md": ends
         | table
-        | {r"can [\d.]+ mm and [\d.]+ at the end, box [\d.]+ and [\d.]+": older},
+        | {r"can \d+\.\d mm and \d+\.\d at the end, box \d+\.\d and \d+\.\d": older},
         "README.md": {r"vision \d+ mm off, tracked \d+ mm \(synthetic\)": readme},
     }
 
