@@ -1,4 +1,4 @@
-"""An Allegro hand, described by the rig file beside this one, closes on a can; its readings are recorded and tracked.
+"""An Allegro hand, described by a rig file of the package, closes on a can; its readings are recorded and tracked.
 
 Its URDF must be in $ROS_PACKAGE_PATH. The recording goes into the folder given as argument, else a temporary one.
 """
@@ -16,7 +16,7 @@ from handsight.observation import PoseMeasurement
 from handsight.recording import RecordingWriter, open_recording
 
 try:
-    rig = hs.Rig.from_file(Path(__file__).with_name("allegro.rig.yaml"))
+    rig = hs.Rig.from_file(Path(hs.__file__).parent / "data" / "rigs" / "allegro.rig.yaml")
 except hs.HandsightError as error:
     sys.exit(print(f"skipped, the hand's URDF is missing: {error}"))
 

@@ -10,6 +10,8 @@ import pytest
 
 from handsight import cache_folder
 from handsight.cache_folder import CacheWarning
+from handsight.errors import NotWritten
+from handsight.objects.library.folder import locked
 
 posix = pytest.mark.skipif(not hasattr(os, "getuid"), reason="modes and owners as POSIX has them")
 root = pytest.mark.skipif(getattr(os, "getuid", lambda: 1)() != 0, reason="only root gives files away")
@@ -213,3 +215,27 @@ def test_there_is_no_warning_where_nothing_is_wrong(tmp_path, monkeypatch):
         assert cache_folder.cache_folder() == tmp_path / ".cache/handsight"
         monkeypatch.setenv("XDG_CACHE_HOME", "relative")
         assert cache_folder.cache_folder() == tmp_path / ".cache/handsight"
+
+
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="/proc is a folder in which not even root can write"
+)
+def test_a_user_whose_home_cannot_be_written_is_answered(tmp_path):
+    environment = {key: os.environ[key] for key in ("PATH", "PYTHONPATH", "LANG") if key in os.environ}
+    environment |= {"HOME": "/proc/self", "TMPDIR": str(tmp_path)}
+
+    def said(*arguments, expect):
+        command = [sys.executable, "-m", "handsight.cli", *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=100, env=environment)
+        assert (done.returncode, "Traceback" in done.stderr) == (expect, False), done.stderr
+        return done.stderr
+
+    assert said("--version", expect=0) == ""
+    assert "/proc/self/.local/share/handsight/library: expected a library" in said(
+        "objects", "list", expect=2
+    )
+    with (
+        pytest.raises(NotWritten, match=r"^/proc/self/lab: cannot be written: "),
+        locked(Path("/proc/self/lab")),
+    ):
+        pass

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from handsight.errors import InvalidFile
-from handsight.files import open_regular, read_bytes
+from handsight.files import open_regular, read_bytes, text_file
 
 
 def test_a_file_is_read_and_so_is_a_link_to_it(tmp_path):
@@ -36,3 +36,24 @@ def test_what_is_no_regular_file_is_not_opened(tmp_path):
         for door in (open_regular, lambda path, name: read_bytes(path, 10, name)):
             with pytest.raises(InvalidFile, match=rf"^'?x'?: {came}"):
                 door(path, "x")
+
+
+def test_a_text_file_gets_its_name_once_it_is_complete_and_a_pipe_is_written_at_once(tmp_path):
+    place, link = tmp_path / "a.csv", tmp_path / "b.csv"
+    place.write_text("before")
+    link.symlink_to(place)
+    with pytest.raises(UnicodeEncodeError), text_file(link) as file:
+        file.write("half, and half a character: \ud800")
+    assert place.read_text() == "before"
+    with text_file(link) as file:
+        file.write("µ\n")
+        assert place.read_text() == "before"
+    assert (place.read_bytes(), link.is_symlink()) == ("µ\n".encode(), True)
+    os.mkfifo(tmp_path / "fifo")
+    reader = os.open(tmp_path / "fifo", os.O_RDONLY | os.O_NONBLOCK)
+    with text_file(tmp_path / "fifo") as file:
+        file.write("now")
+        file.flush()
+        assert os.read(reader, 10) == b"now"
+    os.close(reader)
+    assert {path.name for path in tmp_path.iterdir()} == {"a.csv", "b.csv", "fifo"}

@@ -29,7 +29,7 @@ class Tree(msgspec.Struct, forbid_unknown_fields=True):
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        ({}, "leaf: expected, got nothing"),
+        ({}, "leaf: expected keys and values, got nothing"),
         ({"leaf": 5}, "leaf: expected keys and values, got 5"),
         ({"leaf": {"sise": 1}}, "leaf.sise: unknown key; the nearest valid one is 'size'"),
         ({"leaf": {"x": 1}}, "leaf.x: unknown key; valid: kind, point, size"),

@@ -17,6 +17,10 @@ from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 
 MAX_PIXELS = 50_000_000
+MIN_FOCAL, MAX_FOCAL = 0.01, 1e6
+"""Smallest and largest focal length, and largest distance of the principal point from pixel (0, 0) [pixels]."""
+MAX_LENS = 1e4
+"""Largest coefficient of a lens."""
 Depth = NDArray[np.float32]
 
 
@@ -67,6 +71,11 @@ class Camera:
         if not (K[0, 0] > 0 and K[1, 1] > 0) or K[0, 1] or K[1, 0] or (K[2] != [0, 0, 1]).any():
             expected = "expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
             raise InvalidInput(f"matrix: {expected}, got {checks.brief(K)}")
+        if min(K[0, 0], K[1, 1]) < MIN_FOCAL or np.abs(K).max() > MAX_FOCAL:
+            expected = (
+                f"expected fx, fy from {MIN_FOCAL:g} to {MAX_FOCAL:g} pixels, and cx, cy within {MAX_FOCAL:g}"
+            )
+            raise InvalidInput(f"matrix: {expected}, got {checks.brief(K)}")
         width, height = (checks.integer(n, "size", MAX_PIXELS) for n in self.size)
         if not 0 < width * height <= MAX_PIXELS:
             raise InvalidInput(f"size: expected width and height above 0, got {width} x {height}")
@@ -113,7 +122,7 @@ class Camera:
 
     def check_depth(self, depth: ArrayLike, name: str = "depth") -> Depth:
         """Returns a depth image (h, w) [m] of this camera as float32; raises InvalidInput for other sizes, integers."""
-        image = np.asarray(depth)
+        image = checks.unmasked(depth, name)
         self.check_size(image, name)
         if image.dtype.kind != "f":
             raise InvalidInput(f"{name}: expected metres as floats, got {image.dtype} (millimetres?)")
@@ -149,9 +158,11 @@ class Camera:
 def check_lens(value: ArrayLike, name: str) -> Array:
     """Returns the coefficients of a lens (n,): none, plumb_bob without or with k3, or a rational polynomial.
 
-    Raises InvalidInput for another number of them.
+    Raises InvalidInput for another number of them, and for one beyond `MAX_LENS`.
     """
     lens = checks.finite(value, name, (None,))
+    if (np.abs(lens) > MAX_LENS).any():
+        raise InvalidInput(f"{name}: expected numbers within {MAX_LENS:g}, got {checks.brief(lens)}")
     if len(lens) not in (0, 4, 5, 8):
         raise InvalidInput(f"{name}: expected 0, 4, 5, 8 numbers, got {len(lens)}")
     return lens

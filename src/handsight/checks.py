@@ -3,6 +3,7 @@
 import difflib
 from collections.abc import Iterable
 from itertools import islice
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,7 +29,9 @@ MAX_NAME_LENGTH = 100
 def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
     """Returns a finite float64 copy of `value` of that shape (None: any length); raises InvalidInput otherwise."""
     try:
-        array = np.asarray(value)
+        array = unmasked(value, name)
+    except InvalidInput:
+        raise
     except ValueError:  # rows of different length
         array = np.array("")
     # Numbers in strings, truth values and integers beyond 64 bits are not numbers here.
@@ -42,6 +45,13 @@ def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
     if numeric and array.size > 8:
         came = "NaN or infinity" if fits else f"shape {array.shape}"
     raise InvalidInput(f"{name}: expected {describe_shape(shape)}, got {came}")
+
+
+def unmasked(value: ArrayLike, name: str) -> NDArray[Any]:
+    """Returns `value` as an array; raises InvalidInput where some of its entries are masked: NumPy would use them."""
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        raise InvalidInput(f"{name}: expected numbers, got a masked array (NaN is for unknown numbers)")
+    return np.asarray(value)
 
 
 def _contains_bool(value: ArrayLike) -> bool:
@@ -120,8 +130,8 @@ def sigma_point(value: ArrayLike, name: str) -> float:
     return number
 
 
-def sigma_normal(value: ArrayLike, name: str) -> float:
-    """Returns the standard deviation of a direction [rad] as `sigma` does, within half a turn."""
+def sigma_angle(value: ArrayLike, name: str) -> float:
+    """Returns the standard deviation of a direction or a rotation [rad] as `sigma` does, within half a turn."""
     number = sigma(value, name)
     if number > np.pi:
         came = f"{number:g} (degrees? {np.deg2rad(number):.4g} rad)"

@@ -1,12 +1,13 @@
 """Files and streams named by a user: bounded reading, atomic writing, and their names in messages."""
 
 import contextlib
+import io
 import os
 import secrets
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TextIO
 
 from handsight.errors import InvalidFile, NotWritten
 
@@ -69,10 +70,26 @@ def atomic_file(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
     try:
         with open(temporary, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
             yield file
+        # Without it, a machine that loses power may keep the name and lose the content.
+        with open(temporary, "rb+") as complete:
+            os.fsync(complete.fileno())
         os.replace(temporary, path)
     finally:  # it still exists only after an error
         with contextlib.suppress(OSError):
             os.unlink(temporary)
+
+
+@contextlib.contextmanager
+def text_file(destination: str | os.PathLike[str]) -> Iterator[TextIO]:
+    """Yields a text file, which gets its name once it is complete; a pipe is written at once. Raises NotWritten."""
+    path = Path(os.path.realpath(destination))
+    with write_errors(destination):
+        replaceable = path.is_file() or not path.exists()  # a pipe is not
+        with (
+            atomic_file(path) if replaceable else path.open("wb") as binary,
+            io.TextIOWrapper(binary, encoding="utf-8", newline="") as file,
+        ):
+            yield file
 
 
 def stream_name(stream: object) -> str:

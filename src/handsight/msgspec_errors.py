@@ -83,7 +83,7 @@ def _message(text: str, path: FieldPath, form: object, value: object) -> tuple[F
     if found := re.fullmatch(r"Object contains unknown field `(.*)`", text, re.DOTALL):
         return (*path, found[1]), f"unknown key{suggestion(found[1], _field_types(form))}"
     if found := re.fullmatch(r"Object missing required field `(.*)`", text):
-        return (*path, found[1]), "expected, got nothing"
+        return (*path, found[1]), f"expected {_type_text(_field_types(form).get(found[1]))}, got nothing"
     if text.startswith("Invalid enum value"):
         allowed = alternatives(form)
         names = [str(name) for kind in allowed if get_origin(kind) is Literal for name in get_args(kind)]
@@ -117,6 +117,23 @@ def _kind_text(kind: str, form: object) -> str:
         "bool": "true or false",
     }
     return texts.get(kind, kind)
+
+
+def _type_text(form: object) -> str:
+    """Returns a user's words for a type of values."""
+    first = alternatives(form)[0]
+    if get_origin(first) is Literal:
+        return " or ".join(map(str, get_args(first)))
+    origin = get_origin(first) or first
+    names: dict[object, str] = {
+        tuple: "array",
+        list: "array",
+        float: "float",
+        int: "int",
+        str: "str",
+        bool: "bool",
+    }
+    return _kind_text(names.get(origin, "object"), form)
 
 
 def alternatives(form: object) -> list[object]:

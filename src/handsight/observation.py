@@ -128,7 +128,7 @@ class Observation:
     """Positions by joint name [rad]; joints of other parts of the robot may be among them."""
     wrenches: Mapping[str, Array] = field(default_factory=dict)
     """By finger: (6,) raw force [N] and torque [N m] in the sensor's frame, about its origin, which still include bias
-    and the tip's weight; NaN where the sensor has no reading. Sensors of other parts of the robot may be among them."""
+    and the tip's weight; NaN where the sensor has no reading."""
     vision: PoseMeasurement | None = None
     """Pose from vision, if one has arrived since the last observation."""
     T_world_palm: Array | None = None

@@ -13,7 +13,7 @@ BOX = {
     ],
     "vision": {
         "position": [0.02, -0.01, 0.015],
-        "quaternion_xyzw": [0.05, 0.02, -0.04, 2.0],
+        "quaternion_xyzw": [0.025, 0.01, -0.02, 1.0],
         "sigma_position": 0.03,
         "sigma_rotation_deg": 15,
     },

@@ -106,7 +106,7 @@ NAN = float("nan")
         (changed("budget", 0), "budget: expected a number above 0, got 0"),
         (changed("budget", "soon"), "budget: expected a finite number, got soon"),
         (changed("outside", [[0, 0]]), "outside: expected finite numbers of shape (n, 3), got [[0, 0]]"),
-        (changed("object", ...), "object: expected, got nothing"),
+        (changed("object", ...), "object: expected keys and values, got nothing"),
         ({**BOX, "extra": 1}, "extra: unknown key; "),
         ("[1, 2]", "line: expected an object {...}, got [1, 2]"),
         ('{"object": {"box": [1,1,1]}, "object": {"box": [2,2,2]}, "contacts": []}', "object: expected once"),

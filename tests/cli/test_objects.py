@@ -189,3 +189,32 @@ def test_a_recordings_object_may_be_one_of_the_library(tmp_path, monkeypatch):
         assert model.diameter == library.entry("mustard").diameter
     with pytest.raises(InvalidInput, match="got 'mustrd'; the nearest valid one is 'mustard'"):
         Run.of(tmp_path / "a.mcap", tmp_path / "rig.yaml", "mustrd")
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}],
+)
+def test_a_terminal_of_ascii_gets_every_name(tmp_path, monkeypatch, environment):
+    Library(tmp_path / "lab").add(block(tmp_path), Facts(name="Dose µ", licence="©"))
+    for key, value in environment.items():
+        monkeypatch.setenv(key, value)
+    for command in (("list",), ("show", "1"), ("verify",)):
+        out, _ = run("objects", *command, "--library", tmp_path / "lab")
+        assert "verify" in command or "Dose" in out
+
+
+def test_warnings_that_are_errors_end_a_command_in_a_sentence(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONWARNINGS", "error")
+    mesh = block(tmp_path, (60, 90, 140))
+    _, said = run("objects", "add", mesh, "--name", "a", "--library", tmp_path / "lab", expect=2)
+    assert "block.off: largest extent 140 m: looks like millimetres" in said
+    run("objects", "add", mesh, "--name", "a", "--library", tmp_path / "lab", "--scale", 0.001)
+    assert "block" not in run("objects", "list", "--library", tmp_path / "lab")[0]
+
+
+def test_a_mesh_in_millimetres_is_added_only_by_force(tmp_path):
+    mesh, there = block(tmp_path, (60, 90, 140)), ("--name", "a", "--library", tmp_path / "lab")
+    _, said = run("objects", "add", mesh, *there, expect=2)
+    assert "expected an object for a hand, got one of largest extent 140 m: looks like millimetres" in said
+    run("objects", "add", mesh, *there, "--force")

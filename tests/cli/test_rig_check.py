@@ -1,6 +1,7 @@
 """`handsight rig check`, as a user runs it: which sensor's readings cannot be used, and what to change."""
 
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -213,3 +214,28 @@ def test_a_wrench_of_a_finger_without_a_sensor_is_refused(check, monkeypatch, tm
     (tmp_path / "hand.rig.yaml").write_text(text)
     assert called(monkeypatch, tmp_path, "rig", "check", "hand.rig.yaml", columns=200) != 0
     assert "topics.wrenches.thumb: expected a sensor in fingers.thumb, got none" in capsys.readouterr().err
+
+
+def test_a_tip_that_points_into_its_finger_is_told_without_a_recording(check, monkeypatch, tmp_path, capsys):
+    check(pressed())
+    hand = (tmp_path / "hand.urdf").read_text().replace('sphere radius="0.01"', 'box size="0.02 0.02 0.04"')
+    (tmp_path / "hand.urdf").write_text(hand)
+    text = RIG.replace("sensor: {{", "surface: {{position: [0, 0, {z}]}}, sensor: {{")
+    for z, code in ((0.02, 0), (-0.02, 1)):
+        (tmp_path / "hand.rig.yaml").write_text(text.format(pad=GRID, more="threshold: 0.1", z=z))
+        assert called(monkeypatch, tmp_path, "rig", "check", "hand.rig.yaml", columns=200) == code
+        told = "- fingers.index.surface: the tip points into its finger" in capsys.readouterr().out
+        assert told == bool(code)
+
+
+def test_a_finger_that_is_loaded_beside_its_cap_was_never_touched_for_a_reason(check, monkeypatch):
+    capped = RIG.replace("tip: {{sphere: 0.01}}, sensor", "tip: {{sphere: 0.01, cap: 0.0}}, sensor")
+    monkeypatch.setattr(sys.modules[__name__], "RIG", capped)
+    wrenches = np.zeros((60, 6))
+    wrenches[:, :3] = 0.01 * np.random.default_rng(0).normal(size=(60, 3))
+    wrenches[30:, 2] += 2  # a pull, as `on_sensor` reads it
+    code, lines = check(pressed(), wrenches=wrenches)
+    assert code == 1, lines
+    [line] = [line for line in lines if line.startswith("- finger index: never touched")]
+    assert "the largest force was 2.0" in line
+    assert "30 readings of a load are beside the sensed part of its tip" in line

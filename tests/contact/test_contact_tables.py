@@ -185,7 +185,7 @@ def test_a_contact_reads_plainly():
             '{"force":[0,0,0],"torque":[0,0,0]}\n\n[1]\n',
             "w: line 3: wrench: expected keys and values, got [1]",
         ),
-        ('{"force":[0,0,0]}', "w: line 1: torque: expected, got nothing"),
+        ('{"force":[0,0,0]}', "w: line 1: torque: expected 3 finite numbers, got nothing"),
         ('{"force":[0,0],"torque":[0,0,0]}', "w: line 1: force: expected 3 finite numbers, got [0, 0]"),
         ('{"force":[0,0,true],"torque":[0,0,0]}', "w: line 1: force[2]: expected a finite number, got True"),
         (

@@ -1,5 +1,7 @@
 """Arguments of Python functions: contacts, priors, points outside the object, transforms."""
 
+import copy
+import pickle
 import random
 
 import numpy as np
@@ -7,6 +9,7 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from handsight.correction import Outside, Plane
+from handsight.objects import Symmetries
 from handsight.tracking import TrackerSettings
 from tests.corpus.door import Case, Door, check_covariance, check_pose, spoilt_value
 
@@ -93,8 +96,43 @@ def locate_spoilt(rng: random.Random) -> None:
     locate({**given, key: spoilt_value(DETECTED[key], rng)})
 
 
+SPIN = Symmetries([([0, 0, 0], [0, 0, 1])])
+
+
+def masked_mesh() -> None:
+    """Builds an object of vertices of which some are masked."""
+    hs.ObjectModel.from_mesh(np.ma.masked_less(BOX.vertices, -0.06), BOX.faces)
+
+
+def copied_prior() -> None:
+    """Copies of a prior have its numbers, and can be changed as little as the prior itself."""
+    prior = hs.PosePrior.from_sigmas(np.eye(4), 0.01, 0.1)
+    for each in (copy.copy(prior), copy.deepcopy(prior), pickle.loads(pickle.dumps(prior))):
+        np.testing.assert_array_equal(each.T_palm_object, prior.T_palm_object)
+        np.testing.assert_array_equal(each.covariance, prior.covariance)
+        assert each.record == prior.record
+        assert not each.T_palm_object.flags.writeable
+        assert not each.covariance.flags.writeable
+
+
 DOORS = [Door("correct_pose", correct_spoilt, 300), Door("locate", locate_spoilt, 200)]
 CASES = [
+    Case(
+        "masked points",
+        lambda: correct({**GOOD, "points": np.ma.masked_less(GOOD["points"], 0)}),
+        "got a masked array",
+    ),
+    Case(
+        "a mask of nothing", lambda: correct({**GOOD, "points": np.ma.masked_invalid(GOOD["points"])}), None
+    ),
+    Case("a masked mesh", masked_mesh, "vertices: expected numbers, got a masked array"),
+    Case(
+        "a turn about a box",
+        lambda: BOX.with_symmetries(SPIN) and None,
+        "symmetries: expected turns that leave the surface in place, got one",
+    ),
+    Case("a half turn of a box", lambda: BOX.with_symmetries(BOX.symmetries) and None, None),
+    Case("copies of a prior", copied_prior, None),
     Case("what a detector says as it should be", lambda: locate(DETECTED), None),
     Case("a sigma of 1e155", lambda: correct({**GOOD, "sigma_point": 1e155}), "sigma_point: expected"),
     Case("a prior 1e20 away", lambda: correct({**GOOD, "T": _at(1e20)}), "vision.T_palm_object: translation"),

@@ -10,6 +10,7 @@ from tests.corpus import (
     pictures,
     recordings,
     rigs,
+    robots,
     searches,
 )
 
@@ -22,6 +23,7 @@ ROOMS = [
     observations,
     pictures,
     recordings,
+    robots,
     rigs,
     searches,
 ]

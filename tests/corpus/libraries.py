@@ -1,14 +1,16 @@
 """Documents of a library, damaged or written to do harm; names and URLs of libraries."""
 
 import json
+import os
 import random
 import tempfile
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from handsight.objects import Facts, Library, Shape, ply_bytes
+from handsight.objects import Facts, Library, Shape, Symmetries, ply_bytes
 from tests.corpus.door import Case, Door, check_pose, spoilt_bytes, spoilt_text, spoilt_value
 from tests.corpus.object_files import CORNERS, FACES
 
@@ -117,6 +119,39 @@ def named(key: str) -> Callable[[], None]:
     return lambda: opened(text({key: {"diameter": 1.0}}), None)
 
 
+def added(prepare: Callable[[Path], object], name: str = "new", **given: object) -> Callable[[], None]:
+    """Returns a call that adds a model to a library that was prepared, and reads that library."""
+
+    def add() -> None:
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            warnings.catch_warnings(action="ignore"),
+        ):  # of another unit
+            models = Path(folder, "lab", "models")
+            models.mkdir(parents=True)
+            prepare(models)
+            Path(folder, "new.ply").write_bytes(PLY)
+            library = Library(models.parent)
+            try:
+                library.add(Path(folder, "new.ply"), Facts(name=name), **{"scale": 1e-3, **given})  # type: ignore[arg-type]
+            finally:
+                assert not Path(folder, "elsewhere").exists()
+                if (models / "models_info.json").exists():
+                    known = library.entries()
+            assert library.model(name).closed
+            assert len({entry.number for entry in known}) == len(known)
+
+    return add
+
+
+def largest(models: Path) -> None:
+    """Writes a library with the objects of the largest numbers, and a file of an object that is in no document."""
+    info = {"1": INFO["1"], "999999999": INFO["5"]}
+    (models / "models_info.json").write_bytes(text(info))
+    (models / "obj_000002.ply").write_bytes(PLY)
+
+
+LOCK = ".handsight.lock"
 DOORS = [
     Door("a library's documents", documents_spoilt, 200),
     Door("an object's facts", facts_spoilt, 100),
@@ -124,6 +159,17 @@ DOORS = [
 NUMBERS = "models_info.json: expected numbers of objects as keys, got"
 CASES = [
     Case("a library as it was", lambda: opened(text(INFO), text(FACTS)), None),
+    Case("a stray model of the largest number", added(lambda models: (models / "obj_999999999.ply").touch()), None),
+    Case("a stray model of a larger number", added(lambda models: (models / "obj_99999999999.ply").touch()), None),
+    Case("an object of the largest number", added(largest), None),
+    Case("a lock that is a pipe", added(lambda models: os.mkfifo(models / LOCK)), "lock: cannot be written: expected a file"),
+    Case("a lock that is a folder", added(lambda models: (models / LOCK).mkdir()), "lock: cannot be written: expected a file"),
+    Case("a lock that links out of the library", added(lambda models: (models / LOCK).symlink_to(models.parents[1] / "elsewhere")),
+         "lock: cannot be written: expected a file"),
+    Case("a model in millimetres as if in metres", added(lambda models: None, scale=1.0), "looks like millimetres; try scale=0.001 (force adds it)"),
+    Case("such a model by force", added(lambda models: None, scale=1.0, force=True), None),
+    Case("a symmetry that a model lacks", added(lambda models: None, symmetries=Symmetries([([0, 0, 0], [0, 0, 1])])),
+         "symmetries: expected turns that leave the surface in place, got one, which is 23"),
     Case("a BOP folder as it was", read_from(PLY), None),
     Case("a model cut short", read_from(PLY[:-1]), "obj_000001.ply: expected 12 rows of 'face'"),
     *(

@@ -26,7 +26,7 @@ PROBLEM = {
     ],
     "vision": {
         "position": [0.02, -0.01, 0.015],
-        "quaternion_xyzw": [0.05, 0.02, -0.04, 2.0],
+        "quaternion_xyzw": [0.025, 0.01, -0.02, 1.0],
         "sigma_position": 0.03,
         "sigma_rotation_deg": 15.0,
     },
@@ -192,6 +192,11 @@ CASES = [
         "vision in millimetres",
         lambda: answer(_vision(position=[20, 0, 100])),
         "vision.position: expected metres within 5",
+    ),
+    Case(
+        "a quaternion that is none",
+        lambda: answer(_vision(quaternion_xyzw=[1, 2, 0, 0])),
+        "vision.quaternion_xyzw: expected a length of 1, got 2.236",
     ),
     Case("a mark before the first line", lambda: answer("\ufeff".encode() + LINE.encode()), None),
     Case("two marks", lambda: answer("\ufeff\ufeff".encode() + LINE.encode()), "line: expected JSON"),

@@ -251,7 +251,7 @@ def huge_vision():
     """Updates a tracker with the largest poses and covariances that are accepted."""
     tracker = hs.Tracker(gripper(), BOX)
     for k in range(20):
-        T = se3.compose(np.eye(3), np.full(3, 1e3 if k % 3 else -1e3))
+        T = se3.compose(np.eye(3), np.full(3, 5.0 if k % 3 else -5.0))
         sigmas = np.array([1e3, 1e-9, 1e-9, 1e3, 1e3, 1e-9])[np.roll(range(6), k)]
         vision = PoseMeasurement(T, "world", np.diag(sigmas**2))
         tracker.update(replace(observed(0.02 * k, touching=k > 10), vision=vision))
@@ -273,6 +273,15 @@ CASES = [
     Case("a wrench of five", lambda: poisoned(wrenches={"left": np.zeros(5)}), "wrenches['left']: expected 6"),
     Case("a wrench of 1e20 N", lambda: poisoned(wrenches={"left": np.full(6, 1e20)}), "wrenches['left']: expected newt"),
     Case("a wrench in words", lambda: poisoned(wrenches={"left": ["1"] * 6}), "wrenches['left']: expected 6"),
+    Case("a finger misspelt", lambda: poisoned(wrenches={"lef": PUSHED}), "expected names of the rig, got 'lef'; the nearest valid one is 'left'"),
+    Case("a contact of no finger", lambda: poisoned(contacts={"thumb": None}), "contacts: expected names of the rig, got 'thumb'"),
+    Case("skin of no array", lambda: poisoned(skin={3: np.zeros((2, 2))}), "skin: expected names of the rig, got '3'"),
+    Case("a joint misspelt", lambda: poisoned(joint_positions={"lef": 0.0, "right": 0.0}), "expected a position for left"),
+    Case("joints in degrees", lambda: poisoned(joint_positions={"left": 45.0, "right": 0.0}), "joint 'left' at 45 where its file limits it to 1 (degrees? 0.785 rad)"),
+    Case("millinewtons", lambda: poisoned(wrenches={"left": 1e3 * PUSHED}), "finger left at 2000 N (millinewtons? 2 N)"),
+    Case("vision 600 m away", lambda: poisoned(vision=PoseMeasurement(_at(600.0))), "poses at 600 m away (millimetres? 0.6 m)"),
+    Case("vision 600 m from the palm in the world", lambda: poisoned(vision=PoseMeasurement(_at(600.0), "world")), "poses at 600 m away"),
+    Case("a rotation's sigma in degrees", lambda: hs.PosePrior.from_sigmas(np.eye(4), 0.01, 15.0), "sigma_rotation: expected radians within 3.142, got 15 (degrees? 0.2618 rad)"),
     Case("wrenches in a list", lambda: poisoned(wrenches=[np.zeros(6)]), "wrenches: expected a mapping"),
     Case("a slide 1e20 m out", lambda: poisoned(joint_positions={"left": 1e20, "right": 0.0}), "joint_positions: finger"),
     Case("a pose that is an array", lambda: poisoned(vision=np.eye(4)), "vision: expected a PoseMeasurement or None"),

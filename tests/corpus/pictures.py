@@ -3,7 +3,9 @@
 import io
 import json
 import random
+import struct
 import tempfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ from PIL import Image
 import handsight as hs
 from handsight import se3
 from handsight.camera import Camera
+from handsight.errors import InvalidInput
 from handsight.recording.bop import Hints
 from handsight.recording.frames import Beside, Frame, Unread, open_frames
 from handsight.vision import locate_all, read_camera, read_color, read_depth
@@ -93,6 +96,36 @@ def scene(value: object) -> None:
                 assert (row.camera.size, row.number[0]) == ((32, 24), 1)
 
 
+def bop_folder(rng: random.Random | None) -> None:
+    """Reads a BOP scene of two images of which one file is damaged, renamed or missing."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "000001"
+        (path / "depth").mkdir(parents=True)
+        (path / "rgb").mkdir()
+        files = {"scene_camera.json": json.dumps({"0": SCENE["0"], "1": SCENE["0"]}).encode()}
+        files |= {f"depth/00000{k}.png": PNG for k in range(2)} | {
+            f"rgb/00000{k}.jpg": JPEG for k in range(2)
+        }
+        if rng is not None:
+            name = rng.choice(sorted(files))
+            data = files.pop(name)
+            kind, odd = rng.randrange(4), rng.choice(["\x1b[2J", "-1", "1" * 30, "a" * 200, "\udcff"])
+            if kind:
+                data = spoilt_bytes(data, rng) if kind < 3 else data
+                files[name if kind < 3 else str(Path(name).with_stem(odd))] = data
+        for name, data in files.items():
+            (path / name).write_bytes(data)
+        frames = open_frames(path, Beside())
+        rows = list(frames.each)
+        for row in rows:
+            if isinstance(row, Unread):
+                check_sentence(row.reason)
+                if len(rows) == 1:
+                    raise InvalidInput(row.reason)
+            else:
+                assert row.depth.shape == (24, 32)
+
+
 FOUND = [
     {
         "scene_id": 1,
@@ -169,12 +202,34 @@ def several(rng: random.Random | None) -> None:
     assert all(0 <= each.probability <= 1 for each in answer.instances)
 
 
+def rows(png: bytes, count: int) -> bytes:
+    """Returns a PNG of 16 bits with its header, and only its first rows."""
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+        )
+
+    at = png.index(b"IDAT")
+    (length,) = struct.unpack(">I", png[at - 4 : at])
+    pixels = zlib.decompress(png[at + 4 : at + 4 + length])
+    kept = pixels[: count * (1 + 2 * struct.unpack(">I", png[16:20])[0])]
+    return png[: at - 4] + chunk(b"IDAT", zlib.compress(kept)) + chunk(b"IEND", b"")
+
+
+def masked() -> None:
+    """Locates a box in a depth image of which a part is masked."""
+    lens = Camera(np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), (64, 48))
+    hs.locate(BOXES["a"], np.ma.masked_greater(np.linspace(0.3, 2.0, 48 * 64).reshape(48, 64), 1.0), lens)
+
+
 DOORS = [
     Door("locate_all", several, 60),
     Door("detections", lambda rng: hints("detections", spoilt(FOUND, rng)), 300),
     Door("targets", lambda rng: hints("targets", spoilt(TARGETS, rng)), 100),
     Door("start", lambda rng: hints("start", spoilt_bytes(POSES.encode(), rng)), 200),
     Door("open_frames", lambda rng: scene(spoilt_value(SCENE, rng)), 200),
+    Door("a BOP folder", bop_folder, 100),
     Door("read_depth", lambda rng: depth(spoilt_bytes(PNG, rng)), 300),
     Door("read_color", lambda rng: color(spoilt_bytes(rng.choice([PNG, JPEG]), rng)), 300),
     Door("read_camera", lambda rng: camera(spoilt_value(CAMERA, rng)), 300),
@@ -193,8 +248,27 @@ CASES = [
     Case("depth as it should be", lambda: depth(PNG), None),
     Case("colour as it should be", lambda: color(JPEG), None),
     Case("a camera as it should be", lambda: camera(CAMERA), None),
+    Case("a BOP folder as it should be", lambda: bop_folder(None), None),
     Case("a BOP scene as it should be", lambda: scene(SCENE), None),
     Case("a BOP scene without images", lambda: scene({}), "expected a camera for each image, got none"),
+    Case(
+        "a PNG of the first 10 of 24 rows",
+        lambda: depth(rows(PNG, 10)),
+        "expected a complete PNG, got 650 bytes of",
+    ),
+    Case(
+        "a PNG that ends in black",
+        lambda: depth(image(STEPS * (np.arange(24) < 10)[:, None].astype(np.uint16))),
+        None,
+    ),
+    Case("a camera's middle 1e300 away", lambda: camera({**CAMERA, "cx": 1e300}), "cx, cy within 1e+06, got"),
+    Case("a focal length of 1e-300", lambda: camera({**CAMERA, "fx": 1e-300}), "fx, fy from 0.01 to 1e+06"),
+    Case(
+        "a lens of 1e308",
+        lambda: camera({**CAMERA, "lens": [1e308] * 8}),
+        "lens: expected numbers within 10000",
+    ),
+    Case("masked depth", masked, "depth: expected numbers, got a masked array"),
     Case(
         "depth of 8 bits",
         lambda: depth(image(STEPS.astype(np.uint8))),

@@ -1,5 +1,6 @@
 """The correction's kernels, judged by plain residuals (`oracles.correction`) and what SciPy makes of them."""
 
+import dataclasses
 import functools
 import os
 import subprocess
@@ -209,7 +210,7 @@ def test_a_prior_is_quadratic_in_the_pivots_shift_and_the_turn(name, angle):
 
 def test_a_prior_knows_nothing_of_a_spin_about_an_axis_that_misses_the_origin():
     point, direction = np.array([0.03, -0.02, 0.0]), np.array([0.0, 0, 1])
-    thing = scenes.can().with_symmetries(Symmetries(axes=((point, direction),)))
+    thing = dataclasses.replace(scenes.can(), symmetries=Symmetries(axes=((point, direction),)))
     rng = np.random.default_rng(1)
     given = problem("can", 1, wide=True)
     about = se3.compose(np.eye(3), point) @ se3.compose(se3.rotation_exp(0.8 * direction), np.zeros(3))
@@ -601,9 +602,8 @@ def test_the_nearest_equivalent_is_that_of_plain_numpy(name):
             np.array([0.03, -0.02, 0.05]),
             [np.diag(d) for d in ([1.0, -1, -1], [-1, 1, -1], [-1, -1, 1])],
         )
-        thing = thing.with_symmetries(
-            Symmetries(rotations=[se3.compose(R, point - R @ point) for R in turns])
-        )
+        about_it = Symmetries(rotations=[se3.compose(R, point - R @ point) for R in turns])
+        thing = dataclasses.replace(thing, symmetries=about_it)
     T = se3.random(rng)
     Ts = se3.random(rng, 200, spread=0.05)
     descents, vision = descents_at(Ts), hs.PosePrior.from_sigmas(T, 0.01, 0.1)

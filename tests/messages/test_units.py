@@ -3,8 +3,8 @@
 import numpy as np
 
 from handsight import se3
-from handsight.messages.report import Units
 from handsight.observation import Observation, PoseMeasurement
+from handsight.rig.units import Units
 from messages.ros import JOINTS, rig
 
 

@@ -48,7 +48,7 @@ def bop(folder, sizes=((60, 90, 140), (50, 40, 30)), **changed):
 @contextlib.contextmanager
 def served(folder, wrong=None):
     """A folder served over HTTP: its URL, and the list of requested paths. `wrong`: by the end of a path, the answer to
-    give instead, a status or (bytes, announced length)."""
+    give instead: a status, (bytes, announced length), the place to which it redirects, or a function that yields bytes."""
     asked, wrong = [], wrong or {}
 
     class Handler(BaseHTTPRequestHandler):
@@ -58,6 +58,18 @@ def served(folder, wrong=None):
             answer = next((value for end, value in wrong.items() if self.path.endswith(end)), None)
             if isinstance(answer, int) or (answer is None and not path.is_file()):
                 self.send_error(answer or 404)
+                return
+            if isinstance(answer, str):
+                self.send_response(302)
+                self.send_header("Location", answer if answer.startswith("/") else answer + self.path)
+                self.end_headers()
+                return
+            if callable(answer):
+                self.send_response(200)
+                self.end_headers()
+                with contextlib.suppress(OSError):
+                    for part in answer():
+                        self.wfile.write(part)
                 return
             data, length = answer or (path.read_bytes(), path.stat().st_size)
             self.send_response(200)

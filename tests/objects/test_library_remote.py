@@ -1,11 +1,12 @@
 """A library at a URL is used from its copy, which is the library that was added there; otherwise an error says why not."""
 
 import shutil
+import time
 
 import numpy as np
 import pytest
 
-from handsight.errors import InvalidFile, InvalidInput, MissingExtra, NotWritten
+from handsight.errors import HandsightError, InvalidFile, InvalidInput, MissingExtra, NotWritten
 from handsight.objects import Facts, Library, ObjectModel
 from handsight.objects.library import remote
 from objects.libraries import block, bop, served
@@ -249,3 +250,49 @@ def test_threads_that_fetch_at_the_same_time_have_complete_files(ours):
         assert found == [[]] * 6
         shutil.rmtree(ours)
         assert Library(url).model("block").closed
+
+
+def test_a_server_that_drips_holds_no_fetch_beyond_its_deadline(ours, monkeypatch):
+    monkeypatch.setattr(remote, "PATIENCE", 0.5)
+    monkeypatch.setattr(remote, "SLOWEST", 1e9)
+
+    def drip():
+        for _ in range(40):
+            time.sleep(0.1)
+            yield b" "
+
+    with served(ours, {"models_info.json": drip}) as (url, _):
+        began = time.monotonic()
+        with pytest.raises(InvalidFile, match=r"models_info\.json: cannot be fetched: it took more than 1 s"):
+            Library(url).entries()
+        assert time.monotonic() - began < 3.0
+
+
+def test_a_redirect_to_another_host_is_refused_unless_it_was_named(ours, monkeypatch):
+    with served(ours) as (url, asked):
+        other = url.replace("127.0.0.1", "localhost")
+        with served(ours, {"models_info.json": other}) as (redirecting, _):
+            with pytest.raises(InvalidFile, match=rf"no redirect to another host .*, got {other[7:]}"):
+                Library(redirecting).entries()
+            assert asked == []
+            monkeypatch.setenv("HANDSIGHT_REDIRECTS", f"example.org {other[7:]}")
+            assert Library(redirecting).entry("block").name == "block"
+
+
+def test_a_redirect_within_a_host_is_followed(ours):
+    moved = {"/moved/models/models_info.json": "/models/models_info.json"}
+    with served(ours, moved) as (url, _):
+        assert [entry.number for entry in Library(f"{url}/moved").entries()] == [1, 2]
+
+
+@pytest.mark.parametrize("kind", ["http", "https", "ftp", "memory"])
+def test_no_message_has_a_password(kind):
+    library = Library(f"{kind}://user:secret@127.0.0.1:1/lab")
+    said = [repr(library), library.place]
+    for call in (library.entries, library.fetch, lambda: library.add("a.stl", Facts(name="a"))):
+        with pytest.raises(HandsightError) as refused:
+            call()
+        said.append(str(refused.value))
+    assert all("127.0.0.1:1/lab" in each and "secret" not in each and "user" not in each for each in said), (
+        said
+    )

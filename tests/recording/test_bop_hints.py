@@ -144,7 +144,7 @@ WRONG = {
     "truncated": ('[{"scene_id": 48,', r"a.json: expected JSON, got other text \(Input data was truncated"),
     "an object": ("{}", "a.json: file: expected a list, got"),
     "no number": ([entry(), entry(scene_id="48")], r"a.json: \[1\].scene_id: expected a whole number, got 48 \(a text\)"),
-    "no category": ([{k: v for k, v in entry().items() if k != "category_id"}], r"a.json: \[0\].category_id: expected, got nothing"),
+    "no category": ([{k: v for k, v in entry().items() if k != "category_id"}], r"a.json: \[0\].category_id: expected a whole number, got nothing"),
     "not a number": ('[{"scene_id": 48, "image_id": 1, "category_id": 3, "bbox": [NaN, 1, 1, 1], "score": 1}]', "a.json: expected JSON"),
     "a box of three": ([entry(bbox=[1, 2, 3])], r"a.json: \[0\].bbox: expected 4 finite numbers"),
     "a box of less than nothing": ([entry(bbox=[5, 3, -1, 3])], r"a.json: \[0\].bbox\[2\]: expected a number of at least 0, got -1"),

@@ -8,7 +8,7 @@ from rosbags.rosbag2.storage_mcap import McapReader
 from scipy.spatial.transform import Rotation
 
 from handsight import se3
-from handsight.errors import InvalidFile, InvalidInput
+from handsight.errors import InvalidFile, InvalidInput, NotWritten
 from handsight.observation import Observation, PoseMeasurement
 from handsight.recording import RecordingWriter, TrackRow, write_track_csv, write_track_mcap, write_track_tum
 from messages.ros import START, Messages, rig
@@ -159,3 +159,19 @@ def test_a_closed_writer_says_so(tmp_path):
 def test_a_folder_is_not_replaced_by_a_file(tmp_path):
     with pytest.raises(InvalidFile, match="expected a file to write, got a folder"):
         RecordingWriter(tmp_path, rig())
+
+
+@pytest.mark.parametrize("write", [write_track_tum, write_track_csv])
+def test_a_track_that_does_not_fit_on_the_disk_leaves_no_file_cut_short(tmp_path, write):
+    resource = pytest.importorskip("resource")
+    rows = [TrackRow(float(k), np.eye(4), np.eye(6), "tracking") for k in range(5000)]
+    path = tmp_path / "track"
+    path.write_text("the one before\n")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
+    try:
+        with pytest.raises(NotWritten, match="track: cannot be written: File too large"):
+            write(path, rows)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [each.read_text() for each in tmp_path.iterdir()] == ["the one before\n"]

@@ -14,7 +14,7 @@ from handsight.messages.decode import typestore
 from handsight.messages.encode import Message, header, parts
 from handsight.rig.layouts import misplaced
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(hs.__file__).with_name("data") / "rigs"
 HANDS = {
     "allegro": "allegro_hand/allegro_hand_right.urdf",
     "allegro_xela": "allegro_hand/allegro_hand_right.urdf",

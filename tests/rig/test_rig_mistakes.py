@@ -95,7 +95,7 @@ MISTAKES = [
     ("{box: [0.1, 0.7, 0.004]}", "{boks: [1, 1, 1]}", "objects.a box.boks: unknown key; the nearest valid one is 'box'"),
     ("{box: [0.1, 0.7, 0.004]}", "{box: [1, 1, 1], mesh: a.stl}", "objects.a box: expected one of box, cylinder, mesh, name, got box and mesh"),
     ("{radius: 0.1,", "{radios: 0.1,", "objects.tin.cylinder.radios: unknown key; the nearest valid one is 'radius'"),
-    ("{radius: 0.1,", "{", "objects.tin.cylinder.radius: expected, got nothing"),
+    ("{radius: 0.1,", "{", "objects.tin.cylinder.radius: expected a finite number, got nothing"),
     ("{box: [0.1, 0.7, 0.004]}", "{}", "objects.a box: expected one of box, cylinder, mesh, name, got none"),
     ("{box: [0.1, 0.7, 0.004]}", "{box: [1, 1, 1], mass: 150}", "objects.a box.mass: expected kilograms, got 150 (grams?)"),
     ("{box: [0.1, 0.7, 0.004]}", "{box: [1, 1, 1], mass: 0}", "objects.a box.mass: expected a number above 0, got 0"),
@@ -144,7 +144,10 @@ def test_what_cannot_be_left_out_is_named_where_its_name_is_misspelt_and_where_i
         "fingers": "fingers: {}",
     }
     message = refused(folder, "\n".join(value for name, value in needed.items() if name != section))[1]
-    assert message == f"{section}: expected, got nothing"
+    assert (
+        message
+        == f"{section}: expected {'a finite number' if section == 'version' else 'keys and values'}, got nothing"
+    )
 
 
 def test_two_tips_at_one_place_are_refused_and_so_is_one_finger_twice_in_python(folder):

@@ -6,10 +6,12 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import xmlrpc.client
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from xmlrpc.server import SimpleXMLRPCServer
 
 import numpy as np
 import pytest
@@ -155,6 +157,46 @@ def graph(folder):
         yield running
     finally:
         running.close()
+
+
+@contextmanager
+def endless_publisher(running, topic):
+    """Somebody who publishes joint states, and whose first message is announced to be of 4 GiB less 16 bytes.
+
+    Yields how many bytes were sent, and whether the connection was ended.
+    """
+    sent = [0, False]
+
+    def publish(server):
+        client, _ = server.accept()
+        with client:
+            client.recv(4096)
+            fields = (
+                "callerid=/endless",
+                "md5sum=3066dcd76a6cfaef579bd0f34173e9fd",
+                "type=sensor_msgs/JointState",
+            )
+            said = b"".join(len(each).to_bytes(4, "little") + each.encode() for each in fields)
+            client.sendall(len(said).to_bytes(4, "little") + said + (0xFFFFFFF0).to_bytes(4, "little"))
+            with suppress(OSError):
+                while sent[0] < 1 << 28:
+                    sent[0] += client.send(bytes(1 << 16))
+                    time.sleep(0.001)
+            sent[1] = sent[0] < 1 << 28
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=publish, args=(server,), daemon=True).start()
+        master = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
+        where = ["TCPROS", "127.0.0.1", server.getsockname()[1]]
+        master.register_function(lambda *_: (1, "", where), "requestTopic")
+        threading.Thread(target=master.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{master.server_address[1]}"
+        xmlrpc_call(running.uri, "registerPublisher", "/endless", topic, "sensor_msgs/JointState", address)
+        try:
+            yield sent
+        finally:
+            master.shutdown()
+            master.server_close()
 
 
 def read_until(reader, kind, stamp):

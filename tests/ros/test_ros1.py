@@ -1,6 +1,7 @@
 """The node of ROS 1 among real processes: a master, rosbag, Ctrl-C."""
 
 import shutil
+import socket
 import sys
 import time
 from importlib.util import find_spec
@@ -18,7 +19,17 @@ from handsight.messages import RosType
 from handsight.messages.decode import typestore
 from tests.live.recorded import in_ros1, said, tracked
 from tests.ros.pages import free_port, gone, served
-from tests.ros.ros1 import PACKAGE, by_stamp, graph, messages_of, needs_ros1, poses_of, read_until, stamp_of
+from tests.ros.ros1 import (
+    PACKAGE,
+    by_stamp,
+    endless_publisher,
+    graph,
+    messages_of,
+    needs_ros1,
+    poses_of,
+    read_until,
+    stamp_of,
+)
 
 pytestmark = [needs_ros1, pytest.mark.slow]
 RIG = DATA / "can.rig.yaml"
@@ -94,7 +105,7 @@ def test_the_launch_file_starts_and_ends_the_node(tmp_path):
     with graph(tmp_path) as running:
         running.environment |= {"ROS_PACKAGE_PATH": str(PACKAGE.parent), "HANDSIGHT_PYTHON": sys.executable}
         launched = running.run(
-            "roslaunch", "handsight_ros1", "handsight.launch", f"rig:={RIG}", "object:=can"
+            "roslaunch", "handsight_ros1", "handsight.launch", f"rig:={RIG}", "object:=can", "rate:=20"
         )
         try:
             running.wait_for(lambda: "is ready" in launched.log.read_text(), "the node", launched)
@@ -140,9 +151,46 @@ def test_the_node_survives_what_happens_in_a_lab(tmp_path):
         assert "registered anew" in node.log.read_text()
 
 
-def test_a_wrong_parameter_is_said_in_a_sentence(tmp_path):
+def test_a_wrong_parameter_is_said_in_a_sentence_and_so_is_that_there_is_no_master(tmp_path):
     with graph(tmp_path) as running:
+        for given, expected in (
+            ({"object": "spoon"}, "object: expected a name of the rig (can)"),
+            ({"images": "maybe"}, "parameter images: expected true or false, got 'maybe'"),
+            (
+                {"images": "true", "objekt": "can"},
+                "parameter objekt: unknown; the nearest valid one is 'object'",
+            ),
+        ):
+            with pytest.raises(AssertionError, match="the node ended") as error:
+                running.node(RIG, **given)
+            assert expected in str(error.value)
+            assert "Traceback" not in str(error.value)
+        running.master.kill()
+        running.master.wait()
         with pytest.raises(AssertionError, match="the node ended") as error:
-            running.node(RIG, object="spoon")
-        assert "object: expected a name of the rig (can)" in str(error.value)
-        assert "Traceback" not in str(error.value)
+            running.node(RIG)
+        assert f"handsight: no ROS master answers at {running.uri}" in str(error.value)
+
+
+def test_a_silent_connection_keeps_no_subscriber_waiting(tmp_path):
+    kind = "diagnostic_msgs/DiagnosticArray"
+    with graph(tmp_path) as running:
+        running.node(RIG, object="can")
+        with (
+            running.reader("/diagnostics", kind) as first,
+            socket.create_connection(first.getpeername()) as silent,
+        ):
+            began = time.monotonic()
+            with running.reader("/diagnostics", kind):
+                assert time.monotonic() - began < 3.0
+            silent.settimeout(30.0)
+            assert silent.recv(1) == b""  # the node has closed it
+
+
+def test_a_publisher_of_a_message_of_4_gib_is_disconnected(tmp_path):
+    with graph(tmp_path) as running, endless_publisher(running, "/joint_states") as sent:
+        node = running.node(RIG, object="can")
+        refused = "/joint_states: expected messages of at most 16777216 bytes"
+        running.wait_for(lambda: refused in node.log.read_text(), "the refusal", node)
+        running.wait_for(lambda: sent[1], "the end of the connection", node)
+        assert sent[0] < 1 << 25

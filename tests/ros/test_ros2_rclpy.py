@@ -43,6 +43,12 @@ def answers_of(process, folder):
     return [Answer(*each) for each in pickle.loads((folder / "answers.pickle").read_bytes())]
 
 
+def sentences_of(answers):
+    """What the diagnostics said."""
+    statuses = [s for each in answers if each.topic == "/diagnostics" for s in read(each).status]
+    return [value.value for status in statuses for value in status.values]
+
+
 def ended_well(running, follower):
     ended = running.interrupt(follower)
     assert (follower.returncode, "Traceback" in follower.log.read_text()) == (0, False)
@@ -65,7 +71,20 @@ def test_poses_are_those_of_track(tmp_path, release, kind):
         assert sum(each.topic == "/handsight/markers" for each in answers) > 5
         links = [link for each in answers if each.topic == "/tf" for link in read(each).transforms]
         assert {link.child_frame_id for link in links} > {"object"}  # and the robot's own
+        assert not [text for text in sentences_of(answers) if "too late" in text]  # it does not hear itself
         ended_well(running, follower)
+
+
+def test_what_the_node_cannot_follow_is_said_in_a_sentence(tmp_path):
+    with processes(tmp_path) as running:
+        for given, expected in (
+            ({"objekt": "can"}, "parameter objekt: unknown; the nearest valid one is 'object'"),
+            ({"images": "maybe"}, "parameter images: expected true or false, got 'maybe'"),
+        ):
+            with pytest.raises(AssertionError, match="the node ended") as error:
+                running.node(RIG, **given)
+            assert expected in str(error.value)
+            assert "Traceback" not in str(error.value)
 
 
 def test_the_node_serves_names_a_wrong_type_and_subscribes_to_what_comes_late(tmp_path):

@@ -10,7 +10,7 @@ from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.simulation import Nuisances, Scenario, model_of, rig_of, simulate
 from handsight.tracking import Diagnosed, diagnose
-from handsight.tracking.diagnosis import diagnosed
+from handsight.tracking.verdicts import diagnosed
 
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium_robotics")

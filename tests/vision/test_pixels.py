@@ -113,7 +113,7 @@ def test_a_scale_that_is_none_is_said(tmp_path, scale, message):
     [
         (b"[1", "expected JSON, got other text"),
         (b"[1]", r"expected an object \{...\}, got \[1\]"),
-        ({k: v for k, v in INTRINSICS.items() if k != "fx"}, "fx: expected, got nothing"),
+        ({k: v for k, v in INTRINSICS.items() if k != "fx"}, "fx: expected a finite number, got nothing"),
         (INTRINSICS | {"fx": "300"}, r"fx: expected a finite number, got 300 \(a text\)"),
         (INTRINSICS | {"fx": -1}, "fx: expected a number above 0, got -1"),
         (INTRINSICS | {"width": 640.5}, "width: expected a whole number, got 640.5"),

@@ -16,17 +16,25 @@ from importlib import import_module
 from operator import itemgetter
 
 import rclpy
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from handsight.errors import HandsightError
-from handsight.live.node import PublishedTypes, done, live_tracker, queue_lengths, time_to_wait, work
+from handsight.live.node import (
+    PublishedTypes,
+    done,
+    live_tracker,
+    parameters,
+    queue_lengths,
+    time_to_wait,
+    work,
+)
 from handsight.messages import OwnTopic, RawMessage
 from handsight.viewer import view
 
-PARAMETERS = {"rig": "", "object": "", "rate": 0.0, "images": True, "equal": False, "view": 0}
+OF_ROS = "use_sim_time", "start_type_description_service", "qos_overrides"
+"""Parameters that every node has, and of which one begins so."""
 LASTING = QoSProfile(
     depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE
 )
@@ -71,23 +79,16 @@ def definition(message):
 
 def tracker(node):
     """Returns the tracker that the parameters describe."""
-    as_it_comes = ParameterDescriptor(dynamic_typing=True)
-    given = {
-        name: node.declare_parameter(name, value, as_it_comes).value for name, value in PARAMETERS.items()
-    }
-    if not given["rig"]:
-        raise SystemExit("handsight: expected the parameter rig, got nothing")
-    live = live_tracker(
-        str(given["rig"]),
-        str(given["object"]),
-        encoding="cdr",
-        rate=float(given["rate"]),
-        images=bool(given["images"]),
-        equal=bool(given["equal"]),
-    )
+    declared = node.get_parameters_by_prefix("")
+    given = parameters({name: each.value for name, each in declared.items() if not name.startswith(OF_ROS)})
+    for name, value in given.items():
+        if name not in declared:
+            node.declare_parameter(name, value)
+    port = given.pop("view")
+    live = live_tracker(given.pop("rig"), given.pop("object"), encoding="cdr", **given)
     say = node.get_logger().info
     say(f"follows {live.tracker.model.name}")
-    if port := int(given["view"]):
+    if port:
         live.show = view(live.tracker, port=port, say=say).update
     return live
 
@@ -176,11 +177,6 @@ class Worker:
         self._live, self._ears, self._executor = live, ears, SingleThreadedExecutor()
         self._executor.add_node(node)
 
-    @property
-    def tracker(self):
-        """The tracker of the present object."""
-        return self._live.tracker
-
     def step(self, timeout):
         """Returns what is to be published now; waits at most `timeout` [s] for something to come."""
         self._executor.spin_once(timeout_sec=time_to_wait(timeout, self._ears.heard))
@@ -220,7 +216,7 @@ def main():
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node("handsight")
+    node = rclpy.create_node("handsight", automatically_declare_parameters_from_overrides=True)
     try:
         live = tracker(node)
     except HandsightError as error:
@@ -230,7 +226,7 @@ def main():
     ears, say = Ears(node, live), node.get_logger().info
     worker = Worker(node, live, ears)
     say(f"is ready: {len(ears)} topics are heard")
-    work(worker, publish, say, ended)
+    work(live, worker.step, publish, say, ended)
     node.destroy_node()
     rclpy.try_shutdown()
 

@@ -311,6 +311,9 @@ def _vision(fields: VisionFields | None) -> PosePrior | None:
         return None
     position = checks.in_reach(fields.position, "vision.position", (3,))
     quaternion = checks.unit(fields.quaternion_xyzw, "vision.quaternion_xyzw", (4,))
+    length = float(np.linalg.norm(fields.quaternion_xyzw))
+    if abs(length - 1) > 0.02:  # more than rounding to two digits: other numbers, or in another order
+        raise InvalidInput(f"vision.quaternion_xyzw: expected a length of 1, got {length:.4g}")
     T = se3.compose(se3.rotation_from_quaternion(quaternion), position)
     given = [value is not None for value in (fields.sigma_position, fields.sigma_rotation_deg)]
     if (fields.covariance is not None) == any(given):
@@ -325,7 +328,7 @@ def _vision(fields: VisionFields | None) -> PosePrior | None:
         if getattr(fields, field) is None:
             raise InvalidInput(f"vision.{field}: expected a number above 0, got nothing")
     shift = checks.sigma(fields.sigma_position, "vision.sigma_position")
-    turn = _radians(fields.sigma_rotation_deg, "vision.sigma_rotation_deg", checks.MAX_DISTANCE)
+    turn = _radians(fields.sigma_rotation_deg, "vision.sigma_rotation_deg", np.pi)
     return PosePrior.from_sigmas(T, shift, turn)
 
 

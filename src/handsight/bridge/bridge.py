@@ -24,7 +24,6 @@ from handsight.live.node import PublishedTypes, queue_lengths, time_to_wait
 from handsight.messages import RawMessage
 from handsight.messages.decode import typestore
 from handsight.messages.topics import OwnTopic
-from handsight.tracking import Tracker
 
 MAX_TAKEN = 100
 """Number of messages that are taken from DDS in one call."""
@@ -113,11 +112,6 @@ class Bridge:
                     self._filled.attach(reader)
                     self._readers.append((topic, kind, reader))
         self._published = BuiltinDataReader(network.participant, BuiltinTopicDcpsPublication)
-
-    @property
-    def tracker(self) -> Tracker:
-        """The tracker of the current object."""
-        return self._live.tracker
 
     def step(self, timeout: float) -> list[Answer]:
         """Returns the messages to publish now; waits at most `timeout` [s] for a message. For one thread only.

@@ -1,5 +1,6 @@
 """The command `handsight`: its subcommands, and how it reports errors."""
 
+import io
 import sys
 import time
 import warnings
@@ -40,6 +41,9 @@ def main() -> None:
     full disk; 141 if the reader of stdout has closed it.
     """
     terminal.reopen_closed_streams()
+    for stream in (sys.stdout, sys.stderr):  # a terminal of ASCII has no µ
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     warnings.showwarning = lambda message, *_: terminal.warn(str(message))
     try:
         try:
@@ -58,6 +62,8 @@ def main() -> None:
         message, code = str(error), terminal.exit_code(error)
     except OSError as error:
         message, code = f"{error.filename or 'output'}: {error.strerror or error}", terminal.CANNOT_WRITE
+    except Warning as error:  # as PYTHONWARNINGS=error asks
+        message, code = f"{error} (an error by PYTHONWARNINGS)", terminal.WRONG_INPUT
     except MemoryError:
         message, code = "expected input that fits into memory, got more", terminal.WRONG_INPUT
     terminal.say(f"handsight: {message}")

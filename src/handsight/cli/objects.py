@@ -102,6 +102,9 @@ def add(
     ] = None,
     licence: Annotated[str, Option(help="Licence of the model.")] = "",
     source: Annotated[str, Option(help="Where the model is from.")] = "",
+    force: Annotated[
+        bool, Option("--force", help="Add it even if its size is not that of an object in a hand.")
+    ] = False,
     library: LibraryPlace = None,
 ) -> None:
     """Add an object to a library in a folder; its model is stored as PLY in millimetres.
@@ -131,7 +134,7 @@ def add(
         except InvalidInput as error:
             raise InvalidInput(f"--symmetry: {str(error).removeprefix('symmetry: ')}") from None
     opened = _opened(library)
-    entry = opened.add(file, facts, scale=scale, symmetries=symmetries)
+    entry = opened.add(file, facts, scale=scale, symmetries=symmetries, force=force)
     size = f"diameter {1e3 * entry.diameter:.1f} mm, symmetries: {_symmetries(entry.symmetries)}"
     say(f"added {entry.name} to {opened.place} as {entry.file}: {size}")
 
@@ -167,7 +170,7 @@ def fetch(url: Annotated[str, Argument(help="URL of a library, such as https://h
     with bar("fetching") as advance:
         wrong = opened.fetch(advance)
     done = len(opened.entries()) - len(wrong)
-    say(f"fetched {done} objects; --library or HANDSIGHT_LIBRARY={url} uses them from here")
+    say(f"fetched {done} objects; --library or HANDSIGHT_LIBRARY={opened.place} uses them from here")
     _print_wrong(wrong)
 
 

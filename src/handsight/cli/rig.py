@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,6 +10,7 @@ import typer
 from typer import Argument, Option
 
 from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run, find_rig
+from handsight.cli.rig_new import new
 from handsight.cli.terminal import kept_going, plain_table, print_out, say
 from handsight.cli.track import latency_text, print_diagnosis, refusals
 from handsight.errors import HandsightError, InvalidInput, printable
@@ -21,6 +23,13 @@ rig_app = typer.Typer(
     help="Check the file that describes a robot: hand, fingertips, camera.", no_args_is_help=True
 )
 calibrate_app = typer.Typer(help="Estimate a robot's constant errors from a recording.", no_args_is_help=True)
+rig_app.command("new")(new)
+INTO_FINGER = -0.5
+"""A tip whose +z has a smaller cosine with the way from its last joint to it points into its finger."""
+WHY_UNTOUCHED = {
+    "off_cap": "beside the sensed part of its tip: cap, surface, sensor.pose or reading is wrong",
+    "beyond_friction": "of more friction than its tip's max_friction: bias, sensor.pose or max_friction is wrong",
+}
 
 
 @rig_app.command("check")
@@ -30,11 +39,18 @@ def check(
     object: ObjectName = None,
     plot: Annotated[Path | None, Option(help="An image file for the hand, its tips and its taxels.")] = None,
 ) -> None:
-    """Print a rig as tables, and what a recording lacks for it.
+    """Print a rig as tables, what a recording lacks for it, and which mistake explains what does not fit.
 
-    With `--plot` the hand is drawn with the shapes of its tips, the palm's axes and every taxel with its normal: those
-    that point into a link, or hang in the air, are in a wrong place. With a recording each sensor whose readings cannot
-    be used is named, with what to change: all zero, never changing, inverted, counts without a scale, swapped bytes.
+    With `--plot` the hand is drawn with the shapes of its tips, the sensors' axes, the palm's, the camera, and every
+    taxel with its normal: those that point into a link, or hang in the air, are in a wrong place. With a recording each
+    sensor whose readings cannot be used is named, with what to change: all zero, never changing, inverted, counts
+    without a scale, swapped bytes.
+
+    Where a recording contradicts itself as the rig reads it (forces that are not in balance, fingers that pull, a
+    weight that is not along gravity, contacts that do not fit the object), likely mistakes are tried: forces of the
+    other sign, exchanged topics, turned sensors and tips, other units, other orders of joints, another palm, a
+    quaternion as w, x, y, z. The one that explains it is named, with the line to change. The measures are from 0, which
+    is right, to 1.
 
     For a recording it also lists the fingers that never touched anything, by how much the shapes of the hand's links
     are too large (those that would be inside the object although the contacts of the fingertips fit), and what the
@@ -46,11 +62,12 @@ def check(
     handsight rig check robot.yaml grasp.mcap --object mustard
     ```
 
-    The exit code is 1 if the recording lacks something that tracking needs, a sensor's readings cannot be used, or no
-    finger ever touched anything.
+    The exit code is 1 if the recording lacks something that tracking needs, a sensor's readings cannot be used, a
+    mistake explains what does not fit, a finger was loaded but never touched, or no finger ever touched anything.
     """
     from handsight.rig import Rig
     from handsight.rig.layouts import misplaced
+    from handsight.tracking.consistency import outward
 
     found = Rig.from_file(rig)
     _print_rig(found, str(rig))
@@ -59,46 +76,85 @@ def check(
 
         draw_rig(found, rig.name, plot)
         say(f"wrote {plot}")
-    wrong = misplaced(found.skin, found.hand) if found.skin else {}
-    for name, sentence in wrong.items():
-        typer.echo(printable(f"- skin {name}: {sentence}"))
-    if recording is None:
-        raise typer.Exit(int(bool(wrong)))
-    from handsight.messages.sensor_faults import SensorFaults
-    from handsight.recording import open_recording
-    from handsight.tracking.diagnosis import Diagnoser
-    from handsight.tracking.fingertips import FingertipSensors
-    from handsight.tracking.replay import Tally, replay
-
-    tips, largest, touched = FingertipSensors(found), dict[str, float](), set[str]()
-    sensors = SensorFaults(found)
-    with open_recording(recording, found) as opened:
-        for observation in opened.observations():
-            sensors.put(observation)
-            for finger, wrench in observation.wrenches.items():
-                force = math.dist(wrench[:3], found.fingers[finger].calibration.bias_force)
-                largest[finger] = max(force, largest.get(finger, 0.0))
-            with contextlib.suppress(HandsightError):  # missing joints are reported elsewhere
-                touched |= set(tips.contacts(observation).fingers)
-        lacking = [*sensors.sentences(), *opened.report.sentences(), *opened.lacks()]
-    pressed = {found.skin[name].frame for name in sensors.touched}
-    touched |= {finger for finger, of in found.fingers.items() if of.frame in pressed}
-    untouched = [
-        f"finger {finger}: never touched; a contact takes {found.fingers[finger].tip.min_force:g} N on its tip, and "
-        f"the largest force was {force:.3g} N"
-        for finger, force in largest.items()
-        if finger not in touched
+    sentences = [
+        f"skin {name}: {text}"
+        for name, text in (misplaced(found.skin, found.hand) if found.skin else {}).items()
     ]
-    for sentence in (*lacking, *sensors.remarks(), *untouched):
+    sentences += [
+        f"fingers.{name}.surface: the tip points into its finger: its +z must leave it (turn it by 180°)"
+        for name, cosine in outward(found).items()
+        if cosine < INTO_FINGER
+    ]
+    for sentence in sentences:
         typer.echo(printable(f"- {sentence}"))
-    if wrong or lacking or not touched:
-        raise typer.Exit(1)
-    typer.echo(printable(f"{recording.name} has everything that this rig listens to."))
+    wrong = bool(sentences)
+    if recording is None:
+        raise typer.Exit(int(wrong))
+    run, why = None, ""
     try:
         run = Run.of(recording, rig, object)
     except InvalidInput as error:
-        typer.echo(printable(f"The links' shapes and the declared values were not checked: {error}"))
-        return
+        why = str(error)
+    wrong |= _compare(found, recording, run)
+    if wrong:
+        raise typer.Exit(1)
+    typer.echo(printable(f"{recording.name} has everything that this rig listens to."))
+    if run is None:
+        typer.echo(printable(f"The links' shapes and the declared values were not checked: {why}"))
+    else:
+        _print_values(run)
+
+
+def _compare(rig: "Rig", recording: Path, run: "Run | None") -> bool:
+    """Prints what a recording lacks for a rig, and which mistakes explain what is wrong; returns whether any is."""
+    from handsight.messages.sensor_faults import SensorFaults
+    from handsight.recording import open_recording
+    from handsight.tracking.consistency import Excerpt
+    from handsight.tracking.fingertips import FingertipSensors
+    from handsight.tracking.mistakes import find_mistakes
+
+    tips, sensors, excerpt = FingertipSensors(rig), SensorFaults(rig), Excerpt(rig)
+    largest, touched, reasons = dict[str, float](), set[str](), Counter[tuple[str, str]]()
+    with open_recording(recording, rig) as opened:
+        for observation in opened.observations():
+            sensors.put(observation)
+            forces = {
+                finger: math.dist(wrench[:3], rig.fingers[finger].calibration.bias_force)
+                for finger, wrench in observation.wrenches.items()
+            }
+            largest |= {finger: max(force, largest.get(finger, 0.0)) for finger, force in forces.items()}
+            with contextlib.suppress(HandsightError):  # missing joints are reported elsewhere
+                touch = tips.contacts(observation)
+                touched |= set(touch.fingers)
+                for finger, reason in touch.reasons.items():
+                    loaded = forces.get(finger, 0.0) > 3 * rig.fingers[finger].tip.min_force
+                    reasons[finger, reason] += loaded
+                excerpt.put(observation, touched=bool(touch.fingers))
+        lacking = [*sensors.sentences(), *opened.report.sentences(), *opened.lacks()]
+    pressed = {rig.skin[name].frame for name in sensors.touched}
+    touched |= {finger for finger, of in rig.fingers.items() if of.frame in pressed}
+    untouched = list[str]()
+    for finger in (name for name in largest if name not in touched):
+        least = f"a contact takes {rig.fingers[finger].tip.min_force:g} N on its tip"
+        text = f"finger {finger}: never touched; {least}, and the largest force was {largest[finger]:.3g} N"
+        counts = ((count, reason) for (name, reason), count in reasons.items() if name == finger)
+        count, why = max(counts, default=(0, ""))
+        if count:
+            text += f": {count} readings of a load are {WHY_UNTOUCHED.get(why, why)}"
+            lacking.append(text)
+        else:
+            untouched.append(text)
+    mistakes = find_mistakes(excerpt, None if run is None else run.model)
+    for sentence in (*lacking, *sensors.remarks(), *untouched, *mistakes):
+        typer.echo(printable(f"- {sentence}"))
+    return bool(lacking or mistakes or not touched)
+
+
+def _print_values(run: "Run") -> None:
+    """Prints what a recording tells of the declared values, and by how much the links' shapes are too large."""
+    from handsight.tracking.diagnosis import Diagnoser
+    from handsight.tracking.replay import Tally, replay
+
     with run.opened() as (opened, tracker):
         diagnoser = Diagnoser(tracker)
         for _ in replay(opened.observations(), tracker, Tally()):
@@ -218,6 +274,8 @@ def _degrees(values: "Array") -> str:
 
 def _print_rig(rig: "Rig", name: str) -> None:
     """Prints a rig in millimetres and degrees, at most 80 columns wide if names are short."""
+    import numpy as np
+
     from handsight.contact import Sphere
 
     hand = rig.hand
@@ -238,17 +296,29 @@ def _print_rig(rig: "Rig", name: str) -> None:
         if topic == "none" and not of.calibration.mass:
             continue
         sensors.append((finger, topic, *noise, *ranges, f"{1e3 * of.calibration.mass:g}"))
+    joints = dict(zip(hand.joint_names, np.clip(0.0, *hand.limits.T).tolist(), strict=True))
+    poses = dict(zip(hand.tips, hand.Ts_palm_tip(joints), strict=True))
+    places = []
+    for finger, of in rig.fingers.items():
+        T = poses[finger] @ of.T_frame_surface
+        center, along = (
+            [f"{x:.{digits}f}" for x in np.round(row, digits) + 0.0]
+            for digits, row in ((1, 1e3 * T[:3, 3]), (2, T[:3, 2]))
+        )
+        places.append((finger, ", ".join(center), ", ".join(along)))
     bold = {"header_style": "bold underline"}
     columns = ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")
     print_out(plain_table(columns, shapes, texts=2, **bold), "")
+    at_zero = ("with joints at 0", "centre in the palm [mm]", "points along")
+    print_out(plain_table(at_zero, places, texts=1, **bold), "")
     columns = ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")
     if sensors:
         print_out(plain_table(columns, sensors, texts=2, **bold), "")
     constant, random = math.degrees(rig.sigma_joint_offset), math.degrees(rig.sigma_joint)
-    places = {"tf": f"from {rig.topics.tf}", "joints": "from the joints", None: "not known"}
+    sources = {"tf": f"from {rig.topics.tf}", "joints": "from the joints", None: "not known"}
     rows = [
         ("joints", f"{constant:.2g}° constant, {random:.2g}° noise; on {rig.topics.joint_states}"),
-        ("palm in the world", places[rig.world_from]),
+        ("palm in the world", sources[rig.world_from]),
     ]
     if (c := rig.camera) is not None:
         by_vision = f"{1e3 * c.sigma_position:g} mm, {math.degrees(c.sigma_rotation):.2g}°"

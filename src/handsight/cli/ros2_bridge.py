@@ -59,7 +59,7 @@ def ros2_bridge(
         viewer = Viewer(live.tracker, port=port)
         live.show = viewer.update
         say(f"look at {viewer.address}")
-    worker = threading.Thread(target=work, args=(bridge, bridge.publish, say, ended), daemon=True)
+    worker = threading.Thread(target=work, args=(live, bridge.step, bridge.publish, say, ended), daemon=True)
     worker.start()
     say(
         f"the bridge is ready: it follows {live.tracker.model.name}, {len(live.subscriptions)} topics are heard"

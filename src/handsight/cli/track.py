@@ -18,15 +18,15 @@ from handsight.cli import options
 from handsight.cli.options import Run, renamed, tracker_settings
 from handsight.cli.terminal import FAILED, End, kept_going, live_rows, plain_table, print_out, say
 from handsight.errors import HandsightError, MissingExtra, printable
-from handsight.files import write_errors
+from handsight.files import text_file, write_errors
 
 if TYPE_CHECKING:
     from handsight.evaluation import TrackErrors, Truths
     from handsight.forces import ObjectWeight, Slip
     from handsight.objects import ObjectModel
     from handsight.tracking import Tracker
-    from handsight.tracking.diagnosis import Diagnosis
     from handsight.tracking.replay import Step, Tally
+    from handsight.tracking.verdicts import Diagnosis
 
 
 def track(
@@ -191,9 +191,9 @@ def write(result: "TrackResult", run: Run, folder: Path) -> Iterator[str]:
         with result.part():
             write_file(folder / name, rows)
             done.append(name)
-    with result.part(), write_errors(folder / "summary.json"):
+    with result.part(), text_file(folder / "summary.json") as file:
         text = json.dumps(result.summary(), indent=1, ensure_ascii=False, allow_nan=False)
-        (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+        file.write(text + "\n")
         done.append("summary.json")
     yield f"wrote {folder}: {', '.join(done)}"
     if not rows:
@@ -334,6 +334,12 @@ class TrackResult:
             lines.append(spent + (f"; at the end: {self.reason}" if self.reason else ""))
         lines += refusals(tally)
         lines += self._touch_sentences()
+        if re.search("contacts and vision have differed", self.reason) or (
+            "vision" in self.reason and not tally.answered
+        ):
+            lines.append(
+                "vision: check its topic, the order of its quaternion (x, y, z, w), camera.pose and frames.palm"
+            )
         if self.images:
             searched, detected, searched_hand, hands = self.images.values()
             hand = f"the hand in {hands} of {searched_hand} searched for it"
@@ -368,7 +374,7 @@ class TrackResult:
             if part >= 0.5:
                 yield (
                     f"finger {finger}: contradicts the others in {100 * part:.0f} % of the poses while it touched; "
-                    "check its reading, bias, sensor.pose and surface"
+                    "check its topic, reading, bias, sensor.pose and surface; `handsight rig check` tries them"
                 )
         if pressed := sum(step.skin.pressed for step in self.steps):
             yield f"tactile arrays: pressed in {pressed} of {len(self.steps)} poses"

@@ -295,7 +295,7 @@ def _normals(normals_palm: object, n: int) -> tuple[Array, Mask]:
 
 def _sigmas(value: ArrayLike, name: str, n: int) -> Array:
     """Returns standard deviations (n,) of points or normals."""
-    check = checks.sigma_point if name == "sigma_point" else checks.sigma_normal
+    check = checks.sigma_point if name == "sigma_point" else checks.sigma_angle
     if checks.ndim(value) == 0:
         return np.full(n, check(value, name))
     sigmas = checks.finite(value, name, (None,))

@@ -83,6 +83,10 @@ class Ellipsoid:
         axes, T = self.semi_axes + by, self.T_surface_sensor
         return Ellipsoid(axes, self.cap, self.max_friction, self.min_force, T)
 
+    def with_sensor(self, T_surface_sensor: ArrayLike) -> "Ellipsoid":
+        """Returns this tip with its sensor at another pose (4, 4); raises InvalidInput."""
+        return Ellipsoid(self.semi_axes, self.cap, self.max_friction, self.min_force, T_surface_sensor)
+
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Sphere(Ellipsoid):

@@ -5,7 +5,6 @@ They are read and written in chunks, so that a table may be larger than the memo
 
 import contextlib
 import csv
-import io
 import json
 import math
 import os
@@ -26,7 +25,7 @@ from handsight.contact.contact import REASON_NAMES, ContactBatch
 from handsight.contact.fingertips import Fingertip
 from handsight.contact.sensing import SIGMA_FORCE, SIGMA_TORQUE, contacts_from_wrenches
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.files import atomic_file, check_not_overwritten, stream_name, write_errors
+from handsight.files import check_not_overwritten, stream_name, text_file, write_errors
 from handsight.msgspec_errors import explain, field_name
 
 Place = str | os.PathLike[str] | TextIO
@@ -273,11 +272,5 @@ def _output(destination: Place) -> Iterator[TextIO]:
             yield destination
             destination.flush()
         return
-    path = Path(os.path.realpath(destination))
-    with write_errors(destination):
-        replaceable = path.is_file() or not path.exists()  # a pipe is not
-        with (
-            atomic_file(path) if replaceable else path.open("wb") as binary,
-            io.TextIOWrapper(binary, encoding="utf-8", newline="") as file,
-        ):
-            yield file
+    with text_file(destination) as file:
+        yield file

@@ -144,7 +144,7 @@ class TactileSurface:
             "noise": self.noise,
             "pitch": pitch if self.area is None else math.sqrt(checks.positive(self.area, "area")),
             "variance_point": self.sigma_point**2,
-            "variance_normal": checks.sigma_normal(sigma_normal, "sigma_normal") ** 2,
+            "variance_normal": checks.sigma_angle(sigma_normal, "sigma_normal") ** 2,
             "variance_mount": self.sigma_mount**2 * np.repeat([1.0, 4 / width**2], 3),
             "flat": flat,
         }

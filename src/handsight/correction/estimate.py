@@ -48,6 +48,10 @@ class PosePrior:
         self.T_palm_object.setflags(write=False)
         self.covariance.setflags(write=False)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Makes copies, from pickles too, as little writable as the prior itself: its record is of the same numbers."""
+        return _copied, (self.T_palm_object, self.covariance)
+
     @classmethod
     def trusted(cls, T_palm_object: Array, covariance: Array) -> PosePrior:
         """Returns a prior of arrays that are not checked, as this takes longer than a correction; for control loops."""
@@ -59,11 +63,18 @@ class PosePrior:
 
     @classmethod
     def from_sigmas(cls, T_palm_object: ArrayLike, sigma_position: float, sigma_rotation: float) -> PosePrior:
-        """Returns the prior with one standard deviation per axis of position [m] and of rotation [rad]."""
+        """Returns the prior with a sigma per axis of position [m], and of rotation [rad] within half a turn."""
         position = checks.sigma(sigma_position, "sigma_position")
-        rotation = checks.sigma(sigma_rotation, "sigma_rotation")
+        rotation = checks.sigma_angle(sigma_rotation, "sigma_rotation")
         T = se3.check(T_palm_object, "vision.T_palm_object")
         return cls(T, np.diag([position**2] * 3 + [rotation**2] * 3))
+
+
+def _copied(T_palm_object: Array, covariance: Array) -> PosePrior:
+    prior = PosePrior.trusted(T_palm_object.copy(), covariance.copy())
+    prior.T_palm_object.setflags(write=False)
+    prior.covariance.setflags(write=False)
+    return prior
 
 
 Vision = PosePrior | PoseMeasurement | GaussianPose

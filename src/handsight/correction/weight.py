@@ -38,7 +38,7 @@ class WeightEvidence:
         for name in ("center_object", "center_palm"):
             object.__setattr__(self, name, checks.in_reach(getattr(self, name), f"weight.{name}", (3,)))
         covariance = checks.covariance(self.covariance, "weight.covariance", (3, 3))
-        if not np.linalg.eigvalsh(covariance)[0] > 0:
+        if not np.linalg.eigvalsh(covariance)[0] >= checks.MIN_SIGMA**2:
             raise InvalidInput("weight.covariance: expected a positive definite one, got a singular one")
         object.__setattr__(self, "covariance", covariance)
 

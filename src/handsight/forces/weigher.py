@@ -59,6 +59,7 @@ class WeigherOptions(NamedTuple):
     """
     right_mass: float = 1.64  # a declared mass stays contradicted until it is nearer (a level of 10 %)
     biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
+    pull: float = 0.3  # cosine of forces with the way out of the grasp, below whose negative fingers pull
     restart_after: float = 3.0
     """How long loads may contradict the kept instants before these are dropped [s]."""
     trusted_directions: int = 3
@@ -68,6 +69,7 @@ class WeigherOptions(NamedTuple):
 WEIGHER = WeigherOptions()
 
 PULLED_UP = "the object seems to be pulled up: does gravity point the other way?"
+WRONG_SIGN = "the fingers seem to pull on the object: have the forces the right sign (each sensor's reading)?"
 WEIGHS = "it weighs"
 ASSUMED = "the loads fit a weight only if sensors have wrong gains, or a small force is not measured"
 
@@ -219,7 +221,9 @@ class Weigher:
         limit = WEIGHER.right_mass if self.reason.startswith(WEIGHS) else WEIGHER.wrong_mass
         self.reason = ""
         if found.mass < -WEIGHER.wrong_mass * found.sigma_mass:
-            self.reason = PULLED_UP
+            arms = load.Ts_palm_tip[:, :3, 3] - load.middle_palm
+            push = (load.forces * arms).sum() / (np.linalg.norm(load.forces) * np.linalg.norm(arms) + 1e-9)
+            self.reason = WRONG_SIGN if push < -WEIGHER.pull else PULLED_UP
         elif self.mass is not None:
             known = found.given_mass(self.mass, self.sigma_mass)
             off = abs(found.mass - self.mass) / np.hypot(found.sigma_mass, self.sigma_mass)
@@ -401,9 +405,9 @@ class WeightSensor:
     def doubt(self) -> str:
         """Why the loads make any pose doubtful; empty where they do not.
 
-        Gravity of the wrong sign makes the tips' own weight wrong too, and with it every contact.
+        Gravity of the wrong sign makes the tips' own weight wrong too, and forces of the wrong sign each contact.
         """
-        return PULLED_UP if self.weigher.reason == PULLED_UP else ""
+        return self.weigher.reason if self.weigher.reason in (PULLED_UP, WRONG_SIGN) else ""
 
     def elsewhere(self, estimate: PoseEstimate) -> str:
         """Returns how far the weight's centre is from where the rest has it; empty where they do not differ."""

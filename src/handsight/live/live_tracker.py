@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 from handsight.correction import PosePrior
 from handsight.errors import HandsightError, InvalidInput
-from handsight.live.answers import Answer, Health, Writer
+from handsight.live.answers import Answer, Writer
+from handsight.live.health import Health
 from handsight.live.markers import Markers
 from handsight.live.requests import REQUESTS, requested_model, requested_start, requested_text
 from handsight.messages import ObservationStream, RawMessage
@@ -19,7 +20,7 @@ from handsight.messages.topics import OwnTopic, RosType, rig_topics
 from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.rig import Rig
-from handsight.tracking import Tracker, TrackerSettings
+from handsight.tracking import State, Tracker, TrackerSettings
 
 
 class LiveOptions(NamedTuple):
@@ -105,10 +106,12 @@ class LiveTracker:
         self.tracker = Tracker(rig, model, settings=settings)
         """The tracker of the current object; only for the thread of `step`."""
         self._stream = ObservationStream(rig, order=ReorderBuffer if equal else PromptBuffer)
-        self.health = Health(self._inbox.dropped)
         self._came = time.monotonic()
+        self.health = Health(self._stream, self._inbox.dropped)
         self._flushed = True
         self._markers_at = self._object_at = -math.inf
+        # Not every transport can distinguish them from others on /tf.
+        self._own_transforms = deque[bytes](maxlen=200)
 
     @property
     def subscriptions(self) -> Mapping[str, tuple[str, ...]]:
@@ -126,13 +129,19 @@ class LiveTracker:
         """Number of joint states that were skipped, as newer ones waited."""
         return self.health.skipped
 
+    @property
+    def trust(self) -> tuple[State, str]:
+        """The tracker's state and reason; "lost" where nothing has come for `TrackerSettings.lost_after`."""
+        return self.health.trust(self.tracker, time.monotonic())[1:]
+
     def put(self, message: RawMessage) -> None:
-        """Adds a message, which waits for the next `step`; from any thread."""
+        """Adds a message, which waits for the next `step`, but not its own /tf; from any thread."""
         if message.topic in REQUESTS:
             # An object may take seconds to build, and the transport's thread must not wait for it.
             threading.Thread(target=self._fulfil, args=(message,), daemon=True).start()
             return
-        self._inbox.put(message, time.monotonic())
+        if message.topic != OwnTopic.TF or message.data not in self._own_transforms:
+            self._inbox.put(message, time.monotonic())
 
     def reset(self) -> "Future[str]":
         """Starts a new track from the next pose of vision; the future's result is a sentence. From any thread."""
@@ -162,8 +171,11 @@ class LiveTracker:
             self._tasks.popleft()()
         observations = list[Observation]()
         for came, message in arrived:
-            order.now = came
+            order.now, topic = came, self._stream.topics.get(message.topic)
+            readable = 0 if topic is None else topic.readable
             observations += self._stream.put(message)
+            if topic is not None and topic.readable > readable:
+                self.health.came(topic.name, came)
         if (rig := self._stream.calibrated(self.rig)) is not self.rig:
             self.rig = rig
             self._follow(self.tracker.model, None)
@@ -186,9 +198,9 @@ class LiveTracker:
             observations = [*kept, newest]
         answers = [answer for each in observations for answer in self._answers(each)]
         if answers:
-            self.health.answered(time.monotonic() - self._came)
-        if self.health.due(self.tracker):
-            answers.append(self.health.diagnostics(self.tracker, self._stream, self._writer))
+            self.health.answered(now := time.monotonic(), now - self._came)
+        if statuses := self.health.statuses(self.tracker, time.monotonic()):
+            answers.append(self._writer.diagnostics(statuses))
         return answers
 
     def _start(self, model: ObjectModel | None, start: PosePrior | None, message: str) -> "Future[str]":
@@ -244,6 +256,7 @@ class LiveTracker:
         answers = [self._writer.pose(tracker.stamp, estimate)]
         if tracker.state != "lost":
             answers.append(self._writer.transform(tracker.stamp, estimate.T_palm_object))
+            self._own_transforms.append(answers[-1].data)
         now = time.monotonic()
         if now - self._markers_at >= LIVE.marker_period and self.markers_wanted():
             self._markers_at = now

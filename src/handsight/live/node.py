@@ -1,31 +1,50 @@
-"""What the nodes of all transports share: creation from parameters, the worker's loop, and queue lengths."""
+"""What the nodes of all transports share: parameters, the worker's loop, and queue lengths."""
 
+import gc
+import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
-from handsight.errors import HandsightError
+from handsight.checks import brief, suggestion
+from handsight.errors import HandsightError, InvalidInput, printable
 from handsight.live.answers import Answer
 from handsight.live.live_tracker import LiveTracker
 from handsight.live.requests import REQUESTS, requested_model
 from handsight.messages import RawMessage
 from handsight.messages.clocks import CLOCKS
 from handsight.rig import Rig
-from handsight.tracking import Tracker, TrackerSettings
+from handsight.tracking import TrackerSettings
+from handsight.tracking.concurrent_images import image_process
+from handsight.tracking.warm import find_hand, find_object
+
+PARAMETERS = {"rig": "", "object": "", "rate": 0.0, "images": True, "equal": False, "view": 0}
+"""The parameters of a node with their defaults: those of `live_tracker`, and the port of a page in the browser."""
 
 
-class Stepped(Protocol):
-    """A `Stepped` is a `LiveTracker`, or a transport that also receives its messages within `step`."""
+def parameters(given: Mapping[str, object]) -> dict[str, Any]:
+    """Returns a node's parameters from those that a user gave, by name; the others have their defaults.
 
-    @property
-    def tracker(self) -> Tracker:
-        """The tracker of the current object."""
-
-    def step(self, timeout: float) -> list[Answer]:
-        """Returns the messages to publish now; waits at most `timeout` [s] for something to do."""
+    Raises InvalidInput for an unknown name, a value of another type, and where the rig is missing.
+    """
+    types = {str: "a text", float: "a number of 0 or more", bool: "true or false", int: "a port or 0"}
+    values: dict[str, Any] = {**PARAMETERS}
+    for name, value in given.items():
+        if name not in PARAMETERS:
+            raise InvalidInput(f"parameter {printable(name)}: unknown{suggestion(name, PARAMETERS)}")
+        kind: type = type(PARAMETERS[name])
+        # A number, or a name of digits alone, may have come as an integer.
+        fits = type(value) is kind or (type(value) is int and kind in (str, float))
+        most = {float: math.inf, int: 65536}.get(kind)
+        if not fits or (most is not None and not 0 <= float(str(value)) < most):
+            raise InvalidInput(f"parameter {name}: expected {types[kind]}, got {brief(repr(value))}")
+        values[name] = kind(value)
+    if not values["rig"]:
+        raise InvalidInput("parameter rig: expected the rig file, got nothing")
+    return values
 
 
 def live_tracker(
@@ -37,7 +56,7 @@ def live_tracker(
     images: bool = True,
     equal: bool = False,
 ) -> LiveTracker:
-    """Returns the tracker that a node's parameters describe.
+    """Returns the tracker that a node's parameters describe, with all that it calls loaded or compiled.
 
     `rig`: the rig file. `name`: the object, in the rig or the library, or a mesh file; None or empty: the rig's only
     one. `rate`: corrections per second; None or 0: whenever a contact has changed. `images`: whether to use depth
@@ -46,8 +65,20 @@ def live_tracker(
     known = Rig.from_file(rig)
     if not name and len(known.objects) == 1:
         name = next(iter(known.objects))
-    model, settings = requested_model(name or "", known), TrackerSettings(rate=rate or None, images=images)
-    return LiveTracker(known, model, encoding=encoding, settings=settings, equal=equal)
+    model, settings = (
+        requested_model(name or "", known),
+        TrackerSettings(rate=rate or None, images=images, concurrent_images=images and not equal),
+    )
+    live = LiveTracker(known, model, encoding=encoding, settings=settings, equal=equal)
+    if settings.concurrent_images and known.topics.depth is not None:
+        image_process().ready.wait()
+    elif images and known.topics.depth is not None:
+        find_object()
+        find_hand()
+    # To search all that lives for garbage takes a tenth of a second, for which an update would wait.
+    gc.collect()
+    gc.freeze()
+    return live
 
 
 def queue_lengths(live: LiveTracker) -> tuple[int, int]:
@@ -68,17 +99,25 @@ def time_to_wait(timeout: float, received: float) -> float:
 
 
 def work(
-    live: Stepped, publish: Callable[[Answer], None], say: Callable[[str], None], ended: threading.Event
+    live: LiveTracker,
+    step: Callable[[float], list[Answer]],
+    publish: Callable[[Answer], None],
+    say: Callable[[str], None],
+    ended: threading.Event,
 ) -> None:
-    """Publishes answers until `ended` is set, and reports each change of state to `say`; sets `ended` if it fails."""
+    """Publishes the answers of `step` until `ended` is set, and reports each change of state to `say`.
+
+    `step`: that of `live`, or of a transport that also receives its messages within it. Sets `ended` if it fails.
+    """
     state = ""
     try:
         while not ended.is_set():
-            for answer in live.step(0.05):
+            for answer in step(0.05):
                 publish(answer)
-            if live.tracker.state != state:
-                state = live.tracker.state
-                say(f"{state} {live.tracker.reason}".rstrip())
+            now, reason = live.trust
+            if now != state:
+                state = now
+                say(f"{state} {reason}".rstrip())
     finally:
         ended.set()
 

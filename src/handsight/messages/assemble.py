@@ -10,10 +10,11 @@ import numpy as np
 from handsight import se3
 from handsight.checks import MAX_DISTANCE, Array
 from handsight.messages.decode import Measurement
-from handsight.messages.report import Report, Units
+from handsight.messages.report import Report
 from handsight.messages.topics import Role
 from handsight.observation import Observation
 from handsight.rig import Rig
+from handsight.rig.units import Units
 
 
 class AssemblyOptions(NamedTuple):
@@ -170,6 +171,9 @@ class WrenchSensor:
             if force >= share * full_force or torque >= share * full_torque:
                 self.saturated += 1
                 full = f"{full_force:g} N, {full_torque:g} N m"
+                if force > 2 * full_force or torque > 2 * full_torque:  # no sensor does
+                    beyond = f"reads {force:.4g} N, {torque:.4g} N m, beyond its full scale ({full}),"
+                    return f"{beyond} in {self.saturated} messages (millinewtons, N mm?)"
                 return f"reads full scale ({full}) in {self.saturated} messages"
         constant = self.repeated >= ASSEMBLY.min_stuck_readings and stamp - self.changed > ASSEMBLY.stuck
         if constant and any(other.changed >= stamp - ASSEMBLY.stuck for other in sensors):

@@ -2,75 +2,17 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
-from math import hypot
-from typing import NamedTuple
-
-import numpy as np
+from copy import deepcopy
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar
 
 from handsight.checks import nearest_name
 from handsight.errors import printable
 from handsight.messages.topics import TOPICS, RosType, TopicReport
-from handsight.observation import Observation
 from handsight.rig import Rig
+from handsight.rig.units import Units
 
-
-class UnitLimits(NamedTuple):
-    """`UnitLimits` are the values above which the unit seems to be wrong."""
-
-    max_range: float = 10.0  # from a camera to the object [m]
-    max_force: float = 300.0  # on a fingertip [N]
-    min_share: float = 0.1  # share of the observations with such values; fewer are outliers
-
-
-UNITS = UnitLimits()
-
-
-class Units:
-    """A `Units` finds values so large that they seem to be in a wrong unit."""
-
-    def __init__(self, rig: Rig) -> None:
-        self._rig, self._count, self._beyond = rig, 0, Counter[str]()
-        self._largest: dict[str, tuple[float, str]] = {}
-        hand = rig.hand
-        limits = zip(hand.joint_names, np.abs(hand.limits).max(axis=1).tolist(), strict=True)
-        self._limits = [each for each in limits if each[0] in hand.moving and np.isfinite(each[1])]
-
-    def put(self, observation: Observation) -> None:
-        """Checks an observation."""
-        self._count += 1
-        positions = observation.joint_positions or {}
-        for name, limit in self._limits:
-            value = abs(positions.get(name, 0.0))
-            # Hinges turn by a radian or two. The hand's file may limit one too narrowly, hence the margin of a radian.
-            if not value > 2 * limit + 1:
-                continue
-            radians = np.deg2rad(value)
-            meant = f"degrees? {radians:.3g} rad"
-            if radians > 2 * limit:
-                meant = f"{1e-3 * value:.3g} in thousandths?"
-            text = f"{value:.4g} where its file limits it to {limit:.4g} ({meant})"
-            self._note(f"{self._rig.topics.joint_states}: joint {name!r}", value, text)
-        for name, wrench in observation.wrenches.items():
-            force = hypot(*wrench[:3].tolist())
-            if force > UNITS.max_force:
-                self._note(f"finger {name}", force, f"{force:.4g} N (millinewtons? {1e-3 * force:.3g} N)")
-        vision = observation.vision
-        if vision is not None and vision.frame != "world":
-            distance = float(np.linalg.norm(vision.T_frame_object[:3, 3]))
-            if distance > UNITS.max_range:
-                text = f"{distance:.4g} m away (millimetres? {1e-3 * distance:.3g} m)"
-                self._note(f"{self._rig.topics.vision}: poses", distance, text)
-
-    def _note(self, what: str, value: float, text: str) -> None:
-        self._beyond[what] += 1
-        if value > self._largest.get(what, (0.0, ""))[0]:
-            self._largest[what] = value, text
-
-    def sentences(self) -> list[str]:
-        """Returns a sentence for each kind of value that was often above its limit."""
-        often = [what for what, count in self._beyond.items() if count >= UNITS.min_share * self._count]
-        return [f"{what} up to {self._largest[what][1]}" for what in often]
+T = TypeVar("T", TopicReport, "Report")
 
 
 @dataclass(slots=True)
@@ -100,6 +42,18 @@ class Report:
     ended: bool = False
     """Whether all messages have come."""
 
+    def copied(self) -> "Report":
+        """Returns a copy that does not change any more."""
+        return deepcopy(replace(self, units=None))
+
+    def since(self, before: "Report") -> "Report":
+        """Returns what was counted after an earlier copy; what is wrong with a sensor, only if it has changed."""
+        backwards = None if self.backwards == before.backwards else self.backwards
+        new = {topic: TopicReport(topic, "joints", ()) for topic in self.topics.keys() - before.topics.keys()}
+        topics = {name: _counted(each, (before.topics | new)[name]) for name, each in self.topics.items()}
+        fingers = {name: why for name, why in self.fingers.items() if before.fingers.get(name) != why}
+        return replace(_counted(self, before), topics=topics, fingers=fingers, backwards=backwards)
+
     def sentences(self) -> list[str]:
         """Returns a sentence for each problem that a user should know of, worst first."""
         messages = []
@@ -127,6 +81,16 @@ class Report:
         return [printable(each) for each in messages] + shortened(
             f"{name}: wrenches of no finger of the rig; not used" for name in others
         )
+
+
+def _counted(now: T, before: T) -> T:
+    """Returns a report with all its numbers counted after an earlier one."""
+    changes: dict[str, Any] = {
+        each.name: getattr(now, each.name) - getattr(before, each.name)
+        for each in fields(now)
+        if type(getattr(now, each.name)) in (int, Counter)
+    }
+    return replace(now, **changes)
 
 
 def shortened(sentences: Iterable[str]) -> list[str]:
@@ -178,11 +142,20 @@ def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -
         elif absent:
             of = f"{absent} of {report.observations} observations"
             lacking.append(f"no transform from {world!r} to {palm!r} in {of}")
-    return [printable(each) for each in lacking] + shortened(
-        f"joint {joint!r}: never on {topics.joint_states}{_nearest(joint, joint_names)}"
-        for joint in rig.hand.moving
-        if report.observations and joint not in joint_names
-    )
+    absent_joints = [joint for joint in rig.hand.moving if report.observations and joint not in joint_names]
+    if absent_joints:
+        named, more = ", ".join(map(repr, absent_joints[:4])), len(absent_joints) - 4
+        of = (
+            f"joint {named}"
+            if len(absent_joints) == 1
+            else f"joints {named}{f' and {more} more' if more > 0 else ''}"
+        )
+        near = _nearest(absent_joints[0], joint_names).replace(
+            "the nearest", f"the nearest to {absent_joints[0]!r}"
+        )
+        near = near if len(absent_joints) > 1 else _nearest(absent_joints[0], joint_names)
+        lacking.append(f"{of}: never on {topics.joint_states}{near}")
+    return [printable(each) for each in lacking]
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:

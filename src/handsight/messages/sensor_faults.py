@@ -6,9 +6,9 @@ import numpy as np
 
 from handsight.checks import Array
 from handsight.contact import TactileSurface
-from handsight.messages.report import UNITS
 from handsight.observation import Observation
 from handsight.rig import Rig
+from handsight.rig.units import UNITS
 
 SOME, FEW = 256, 5
 """Readings of a sensor that are kept, spread over the recording; with fewer than `FEW` nothing is judged."""

@@ -169,6 +169,16 @@ class TopicReport:
         """Whether its messages may be of any type that comes with its definition, as the rig has a path into them."""
         return any(surface.field for surface in self.surfaces)
 
+    @property
+    def readable(self) -> int:
+        """Number of messages that could be read, and whose numbers are finite."""
+        return self.messages - self.nan - self.bad
+
+    @property
+    def left_out(self) -> int:
+        """Number of messages that were left out, for whatever reason."""
+        return self.duplicated + self.nan + self.late + self.bad + self.stale + self.stuck
+
     def reject(self, error: MessageRejected) -> None:
         """Counts a message as `nan` or `bad`, with its reason."""
         self.nan, self.bad = self.nan + error.nan, self.bad + (not error.nan)

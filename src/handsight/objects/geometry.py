@@ -144,7 +144,7 @@ def geometry_of(
         sigma_point=float(np.median(distance) / 0.6745),
         sigma_normal=float(np.median(angle) / 1.1774),
         field_error=field_error,
-        remarks=(*remarks, *_unit_remarks(float((bounds[1] - bounds[0]).max()))),
+        remarks=(*remarks, *unit_remarks(float((bounds[1] - bounds[0]).max()))),
         surface=surface,
     )
 
@@ -203,7 +203,7 @@ def _errors(surface: Surface, fine: Field, count: int, seed: int) -> tuple[Array
     return points, np.abs(distance), np.arctan2(sine, (gradient * normals).sum(axis=1))
 
 
-def _unit_remarks(extent: float) -> tuple[str, ...]:
+def unit_remarks(extent: float) -> tuple[str, ...]:
     """Returns a remark where the largest extent [m] suggests another unit than metres."""
     if GEOMETRY.min_extent <= extent <= GEOMETRY.max_extent:
         return ()

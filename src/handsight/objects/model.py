@@ -202,8 +202,13 @@ class ObjectModel(Geometry):
         return out.reshape(np.shape(T))
 
     def with_symmetries(self, symmetries: Symmetries) -> Self:
-        """Returns the same object with these symmetries declared."""
-        return dataclasses.replace(self, symmetries=symmetries)
+        """Returns the same object with these symmetries declared; raises InvalidInput where they move its surface."""
+        # At the top of the file this would be a circular import: the search for symmetries needs models.
+        from handsight.objects.symmetry_search import check_symmetries
+
+        found = dataclasses.replace(self, symmetries=symmetries)
+        check_symmetries(self, symmetries)
+        return found
 
     def with_weight(
         self,
@@ -283,6 +288,7 @@ def _checked_points(points: ArrayLike, normals: ArrayLike | None) -> tuple[Array
 
 def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> Triangles:
     """Returns the mesh of `vertices` (k, 3) [m] and `faces` (m, 3); raises InvalidObject for other arrays."""
+    vertices = checks.unmasked(vertices, "vertices") if isinstance(vertices, np.ndarray) else vertices
     try:
         points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
     except (TypeError, ValueError):

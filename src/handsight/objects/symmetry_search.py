@@ -86,26 +86,34 @@ def declared_symmetries(model: ObjectModel, words: Sequence[str]) -> Symmetries:
         if len(words) > 1:
             raise InvalidInput(f"symmetry: expected find alone, got {' '.join(words)}")
         return propose_symmetries(model)
-    surface, axes, turns = model.surface, [], list[Array]()
+    surface, found = model.surface, list[Symmetries]()
     places = surface.corners.mean(axis=1) if isinstance(surface, Triangles) else surface.vertices
     center = np.average(places, axis=0, weights=surface.areas)  # every symmetry leaves it in place
-    points = model.sample(SEARCH.declared_samples)[0]
     for word in words:
-        found = re.fullmatch(r"([xyz])(?:/([1-9]\d{0,2}))?", word)
-        if found is None or int(found[2] or 1) > MAX_ROTATIONS:
+        match = re.fullmatch(r"([xyz])(?:/([1-9]\d{0,2}))?", word)
+        if match is None or int(match[2] or 1) > MAX_ROTATIONS:
             expected = "find, an axis (z: any turn about it), or an axis and a number (z/4: quarter turns)"
             raise InvalidInput(f"symmetry: expected {expected}, got {word!r}")
-        axis = np.eye(3)["xyz".index(found[1])]
-        angles = [2 * np.pi / int(found[2])] if found[2] else 2 * np.pi * np.arange(1, 12) / 12
-        off = max(_distance(model, points, about(center, angle * axis)) for angle in angles)
-        if off > SEARCH.declared_tolerance * model.diameter:
-            expected = "expected turns that leave the surface in place"
-            raise InvalidInput(f"symmetry: {expected}, got {word}, which is {1e3 * off:.1f} mm off")
-        if found[2]:
-            turns.append(about(center, angles[0] * axis))
-        else:
-            axes.append((center, axis))
-    return Symmetries(axes, np.array(turns) if turns else None)
+        axis = np.eye(3)["xyz".index(match[1])]
+        turn = about(center, 2 * np.pi / int(match[2]) * axis)[None] if match[2] else None
+        found.append(Symmetries([] if match[2] else [(center, axis)], turn))
+        check_symmetries(model, found[-1], "symmetry", word)
+    turns = [T for each in found for T in each.rotations]
+    return Symmetries([line for each in found for line in each.axes], np.array(turns))
+
+
+def check_symmetries(
+    model: ObjectModel, symmetries: Symmetries, name: str = "symmetries", came: str = "one"
+) -> None:
+    """Raises InvalidInput, which begins with `name`, where symmetries move the object's surface; `came` names them."""
+    if symmetries.trivial:
+        return
+    points, angles = model.sample(SEARCH.declared_samples)[0], 2 * np.pi * np.arange(1, 12) / 12
+    turns = [about(point, angle * axis) for point, axis in symmetries.axes for angle in angles]
+    off = max(_distance(model, points, T) for T in (*symmetries.rotations[1:], *turns))
+    if off > SEARCH.declared_tolerance * model.diameter:
+        expected = "expected turns that leave the surface in place"
+        raise InvalidInput(f"{name}: {expected}, got {came}, which is {1e3 * off:.1f} mm off")
 
 
 def _distance(model: ObjectModel, points: Array, T: Array) -> float:

@@ -15,7 +15,7 @@ from handsight import checks, se3
 from handsight.checks import Array
 from handsight.correction import bounded_covariance
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.files import write_errors
+from handsight.files import text_file, write_errors
 from handsight.messages import encode
 from handsight.messages.decode import rosbags_module, typestore
 from handsight.messages.topics import OwnTopic, RosType
@@ -221,7 +221,7 @@ def write_track_mcap(path: str | Path, rows: Iterable[TrackRow], *, frame: str =
 
 def write_track_tum(path: str | Path, rows: Iterable[TrackRow]) -> None:
     """Writes lines `stamp x y z qx qy qz qw` [s, m], the format of evo and the TUM benchmark; raises InvalidFile."""
-    with write_errors(path), Path(path).open("w", encoding="utf-8", newline="") as file:
+    with text_file(path) as file:
         for row in rows:
             if row.T_palm_object is not None:
                 file.write(f"{row.stamp:.9f} {' '.join(_pose(row.T_palm_object))}\n")
@@ -232,7 +232,7 @@ def write_track_csv(path: str | Path, rows: Iterable[TrackRow]) -> None:
 
     Raises InvalidFile.
     """
-    with write_errors(path), Path(path).open("w", encoding="utf-8", newline="") as file:
+    with text_file(path) as file:
         table = csv.writer(file, lineterminator="\n")
         sigma_columns = (f"sigma_{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz"))
         table.writerow(("stamp", "state", "reason", "x", "y", "z", "qx", "qy", "qz", "qw", *sigma_columns))

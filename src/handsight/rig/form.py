@@ -404,7 +404,9 @@ class TopicsForm(Section):
     camera_info: Text | None = None
     detections: Annotated[Text | None, key("Detection2DArray")] = None
     mask: Annotated[Text | None, key("Image that is not 0, or the object's label, where it is")] = None
-    truth: Text | None = None
+    truth: Annotated[Text | None, key("PoseStamped in the palm (frames.palm), only ever compared with")] = (
+        None
+    )
     wrenches: dict[str, Text] | None = None
     contacts: dict[str, Text] | None = None
     skin: dict[str, Text] | None = None

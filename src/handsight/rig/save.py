@@ -11,7 +11,7 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Gel, Sphere, TactileSurface
-from handsight.files import write_errors
+from handsight.files import text_file
 from handsight.hand.paths import PACKAGE
 from handsight.objects import ObjectSpec
 from handsight.rig import form
@@ -30,10 +30,12 @@ def write(rig: Rig, path: Path) -> None:
         if surface.layout is None:
             rows = "".join(",".join(f"{x:.9g}" for x in row) + "\n" for row in _table(surface))
             files[name] = tables.setdefault(rows, f"{path.stem}.{name}.csv")
-    with write_errors(path):
-        for rows, file in tables.items():
-            (path.parent / file).write_text("x,y,z,nx,ny,nz,ax,ay,az\n" + rows, encoding="utf-8")
-        path.write_text(text(rig, files), encoding="utf-8")
+    for place, content in (
+        *((path.parent / file, f"x,y,z,nx,ny,nz,ax,ay,az\n{rows}") for rows, file in tables.items()),
+        (path, text(rig, files)),
+    ):
+        with text_file(place) as file:
+            file.write(content)
 
 
 def text(rig: Rig, tables: Mapping[str, str] | None = None) -> str:

@@ -1,6 +1,6 @@
 """Sweeps of a fingertip along a line: where one would meet an object of known pose, and what one has met."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,10 +60,10 @@ class Touch:
     def __post_init__(self) -> None:
         """Checks the fields; raises InvalidInput."""
         free = self.free_world
-        if len(free):
-            free = checks.position(free, "touch.free_world", (None, 3))
-        object.__setattr__(self, "free_world", np.asarray(free, dtype=np.float64).reshape(-1, 3))
-        object.__setattr__(self, "radius", float(checks.positive(self.radius, "touch.radius")))
+        if checks.ndim(free) == 1 and not len(free):
+            free = np.zeros((0, 3))
+        object.__setattr__(self, "free_world", checks.position(free, "touch.free_world", (None, 3)))
+        object.__setattr__(self, "radius", float(checks.sigma_point(self.radius, "touch.radius")))
         object.__setattr__(self, "sigma", float(checks.sigma(self.sigma, "touch.sigma")))
         met = self.contact_world
         if met is not None and not (isinstance(met, Contacts) and len(met) == 1 and met.has_normal.all()):
@@ -79,7 +79,7 @@ def with_symmetries_of_touch(model: ObjectModel, sigma: float) -> ObjectModel:
     """
     proposed, declared = propose_symmetries(model, sigma), model.symmetries
     more = (len(proposed.axes), len(proposed.rotations)) > (len(declared.axes), len(declared.rotations))
-    return model.with_symmetries(proposed) if more else model
+    return replace(model, symmetries=proposed) if more else model
 
 
 def tip_center(contact_world: Contacts, radius: float) -> Array:

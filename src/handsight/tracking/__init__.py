@@ -1,7 +1,7 @@
 """Tracking: the object's pose in the palm over time, from a stream of observations."""
 
 from handsight.tracking.camera_calibration import HAND_VIEWS, HandViews, calibrate_camera
-from handsight.tracking.diagnosis import Diagnosed, Diagnoser, Diagnosis, diagnose
+from handsight.tracking.diagnosis import Diagnoser, diagnose
 from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.replay import Step, Tally, best_weight

@@ -217,7 +217,7 @@ def put_sensed(
     """Writes contacts that fingertips have sensed directly into their fingers' rows of `records` and `by_error`.
 
     `records` (n) are PALM_CONTACT; these, `Ts_palm_tip` (n, 4, 4) and `by_error` (n, 6, j) are those of
-    `contacts_to_palm`, in the order of the rig's fingers. Fingers that the rig lacks are ignored. Raises InvalidInput.
+    `contacts_to_palm`, in the order of the rig's fingers. Raises InvalidInput.
     """
     if not isinstance(contacts, Mapping):
         came = checks.brief(contacts)

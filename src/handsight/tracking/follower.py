@@ -19,13 +19,14 @@ from handsight.objects import ObjectModel
 from handsight.objects.resting import resting_poses
 from handsight.observation import Observation
 from handsight.rig import MountedCamera, Rig
+from handsight.tracking.concurrent_images import ConcurrentImages
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
 from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside
 from handsight.tracking.hypotheses import HYPOTHESES, ambiguity, with_others
-from handsight.tracking.images import ImageVision
+from handsight.tracking.images import ImageVision, ObjectInImages
 from handsight.tracking.joint_offsets import JointOffsets
-from handsight.tracking.measurements import VisionUpdate
+from handsight.tracking.measurements import EYE, VisionUpdate
 from handsight.tracking.misfit import MISFIT, NO_INNOVATIONS, better_object
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
@@ -116,7 +117,13 @@ class Follower:
             grasp=GraspState(),
             memory=ContactMemory(self.settings.memory, self.process_noise),
             vision=vision,
-            images=ImageVision(self.rig, self.model, self.source, on=self.settings.images),
+            images=ImageVision(
+                self.rig,
+                self.model,
+                self.source,
+                on=self.settings.images,
+                follow=ConcurrentImages if self.settings.concurrent_images else ObjectInImages,
+            ),
             slip=SlipUpdate(self.rig, self.model),
             weight=WeightSensor(self.rig, self.model),
             offsets=offsets,
@@ -269,24 +276,31 @@ class Follower:
         """Updates the smoother by the observation's image, or by its pose from vision if it has no image."""
         known, grasped = state.estimate, state.grasp.grasped
         T_palm_object = known.T_palm_object if known is not None and grasped else None
-        result = state.images.observe(observation, state.vision.camera_from_palm, T_palm_object)
-        state.processed = result.observation
-        before = state.smoother
-        if result.hand is not None:
-            state.vision, state.smoother = state.vision.palm_detected(result.hand, before)
+        processed, hand = state.images.observe(observation, state.vision.camera_from_palm, T_palm_object)
+        state.processed, before = processed, state.smoother
+        if hand is not None:
+            state.vision, state.smoother = state.vision.palm_detected(hand, before)
             if state.table is not None and before is not None and state.smoother is not before:
-                state.table = state.table.informed(before, result.hand.bias(before.pivot))
-        if (vision := result.observation.vision) is None:
+                state.table = state.table.informed(before, hand.bias(before.pivot))
+        if (vision := processed.vision) is None:
             return
         # Since the image was taken, an object in the hand has moved with the palm, another one stayed in the world.
         latency = self.camera.latency if state.smoother is None else state.smoother.latency
         stamp = observation.stamp if vision.stamp is None else vision.stamp
-        past = state.images.history.palm_at(stamp, latency) if grasped else None
+        past, T_then_now = state.images.history.palm_at(stamp, latency), EYE
+        if self.settings.concurrent_images and vision is not observation.vision:  # maybe seconds late
+            if stamp < state.grasp.since or (grasped and past is None):
+                return
+            if not grasped and past is not None and state.T_world_palm is not None:
+                T_then_now = se3.inverse(past[0]) @ state.T_world_palm
+        past = past if grasped else None
         T_world_palm, motion = past or (state.T_world_palm, STILL)
         if vision is not observation.vision:
             # An image's covariance includes what it shares with those before.
             motion = motion._replace(drift_gain=0.0)
-        state.vision, after = state.vision.updated(result.observation, state.smoother, T_world_palm, motion)
+        state.vision, after = state.vision.updated(
+            processed, state.smoother, T_world_palm, motion, T_then_now
+        )
         state.smoother = after
         if before is not None and after is not None and (after.process_noise < before.process_noise).any():
             state.table = None  # vision has started anew, as the object was moved

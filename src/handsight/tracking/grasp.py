@@ -39,6 +39,8 @@ class GraspState:
     """When any finger last touched [s]."""
     lowest: float | None = None
     """Lowest height of the palm in the world since the grasp [m]; None where it is unknown."""
+    since: float = -math.inf
+    """When the object was last grasped or released [s]."""
 
     def after(
         self, fingers: tuple[str, ...], stamp: float, T_world_palm: Array | None
@@ -62,7 +64,8 @@ class GraspState:
             lowest = height if lowest is None else min(lowest, height)
             lifted = height >= lowest + GRASP.lifted
         last = now if now or change == "released" else self.fingers
-        return GraspState(grasped, lifted, last, touched_at, lowest), change
+        since = self.since if grasped == self.grasped else stamp
+        return GraspState(grasped, lifted, last, touched_at, lowest, since), change
 
 
 class LastContact(NamedTuple):

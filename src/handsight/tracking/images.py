@@ -1,10 +1,12 @@
 """Depth images as measurements: of the object's pose in the camera, and, by the hand, of the camera's own pose."""
 
+from __future__ import annotations
+
 from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -23,6 +25,9 @@ from handsight.vision import FirstPoseSource, PalmDetection
 from handsight.vision.depth_noise import PRESETS
 from handsight.vision.object.depth_tracker import HIDDEN, DepthTracker, Sighting
 from handsight.vision.palm.hand_in_image import HandInImage
+
+if TYPE_CHECKING:
+    from handsight.tracking.concurrent_images import ConcurrentImages
 
 
 class ImageOptions(NamedTuple):
@@ -61,7 +66,7 @@ class History:
 
     instants: tuple[Instant, ...] = ()
 
-    def after(self, instant: Instant) -> "History":
+    def after(self, instant: Instant) -> History:
         """Returns the history with one more instant, which replaces one of the same stamp."""
         kept = self.instants
         if kept and kept[-1].stamp == instant.stamp:
@@ -103,12 +108,26 @@ class History:
         return then.T_world_palm, Motion(twist, stamp - then.stamp)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ImageResult:
-    """An `ImageResult` is an observation whose depth image was evaluated."""
+class TakenImage(NamedTuple):
+    """A `TakenImage` is a depth image with what was known when it was taken."""
 
-    observation: Observation
-    """With the image's pose as its vision; None where the object was not detected."""
+    stamp: float
+    """[s]"""
+    depth: Depth
+    then: Instant
+    from_palm: CameraFromPalm
+    """The camera's error, as earlier images have measured it."""
+    T_palm_object: Array | None
+    """(4, 4) the pose of an object in the hand; None where it is not grasped."""
+    source: FirstPoseSource
+    """Finds the object where nothing else says where it is."""
+
+
+class ImageResult(NamedTuple):
+    """An `ImageResult` is what an image has measured."""
+
+    vision: PoseMeasurement | None
+    """The object's pose in the camera; None where it was not detected."""
     hand: HandView | None
     """The palm in the image; None where it was not searched for, or not detected."""
 
@@ -116,8 +135,16 @@ class ImageResult:
 class ImageVision:
     """An `ImageVision` evaluates the images of a rig's depth camera for one object, over time."""
 
-    def __init__(self, rig: Rig, model: ObjectModel, source: FirstPoseSource, *, on: bool) -> None:
-        """`source`: finds the object where nothing else says where it is.
+    def __init__(
+        self,
+        rig: Rig,
+        model: ObjectModel,
+        source: FirstPoseSource,
+        *,
+        on: bool,
+        follow: Callable[[Rig, ObjectModel], ObjectInImages | ConcurrentImages],
+    ) -> None:
+        """`source`: finds the object where nothing else says where it is. `follow`: evaluates the images.
 
         Observations are left unchanged if it is not `on`, or if the rig has no camera with intrinsics.
         """
@@ -127,13 +154,14 @@ class ImageVision:
         self.history = History()
         """Joint positions and palm of the last second."""
         self._on = on and rig.camera is not None and rig.camera.intrinsics is not None
-        self._images: ObjectInImages | None = None
+        self._follow = follow
+        self._images: ObjectInImages | ConcurrentImages | None = None
         """None before the first depth image."""
 
-    def copied(self) -> "ImageVision":
+    def copied(self) -> ImageVision:
         """Returns a copy that evolves apart from this one."""
         copy = shallow_copy(self)
-        if copy._images is not None:
+        if isinstance(copy._images, ObjectInImages):
             copy._images = shallow_copy(copy._images)
             copy._images.tracker = shallow_copy(copy._images.tracker)
         return copy
@@ -145,41 +173,44 @@ class ImageVision:
 
     def observe(
         self, observation: Observation, from_palm: CameraFromPalm, T_palm_object: Array | None
-    ) -> ImageResult:
-        """Returns the observation with its image evaluated, and the palm in that image.
+    ) -> tuple[Observation, HandView | None]:
+        """Returns the observation with an image's pose as its vision, and the palm in that image, None: not detected.
 
-        `from_palm`: the camera's error, as earlier images have measured it. `T_palm_object` (4, 4): the pose of an
-        object in the hand; None where it is not grasped. Raises InvalidInput for an image that cannot be the camera's.
+        The image is the observation's, or an earlier one. `from_palm`: the camera's error, as earlier images have
+        measured it. `T_palm_object` (4, 4): the pose of an object in the hand; None where it is not grasped. Raises
+        InvalidInput for an image that cannot be the camera's.
         """
         self.history = self.history.after(
             Instant(observation.stamp, observation.joint_positions, observation.T_world_palm)
         )
-        camera, hand = self._rig.camera, None
-        if self._on:
-            self._hints = self._hints.after(observation)
-        if self._on and camera is not None and observation.depth is not None:
-            self._images = self._images or ObjectInImages(self._rig, camera, self._model)
-            self._images.tracker.source = self._hints.source()
-            stamp = observation.stamp if observation.image_stamp is None else observation.image_stamp
-            then = self.history.at(stamp - camera.latency)
-            if then is not None:
-                vision, hand = self._images.observe(stamp, observation.depth, then, from_palm, T_palm_object)
+        camera, depth, hand = self._rig.camera, observation.depth, None
+        if self._on and camera is not None:
+            self._hints, taken = self._hints.after(observation), None
+            if depth is not None:
+                self._images = self._images or self._follow(self._rig, self._model)
+                stamp = observation.stamp if observation.image_stamp is None else observation.image_stamp
+                if (then := self.history.at(stamp - camera.latency)) is not None:
+                    source = self._hints.source()
+                    taken = TakenImage(stamp, depth, then, from_palm, T_palm_object, source)
+            result = None if self._images is None else self._images.evaluated(taken)
+            if result is not None:
+                hand, vision = result.hand, observation.vision
                 # Where the image does not show the object, a pose from outside may still know where it is.
-                if vision is not None or observation.vision is None or observation.vision.frame != "camera":
-                    observation = replace(observation, vision=vision)
+                if result.vision is not None or vision is None or vision.frame != "camera":
+                    return replace(observation, vision=result.vision), hand
         vision, followed = observation.vision, self._images is not None and not self._images.lost
-        if followed and observation.depth is None and vision is not None and vision.frame == "camera":
+        if followed and depth is None and vision is not None and vision.frame == "camera":
             # This camera's images are the better measurement, so poses that come between them are left out.
             observation = replace(observation, vision=None)
-        return ImageResult(observation, hand)
+        return observation, hand
 
 
 class ObjectInImages:
     """An `ObjectInImages` follows the object in a camera's depth images, without the pixels of the hand."""
 
-    def __init__(self, rig: Rig, camera: MountedCamera, model: ObjectModel) -> None:
-        """`camera` is the rig's, and must have intrinsics."""
-        self._mounted = camera
+    def __init__(self, rig: Rig, model: ObjectModel) -> None:
+        """`rig`: its camera must have intrinsics."""
+        self._mounted = camera = rig.camera or MountedCamera()
         self._camera = Camera.of(camera)
         self.tracker = DepthTracker(model, self._camera, noise=PRESETS[camera.depth_camera])
         self._hand = HandInImage(rig)
@@ -193,15 +224,11 @@ class ObjectInImages:
     def _count(self, name: str) -> None:
         self.counts = {**self.counts, name: self.counts[name] + 1}
 
-    def observe(
-        self,
-        stamp: float,
-        depth: Depth,
-        then: Instant,
-        from_palm: CameraFromPalm,
-        T_palm_object: Array | None,
-    ) -> tuple[PoseMeasurement | None, HandView | None]:
-        """Returns the object's pose in the camera and the palm's in the camera's mount; None where not detected."""
+    def evaluated(self, taken: TakenImage | None) -> ImageResult | None:
+        """Returns what an image measures; None for None. Raises InvalidInput for one that cannot be the camera's."""
+        if taken is None:
+            return None
+        stamp, depth, then, from_palm, T_palm_object, self.tracker.source = taken
         image = self._camera.check_depth(depth, "observation.depth")
         self._count("looked_at")
         view, mask, T_camera_palm = self._observe_hand(stamp, image, then, from_palm)
@@ -232,12 +259,13 @@ class ObjectInImages:
         self.lost = found.T_camera_object is None
         # The pose of an object that is nearly hidden is only the predicted one, not a measurement.
         if found.T_camera_object is None or found.covariance is None or found.reason == HIDDEN:
-            return None, view
+            return ImageResult(None, view)
         self._count("object_seen")
         # n images that share their errors tell as much as one, so each gets n times the covariance.
         sharing = max(1.0, IMAGES.correlation_time / max(stamp - self._detected_at, 1e-3))
         self._detected_at = stamp
-        return PoseMeasurement(found.T_camera_object, "camera", sharing * found.covariance, stamp), view
+        pose = PoseMeasurement(found.T_camera_object, "camera", sharing * found.covariance, stamp)
+        return ImageResult(pose, view)
 
     def _distance(self, found: Sighting, expected: Array) -> float:
         """Returns how far the middle of a found object is from where it is expected [m]; 0 for one that is lost."""

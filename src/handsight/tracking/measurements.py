@@ -69,10 +69,12 @@ class VisionUpdate:
         smoother: PoseBiasSmoother | None,
         T_world_palm: Array | None,
         motion: Motion = STILL,
+        T_then_now: Array = EYE,
     ) -> tuple["VisionUpdate", PoseBiasSmoother | None]:
         """Returns this and the smoother after an observation; both unchanged where it has no pose.
 
-        `motion` is that of T_world_palm (4, 4), where the object is in the hand.
+        `motion` is that of T_world_palm (4, 4), where the object is in the hand. `T_then_now` (4, 4): the palm now in
+        the palm at the time of a pose, where the object has stayed in the world.
         Raises InvalidInput for a pose in the camera's frame if the rig has no camera, or for one far from any hand.
         """
         measured = observation.vision
@@ -80,7 +82,7 @@ class VisionUpdate:
             return self, smoother
         mount = self._mount_of(measured)
         after = self if self.mount is not None else replace(self, mount=mount)
-        T_mount_palm = EYE if mount == "palm" else T_world_palm
+        T_mount_palm = T_then_now if mount == "palm" else T_world_palm
         if mount != after.mount or T_mount_palm is None:
             return replace(after, unplaced=self.unplaced + 1), smoother
         if mount == "palm":

@@ -45,6 +45,9 @@ class TrackerSettings:
     None are used either where the hand's file has no shapes, or where an observation lacks a joint of some link."""
     images: bool = True
     """Whether depth images are used, if the rig's camera has intrinsics; poses from that camera are then left out."""
+    concurrent_images: bool = False
+    """Whether a process of its own evaluates depth images: no update then waits for one, its pose is used when it is
+    ready, as of the time at which the image was taken, and two runs are no longer equal to the last digit."""
     uncertain_position: float = 0.015
     """Largest standard deviation of the position with which the state is "tracking" [m]."""
     lost_after: float = 10.0

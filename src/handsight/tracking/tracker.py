@@ -16,6 +16,7 @@ from handsight.forces import ObjectWeight, Slip
 from handsight.objects import ObjectModel
 from handsight.observation import MAX_JUMP, Observation, check_observation
 from handsight.rig import Rig
+from handsight.rig.units import Units
 from handsight.tracking.clock import TrackClock
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.follower import Follower
@@ -102,7 +103,7 @@ class Tracker:
         """Makes the next state of a state and an observation."""
         self.track_state = self.follower.initial(start, offsets)
         """All that is known of the object, as a value."""
-        self._clock = TrackClock()
+        self._clock, self._units = TrackClock(), Units(rig)
         self.late = self.undone = self.refused = 0
         """How many observations were left out: late ones, those that were undone because the next one contradicted
         their stamps, and invalid ones."""
@@ -123,11 +124,13 @@ class Tracker:
         `state` and `reason` say how far to trust it. The object is also lost once `MAX_LEFT_OUT` observations in a
         row, or all of the last `settings.lost_after` seconds, were left out. An observation older than the last one is
         counted in `late` and changes nothing else; the class describes the effect of a jump of the clock. Raises
-        InvalidInput for an invalid observation, which is counted in `refused` and changes nothing else.
+        InvalidInput for an invalid observation, for a finger that the rig lacks, and for values that seem to be in a
+        wrong unit; such an observation is counted in `refused` and changes nothing else.
         """
         last = self.track_state
         try:
             clean = check_observation(observation)
+            self._units.check_names(clean)
             clock, known, undone = self._clock.at(clean.stamp, last)
             if known is None:  # a new track, which keeps what was learnt of the robot
                 known = replace(
@@ -138,6 +141,8 @@ class Tracker:
                 )
             late = clean.stamp < known.stamp
             state, estimate = (known, known.estimate) if late else self.follower.step(known, clean)
+            if not late:
+                self._units.check(clean)
         except Exception as error:
             self.refused += 1
             self._leave_out(getattr(observation, "stamp", None), str(error))

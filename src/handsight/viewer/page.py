@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import logging
 import threading
 from collections.abc import Callable
 from importlib import import_module
@@ -59,6 +60,8 @@ class Page:
         self.on_open: Callable[[dict[str, list[str]]], None] = lambda _: None
         """Called with the fields of the URL when a browser opens the page."""
         self.guard = Guard(lambda fields: self.on_open(fields))
+        # What is no message of a browser ends its connection, and needs no traceback.
+        logging.getLogger("websockets").setLevel(logging.CRITICAL)
         try:
             # viser prints a banner.
             with contextlib.redirect_stdout(io.StringIO()), self.guard.installed():

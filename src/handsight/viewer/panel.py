@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from handsight.checks import Array
+from handsight.errors import printable
 from handsight.tracking import State
 from handsight.viewer.moment import Moment
 from handsight.viewer.picture import jpeg
@@ -73,10 +74,10 @@ class Panel:
                 f'<span style="display:inline-block;background:{color};color:#fff;border-radius:.7em;'
                 f'padding:0 .6em;margin:0 .3em .2em 0"><b>{html.escape(name)}</b> {html.escape(label)}</span>'
             )
-        _, _, why = moment.sentence.partition(": ")
+        _, _, why = printable(moment.sentence).partition(": ")
         self.status.content = (
             f'<div style="padding:0 .8em;font-size:.86em;line-height:1.4">'
-            f'<div style="color:#666">{html.escape(self._title)} · {when}</div>'
+            f'<div style="color:#666">{html.escape(printable(self._title))} · {when}</div>'
             f'<div><b style="color:{STATES[moment.state]}">{moment.state.upper()}</b> {html.escape(why)}</div>'
             f'<div style="margin:.3em 0">{labels}</div></div>'
         )

@@ -1,4 +1,4 @@
-"""A rig as a picture: the hand from its taxels' side and from beside, tips, the palm's axes, taxels with normals."""
+"""A rig as a picture: the hand from its taxels' side and from beside, tips, sensors, camera, taxels with normals."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
 PIXELS, FAR = 1000, 3.0
 """Width and height of a view; distance from which it is drawn [m]."""
-NORMAL, AXIS, BEHIND = 0.004, 0.03, 0.0015
-"""Length of a normal, and of the palm's axes; a taxel that is farther behind the hand's surface is drawn hollow [m]."""
+NORMAL, AXIS, SMALL, BEHIND = 0.004, 0.03, 0.012, 0.0015
+"""Length of a normal, of the palm's and the camera's axes, and of the others'; a taxel that is farther behind the
+hand's surface is drawn hollow [m]."""
 RING = 2 * np.pi * np.arange(41) / 40
 
 
@@ -31,9 +32,20 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
         faces.append(mesh.faces + sum(map(len, vertices)))
         vertices.append(se3.apply(Ts[link], mesh.vertices))
     tips = [Ts[finger.frame] @ finger.T_frame_surface for finger in rig.fingers.values()]
+    sensors = [
+        T @ (np.eye(4) if finger.tip.T_surface_sensor is None else finger.tip.T_surface_sensor)
+        for name, T, finger in zip(rig.fingers, tips, rig.fingers.values(), strict=True)
+        if name in rig.topics.wrenches
+    ]
+    cameras = [] if rig.camera is None or rig.camera.on == "world" else [rig.camera.T_mount_camera]
     taxels = {name: (Ts[each.frame], each) for name, each in rig.skin.items() if each.frame in Ts}
     corners, triangles = np.concatenate(vertices), np.concatenate(faces)
-    all_points = np.concatenate([corners, AXIS * np.eye(3), *(T[None, :3, 3] for T in (*Ts.values(), *tips))])
+    all_points = np.concatenate(
+        [corners, AXIS * np.eye(3), *(T[None, :3, 3] for T in (*Ts.values(), *cameras))]
+    )
+    all_points = np.concatenate(
+        [all_points, *(np.array([T[:3, 3], T[:3, 3] + AXIS * T[:3, 2]]) for T in tips)]
+    )
     up = np.median([T[:3, 2] for T in tips], axis=0)
     thin = np.linalg.svd(all_points - all_points.mean(axis=0), full_matrices=False)[2][2]
     out = sum(((T[:3, :3] @ each.normals.T).sum(axis=1) for T, each in taxels.values()), 1e-3 * thin)
@@ -43,12 +55,22 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
         view = _View(toward, up, all_points)
         view.draw_hand(axes, corners, triangles, np.array([T[:3, 3] for T in Ts.values()]))
         view.draw_tips(axes, rig, tips)
-        view.draw_axes(axes, Ts[hand.palm])
+        view.draw_axes(axes, Ts[hand.palm], AXIS, "palm ")
+        for T in tips:
+            view.draw_arrow(axes, T)
+        for T in sensors:
+            view.draw_axes(axes, T, SMALL)
+        for T in cameras:
+            view.draw_axes(axes, T, AXIS, "camera ")
         for k, (label, (T, each)) in enumerate(taxels.items()):
             normals = each.normals @ T[:3, :3].T
             view.draw_taxels(axes, se3.apply(T, each.points), normals, plt.get_cmap("tab20")(k % 20), label)
         axes.set_title(title, fontsize=10)
-    figure.suptitle(f"{name}: {len(tips)} tips, {sum(len(e.points) for _, e in taxels.values())} taxels")
+    title = f"{name}: {len(tips)} tips (arrows: where they point)"
+    title += f", {len(sensors)} sensors (axes x, y, z: red, green, blue)"
+    title += f", {sum(len(e.points) for _, e in taxels.values())} taxels" if taxels else ""
+    title += "; the camera is in the world, not here" if rig.camera is not None and not cameras else ""
+    figure.suptitle(title, fontsize=10)
     save(figure, path)
 
 
@@ -99,12 +121,18 @@ class _View:
                 pixels = self.project(se3.apply(T, ring * finger.tip.semi_axes))
                 axes.plot(*pixels.T, color="#c2185b", lw=0.7, alpha=0.7, label=None if i + k else "fingertip")
 
-    def draw_axes(self, axes: "Axes", T: Array) -> None:
-        """Draws the palm's frame."""
+    def draw_axes(self, axes: "Axes", T: Array, length: float, label: str = "") -> None:
+        """Draws a frame with axes of a length [m]; with a label at their ends, if there is one."""
         for name, axis, color in zip("xyz", T[:3, :3].T, ("#d00000", "#008000", "#0000d0"), strict=True):
-            ends = self.project(np.array([T[:3, 3], T[:3, 3] + AXIS * axis]))
-            axes.plot(*ends.T, color=color, lw=2.2)
-            axes.annotate(f"palm {name}", ends[1], color=color, fontsize=8)
+            ends = self.project(np.array([T[:3, 3], T[:3, 3] + length * axis]))
+            axes.plot(*ends.T, color=color, lw=2.2 if label else 1.2)
+            if label:
+                axes.annotate(f"{label}{name}", ends[1], color=color, fontsize=8)
+
+    def draw_arrow(self, axes: "Axes", T: Array) -> None:
+        """Draws where a tip points: from its centre along its z."""
+        start, end = self.project(np.array([T[:3, 3], T[:3, 3] + AXIS * T[:3, 2]]))
+        axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": "#c2185b", "lw": 1.3})
 
     def draw_taxels(self, axes: "Axes", points: Array, normals: Array, color: Any, label: str) -> None:
         """Draws taxels with their normals; hollow where the hand hides them."""

@@ -1,7 +1,9 @@
 """Depth and colour images, and cameras, from files and from bytes: in metres, and in red, green, blue."""
 
 import io
+import struct
 import warnings
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
@@ -152,11 +154,49 @@ def _opened(data: bytes, read: Callable[["Image"], NDArray[Pixel]]) -> NDArray[P
             with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
                 if image.width * image.height > LIMITS.max_pixels:
                     raise InvalidInput(f"expected at most {LIMITS.max_pixels} pixels, got {image.size}")
-                return read(image)
+                pixels = read(image)
+                # Pillow leaves rows black that a PNG lacks, and says nothing.
+                last = image.crop((0, image.height - 1, image.width, image.height))
+                if image.format == "PNG" and not any(last.tobytes()):
+                    _check_rows(data)
+                return pixels
     except InvalidInput:
         raise
     except Exception as error:  # pillow's plugins raise many kinds; each says that the bytes are no image
         raise InvalidInput(f"expected a PNG or JPEG, got: {str(error)[:80]}") from None
+
+
+def _check_rows(png: bytes) -> None:
+    """Raises InvalidInput where a PNG, which pillow has read, holds fewer rows of pixels than it declares."""
+    width, height, bits, kind, *_, interlaced = struct.unpack(">IIBBBBB", png[16:29])
+    bits *= {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}[kind]
+    # Of Adam7's passes: first column and row, and the steps to the next ones.
+    passes = (
+        (0, 0, 8, 8),
+        (4, 0, 8, 8),
+        (0, 4, 4, 8),
+        (2, 0, 4, 4),
+        (0, 2, 2, 4),
+        (1, 0, 2, 2),
+        (0, 1, 1, 2),
+    )
+    sizes = [
+        (-(-(width - x) // dx), -(-(height - y) // dy))
+        for x, y, dx, dy in (passes if interlaced else ((0, 0, 1, 1),))
+    ]
+    expected = sum(
+        rows * (1 + -(-columns * bits // 8)) for columns, rows in sizes if columns > 0 and rows > 0
+    )
+    at, packed = 8, bytearray()
+    while at + 8 <= len(png) and png[at + 4 : at + 8] != b"IEND":
+        (length,) = struct.unpack(">I", png[at : at + 4])
+        packed += png[at + 8 : at + 8 + length] if png[at + 4 : at + 8] == b"IDAT" else b""
+        at += 12 + length
+    came = len(zlib.decompressobj().decompress(packed, expected))
+    if came < expected:
+        raise InvalidInput(
+            f"expected a complete PNG, got {came} bytes of pixels where it declares {expected}"
+        )
 
 
 def _of_size(image: NDArray[Pixel], camera: Camera | None) -> NDArray[Pixel]:

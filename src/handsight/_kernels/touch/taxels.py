@@ -30,7 +30,7 @@ class TaxelOptions(NamedTuple):
     steeper: float = 0.35
     """The reading of a dead taxel is above the mean of its neighbours by this share of what that is above the mean of
     those up to two taxels away."""
-    sampled: float = 0.21  # sigma of the centre by the cells' size, in cells of a patch of one taxel
+    sampled: float = 0.19  # sigma of the centre by the cells' size, in cells of a patch of one taxel
     beyond: float = 0.5  # sigma of a patch at the edge, beyond which nothing is measured, in cells
     half_width: float = 5e-3
     """Half the width of a contact [m]: (4 R F / (pi k))^(1/4) of a round body on a bed of springs, 5 mm for R = 9 mm
@@ -38,8 +38,8 @@ class TaxelOptions(NamedTuple):
     hidden: float = 0.58
     """Sigma of the shift to a contact's middle beyond the edge, as a share of it: it may be anywhere from none to twice
     as far, 1 / sqrt(3). The surface's fall and turn out there, of which nothing is known, are as uncertain."""
-    wide: float = 0.14  # sigma by uneven skin, in cells, of a patch whose variance is that of a cell
-    uneven: float = 0.07  # sigma of the normal by such a patch, as a share of the normals' spread
+    wide: float = 0.125  # sigma by uneven skin, in cells, of a patch whose variance is that of a cell
+    uneven: float = 0.06  # sigma of the normal by such a patch, as a share of the normals' spread
     min_rest: int = 5  # fewest readings of an untouched surface whose mean is used as its baseline
     mean_rest: int = 50  # readings over which the mean is taken; after so many it follows
     alive: float = 0.75
@@ -248,7 +248,7 @@ def _measure(
     store(force, patch.force)
     store(force, patch.wrench[:3])
     store(add(moment, cross(near_part, force)), patch.wrench[3:])
-    patch.torque = -dot(moment, normal)
+    patch.torque = -dot(moment, normal)  # about the middle of what is felt, as nothing else was measured
 
 
 @inner

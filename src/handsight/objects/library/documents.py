@@ -21,6 +21,8 @@ from handsight.objects.symmetry import Symmetries
 INFO, FACTS = "models_info.json", "handsight.json"
 LARGEST_DOCUMENT = 20_000_000
 """The largest number of bytes of a document: about ten thousand objects."""
+MAX_NUMBER = 999_999_999
+"""The largest number of an object."""
 VERSION = 1
 """Version of the format of `handsight.json`."""
 
@@ -162,7 +164,9 @@ def _by_number(values: Mapping[str, Form], where: str) -> dict[int, Form]:
     names of files, so that another key could name any file."""
     found: dict[int, Form] = {}
     for key, value in values.items():
-        if not (key.isascii() and key.isdecimal() and len(key) < 10 and str(int(key)) == key):
+        if not (
+            key.isascii() and key.isdecimal() and len(key) <= len(str(MAX_NUMBER)) and str(int(key)) == key
+        ):
             raise InvalidFile(f"{where}: expected numbers of objects as keys, got {checks.brief(key)!r}")
         found[int(key)] = value
     return found

@@ -23,11 +23,13 @@ from handsight.files import atomic_file, open_regular, read_bytes, write_errors
 from handsight.msgspec_errors import JsonObject, decode_object
 from handsight.objects.files import ply_bytes, read_shape
 from handsight.objects.files.read import LARGEST_FILE, content
+from handsight.objects.geometry import unit_remarks
 from handsight.objects.library.bop import METRES, info_of
 from handsight.objects.library.documents import (
     FACTS,
     INFO,
     LARGEST_DOCUMENT,
+    MAX_NUMBER,
     VERSION,
     Documents,
     Entry,
@@ -37,6 +39,7 @@ from handsight.objects.library.documents import (
 )
 from handsight.objects.model import ObjectModel
 from handsight.objects.symmetry import Symmetries
+from handsight.objects.symmetry_search import check_symmetries
 
 LOCK_SECONDS = 60.0
 """How long a writer waits for another [s]; an add holds the lock while it writes three small files."""
@@ -55,7 +58,7 @@ else:
 
 
 def new_object(
-    file: str | os.PathLike[str], facts: Facts, scale: float, symmetries: Symmetries | None
+    file: str | os.PathLike[str], facts: Facts, scale: float, symmetries: Symmetries | None, force: bool
 ) -> tuple[JsonObject, JsonObject, bytes]:
     """Returns what `Folder.add` takes of an object in a file; raises InvalidInput, and as `ObjectModel.from_file`.
 
@@ -66,6 +69,12 @@ def new_object(
     model = ObjectModel.from_file(file, scale, symmetries=symmetries)
     check_inside(facts, model)
     path = Path(file)
+    doubts = unit_remarks(float(np.ptp(model.bounds_object, axis=0).max()))
+    if doubts and not force:
+        raise InvalidInput(
+            f"{path.name}: expected an object for a hand, got one of {doubts[0]} (force adds it)"
+        )
+    check_symmetries(model, model.symmetries)
     if path.suffix.lower() == ".ply" and scale == METRES:
         data = content(path)
     else:
@@ -131,7 +140,10 @@ class Folder:
             stems = [path.stem.removeprefix("obj_") for path in models.glob("obj_*.ply")]
             taken = [int(stem) for stem in stems if stem.isascii() and stem.isdecimal() and len(stem) < 10]
             # A file that no document lists keeps its number.
-            number = 1 + max([0, *map(int, infos), *taken])
+            taken += map(int, infos)
+            number = 1 + max([0, *taken])
+            if number > MAX_NUMBER:
+                number = next(free for free in range(1, MAX_NUMBER) if free not in taken)
             facts[str(number)], infos[str(number)] = new, new_info
             write_file(models / f"obj_{number:06d}.ply", ply)
             write_file(models / FACTS, _json({"version": VERSION, "objects": facts}))
@@ -166,9 +178,6 @@ def write_file(path: Path, data: bytes) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path) as file:
             file.write(data)
-            file.flush()
-            # Without it, a machine that loses power may keep the name and lose the content.
-            os.fsync(file.fileno())
 
 
 @contextlib.contextmanager
@@ -181,7 +190,12 @@ def locked(folder: Path) -> Iterator[None]:
     """
     with write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        with open(folder / ".handsight.lock", "ab") as file:
+        path = folder / ".handsight.lock"
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            raise NotWritten(f"{path}: cannot be written: expected a file, got something else")
+        # If it becomes a link or a pipe meanwhile, opening it neither follows the one nor waits for the other.
+        strict = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+        with open(path, "ab", opener=lambda name, flags: os.open(name, flags | strict, 0o666)) as file:
             until = time.monotonic() + LOCK_SECONDS
             while True:
                 try:

@@ -19,7 +19,7 @@ from handsight.objects.files import read_shape
 from handsight.objects.library.bop import METRES
 from handsight.objects.library.documents import Entry, Facts, NoLibrary, entries
 from handsight.objects.library.folder import Folder, check_inside, new_object
-from handsight.objects.library.remote import Remote
+from handsight.objects.library.remote import Remote, without_password
 from handsight.objects.model import ObjectModel
 from handsight.objects.spec import ObjectSpec
 from handsight.objects.surface import diameter
@@ -44,9 +44,9 @@ class Library:
         place = default_place() if place is None else place
         if not isinstance(place, str | os.PathLike) or "\0" in (named := os.fspath(place)):
             raise InvalidInput(f"library: expected a folder or a URL, got {checks.brief(place)!r}")
-        self.place = named
+        self.place = without_password(named)
         self._source: Folder | Remote
-        self._source = Remote(self.place) if "://" in self.place else Folder(Path(self.place))
+        self._source = Remote(named) if "://" in named else Folder(Path(named))
 
     def __repr__(self) -> str:
         """Returns the folder or URL in angle brackets."""
@@ -119,17 +119,18 @@ class Library:
         *,
         scale: float = 1.0,
         symmetries: Symmetries | None = None,
+        force: bool = False,
     ) -> Entry:
         """Adds the mesh or cloud in a file under `facts.name`, and returns its entry.
 
-        `scale`: metres per unit of the file. The object is in the library complete or not at all, whoever else adds
-        meanwhile and however the process ends.
-        Raises InvalidInput where the name is taken or the library is at a URL, NotWritten, and the errors of
-        `ObjectModel.from_file`.
+        `scale`: metres per unit of the file. `force`: also an object of a size that no hand holds. The object is in the
+        library complete or not at all, whoever else adds meanwhile and however the process ends.
+        Raises InvalidInput where the name is taken, the library is at a URL or the symmetries move the surface;
+        NotWritten, and the errors of `ObjectModel.from_file`.
         """
         if isinstance(self._source, Remote):
             raise InvalidInput(f"{self.place}: expected a folder to add to, got a URL")
-        self._source.add(*new_object(file, facts, scale, symmetries))
+        self._source.add(*new_object(file, facts, scale, symmetries, force))
         return self.entry(facts.name)
 
     def weigh(self, name: str, mass: float, center_of_mass: Array, sigma_center_of_mass: float) -> Entry:

@@ -1,0 +1,99 @@
+"""Names that a rig lacks, and values so large that they seem to be in a wrong unit."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from math import hypot
+from typing import NamedTuple
+
+import numpy as np
+
+from handsight import checks
+from handsight.errors import InvalidInput
+from handsight.observation import Observation
+from handsight.rig.rig import Rig
+
+
+class UnitLimits(NamedTuple):
+    """`UnitLimits` are the values above which the unit seems to be wrong."""
+
+    max_range: float = 10.0  # from a camera or the palm to the object [m]
+    max_force: float = 300.0  # on a fingertip [N]
+    min_share: float = 0.1  # share of a recording's observations with such values; fewer are outliers
+
+
+UNITS = UnitLimits()
+
+
+class Units:
+    """A `Units` finds values so large that they seem to be in a wrong unit, and names that the rig lacks."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._topics, self._count, self._beyond = rig.topics, 0, Counter[str]()
+        self._fingers, self._skin = frozenset(rig.fingers), frozenset(rig.skin)
+        self._largest: dict[str, tuple[float, str]] = {}
+        hand = rig.hand
+        limits = zip(hand.joint_names, np.abs(hand.limits).max(axis=1).tolist(), strict=True)
+        self._limits = [each for each in limits if each[0] in hand.moving and np.isfinite(each[1])]
+
+    def check_names(self, observation: Observation) -> None:
+        """Raises InvalidInput where an observation names a finger or a tactile array that the rig lacks."""
+        for argument, given, known in (
+            ("wrenches", observation.wrenches, self._fingers),
+            ("contacts", observation.contacts, self._fingers),
+            ("skin", observation.skin, self._skin),
+        ):
+            if type(given) is dict and given.keys() <= known:  # in a tenth of the time of the line below
+                continue
+            if isinstance(given, Mapping) and not given.keys() <= known:
+                name = next(name for name in given if name not in known)
+                near = checks.suggestion(str(name), known)
+                raise InvalidInput(
+                    f"observation.{argument}: expected names of the rig, got {checks.brief(name)!r}{near}"
+                )
+
+    def check(self, observation: Observation) -> None:
+        """Raises InvalidInput for a value of a valid observation that seems to be in a wrong unit."""
+        for _, what, _, text in self._found(observation):
+            raise InvalidInput(f"observation: expected other units, got {what} at {text}")
+
+    def put(self, observation: Observation) -> None:
+        """Counts the values of a recorded observation that seem to be in a wrong unit."""
+        self._count += 1
+        for topic, name, value, text in self._found(observation):
+            what = f"{topic}: {name}" if topic else name
+            self._beyond[what] += 1
+            if value > self._largest.get(what, (0.0, ""))[0]:
+                self._largest[what] = value, text
+
+    def _found(self, observation: Observation) -> Iterator[tuple[str | None, str, float, str]]:
+        """Yields topic, name, absolute value and a text for each value that seems to be in a wrong unit."""
+        positions = observation.joint_positions or {}
+        for name, limit in self._limits:
+            value = abs(positions.get(name, 0.0))
+            # Hinges turn by a radian or two. The hand's file may limit one too narrowly, hence the margin of a radian.
+            if not value > 2 * limit + 1:
+                continue
+            radians = np.deg2rad(value)
+            meant = f"degrees? {radians:.3g} rad"
+            if radians > 2 * limit:
+                meant = f"{1e-3 * value:.3g} in thousandths?"
+            text = f"{value:.4g} where its file limits it to {limit:.4g} ({meant})"
+            yield self._topics.joint_states, f"joint {name!r}", value, text
+        for name, wrench in observation.wrenches.items():
+            force = hypot(*np.asarray(wrench).tolist()[:3])
+            if force > UNITS.max_force:
+                yield None, f"finger {name}", force, f"{force:.4g} N (millinewtons? {1e-3 * force:.3g} N)"
+        vision, T_world_palm = observation.vision, observation.T_world_palm
+        if vision is not None and (vision.frame != "world" or T_world_palm is not None):
+            place = vision.T_frame_object[:3, 3]
+            if vision.frame == "world" and T_world_palm is not None:
+                place = place - T_world_palm[:3, 3]
+            distance = float(np.linalg.norm(place))
+            if distance > UNITS.max_range:
+                text = f"{distance:.4g} m away (millimetres? {1e-3 * distance:.3g} m)"
+                yield self._topics.vision, "poses", distance, text
+
+    def sentences(self) -> list[str]:
+        """Returns a sentence for each kind of value that was often above its limit."""
+        often = [what for what, count in self._beyond.items() if count >= UNITS.min_share * self._count]
+        return [f"{what} up to {self._largest[what][1]}" for what in often]

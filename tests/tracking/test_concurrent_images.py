@@ -1,0 +1,205 @@
+"""Images do not block touch: a process of its own evaluates them, and what it answers late is fused at its stamp."""
+
+import copy
+import pickle
+import signal
+import time
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import handsight as hs
+from handsight import se3
+from handsight.errors import InvalidInput
+from handsight.observation import PoseMeasurement
+from handsight.tracking import TrackerSettings, follower
+from handsight.tracking.camera_from_palm import CameraFromPalm
+from handsight.tracking.concurrent_images import ConcurrentImages, image_process
+from handsight.tracking.images import ImageResult, Instant, ObjectInImages, TakenImage
+from handsight.vision import locate
+from tests.tracking.test_images import error, pictures, rig_with_images
+
+SETTINGS = TrackerSettings(concurrent_images=True)
+
+
+class Slow:
+    """Answers so many observations later."""
+
+    later = 8
+
+    def __init__(self, rig, model):
+        self._images, self._answers = ObjectInImages(rig, model), deque([None] * self.later)
+
+    def __getattr__(self, name):
+        return getattr(self._images, name)
+
+    def evaluated(self, taken):
+        self._answers.append(self._images.evaluated(taken))
+        return self._answers.popleft()
+
+
+@pytest.fixture
+def slow(monkeypatch):
+    monkeypatch.setattr(follower, "ConcurrentImages", Slow)
+
+
+def test_an_image_that_is_answered_late_is_placed_by_its_stamp(can, slow):
+    """A palm that carries the can at 20 cm/s, and answers 0.16 s after their images: 3 cm of its way."""
+    rig = rig_with_images(can.rig)
+    carried = [sample for sample in can.samples if sample.phase == "hold"]
+
+    def way(stamp):
+        return np.array([0.2 * (stamp - carried[0].observation.stamp), 0, 0.05])
+
+    taken = pictures(rig, can.model, carried, every=3, wrong=np.eye(4), way=way)
+    taken = [replace(o, wrenches=s.observation.wrenches) for o, s in zip(taken, carried, strict=True)]
+    tracker = hs.Tracker(rig, can.model, settings=SETTINGS)
+    for observation in taken:
+        tracker.update(observation)
+    assert tracker.images["object_seen"] > 10
+    assert error(can.model, tracker.estimate, can.T_palm_object)[0] < 0.006
+    assert tracker.vision.rejected == 0
+
+
+@pytest.mark.parametrize("on", ["world", "palm"])
+def test_before_the_grasp_a_late_image_says_where_the_object_is_in_the_world(can, slow, monkeypatch, on):
+    """A palm that passes the can at 20 cm/s, with a camera in the world or on the palm."""
+    rig, passing = rig_with_images(can.rig), can.samples[:40]
+    if on == "palm":
+        T_palm_camera = se3.inverse(passing[0].observation.T_world_palm) @ rig.camera.T_mount_camera
+        rig = replace(rig, camera=replace(rig.camera, on="palm", T_mount_camera=T_palm_camera))
+    T_world_object = passing[0].observation.T_world_palm @ passing[0].T_palm_object
+
+    def evaluated(self, taken):
+        pose = None
+        if taken is not None:
+            T_world_palm = taken.then.T_world_palm
+            T_world_camera = rig.camera.T_mount_camera if on == "world" else T_world_palm @ T_palm_camera
+            T = se3.inverse(T_world_camera) @ T_world_object
+            pose = ImageResult(PoseMeasurement(T, "camera", 1e-6 * np.eye(6), taken.stamp), None)
+        self._answers.append(pose)
+        return self._answers.popleft()
+
+    monkeypatch.setattr(Slow, "evaluated", evaluated)
+    tracker = hs.Tracker(rig, can.model, settings=SETTINGS)
+    for k, sample in enumerate(passing):
+        T_world_palm = (
+            se3.compose(np.eye(3), np.array([4e-3 * k, 0, 0])) @ passing[0].observation.T_world_palm
+        )
+        depth = np.zeros((240, 320), np.float32) if k % 3 == 0 else None
+        seen = replace(sample.observation, T_world_palm=T_world_palm, depth=depth, vision=None, wrenches={})
+        tracker.update(seen)
+    expected = se3.inverse(T_world_palm) @ T_world_object
+    assert error(can.model, tracker.estimate, expected)[0] < 1e-3
+
+
+def test_an_image_from_before_the_grasp_is_left_out_after_it(can, slow, monkeypatch):
+    """It comes when the hand has closed, and says where the object was."""
+    rig, answers = rig_with_images(can.rig), []
+    closing = next(k for k, s in enumerate(can.samples) if s.phase == "hold")
+
+    def evaluated(self, taken):
+        return answers.pop() if answers else None
+
+    monkeypatch.setattr(Slow, "evaluated", evaluated)
+    start = hs.PosePrior.from_sigmas(can.T_palm_object, 0.005, 0.1)
+    tracker = hs.Tracker(rig, can.model, settings=SETTINGS, start=start)
+    for sample in can.samples[: closing + 5]:
+        tracker.update(replace(sample.observation, vision=None, depth=np.zeros((240, 320), np.float32)))
+    since = tracker.track_state.grasp.since
+    assert tracker.track_state.grasp.grasped
+    elsewhere = PoseMeasurement(np.eye(4), "camera", 1e-6 * np.eye(6), since - 0.01)
+    before = tracker.vision.rejected
+    for stamp, rejected in ((since - 0.01, before), (since + 0.01, before + 1)):
+        answers.append(ImageResult(replace(elsewhere, stamp=stamp), None))
+        closing += 1
+        tracker.update(replace(can.samples[closing + 5].observation, vision=None))
+        assert tracker.vision.rejected == rejected
+
+
+def taken_image(rig, observation):
+    then = Instant(observation.stamp, observation.joint_positions, observation.T_world_palm)
+    return TakenImage(observation.stamp, observation.depth, then, CameraFromPalm(), None, locate)
+
+
+def test_an_image_of_another_camera_is_refused_at_once(can, slow):
+    other = replace(can.samples[0].observation, depth=np.ones((10, 10), np.float32))
+    followed = ConcurrentImages(rig_with_images(can.rig), can.model)
+    with pytest.raises(InvalidInput, match=r"observation\.depth: expected"):
+        followed.evaluated(TakenImage(0.0, other.depth, Instant(0.0, None, None), None, None, locate))
+
+
+@pytest.fixture(scope="module")
+def process():
+    found = image_process()
+    assert found.ready.wait(300)
+    return found
+
+
+def answer(followed):
+    """The next answer of a process."""
+    for _ in range(6000):
+        if (result := followed.evaluated(None)) is not None:
+            return result
+        time.sleep(0.01)
+    raise AssertionError("no answer for a minute")
+
+
+@pytest.mark.slow
+def test_the_process_answers_what_the_images_would_and_is_replaced_when_it_dies(can, process):
+    rig = rig_with_images(can.rig)
+    taken = [o for o in pictures(rig, can.model, can.samples[:20], every=3) if o.depth is not None]
+    here, there = ObjectInImages(rig, can.model), ConcurrentImages(rig, can.model)
+    for observation in taken[:4]:
+        image = taken_image(rig, observation)
+        assert there.evaluated(image) is None  # at once
+        expected, found = here.evaluated(image), answer(there)
+        np.testing.assert_allclose(
+            found.vision.T_frame_object, expected.vision.T_frame_object, rtol=0, atol=1e-6
+        )
+    assert there.counts == here.counts
+    assert not there.lost
+    process.child.send_signal(signal.SIGKILL)
+    process.child.wait()
+    there.evaluated(taken_image(rig, taken[4]))  # which it never answers, as it may have died with it
+    for copied in (copy.deepcopy(there), pickle.loads(pickle.dumps(there))):
+        copied.evaluated(taken_image(rig, taken[5]))
+        shift = (
+            answer(copied).vision.T_frame_object
+            - here.evaluated(taken_image(rig, taken[5])).vision.T_frame_object
+        )
+        assert np.linalg.norm(shift[:3, 3]) < 0.005
+
+
+@pytest.mark.slow
+def test_what_the_other_process_cannot_load_is_raised_in_a_sentence_and_it_goes_on(can, process):
+    rig = rig_with_images(can.rig)
+    observation, followed = (
+        pictures(rig, can.model, can.samples[:1], every=1)[0],
+        ConcurrentImages(rig, can.model),
+    )
+    for source in (
+        lambda *_: None,
+        pytest.main,
+    ):  # one cannot be sent, the other is called with the wrong arguments
+        followed.evaluated(taken_image(rig, observation)._replace(source=source))
+        with pytest.raises(InvalidInput, match=r"observation\.depth: expected that the process"):
+            answer(followed)
+    followed.evaluated(taken_image(rig, observation))
+    assert answer(followed).hand is not None
+
+
+@pytest.mark.slow
+def test_of_images_that_come_faster_than_they_are_evaluated_the_newest_is(can, process):
+    rig = rig_with_images(can.rig)
+    taken = [o for o in pictures(rig, can.model, can.samples[:30], every=3) if o.depth is not None]
+    followed = ConcurrentImages(rig, can.model)
+    for observation in taken:
+        assert followed.evaluated(taken_image(rig, observation)) is None
+    results = [answer(followed)]
+    while results[-1].vision.stamp < taken[-1].stamp:
+        results.append(answer(followed))
+    assert 1 <= len(results) <= 3
+    assert results[-1].vision.stamp == taken[-1].stamp
