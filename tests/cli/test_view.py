@@ -40,7 +40,7 @@ def test_view_serves_a_page_where_it_says_and_ends_at_ctrl_c(folder):
         text=True,
     )
     said = process.stderr.readline()
-    address = re.match(r"look at (http://127\.0\.0\.1:\d+)[ ;]", said)[1]
+    address = re.match(r"look at (http://127\.0\.0\.1:\d+/\?token=[\w-]+)[ ;]", said)[1]
     with urllib.request.urlopen(address, timeout=60) as page:
         assert b"<html" in page.read(4096)
     process.send_signal(signal.SIGINT)  # while it tracks

@@ -14,7 +14,7 @@ def free_port():
 
 def served(process):
     """Where a node that is ready said that its page is, and there it is."""
-    found = re.search(r"look at (http://127\.0\.0\.1:\d+)", process.log.read_text())
+    found = re.search(r"look at (http://127\.0\.0\.1:\d+/\?token=[\w-]+)", process.log.read_text())
     assert found, process.log.read_text()
     with urllib.request.urlopen(found[1], timeout=60) as page:
         assert b"<html" in page.read(4096)

@@ -165,6 +165,50 @@ def test_seek_shows_that_instant(page, tracked, watched):
         player.close()
 
 
+def test_a_link_and_the_keys_stop_at_a_time(page, tracked, watched):
+    player = Player(page, tracked.timeline, lambda: None)
+    page.draw_curves = lambda curves, now: None
+    player.finish()
+    player.start()
+    keys = {c.hotkey: c for c in page.server.gui._command_handle_from_uuid.values()}
+    press = {key: command._impl.trigger_cb[-1] for key, command in keys.items()}
+    try:
+        for wrong in ("x", "nan"):
+            page.on_open({"t": [wrong]})
+        page.on_open({})
+        page.on_open({"t": ["0.50"]})
+        assert not player.playing
+        until(lambda: page.last is tracked.timeline.at(0.5))
+        shown = page.last.stamp - tracked.timeline.begin
+        link = f'href="?token={page.guard.token}&amp;t={shown:.2f}"'
+        until(lambda: link in page.panel.status.content)
+        assert f"{shown:.2f} s ·" in page.panel.status.content
+        for key, time in (
+            ("L", 0.6),
+            ("J", 0.5),
+            ("home", 0.0),
+            ("J", 0.0),
+            ("end", tracked.timeline.length),
+        ):
+            press[key](None)
+            assert player.time == pytest.approx(time)
+            assert not player.playing
+        press["K"](None)
+        assert player.playing
+    finally:
+        player.close()
+
+
+def test_gravity_is_down_in_the_palms_frame_at_every_moment(page, tracked):
+    for moment in (tracked.timeline.moments[0], tracked.timeline.moments[-1]):
+        page.draw(moment)
+        down = pose(page.scene.world)[:3, :3] @ [0, 0, -1]
+        np.testing.assert_allclose(down, -moment.T_world_palm[2, :3], atol=5e-3)
+    assert page.scene.world.visible
+    page.draw(dataclasses.replace(moment, T_world_palm=None))
+    assert (page.scene.world.visible, page.scene.axes.visible) == (False, True)
+
+
 def test_a_browser_opened_while_paused_shows_the_moment(page, tracked, monkeypatch):
     player = Player(page, tracked.timeline, lambda: None)
     page.draw_curves = lambda curves, now: None
@@ -367,7 +411,7 @@ def test_a_port_that_is_taken_gives_way_to_the_next(page, tracked):
     second = Page(tracked.rig, tracked.model, port=page.port)
     try:
         assert second.port != page.port
-        assert second.address == f"http://127.0.0.1:{second.port}"
+        assert second.address.startswith(f"http://127.0.0.1:{second.port}/?token=")
     finally:
         second.close()
 

@@ -125,6 +125,9 @@ def locate(
     scale: Annotated[float, Option(help="Metres per unit of a mesh file; 0.001 for millimetres.")] = 1.0,
     library: LibraryPlace = None,
     rig: RigPath = None,
+    verbose: Annotated[
+        bool, Option("--verbose", "-v", help="Answer with all hypotheses, not only with the three likeliest.")
+    ] = False,
 ) -> None:
     """Locate objects in depth images, without a guess of their poses, or recognise which of several objects it is.
 
@@ -156,13 +159,12 @@ def locate(
     the image, or in a detector's box.
 
     An answer has position [m] and quaternion_xyzw of the object in the camera's frame (x right, y down, z forward),
-    covariance (6x6, position then rotation along the camera's axes), the probability that the pose is right, other
-    hypotheses with weights, and seconds; or `"found": false` and the reason. With several objects it lists them in
-    `objects`, and in `missing` why others are not there. With `--which` it has the probability of each (`scores`) and
-    of `none` of them; the pose is that of the most probable one, and `"object"` is null if `none` is more probable. An
-    image that cannot be read is answered with `{"error": ...}`, and the exit code
-    is then 1; it is 2 if no image can be read, and 74 if answers cannot be written. After Ctrl-C, the answers until
-    then are kept.
+    covariance (6x6, position then rotation along the camera's axes), the probability that the pose is right, up to
+    three hypotheses with weights (`-v`: all), and seconds; or `"found": false` and the reason. With several objects it
+    lists them in `objects`, and in `missing` why others are not there. With `--which` it has the probability of each
+    (`scores`) and of `none` of them; the pose is that of the most probable one, and `"object"` is null if `none` is
+    more probable. An image that cannot be read is answered with `{"error": ...}`, and the exit code is then 1; it is
+    2 if no image can be read, and 74 if answers cannot be written. After Ctrl-C, the answers until then are kept.
     """
     from handsight.checks import suggestion
     from handsight.objects.library import Library, NoLibrary
@@ -228,7 +230,7 @@ def locate(
         each = (within(frame, area) if isinstance(frame, Frame) else frame for frame in frames.each)
         frames = frames._replace(each=each)
     counts = {name: most[given] for name, given in zip(models, names, strict=False) if given in most}
-    if code := _locate_each(frames, models, None if which else counts, noise, output, plot, numbers):
+    if code := _locate_each(frames, models, None if which else counts, noise, output, plot, numbers, verbose):
         raise typer.Exit(code)
 
 
@@ -259,12 +261,14 @@ def _locate_each(
     output: Path | None,
     plot: Path | None,
     numbers: Mapping[str, int] | None,
+    complete: bool,
 ) -> int:
     """Locates objects in each image, and returns the command's exit code.
 
     The answers are written to a file or stdout, or shown as a table on a terminal; after Ctrl-C or an error, those
     until then. An error before the first answer is raised. `counts`: as `locator` takes them. `numbers`: BOP's numbers
-    of the objects, by name, for BOP's results; None: the answers are lines of JSON.
+    of the objects, by name, for BOP's results; None: the answers are lines of JSON, `complete` or with
+    the likeliest hypotheses only.
     """
     from handsight.recording.bop import BOP_COLUMNS
     from handsight.recording.detections import bop_lines, json_line
@@ -305,7 +309,7 @@ def _locate_each(
             if as_table:
                 cells += _table_rows(row, several=several)
             else:
-                write(*([json_line(row)] if numbers is None else bop_lines(row, numbers)))
+                write(*([json_line(row, complete=complete)] if numbers is None else bop_lines(row, numbers)))
             move(done / frames.total if frames.total else None, f"{done} of {frames.total or '?'} images")
     if cells:
         title = (f"{len(models)} objects" if len(models) > 1 else next(iter(models))) + " in depth images"

@@ -98,7 +98,7 @@ def simulate(
         ),
     ] = None,
 ) -> None:
-    """Record a simulated hand that grasps an object, with the truth on a topic of its own.
+    """Record a simulated hand that grasps an object; its true pose in the palm is on a topic of its own.
 
     The hand is the Shadow hand, or any URDF or MJCF hand of a --rig: its grasps are searched as well, nothing is known
     of it but its file and its fingertips. Joints have position servos of 3 N m/rad, coupled ones too; camera, table and

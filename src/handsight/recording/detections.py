@@ -14,6 +14,8 @@ from handsight.vision.object.locate import Recognition
 
 MAX_REASONS = 3
 """Reasons that are listed why none of several objects was found."""
+MAX_HYPOTHESES, MIN_WEIGHT = 3, 0.01
+"""Hypotheses of an object that are written, and the weight above which the others than the best are."""
 FAR = 3.0
 """A median depth beyond which an object that was not found may be in an image of another unit [m]."""
 
@@ -40,6 +42,8 @@ class Located:
             return reason
         median = float(np.median(known))
         hint = "; in tenths of millimetres? then --depth-scale 0.0001" if median > FAR else ""
+        if not hint and "probability of 0.00" in reason:  # as of everything at another scale
+            hint = "; if that is not the distance of the scene, set --depth-scale"
         return f"{reason} (median depth {median:.2f} m{hint})"
 
     @property
@@ -85,10 +89,11 @@ class LocatedAll:
         return "; ".join([*reasons[:MAX_REASONS], *more])
 
 
-def json_line(row: Located | LocatedAll | Unread) -> str:
+def json_line(row: Located | LocatedAll | Unread, *, complete: bool = False) -> str:
     """Returns a line of JSON without its newline; for an unreadable image, `{"frame": ..., "error": ...}`.
 
-    Poses are `T_camera_object`, in the camera's optical frame [m].
+    Poses are `T_camera_object`, in the camera's optical frame [m]. complete: with all hypotheses of each object; else
+    with the likeliest only, the others of a weight above 0.01.
     """
     if isinstance(row, Unread):
         return json.dumps({"frame": row.name, "error": row.reason})
@@ -99,7 +104,7 @@ def json_line(row: Located | LocatedAll | Unread) -> str:
     if isinstance(row, LocatedAll):
         pixels = [int(each.pixels.sum()) for each in row.found.instances]
         objects = [
-            {"object": each.model.name} | _pose_fields(each) | {"pixels": n}
+            {"object": each.model.name} | _pose_fields(each, complete) | {"pixels": n}
             for each, n in zip(row.instances, pixels, strict=True)
         ]
         fields |= {"found": reason is None, "objects": objects, "missing": row.found.missing}
@@ -109,14 +114,14 @@ def json_line(row: Located | LocatedAll | Unread) -> str:
     fields |= {"object": row.name, "found": reason is None}
     if row.recognition is not None:
         fields |= {"scores": row.recognition.scores, "none": row.recognition.none}
-    fields |= _pose_fields(row) if reason is None else {"reason": reason}
+    fields |= _pose_fields(row, complete) if reason is None else {"reason": reason}
     if (starts := row.found.starts) is not None:
         fields["starts"] = _judged(starts)
     return json.dumps(fields | {"seconds": row.seconds}, allow_nan=False)
 
 
-def _pose_fields(row: Located) -> dict[str, object]:
-    """Returns an object's pose, probability and hypotheses as JSON has them."""
+def _pose_fields(row: Located, complete: bool) -> dict[str, object]:
+    """Returns an object's pose, probability and hypotheses as JSON has them; not `complete`: the likeliest of these."""
     columns = row.found.Ts_camera_object, row.found.covariances, row.found.weights
     poses = [
         {
@@ -127,6 +132,9 @@ def _pose_fields(row: Located) -> dict[str, object]:
         }
         for T, covariance, weight in zip(*columns, strict=True)
     ]
+    if not complete:  # the likeliest is the first
+        likely = 1 + int((row.found.weights[1:MAX_HYPOTHESES] > MIN_WEIGHT).sum())
+        poses = poses[:likely]
     fields = {key: value for key, value in poses[0].items() if key != "weight"}
     return fields | {"probability": row.found.probability, "explained": row.explained, "hypotheses": poses}
 

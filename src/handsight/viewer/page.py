@@ -4,6 +4,7 @@ import contextlib
 import io
 import logging
 import threading
+from collections.abc import Callable
 from importlib import import_module
 from types import ModuleType
 from typing import NamedTuple
@@ -15,6 +16,7 @@ from handsight.checks import Array
 from handsight.errors import HandsightError, InvalidInput, MissingExtra
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
+from handsight.viewer.guard import Guard
 from handsight.viewer.moment import Moment
 from handsight.viewer.panel import Panel
 from handsight.viewer.picture import Picture
@@ -55,10 +57,14 @@ class Page:
         viser = require_viser()
         if not 1 <= port <= PAGE.max_port:  # viser would wait for ever
             raise InvalidInput(f"port: expected a number from 1 to {PAGE.max_port}, got {port}")
+        self.on_open: Callable[[dict[str, list[str]]], None] = lambda _: None
+        """Called with the fields of the URL when a browser opens the page."""
+        self.guard = Guard(lambda fields: self.on_open(fields))
         # What is no message of a browser ends its connection, and needs no traceback.
         logging.getLogger("websockets").setLevel(logging.CRITICAL)
         try:
-            with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
+            # viser prints a banner.
+            with contextlib.redirect_stdout(io.StringIO()), self.guard.installed():
                 self.server = viser.ViserServer(host=PAGE.host, port=port, label="handsight", verbose=False)
         except OSError as error:
             raise HandsightError(f"port: expected one that is free from {port} on, got {error}") from None
@@ -72,6 +78,8 @@ class Page:
     def begin(self, rig: Rig, model: ObjectModel, title: str) -> None:
         """Clears the page, to show another hand or another object."""
         self._rig, self._model = rig, model
+        self.origin: float | None = None
+        """Stamp from which the page counts time [s], where it shows a recording; links to moments are by it."""
         self._lock = threading.Lock()  # both the player and the panel's checkboxes draw
         self._aimed = False
         self._drawn: tuple[Picture | None, float, dict[Color, Array]] = None, 0.0, {}
@@ -87,8 +95,8 @@ class Page:
 
     @property
     def address(self) -> str:
-        """Address of the page for a browser."""
-        return f"http://{PAGE.host}:{self.port}"
+        """Address of the page for a browser, with the token without which nobody may read it."""
+        return f"http://{PAGE.host}:{self.port}/?token={self.guard.token}"
 
     @property
     def watched(self) -> bool:
@@ -101,7 +109,12 @@ class Page:
             self._aim(moment)
             forces = moment.forces(self._rig)
             self.scene.draw(moment, forces)
-            self.panel.draw(moment, forces)
+            when = f"{moment.stamp:.2f} s"
+            if self.origin is not None:
+                time = f"{moment.stamp - self.origin:.2f}"
+                link = f'<a href="?token={self.guard.token}&amp;t={time}">link to it</a>'
+                when = f"{time} s · {link}"
+            self.panel.draw(moment, forces, when)
             self._draw_picture(moment)
             self.last = moment
 
@@ -156,13 +169,13 @@ class Page:
         low, high = np.min(places, axis=0), np.max(places, axis=0)
         center, span = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
         up = np.array([0.0, 0.0, 1.0]) if moment.T_world_palm is None else moment.T_world_palm[2, :3]
-        # The view is across the line from palm to object, from somewhat above.
+        # The view is across the line from palm to object, from above and the palm's side: the hand is in front.
         along = places[-1] - places[0]
         across = np.cross(up, along)
         if np.linalg.norm(across) < 0.2 * np.linalg.norm(along):
             across = se3.perpendicular(up)
         across = across / np.linalg.norm(across)
-        view = across + 0.45 * np.cross(across, up) + 0.4 * up
+        view = across - 0.45 * np.cross(across, up) + 0.4 * up
         position = center + PAGE.distance * span * np.asarray(view / np.linalg.norm(view))
         self.server.scene.set_up_direction(up)
         self.server.initial_camera.up = up

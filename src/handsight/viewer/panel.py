@@ -59,8 +59,9 @@ class Panel:
                 box = gui.add_checkbox(label, layers[name])
                 box.on_update(lambda _, name=name, box=box: choose(name, box))
 
-    def draw(self, moment: Moment, forces: dict[str, Array]) -> None:
-        """Writes the state, its reason, and a label for each finger: its force, or why it has no contact."""
+    def draw(self, moment: Moment, forces: dict[str, Array], when: str) -> None:
+        """Writes the time as HTML, the state, its reason, and a label for each finger: its force, or why it has no
+        contact."""
         labels = ""
         for name in (*moment.fingertips.fingers, *moment.fingertips.reasons):
             color, label = "#9e9e9e", moment.fingertips.reasons.get(name, "")
@@ -76,7 +77,7 @@ class Panel:
         _, _, why = printable(moment.sentence).partition(": ")
         self.status.content = (
             f'<div style="padding:0 .8em;font-size:.86em;line-height:1.4">'
-            f'<div style="color:#666">{html.escape(printable(self._title))} · {moment.stamp:.2f} s</div>'
+            f'<div style="color:#666">{html.escape(printable(self._title))} · {when}</div>'
             f'<div><b style="color:{STATES[moment.state]}">{moment.state.upper()}</b> {html.escape(why)}</div>'
             f'<div style="margin:.3em 0">{labels}</div></div>'
         )

@@ -1,10 +1,11 @@
 """Playback of a recording's moments, with pause, seeking and a choice of speed."""
 
+import contextlib
 import math
 import threading
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page
@@ -20,6 +21,7 @@ class PlayerOptions(NamedTuple):
 
     plot_period: float = 0.2  # between two plots [s]
     poll_period: float = 1.0  # between two checks of a timeline that grows [s]
+    step: float = 0.1  # by which a key goes back or ahead [s]
     min_hold: float = 0.6  # for which playing leaves the slider to the person who has moved it [s]
 
 
@@ -55,6 +57,20 @@ class Player:
         def chosen(_: object) -> None:
             self.speed = float(speed.value.rstrip("x"))
 
+        def opened(fields: dict[str, list[str]]) -> None:
+            with contextlib.suppress(KeyError, ValueError):
+                self._stop_at(float(fields["t"][0]))
+
+        keys: dict[Any, tuple[str, Callable[[], None]]] = {
+            "K": ("play or pause", lambda: self.play(not self.playing)),
+            "J": (f"{PLAYER.step} s back", lambda: self._stop_at(self.time - PLAYER.step)),
+            "L": (f"{PLAYER.step} s ahead", lambda: self._stop_at(self.time + PLAYER.step)),
+            "home": ("to the beginning", lambda: self._stop_at(0.0)),
+            "end": ("to the end", lambda: self._stop_at(math.inf)),
+        }
+        for key, (label, act) in keys.items():
+            gui.add_command(label, hotkey=key).on_trigger(lambda _, act=act: act())
+        page.on_open = opened
         self._button.on_click(lambda _: self.play(not self.playing))
         self._slider.on_update(moved)
         speed.on_update(chosen)
@@ -81,6 +97,11 @@ class Player:
         """Goes to a time since the first moment [s]."""
         self.time = min(max(time, 0.0), self._timeline.length)
         self._wake.set()
+
+    def _stop_at(self, time: float) -> None:
+        """Pauses at a time since the first moment [s]."""
+        self.playing = False
+        self.seek(0.0 if math.isnan(time) else time)
 
     def close(self) -> None:
         """Ends the player."""
@@ -118,6 +139,7 @@ class Player:
         """Shows the moment at the current time, the curves, and where the slider is."""
         now, moment = self.time, self._timeline.at(self.time)
         if moment is not self._drawn:
+            self._page.origin = self._timeline.begin
             self._drawn = moment
             self._page.draw(moment)
         label = "Pause" if self.playing else "Play"

@@ -36,6 +36,10 @@ class SceneStyle(NamedTuple):
     normal_length: float = 0.02  # of a normal's arrow [m]
     force_length: float = 0.012  # of a force's arrow [m/N]
     max_force_length: float = 0.12  # of a force's arrow [m]
+    axis_length: float = 0.05  # of the palm's axes [m]
+    gravity_length: float = 0.08  # of gravity's arrow [m]
+    grid_depth: float = 0.15  # of the grid below the palm's origin [m]
+    grid_cell: float = 0.05  # [m]
     max_points: int = 4000  # by which an object without triangles is drawn
 
 
@@ -51,6 +55,7 @@ LAYERS: dict[str, tuple[str, Color]] = {
     "covariance": ("where its middle is, 95 %", (123, 31, 162)),
     "open": ("left open by touch", (13, 71, 161)),
     "depth": ("depth image", (110, 110, 110)),
+    "frame": ("the palm's axes, gravity, horizontal grid of 5 cm", (90, 90, 90)),
 }
 """What can be shown, by name: its label and colour."""
 
@@ -86,6 +91,20 @@ class MomentScene:
         self.turns = scene.add_line_segments("/open/turns", lines, blue, thickness=0.003, **gone)
         purple = LAYERS["covariance"][1]
         self.covariance = scene.add_icosphere("/covariance", 1.0, purple, cast_shadow=False, **gone)
+        self.axes = scene.add_frame("/axes", axes_length=STYLE.axis_length, axes_radius=0.001, visible=False)
+        self.world = scene.add_frame("/world", show_axes=False, visible=False)
+        """Axes of the world at the palm's origin: gravity and grid are in it, and turn with it."""
+        down, dark = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, -STYLE.gravity_length]]]), LAYERS["frame"][1]
+        scene.add_arrows(
+            "/world/gravity", down, dark, shaft_radius=0.001, head_radius=0.003, head_length=0.01
+        )
+        cells = {
+            "width": 0.8,
+            "height": 0.8,
+            "cell_size": STYLE.grid_cell,
+            "section_size": 4 * STYLE.grid_cell,
+        }
+        scene.add_grid("/world/grid", **cells, position=(0.0, 0.0, -STYLE.grid_depth))
         grey = LAYERS["depth"][1]
         self.depth = scene.add_point_cloud("/depth", np.zeros((1, 3)), (grey,), point_size=0.0012, **gone)
 
@@ -103,6 +122,12 @@ class MomentScene:
                 for k in np.flatnonzero((np.abs(values - sent) > least).any(axis=1) & known):
                     setattr(handles[k], part, values[k])
                     sent[k] = values[k]
+        _show(self.axes, self.layers["frame"])
+        _show(self.world, self.layers["frame"] and moment.T_world_palm is not None)
+        if moment.T_world_palm is not None:
+            turn = quaternions_wxyz(se3.inverse(moment.T_world_palm))
+            if np.abs(turn - self.world.wxyz).max() > STYLE.min_rotation:
+                self.world.wxyz = turn
         self._draw_contacts(moment, forces)
         estimate, vision = moment.estimate, moment.vision
         self._put(self.object, "object", None if estimate is None else estimate.T_palm_object)

@@ -23,7 +23,7 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
     every = max(1, len(steps) // 2000)
     shown = [step for k, step in enumerate(steps) if k % every == 0 or step.T_palm_object_vision is not None]
     times = np.array([step.stamp - steps[0].stamp for step in shown])
-    curves = _curves(model, shown, truths)
+    curves, bases = _curves(model, shown, truths)
     size = {"figsize": (9, 9), "height_ratios": [3, 3, 3, 0.5]}
     figure, axes = plt.subplots(4, 1, sharex=True, layout="constrained", **size)
     pink, grey = "#c2185b", "0.6"
@@ -41,6 +41,12 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
         axes[k].set_ylim(low - 0.1 * (high - low) - 0.5, high + 0.1 * (high - low) + 0.5)
         axes[k].grid(alpha=0.3)
         axes[k].set_ylabel(f"{axis} [cm]")
+    # Where the object is turned, another of its sides faces down, and the base's centre jumps.
+    for jump in times[1:][(np.abs(np.diff(bases, axis=0)) > 1e-6).any(axis=1)]:
+        for each in axes[:3]:
+            each.axvline(
+                jump, color="0.4", ls=":", lw=1, label="another side faces down: the base is its middle"
+            )
     # A strip in the colours of the states; a state lasts until the next stamp.
     colors = {"tracking": "#2e7d32", "uncertain": "#e0a100", "lost": "#b71c1c"}
     edges = np.array([step.stamp for step in (*steps, steps[-1])]) - steps[0].stamp
@@ -63,18 +69,18 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
     save(figure, path)
 
 
-def _curves(model: ObjectModel, steps: Sequence[Step], truths: Truths) -> Array:
+def _curves(model: ObjectModel, steps: Sequence[Step], truths: Truths) -> tuple[Array, Array]:
     """Returns (4, n, 3) [cm]: the base's position as tracked, by vision and true, and sigma of the tracked one. What is
-    not known is NaN."""
-    curves = np.full((4, len(steps), 3), np.nan)
+    not known is NaN. And the base's centres (n, 3) in the object [m]."""
+    curves, bases = np.full((4, len(steps), 3), np.nan), np.empty((len(steps), 3))
     for i, step in enumerate(steps):
         T_world_palm = np.eye(4) if step.T_world_palm is None else step.T_world_palm
         tracked, truth = step.estimate.T_palm_object, truths.at(step.stamp)
-        base = base_center(model, T_world_palm @ (tracked if truth is None else truth))
+        base = bases[i] = base_center(model, T_world_palm @ (tracked if truth is None else truth))
         for k, T in enumerate((tracked, step.T_palm_object_vision, truth)):
             if T is not None:
                 curves[k, i] = 100 * se3.apply(T_world_palm @ T, base[None])[0]
         R = T_world_palm[:3, :3]
         variance = (R @ point_uncertainty(step.estimate, model, base)[0] @ R.T).diagonal()
         curves[3, i] = 100 * np.sqrt(variance.clip(min=0.0))
-    return curves
+    return curves, bases

@@ -1,0 +1,77 @@
+"""Who may read a page: a browser that was given its address, and no other site's page that is open in that browser."""
+
+import contextlib
+import re
+import secrets
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+from unittest import mock
+from urllib.parse import parse_qs
+
+from handsight.errors import HandsightError
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Request, Response
+
+    Answer = Callable[[ServerConnection, Request], Response | None]
+
+
+LOCAL = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d+)?")
+"""Hosts by which a browser asks this machine, at any port, as a tunnel has its own."""
+CLOSE_TIMEOUT = 0.1
+"""Given to a browser to answer that the page ends [s]."""
+
+
+class Guard:
+    """A `Guard` answers 403 to a request whose Host is not this machine, whose Origin is another page, or that has
+    neither the page's token in its URL nor the cookie that was set when it had."""
+
+    def __init__(self, opened: Callable[[dict[str, list[str]]], None]) -> None:
+        """`opened` is called with the fields of the URL by which a browser opens the page."""
+        self.token = secrets.token_urlsafe(16)
+        self._cookie = (
+            f"handsight-{secrets.token_hex(4)}={self.token}"  # a name for each page: cookies ignore ports
+        )
+        self._opened = opened
+
+    @contextlib.contextmanager
+    def installed(self) -> Iterator[None]:
+        """Guards the server that viser starts inside, which has no option for it; raises HandsightError at the end if
+        none has started."""
+        from websockets.asyncio import server
+
+        serve, started = server.serve, list[Any]()
+
+        def guarded(*args: Any, process_request: "Answer", **options: Any) -> Any:
+            def answer(connection: "ServerConnection", request: "Request") -> "Response | None":
+                return self._answer(connection, request, process_request)
+
+            started.append(serve(*args, process_request=answer, close_timeout=CLOSE_TIMEOUT, **options))
+            return started[-1]
+
+        with mock.patch.object(server, "serve", guarded):
+            yield
+        if not started:
+            raise HandsightError("viser: expected a version whose server can be guarded, got another")
+
+    def _answer(
+        self, connection: "ServerConnection", request: "Request", answer: "Answer"
+    ) -> "Response | None":
+        """Returns 403 and the reason, or viser's answer."""
+        host, origins = ",".join(request.headers.get_all("Host")), request.headers.get_all("Origin")
+        fields = parse_qs(request.path.partition("?")[2])
+        given = fields.get("token", [""])[0].encode(errors="replace")
+        cookies = ";".join(request.headers.get_all("Cookie")).replace(" ", "").split(";")
+        if not LOCAL.fullmatch(host):
+            return connection.respond(403, f"Host: expected 127.0.0.1 or localhost, got {host!r:.80}\n")
+        if origins not in ([], [f"http://{host}"]):
+            return connection.respond(403, f"Origin: expected http://{host}, got {','.join(origins)!r:.80}\n")
+        if not secrets.compare_digest(given, self.token.encode()) and self._cookie not in cookies:
+            return connection.respond(403, "token: expected the complete address that handsight printed\n")
+        response = answer(connection, request)
+        if response is not None:
+            response.headers["Referrer-Policy"] = "no-referrer"
+            response.headers["Set-Cookie"] = f"{self._cookie}; HttpOnly; SameSite=Strict"
+            self._opened(fields)
+        return response
