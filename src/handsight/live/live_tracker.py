@@ -24,11 +24,12 @@ from handsight.tracking import State, Tracker, TrackerSettings
 
 
 class LiveOptions(NamedTuple):
-    """`LiveOptions` are the periods of a live tracker."""
+    """`LiveOptions` are the periods of a live tracker, and how much it remembers."""
 
     quiet: float = 1.0  # after this time without a message, all that wait are processed [s]
     marker_period: float = 1 / 30  # between markers [s]
     object_period: float = 1.0  # between markers of the object itself, which /tf moves [s]
+    own_transforms: int = 200  # the last ones of its own that it knows again
 
 
 LIVE = LiveOptions()
@@ -110,8 +111,8 @@ class LiveTracker:
         self.health = Health(self._stream, self._inbox.dropped)
         self._flushed = True
         self._markers_at = self._object_at = -math.inf
-        # Not every transport can distinguish them from others on /tf.
-        self._own_transforms = deque[bytes](maxlen=200)
+        # The last ones: not every transport can distinguish them from others on /tf. A dictionary, as another thread asks.
+        self._own_transforms = dict[bytes, None]()
 
     @property
     def subscriptions(self) -> Mapping[str, tuple[str, ...]]:
@@ -256,7 +257,9 @@ class LiveTracker:
         answers = [self._writer.pose(tracker.stamp, estimate)]
         if tracker.state != "lost":
             answers.append(self._writer.transform(tracker.stamp, estimate.T_palm_object))
-            self._own_transforms.append(answers[-1].data)
+            self._own_transforms[answers[-1].data] = None
+            if len(self._own_transforms) > LIVE.own_transforms:
+                del self._own_transforms[next(iter(self._own_transforms))]
         now = time.monotonic()
         if now - self._markers_at >= LIVE.marker_period and self.markers_wanted():
             self._markers_at = now

@@ -24,6 +24,9 @@ from handsight.tracking.warm import find_hand, find_object
 PARAMETERS = {"rig": "", "object": "", "rate": 0.0, "images": True, "equal": False, "view": 0}
 """The parameters of a node with their defaults: those of `live_tracker`, and the port of a page in the browser."""
 
+IMAGES_READY = 600.0
+"""How long the process for images may take until it is ready [s]: kernels may have to be compiled."""
+
 
 def parameters(given: Mapping[str, object]) -> dict[str, Any]:
     """Returns a node's parameters from those that a user gave, by name; the others have their defaults.
@@ -65,13 +68,13 @@ def live_tracker(
     known = Rig.from_file(rig)
     if not name and len(known.objects) == 1:
         name = next(iter(known.objects))
-    model, settings = (
-        requested_model(name or "", known),
-        TrackerSettings(rate=rate or None, images=images, concurrent_images=images and not equal),
-    )
+    model, concurrent = requested_model(name or "", known), images and not equal
+    settings = TrackerSettings(rate=rate or None, images=images, concurrent_images=concurrent)
     live = LiveTracker(known, model, encoding=encoding, settings=settings, equal=equal)
-    if settings.concurrent_images and known.topics.depth is not None:
-        image_process().ready.wait()
+    if concurrent and known.topics.depth is not None:
+        if not image_process().ready.wait(IMAGES_READY):
+            reason = f"is not ready after {IMAGES_READY:.0f} s"
+            raise HandsightError(f"images: the process that evaluates them {reason}")
     elif images and known.topics.depth is not None:
         find_object()
         find_hand()

@@ -413,17 +413,13 @@ class Follower:
         known, now = last.estimate, state.stamp
         if state.fingertips.fingers != last.fingers or state.slip.now.slipping or not known.consistent:
             return None
-        T, middle = known.T_palm_object, self.model.center_object
-        T_new, noise = (
-            self.model.nearest(new.T_palm_object, T),
-            process_variance(self.process_noise, now - last.stamp),
-        )
+        T, noise = known.T_palm_object, process_variance(self.process_noise, now - last.stamp)
+        T_new, middle = self.model.nearest(new.T_palm_object, T), self.model.center_object
         turn = se3.difference(T_new, T)[3:]
         shift = (T_new - T)[:3, :3] @ middle + (T_new - T)[:3, 3]
-        steps, covariance = np.array([shift @ shift, turn @ turn]), known.bounded_covariance[3:, 3:]
-        along = float(
-            turn @ (covariance + np.diag(noise[3:])) @ turn
-        )  # the variance of the turn, times its square
+        steps = np.array([shift @ shift, turn @ turn])
+        # The variance of the turn about its axis, times the turn's square.
+        along = float(turn @ (known.bounded_covariance[3:, 3:] + np.diag(noise[3:])) @ turn)
         far = steps[0] > last.variance + noise[0] or steps[1] ** 2 > along
         rejects = bool(new.outliers) and not known.outliers
         if not far and not rejects and new.consistent:
