@@ -111,7 +111,7 @@ class LiveTracker:
         self.health = Health(self._stream, self._inbox.dropped)
         self._flushed = True
         self._markers_at = self._object_at = -math.inf
-        # The last ones: not every transport can distinguish them from others on /tf. A dictionary, as another thread asks.
+        # The last ones, as not every transport can distinguish them; a dictionary, as another thread asks.
         self._own_transforms = dict[bytes, None]()
 
     @property
