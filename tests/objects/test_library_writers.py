@@ -70,7 +70,7 @@ def test_threads_at_the_same_time_lose_nothing(tmp_path):
 
 def test_a_reader_finds_each_object_with_all_its_facts_while_another_adds(tmp_path):
     folder, library = Folder(tmp_path / "library"), Library(tmp_path / "library")
-    facts, info, ply = new_object(block(tmp_path), Facts(name="block", mass=0.5), 1.0, None)
+    facts, info, ply = new_object(block(tmp_path), Facts(name="block", mass=0.5), 1.0, None, False)
     folder.add(facts, info, ply)
 
     def write():

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from typer import Argument, Option
 
 from handsight.cli.terminal import say
@@ -64,6 +63,8 @@ def new(
 
 def _guessed(file: Path, recording: Path | None) -> str:
     """Returns the text of a rig, with what was guessed at its head, and prints that; raises InvalidFile."""
+    import numpy as np
+
     from handsight import se3
     from handsight.contact import Sphere, WrenchCalibration
     from handsight.hand import Hand

@@ -10,6 +10,7 @@ from handsight.tracking.skin import SkinContacts, SkinSensors
 from handsight.tracking.smoother import PoseBiasSmoother
 from handsight.tracking.track_state import TrackState
 from handsight.tracking.tracker import State, Tracker
+from handsight.tracking.verdicts import Diagnosed, Diagnosis
 
 __all__ = [
     "HAND_VIEWS",
