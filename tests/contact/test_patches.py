@@ -49,9 +49,10 @@ def test_a_tip_of_one_component_senses_the_point_too():
 
 
 def test_a_contact_across_the_edge_of_a_layout_is_beyond_it_and_as_uncertain_as_it_says():
-    """Up to 9 mm from the taxels, on shapes and seeds on which no constant was chosen."""
+    """Up to 9 mm from the taxels, on shapes and seeds on which no constant was chosen. In the mean NEES is within twice of
+    what covariances say; some contacts far beyond the edge are overconfident."""
     felt, found, squared = [], [], []
-    for k in range(160):
+    for k in range(1600):
         rng = np.random.default_rng([31, k])
         shape = SHAPES[HELD_OUT[k // 20 % 2]]
         if k % 20 == 0:
@@ -71,10 +72,10 @@ def test_a_contact_across_the_edge_of_a_layout_is_beyond_it_and_as_uncertain_as_
             felt.append(np.linalg.norm(share @ surface.points / share.sum() - truth.point))
             found.append(np.linalg.norm(patch["point"] - truth.point))
             squared.append(errors(patch, truth)["nees"])
-    assert len(found) > 20
+    assert len(found) > 200
     assert np.mean(found) < 0.7 * np.mean(felt)
     assert np.median(squared) < 1
-    assert np.mean(squared) < 3
+    assert 0.7 < np.mean(squared) < 2
 
 
 def test_a_shear_in_proportion_to_the_pressure_moves_neither_centre_nor_normal_of_a_patch():

@@ -12,10 +12,8 @@ from handsight.tracking import Tracker
 
 def bent(observation, finger, by=0.2):
     """The same observation; the joints of one finger read `by` [rad] too much."""
-    q = {
-        n: value + by * (f"{finger}J" in n.lower().replace("j", "J"))
-        for n, value in observation.joint_positions.items()
-    }
+    of_finger = f"robot0:{finger.upper()}J"
+    q = {name: value + by * name.startswith(of_finger) for name, value in observation.joint_positions.items()}
     assert q != observation.joint_positions
     return replace(observation, joint_positions=q)
 

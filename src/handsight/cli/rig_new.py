@@ -35,18 +35,15 @@ def new(
     ```
     """
     examples = {path.name.removesuffix(".rig.yaml"): path for path in sorted(EXAMPLES.glob("*.rig.yaml"))}
-    if (hand is None) == (like is None):
-        raise InvalidInput(
-            "expected the hand's file, or --like and the name of an example, got "
-            + ("neither" if like is None else "both")
-        )
-    if like is not None:
+    if hand is not None and like is None:
+        text, name = _guessed(hand, recording), hand.stem
+    elif hand is None and like is not None:
         if like not in examples:
             raise InvalidInput(f"--like: expected one of {', '.join(examples)}, got {like!r:.60}")
         text, name = examples[like].read_text(encoding="utf-8"), like
     else:
-        assert hand is not None
-        text, name = _guessed(hand, recording), hand.stem
+        came = "neither" if like is None else "both"
+        raise InvalidInput(f"expected the hand's file, or --like and the name of an example, got {came}")
     path = output or Path(f"{name}.rig.yaml")
     with write_errors(path):
         try:

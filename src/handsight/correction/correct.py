@@ -231,15 +231,15 @@ def refine_pose(
     """
     problem, skin = _problem(model, contacts, vision, outside, weight, depth, skin)
     checked_answer(answer)
-    if is_registered(problem.contacts):
-        estimate: PoseEstimate | None = register(replace(problem, starts=np.asarray(T_start)[None]), Budget())
-        estimate = estimate if estimate is not None and estimate.consistent else None
+    registered, estimate = is_registered(problem.contacts), None
+    if registered:
+        found = register(replace(problem, starts=np.asarray(T_start)[None]), Budget())
+        estimate = found if found.consistent else None
     else:
         estimate = solve_single_start(problem, T_start)
     if estimate is None or (problem.weight is not None and problem.weight.contradicts(estimate)):
         return None
-    if not is_registered(problem.contacts):
-        estimate = with_means(problem, estimate, answer)
+    estimate = estimate if registered else with_means(problem, estimate, answer)
     estimate = estimate if skin is None else estimate.inflated(skin.sigmas**2)
     return estimate if weight is None else replace(estimate, weight_fits=True)
 

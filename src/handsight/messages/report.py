@@ -144,17 +144,11 @@ def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -
             lacking.append(f"no transform from {world!r} to {palm!r} in {of}")
     absent_joints = [joint for joint in rig.hand.moving if report.observations and joint not in joint_names]
     if absent_joints:
-        named, more = ", ".join(map(repr, absent_joints[:4])), len(absent_joints) - 4
-        of = (
-            f"joint {named}"
-            if len(absent_joints) == 1
-            else f"joints {named}{f' and {more} more' if more > 0 else ''}"
-        )
-        near = _nearest(absent_joints[0], joint_names).replace(
-            "the nearest", f"the nearest to {absent_joints[0]!r}"
-        )
-        near = near if len(absent_joints) > 1 else _nearest(absent_joints[0], joint_names)
-        lacking.append(f"{of}: never on {topics.joint_states}{near}")
+        first, several = absent_joints[0], len(absent_joints) > 1
+        named, near = ", ".join(map(repr, absent_joints[:4])), _nearest(first, joint_names)
+        named += f" and {len(absent_joints) - 4} more" if len(absent_joints) > 4 else ""
+        near = near.replace("the nearest", f"the nearest to {first!r}") if several else near
+        lacking.append(f"joint{'s' if several else ''} {named}: never on {topics.joint_states}{near}")
     return [printable(each) for each in lacking]
 
 

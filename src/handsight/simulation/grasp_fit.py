@@ -82,7 +82,7 @@ class HandFit:
 
     def _fitted(self) -> tuple[float, tuple[int, ...], Array, Array]:
         """Returns cost, fingers, first rotation (3, 3) and posture of the best of some random starts, fitted."""
-        best: tuple[float, tuple[int, ...], Array, Array] | None = None
+        drawn = list[tuple[float, Array, Array]]()
         used = self._sets[self._rng.integers(len(self._sets))]
         for _ in range(FIT.drawn):
             q = self._rng.uniform(0.8 * self._low + 0.2 * self._high, 0.2 * self._low + 0.8 * self._high)
@@ -98,10 +98,8 @@ class HandFit:
             middle = self._stand.mass + self._rng.uniform(-0.2, 0.2, 3) * np.ptp(self._stand.vertices, axis=0)
             x = np.concatenate([middle - R0 @ grip, np.zeros(3), q])
             cost = float(np.square(self._residuals(x, used, R0, q)).sum())
-            if best is None or cost < best[0]:
-                best = cost, used, R0, x
-        assert best is not None
-        _, used, R0, x = best
+            drawn.append((cost, R0, x))
+        _, R0, x = min(drawn, key=lambda start: start[0])
         q = x[6:]
         low, high = (
             np.concatenate([np.full(6, s * np.inf), b]) for s, b in ((-1, self._low), (1, self._high))

@@ -20,6 +20,7 @@ from handsight.objects.resting import resting_poses
 from handsight.observation import Observation
 from handsight.rig import MountedCamera, Rig
 from handsight.tracking.concurrent_images import ConcurrentImages
+from handsight.tracking.continuity import CONFIRM_AFTER, disputed
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.grasp import ContactMemory, GraspChange, GraspState
 from handsight.tracking.hand_outside import HAND_OUTSIDE, HandOutside
@@ -46,9 +47,7 @@ class FollowerOptions(NamedTuple):
     """Time between two such searches, and between corrections while nothing fits: each costs as much as a hundred
     others [s]."""
     search_period: float = 3.0  # between two searches for other modes, where vision brings none about [s]
-    retry_period: float = 0.1
-    """Time between corrections while nothing fits, if other fingers touch now, and while corrections dispute the
-    answer: so long they must do so before one of them counts [s]."""
+    retry_period: float = 0.1  # time between corrections while nothing fits, if other fingers touch now [s]
     lost_without_fit: float = 2.0  # how long contacts may contradict every pose before the object is lost [s]
     min_contacts_to_learn: int = 3
     """The joints' offsets are learnt from so many contacts or more: fewer determine the pose alone."""
@@ -313,7 +312,7 @@ class Follower:
         age, regrasped = state.stamp - last.stamp, state.fingertips.fingers != last.fingers
         if not last.estimate.consistent:
             return age >= (FOLLOWER.retry_period if regrasped else FOLLOWER.recovery_period)
-        if last.disputed_at is not None and state.stamp - last.disputed_at >= FOLLOWER.retry_period:
+        if last.disputed_at is not None and state.stamp - last.disputed_at >= CONFIRM_AFTER:
             return True
         news = state.weight.news or state.skin.news(last.skin) or state.slip.news(last.stamp)
         if vision or regrasped or news:
@@ -355,8 +354,8 @@ class Follower:
             near, age = last.estimate, now - last.searched_at
             ambiguous = len(last.modes) > 1 and last.modes[1]["weight"] > HYPOTHESES.relevant
             search = age >= (FOLLOWER.recovery_period if ambiguous else FOLLOWER.search_period)
-            disputed = last.disputed_at is not None
-            if near.consistent and not near.outliers and not (samples or search or disputed):
+            search = search or last.disputed_at is not None
+            if near.consistent and not near.outliers and not (samples or search):
                 estimate = refine(prior, near.T_palm_object_maximum)
                 others, searched_at = last.modes[1:], last.searched_at
         if estimate is None:
@@ -374,10 +373,12 @@ class Follower:
             state.table, estimate, prior = table.compared(
                 known, (estimate, prior), correct, refine, drift, now
             )
-        if last is not None and (kept := self._disputed(state, last, estimate)):
-            state.correction, state.estimate, state.propagated_to = kept, kept.estimate, now
-            state.corrections, state.table = state.corrections + 1, table
-            return
+        if last is not None and touch.fingers == last.fingers and not state.slip.now.slipping:
+            creep = process_variance(self.process_noise, now - last.stamp)
+            if kept := disputed(self.model, last, estimate, creep, now):
+                state.correction, state.estimate, state.propagated_to = kept, kept.estimate, now
+                state.corrections, state.table = state.corrections + 1, table
+                return
         if not estimate.consistent and now - state.recovered_at >= FOLLOWER.recovery_period:
             state.recovered_at = now
             estimate, prior = self._recovered(state, estimate, prior, correct)
@@ -402,36 +403,6 @@ class Follower:
         )
         state.estimate, state.propagated_to = estimate, now
         state.corrections += 1
-
-    def _disputed(self, state: _Next, last: Correction, new: PoseEstimate) -> Correction | None:
-        """Returns the last correction, propagated to now, where a new one disputes it that is not confirmed yet.
-
-        While the same fingers touch and the object does not slip, the answer moves by no more than its own sigma. So
-        a correction that would move it further, that rejects a contact, or that fits no pose, counts only once others
-        have done the same for a while; and before a larger step the answer's sigma grows by it.
-        """
-        known, now = last.estimate, state.stamp
-        if state.fingertips.fingers != last.fingers or state.slip.now.slipping or not known.consistent:
-            return None
-        T, noise = known.T_palm_object, process_variance(self.process_noise, now - last.stamp)
-        T_new, middle = self.model.nearest(new.T_palm_object, T), self.model.center_object
-        turn = se3.difference(T_new, T)[3:]
-        shift = (T_new - T)[:3, :3] @ middle + (T_new - T)[:3, 3]
-        steps = np.array([shift @ shift, turn @ turn])
-        # The variance of the turn about its axis, times the turn's square.
-        along = float(turn @ (known.bounded_covariance[3:, 3:] + np.diag(noise[3:])) @ turn)
-        far = steps[0] > last.variance + noise[0] or steps[1] ** 2 > along
-        rejects = bool(new.outliers) and not known.outliers
-        if not far and not rejects and new.consistent:
-            return None
-        since = now if last.disputed_at is None else last.disputed_at
-        if now - since >= FOLLOWER.retry_period - 1e-9:
-            if not far or not new.consistent:
-                return None
-            noise = noise + np.repeat(steps, 3)
-        kept = known.inflated(noise)
-        _, variance = point_uncertainty(kept, self.model, middle)
-        return replace(last, estimate=kept, stamp=now, variance=variance, disputed_at=since)
 
     def _judged(
         self, state: _Next, estimate: PoseEstimate, prior: PosePrior, touch: tuple[Contacts, Outside | None]

@@ -5,7 +5,6 @@ import re
 import secrets
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
-from unittest import mock
 from urllib.parse import parse_qs
 
 from handsight.errors import HandsightError
@@ -50,8 +49,11 @@ class Guard:
             started.append(serve(*args, process_request=answer, close_timeout=CLOSE_TIMEOUT, **options))
             return started[-1]
 
-        with mock.patch.object(server, "serve", guarded):
+        server.serve = guarded  # type: ignore[misc, assignment]
+        try:
             yield
+        finally:
+            server.serve = serve  # type: ignore[misc]
         if not started:
             raise HandsightError("viser: expected a version whose server can be guarded, got another")
 
