@@ -1,7 +1,7 @@
 """A mode's mean and covariance in place of its maximum, by integration or by sampling.
 
 Two fingers and a thumb on opposite faces leave a flat direction that edges bound but do not fix: the maximum of the
-density is at an end of the interval, its mean in the middle. The kernel that integrates is in
+density is at an end of the interval, its mean in the middle. The code that integrates is in
 `_kernels/posterior/mean.py`.
 """
 
@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight import checks, se3
-from handsight._kernels.posterior import mean
 from handsight._kernels.posterior.options import INTEGRATION
+from handsight._kernels.solve import batch
 from handsight.checks import Array, Mask
 from handsight.correction import conflicts, few_contacts, modes, solve
 from handsight.correction.estimate import PoseEstimate, bounded_covariance
@@ -23,6 +23,8 @@ from handsight.objects.symmetry import tangents
 
 ANSWERS = ("best", "maximum", "mean")
 """What an answer can be: "best" is the mean where a mode is not Gaussian, and else the maximum."""
+KINDS = {"best": 1, "maximum": 0, "mean": 2}
+"""The same as the `mean` of an ANSWER."""
 
 
 class SamplingOptions(NamedTuple):
@@ -45,37 +47,36 @@ def checked_answer(answer: object, name: str = "answer") -> str:
     return answer
 
 
-def with_means(problem: Problem, estimate: PoseEstimate, answer: str, *, drawn: bool = False) -> PoseEstimate:
-    """Returns the estimate with each mode that is not Gaussian replaced by its mean: with `answer` "mean" the first
-    mode in any case, with "maximum" no mode. `drawn`: few contacts may take the time of `few_contacts.with_draws`.
+def kind_of(problem: Problem, answer: str, *, drawn: bool) -> int:
+    """Returns the ANSWER's `mean` for an answer; 0 too where its modes may have to be drawn from, if they may be."""
+    return 0 if answer == "best" and drawn and few_contacts.may_draw(problem) else KINDS[answer]
 
-    Only the likeliest modes are tested. A mode along the same flat direction as another is part of that one's mean, and
-    is no hypothesis any more; of means that are not distinct, one remains, the mean of all. Without vision, a mode with
-    an unobservable direction stays a maximum: the direction is not bounded, and several maxima along it are more
+
+def finished(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstimate:
+    """Returns the estimate of one start, after draws from its mode if it needs them."""
+    row = estimate.answer
+    if row["mean"] or answer == "maximum" or row["departure"] <= INTEGRATION.max_gaussian_rise:
+        return estimate
+    used = np.ones((1, len(problem.contacts)), dtype=bool)
+    return with_means(problem, np.array([row]), used, answer, drawn=True)
+
+
+def with_means(problem: Problem, rows: Records, used: Mask, answer: str, *, drawn: bool = False) -> PoseEstimate:
+    """Returns the estimate of modes (K,) ANSWER, likeliest first, each that is not Gaussian replaced by its mean: with
+    `answer` "mean" the first mode in any case, with "maximum" no mode.
+
+    `used` (1, n): the contacts in use. `drawn`: few contacts may take the time of `few_contacts.with_draws`. Only the
+    likeliest modes are tested. A mode along the same flat direction as another is part of that one's mean, and is no
+    hypothesis any more; of means that are not distinct, one remains, the mean of all. Without vision, a mode with an
+    unobservable direction stays a maximum: the direction is not bounded, and several maxima along it are more
     informative than one mean.
     """
-    gaussian = answer == "maximum" or estimate.answer["departure"] <= INTEGRATION.max_gaussian_rise
-    if gaussian and answer != "mean" and len(estimate.modes) == 1:
-        return estimate
-    likeliest = estimate.modes[: INTEGRATION.max_modes]
-    integrated = [
-        row["departure"] > INTEGRATION.max_gaussian_rise and (row["complete"] or not problem.blind)
-        for row in likeliest
-    ]
-    integrate = answer == "mean" or (answer == "best" and any(integrated))
-    if not integrate and len(estimate.modes) == 1:
-        return estimate
-    rows = np.array(estimate.modes)
-    used = np.ones((1, len(problem.contacts)), dtype=bool)
-    used[0, list(estimate.outliers)] = False
-    draw = drawn and answer == "best" and few_contacts.can_draw(problem, estimate)
+    draw = answer == "best" and drawn and few_contacts.have_draws(rows) and few_contacts.may_draw(problem)
     if draw:
         rows = few_contacts.with_draws(problem, rows, used)
-    elif integrate:
-        rows["departure"][: len(integrated)][~np.array(integrated, dtype=bool)] = 0.0
-        if answer == "mean":
-            rows["departure"][0] = np.inf
-        mean.integrate(*problem.arguments(used), rows)
+    elif answer != "maximum" and not rows[0]["mean"]:
+        rows["mean"], rows["mean"][0] = 1, KINDS[answer]
+        batch.summarize_all(*problem.arguments(used), rows)
     if len(rows) > 1 and not draw:
         rows = rows[rows["weight"] >= 0]
         rows = _merged(problem, rows[np.argsort(-rows["log_weight"], kind="stable")], answer)
@@ -83,9 +84,8 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str, *, drawn: 
     rows["weight"] = share / share.sum()
     residuals = solve.residuals(problem, descents_at(rows["T_palm_object"][:1]))
     consistent, contradictions = conflicts.judged(problem, rows[0], used)
-    return PoseEstimate(
-        rows[0], tuple(rows), residuals, consistent, estimate.outliers, conflicts=contradictions
-    )
+    rejected = tuple(np.flatnonzero(~used[0]).tolist())
+    return PoseEstimate(rows[0], tuple(rows), residuals, consistent, rejected, conflicts=contradictions)
 
 
 def _merged(problem: Problem, rows: Records, answer: str) -> Records:
