@@ -63,7 +63,7 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
     """Fills in a point, whose coordinates across become the best ones.
 
     The cost is that which the step across predicts: the contacts' covariances are taken as before the step. After a
-    step that changes much a second one follows.
+    step that changes much another one follows, and of the last one nothing that it predicts is believed.
     """
     radius, count, cost = evidence.model.radius, 0, 0.0
     point.log_weight = -np.inf
@@ -77,8 +77,8 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
         for a in range(count):
             fall += u.values[a] * u.column[a]
             point.lateral[a] -= u.column[a]
-        cost -= fall
         if fall < INTEGRATION.large_fall:
+            cost -= fall
             break
     for i in range(len(evidence.terms)):
         if evidence.terms[i].contact.used:

@@ -144,7 +144,7 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
 def _share(points: Any, order: Any, sums: Any) -> None:
     """Fills in the shares of points in order along a line, so that sums over them are integrals of what is interpolated
     between them; writes to the sums of squares by how much these would be too large."""
-    floor, slope = sums.best - 10 * INTEGRATION.max_fall, 0.0
+    floor, slope = sums.best - INTEGRATION.deepest, 0.0
     for n in range(len(order)):
         points[order[n]].share = 0.0
     for n in range(1, len(order)):

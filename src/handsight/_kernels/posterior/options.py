@@ -37,9 +37,11 @@ class IntegrationOptions(NamedTuple):
     """A line ends where the logarithm of the density is this much below the largest."""
     small_fall: float = 0.3
     """Where it falls by less from one point to the next, the line's end goes on by twice as far."""
-    misplaced: float = 0.08
+    misplaced: float = 0.06
     """Part of the integral that may be at the wrong place in one gap: its length times the densities' difference."""
-    steps_across: int = 2
+    deepest: float = 8.0
+    """The logarithm is interpolated as if it were no more below the largest: a wall is then in the middle of its gap."""
+    steps_across: int = 3
     """Most steps to the best of the other directions."""
     large_fall: float = 1.0
     """The next one is taken after a step by which the cost falls by more than this."""
