@@ -240,7 +240,11 @@ FLAT_DIRECTIONS = record(
     ("vectors", "f8", (6, 6)),  # eigenvectors of the information at the mode, along the palm's axes
     ("slopes", "f8", (6,)),  # eigenvalues [1/m²]; infinite for spins about declared axes
     ("calibrated", "f8", (6,)),  # the same as the cost shows them
-    ("rises", "f8", (6,)),  # ratio of the cost's rise to a Gaussian's; negative where it is not integrated along
+    (
+        "rises",
+        "f8",
+        (6,),
+    ),  # ratio of the cost's rise to a Gaussian's; negative where it is not integrated along
     ("along", "f8", (6, 3)),
     ("spacing", "f8", (3,)),  # of the lattice [m]
     ("lattice", "f8", (6, 3)),  # steps from a lattice point to the next ones

@@ -16,7 +16,7 @@ from handsight._kernels.solve import batch
 from handsight.checks import Array, Mask
 from handsight.correction import conflicts, few_contacts, modes, solve
 from handsight.correction.estimate import PoseEstimate, bounded_covariance
-from handsight.correction.problem import Problem, Records, descents_at
+from handsight.correction.problem import Problem, Records, descents_at, taken
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import tangents
@@ -61,7 +61,9 @@ def finished(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstim
     return with_means(problem, np.array([row]), used, answer, drawn=True)
 
 
-def with_means(problem: Problem, rows: Records, used: Mask, answer: str, *, drawn: bool = False) -> PoseEstimate:
+def with_means(
+    problem: Problem, rows: Records, used: Mask, answer: str, *, drawn: bool = False
+) -> PoseEstimate:
     """Returns the estimate of modes (K,) ANSWER, likeliest first, each that is not Gaussian replaced by its mean: with
     `answer` "mean" the first mode in any case, with "maximum" no mode.
 
@@ -78,8 +80,9 @@ def with_means(problem: Problem, rows: Records, used: Mask, answer: str, *, draw
         rows["mean"], rows["mean"][0] = 1, KINDS[answer]
         batch.summarize_all(*problem.arguments(used), rows)
     if len(rows) > 1 and not draw:
-        rows = rows[rows["weight"] >= 0]
-        rows = _merged(problem, rows[np.argsort(-rows["log_weight"], kind="stable")], answer)
+        left = np.flatnonzero(rows["weight"] >= 0)
+        rows = taken(rows, left[np.argsort(-rows["log_weight"][left], kind="stable")])
+        rows = _merged(problem, rows, answer) if len(rows) > 1 else rows
     share = np.exp(rows["log_weight"] - rows["log_weight"][0])
     rows["weight"] = share / share.sum()
     residuals = solve.residuals(problem, descents_at(rows["T_palm_object"][:1]))
@@ -94,8 +97,9 @@ def _merged(problem: Problem, rows: Records, answer: str) -> Records:
     model = problem.model
     means = descents_at(rows["T_palm_object"])
     chosen = solve.distinct(model, means, np.arange(len(rows)), modes.MODES.max_modes, modes.SAME_MODE)
-    rest = np.setdiff1d(np.arange(len(rows)), chosen)
-    merged = rows[chosen]
+    repeats = np.ones(len(rows), dtype=bool)
+    repeats[chosen] = False
+    rest, merged = np.flatnonzero(repeats), taken(rows, chosen)
     if answer == "maximum" or not len(rest):
         return merged
     for row in merged:
@@ -118,7 +122,7 @@ def _merged(problem: Problem, rows: Records, answer: str) -> Records:
         row["T_palm_object"], row["covariance"] = se3.moved(T, middle), C
         row["log_weight"] += np.log1p(share.sum())
         row["information"] = _known_information(model, row["T_palm_object"], C)
-    return merged[np.argsort(-merged["log_weight"], kind="stable")]
+    return taken(merged, np.argsort(-merged["log_weight"], kind="stable"))
 
 
 def _known_information(model: ObjectModel, T: Array, covariance: Array) -> Array:

@@ -40,7 +40,9 @@ ACCEPTED = np.empty(0, dtype=records.ANSWER)[
 """The fields of an ANSWER by which it is accepted, as a view of it."""
 
 
-def solve_single_start(problem: Problem, T_start: Array | None = None, *, mean: int = 0) -> PoseEstimate | None:
+def solve_single_start(
+    problem: Problem, T_start: Array | None = None, *, mean: int = 0
+) -> PoseEstimate | None:
     """Returns the answer of one descent from vision's own pose; None where one start may not be enough, or where the
     evidence does not fit at its end.
 
@@ -269,8 +271,10 @@ def summarize(problem: Problem, found: Candidates, *, mean: int = 0) -> Records:
                 minima["log_weight"][order] > minima["log_weight"][order[0]] - modes.MODES.unlikely
             ]
             beside = distinct(problem.model, minima, likely, modes.MODES.max_minima, modes.SAME_MINIMUM)
-            each = np.union1d(each, beside)
-        chosen = taken(minima, each[np.argsort(-minima["log_weight"][each], kind="stable")])
+            among = np.zeros(len(minima), dtype=bool)
+            among[each] = among[beside] = True
+            each = order[among[order]]
+        chosen = taken(minima, each)
     return summaries(problem, chosen, found.used, mean=mean)
 
 

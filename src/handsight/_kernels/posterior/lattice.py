@@ -63,7 +63,8 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
     """Fills in a point, whose coordinates across become the best ones.
 
     The cost is that which the step across predicts: the contacts' covariances are taken as before the step. After a
-    step that changes much another one follows, and of the last one nothing that it predicts is believed.
+    step that changes much another one follows, and of the last one nothing that it predicts is believed; not so on a
+    lattice, whose points are near each other.
     """
     radius, count, cost = evidence.model.radius, 0, 0.0
     point.log_weight = -np.inf
@@ -77,7 +78,7 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
         for a in range(count):
             fall += u.values[a] * u.column[a]
             point.lateral[a] -= u.column[a]
-        if fall < INTEGRATION.large_fall:
+        if flat.count > 1 or fall < INTEGRATION.large_fall:
             cost -= fall
             break
     for i in range(len(evidence.terms)):
@@ -89,7 +90,9 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
     if count and half < 0.5 * np.pi:  # beyond, the pose is also reached by the turn the other way round
         point.log_weight = -0.5 * without_bumps(evidence, flat, pose, cost)
         if half > 1e-6:
-            point.log_weight += 2 * np.log(np.sin(half) / half)  # the volume of rotations shrinks with the turn
+            point.log_weight += 2 * np.log(
+                np.sin(half) / half
+            )  # the volume of rotations shrinks with the turn
         for a in range(count):
             point.log_weight += np.log(u.factor[a, a])
     shift = sub(pose[1], mode[1])

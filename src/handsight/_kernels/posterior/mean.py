@@ -97,7 +97,7 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
     """
     order, u = np.empty(len(points), np.int64), local(UNCERTAINTY)
     low = high = flat.spacing[0]
-    count, best, at, place = 0, -np.inf, 0, 0.0
+    count, best, at, place, seen = 0, -np.inf, 0, 0.0, 0
     while True:
         point = points[count]
         point.index[:], point.lateral[:] = 0.0, 0.0
@@ -105,7 +105,11 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
         if count:
             a, b = points[order[max(at - 1, 0)]], points[order[min(at, count - 1)]]
             flat.spacing[0] = abs(b.index[0] - place)
-            part = 0.5 if abs(a.log_weight - b.log_weight) < 1.0 else (1.0 if a.log_weight > b.log_weight else 0.0)
+            part = (
+                0.5
+                if abs(a.log_weight - b.log_weight) < 1.0
+                else (1.0 if a.log_weight > b.log_weight else 0.0)
+            )
             for n in range(6):
                 point.lateral[n] = part * a.lateral[n] + (1 - part) * b.lateral[n]
         visit(evidence, mode, flat, point, u)
@@ -133,20 +137,40 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
                 mass += 0.5 * gap * (p + q)
                 if gap * abs(p - q) > most:
                     at, most, place = n, gap * abs(p - q), 0.5 * (a.index[0] + b.index[0])
+            while not most > INTEGRATION.misplaced * mass and seen < len(others):
+                place = 0.0  # of another mode, whether it is beside the line
+                for i in range(6):
+                    place += flat.along[i, 0] * others[seen, i]
+                seen += 1
+                for n in range(1, count):
+                    a, b = points[order[n - 1]].index[0], points[order[n]].index[0]
+                    at, most = (n, np.inf) if min(place - a, b - place) > 1e-9 else (at, most)
             if not most > INTEGRATION.misplaced * mass:
                 break
     sums.best = best
-    _share(points, order[:count], sums)
+    _share(points, order[:count], flat, evidence.model.radius, sums)
     return count
 
 
 @inner
-def _share(points: Any, order: Any, sums: Any) -> None:
+def _share(points: Any, order: Any, flat: Any, radius: float, sums: Any) -> None:
     """Fills in the shares of points in order along a line, so that sums over them are integrals of what is interpolated
-    between them; writes to the sums of squares by how much these would be too large."""
+    between them; writes to the sums of squares by how much these would be too large.
+
+    Beyond a wall a point's coordinates across mean nothing: up to it they are taken as those of the point before it.
+    """
     floor, slope = sums.best - INTEGRATION.deepest, 0.0
     for n in range(len(order)):
-        points[order[n]].share = 0.0
+        point = points[order[n]]
+        point.share = 0.0
+        for side in range(2 if point.log_weight < floor else 0):
+            beside = points[order[min(max(n + 2 * side - 1, 0), len(order) - 1)]]
+            if beside.log_weight >= floor:
+                for i in range(6):
+                    gap = (point.index[0] - beside.index[0]) / (1.0 if i < 3 else radius)
+                    point.moved[i] = beside.moved[i] + gap * flat.along[i, 0]
+                    for j in range(6):
+                        point.within[i, j] = beside.within[i, j]
     for n in range(1, len(order)):
         a, b = points[order[n - 1]], points[order[n]]
         gap, low, high = b.index[0] - a.index[0], max(a.log_weight, floor), max(b.log_weight, floor)
@@ -159,10 +183,14 @@ def _share(points: Any, order: Any, sums: Any) -> None:
             part = (2 - part) / 3
             slope = rise * next_rise
             slope = slope / (part * next_rise + (1 - part) * rise) if slope > 0 else 0.0
-        for m in range(INTEGRATION.parts):
+        for m in range(INTEGRATION.parts if max(low, high) > floor else 0):
             x = (m + 0.5) / INTEGRATION.parts
             y = 1 - x
-            bent = low * (1 + 2 * x) * y * y + high * x * x * (1 + 2 * y) + gap * x * y * (before * y - slope * x)
+            bent = (
+                low * (1 + 2 * x) * y * y
+                + high * x * x * (1 + 2 * y)
+                + gap * x * y * (before * y - slope * x)
+            )
             weight = gap / INTEGRATION.parts * np.exp(bent - sums.best)
             a.share += y * weight
             b.share += x * weight

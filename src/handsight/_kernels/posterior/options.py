@@ -40,7 +40,7 @@ class IntegrationOptions(NamedTuple):
     misplaced: float = 0.06
     """Part of the integral that may be at the wrong place in one gap: its length times the densities' difference."""
     deepest: float = 8.0
-    """The logarithm is interpolated as if it were no more below the largest: a wall is then in the middle of its gap."""
+    """The logarithm is interpolated as if it fell no further below the largest: a wall is then amid its gap."""
     steps_across: int = 3
     """Most steps to the best of the other directions."""
     large_fall: float = 1.0
