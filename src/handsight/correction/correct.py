@@ -206,7 +206,7 @@ def _searched(problem: Problem, options: TwoPhase, limit: Budget, answer: str, s
         if len(problem.contacts.shared_covariance):
             raise InvalidInput("samples, method: expected neither with contacts that share errors, got some")
     answer = "maximum" if samples else answer
-    kind = kind_of(problem, answer, drawn=True)
+    kind = kind_of(problem, answer)
     if options is USUAL and not samples and problem.starts is None:
         estimate = solve_single_start(problem, mean=kind)
         if estimate is not None:
@@ -215,7 +215,7 @@ def _searched(problem: Problem, options: TwoPhase, limit: Budget, answer: str, s
     rows = summarize(problem, found, mean=kind)
     if limit.cut_short:
         rows["converged"][0] = False
-    estimate = with_means(problem, rows, found.used, answer, drawn=True)
+    estimate = with_means(problem, rows, found.used, answer)
     return mean_by_sampling(problem, estimate, found.used, samples) if samples else estimate
 
 
@@ -339,7 +339,7 @@ def correct_poses(model: ObjectModel, problems: Iterable[object]) -> list[PoseEs
         rows = usual[begin : begin + at_once]
         pairs = [(each[i]["contacts"], each[i]["vision"]) for i in rows]
         alone = [Problem(model, *pair, NO_OUTSIDE) for pair in pairs]
-        kinds = [kind_of(problem, "best", drawn=True) for problem in alone]
+        kinds = [kind_of(problem, "best") for problem in alone]
         for i, one, estimate in zip(rows, alone, solve_batch(model, pairs, kinds), strict=True):
             found[i] = None if estimate is None else finished(one, estimate, "best")
     answers = []

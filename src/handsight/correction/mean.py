@@ -47,9 +47,9 @@ def checked_answer(answer: object, name: str = "answer") -> str:
     return answer
 
 
-def kind_of(problem: Problem, answer: str, *, drawn: bool) -> int:
-    """Returns the ANSWER's `mean` for an answer; 0 too where its modes may have to be drawn from, if they may be."""
-    return 0 if answer == "best" and drawn and few_contacts.may_draw(problem) else KINDS[answer]
+def kind_of(problem: Problem, answer: str) -> int:
+    """Returns the ANSWER's `mean` for an answer; 0 too where its modes may have to be drawn from."""
+    return 0 if answer == "best" and few_contacts.may_draw(problem) else KINDS[answer]
 
 
 def finished(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstimate:
@@ -58,22 +58,19 @@ def finished(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstim
     if row["mean"] or answer == "maximum" or row["departure"] <= INTEGRATION.max_gaussian_rise:
         return estimate
     used = np.ones((1, len(problem.contacts)), dtype=bool)
-    return with_means(problem, np.array([row]), used, answer, drawn=True)
+    return with_means(problem, np.array([row]), used, answer)
 
 
-def with_means(
-    problem: Problem, rows: Records, used: Mask, answer: str, *, drawn: bool = False
-) -> PoseEstimate:
+def with_means(problem: Problem, rows: Records, used: Mask, answer: str) -> PoseEstimate:
     """Returns the estimate of modes (K,) ANSWER, likeliest first, each that is not Gaussian replaced by its mean: with
     `answer` "mean" the first mode in any case, with "maximum" no mode.
 
-    `used` (1, n): the contacts in use. `drawn`: few contacts may take the time of `few_contacts.with_draws`. Only the
-    likeliest modes are tested. A mode along the same flat direction as another is part of that one's mean, and is no
-    hypothesis any more; of means that are not distinct, one remains, the mean of all. Without vision, a mode with an
-    unobservable direction stays a maximum: the direction is not bounded, and several maxima along it are more
-    informative than one mean.
+    `used` (1, n): the contacts in use. Only the likeliest modes are tested. A mode along the same flat direction as
+    another is part of that one's mean, and is no hypothesis any more; of means that are not distinct, one remains, the
+    mean of all. Without vision, a mode with an unobservable direction stays a maximum: the direction is not bounded,
+    and several maxima along it are more informative than one mean.
     """
-    draw = answer == "best" and drawn and few_contacts.have_draws(rows) and few_contacts.may_draw(problem)
+    draw = answer == "best" and few_contacts.have_draws(rows) and few_contacts.may_draw(problem)
     if draw:
         rows = few_contacts.with_draws(problem, rows, used)
     elif answer != "maximum" and not rows[0]["mean"]:
