@@ -97,7 +97,7 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
     """
     order, u = np.empty(len(points), np.int64), local(UNCERTAINTY)
     low = high = flat.spacing[0]
-    count, best, at, place, seen = 0, -np.inf, 0, 0.0, 0
+    count, best, at, place, passed = 0, -np.inf, 0, 0.0, 0
     while True:
         point = points[count]
         point.index[:], point.lateral[:] = 0.0, 0.0
@@ -137,11 +137,11 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
                 mass += 0.5 * gap * (p + q)
                 if gap * abs(p - q) > most:
                     at, most, place = n, gap * abs(p - q), 0.5 * (a.index[0] + b.index[0])
-            while not most > INTEGRATION.misplaced * mass and seen < len(others):
+            while not most > INTEGRATION.misplaced * mass and passed < len(others):
                 place = 0.0  # of another mode, whether it is beside the line
                 for i in range(6):
-                    place += flat.along[i, 0] * others[seen, i]
-                seen += 1
+                    place += flat.along[i, 0] * others[passed, i]
+                passed += 1
                 for n in range(1, count):
                     a, b = points[order[n - 1]].index[0], points[order[n]].index[0]
                     at, most = (n, np.inf) if min(place - a, b - place) > 1e-9 else (at, most)

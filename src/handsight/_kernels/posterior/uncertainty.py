@@ -238,7 +238,7 @@ def _shape(evidence: Evidence, pose: Pose, row: Any, flat: Any, u: Any) -> None:
         calibrated_information(evidence, pose, stride, u.values, u.vectors, u.row)
         if not far:
             row.departure = _departure(evidence.model, u.values, u.row)
-        departs = row.departure > INTEGRATION.max_gaussian_rise
+        not_gaussian = row.departure > INTEGRATION.max_gaussian_rise
         for k in range(6):
             wide = flat.slopes[k] * (INTEGRATION.narrow_sigma * radius) ** 2 < 1
             if not far:
@@ -247,7 +247,7 @@ def _shape(evidence: Evidence, pose: Pose, row: Any, flat: Any, u: Any) -> None:
             if wide:
                 flat.rises[k] = max(flat.rises[k], u.row[k])
             u.values[k] = flat.slopes[k] if wide and flat.rises[k] < np.inf else 0.0
-        if not (row.mean == 2 or (row.mean == 1 and departs)):
+        if not (row.mean == 2 or (row.mean == 1 and not_gaussian)):
             break
     for k in range(6):
         u.values[k] = flat.calibrated[k]
