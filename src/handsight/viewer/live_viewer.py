@@ -105,7 +105,9 @@ class Viewer(NullViewer):
         self._sent: tuple[object, object] = None, None
         """The newest and the shot that the page has."""
         self._past = deque[tuple[float, float, State, Slip]](maxlen=LIVE_VIEWER.max_notes)
-        """Stamp [s], sigma [m], state and slip of the last minute."""
+        """Stamp [s], sigma [m], state and slip of the last minute, since the clock was last set back."""
+        self._origin = math.nan
+        """The first stamp, or the first since the clock was last set back [s]."""
         self._noted = self._plotted = -math.inf
         self._thread = threading.Thread(target=self._run, name="handsight viewer", daemon=True)
         self._thread.start()
@@ -131,6 +133,9 @@ class Viewer(NullViewer):
         now = time.monotonic()
         if now - self._noted >= LIVE_VIEWER.note_period:
             self._noted = now
+            if not self._past or tracker.stamp < self._past[-1][0]:
+                self._origin = tracker.stamp
+                self._past.clear()
             self._past.append((tracker.stamp, tracker.sigma, tracker.state, tracker.slip))
         if observation.color is not None or observation.depth is not None:
             camera_from_palm = tracker.vision.camera_from_palm
@@ -179,19 +184,17 @@ class Viewer(NullViewer):
                     begins = None if self._shown == shown else self._shown
                     moment = moment or Moment.now(tracker)  # while no browser was open, none was computed
                     new_shot, self._sent = None if shot is self._sent[1] else shot, (newest, shot)
-                    self._send(viewer_process.PageUpdate(begins, moment, new_shot, self._curves()))
+                    self._send(viewer_process.PageUpdate(begins, moment, self._origin, new_shot, self._curves()))
                     break
         self._watched = False
 
     def _curves(self) -> Curves | None:
-        """Returns the curves of the last minute, since the clock was last set back; None if they were just plotted."""
+        """Returns the curves of the last minute; None if they were just plotted."""
         now = time.monotonic()
         if now - self._plotted < LIVE_VIEWER.curve_period:
             return None
         self._plotted = now
-        notes = list(self._past)
-        stamps = np.array([note[0] for note in notes])
-        begin = int(np.flatnonzero(np.diff(stamps, prepend=math.inf) < 0)[-1]) if len(stamps) else 0
-        known, times = notes[begin:], stamps[begin:] - stamps[-1]
-        slips = [(a - stamps[-1], b - stamps[-1]) for a, b in slips_of(note[::3] for note in known)]
-        return Curves(times, in_mm([note[1] for note in known]), None, [note[2] for note in known], slips)
+        notes, origin = list(self._past), self._origin
+        slips = [(first - origin, last - origin) for first, last in slips_of(note[::3] for note in notes)]
+        times, sigmas = np.array([note[0] for note in notes]) - origin, in_mm([note[1] for note in notes])
+        return Curves(times, sigmas, None, [note[2] for note in notes], slips)

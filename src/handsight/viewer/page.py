@@ -59,6 +59,8 @@ class Page:
             raise InvalidInput(f"port: expected a number from 1 to {PAGE.max_port}, got {port}")
         self.on_open: Callable[[dict[str, list[str]]], None] = lambda _: None
         """Called with the fields of the URL when a browser opens the page."""
+        self.links = False
+        """Whether a moment has an address of its own, as those of a recording have."""
         self.guard = Guard(lambda fields: self.on_open(fields))
         # What is no message of a browser ends its connection, and needs no traceback.
         logging.getLogger("websockets").setLevel(logging.CRITICAL)
@@ -78,8 +80,8 @@ class Page:
     def begin(self, rig: Rig, model: ObjectModel, title: str) -> None:
         """Clears the page, to show another hand or another object."""
         self._rig, self._model = rig, model
-        self.origin: float | None = None
-        """Stamp from which the page counts time [s], where it shows a recording; links to moments are by it."""
+        self.origin = 0.0
+        """Stamp from which the page counts time, in the title, the plot and links [s]."""
         self._lock = threading.Lock()  # both the player and the panel's checkboxes draw
         self._aimed = False
         self._drawn: tuple[Picture | None, float, dict[Color, Array]] = None, 0.0, {}
@@ -109,11 +111,10 @@ class Page:
             self._aim(moment)
             forces = moment.forces(self._rig)
             self.scene.draw(moment, forces)
-            when = f"{moment.stamp:.2f} s"
-            if self.origin is not None:
-                time = f"{moment.stamp - self.origin:.2f}"
-                link = f'<a href="?token={self.guard.token}&amp;t={time}">link to it</a>'
-                when = f"{time} s · {link}"
+            time = f"{moment.stamp - self.origin:.2f}"
+            when = f'<span title="stamp {moment.stamp:.6f} s">{time} s</span>'
+            if self.links:
+                when += f' · <a href="?token={self.guard.token}&amp;t={time}">link to it</a>'
             self.panel.draw(moment, forces, when)
             self._draw_picture(moment)
             self.last = moment

@@ -94,7 +94,7 @@ class Curves(NamedTuple):
     """`Curves` are uncertainty, error and state over time."""
 
     times: Array
-    """(n,) ascending, since a recording's beginning or until now [s]."""
+    """(n,) ascending, since the page's origin [s]."""
     sigmas: Array
     """(n,) of the position [mm], NaN where nothing is known."""
     errors: Array | None

@@ -112,10 +112,12 @@ class ObjectDetection:
     """Of the poses that were given: are they right? None: none was."""
 
     @classmethod
-    def nowhere(cls, reason: str, starts: JudgedStarts | None = None) -> "ObjectDetection":
-        """Returns a detection without poses."""
+    def nowhere(
+        cls, reason: str, starts: JudgedStarts | None = None, probability: float = 0.0
+    ) -> "ObjectDetection":
+        """Returns a detection without poses, with the probability of the likeliest that was rejected."""
         none, candidates = np.zeros(0), np.zeros(0, dtype=CANDIDATE)
-        return cls(none.reshape(0, 4, 4), none.reshape(0, 6, 6), none, candidates, 0.0, reason, starts)
+        return cls(none.reshape(0, 4, 4), none.reshape(0, 6, 6), none, candidates, probability, reason, starts)
 
 
 def first_pose(

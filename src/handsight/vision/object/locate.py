@@ -109,7 +109,8 @@ def locate(
     reason = f"the likeliest pose of {name} is right {probability}"
     if not len(found.candidates):
         reason = "no surface there is large enough to tell its shape"
-    return ObjectDetection.nowhere(reason + _too_near(model, scene, wanted, hand, noise), found.starts)
+    reason += _too_near(model, scene, wanted, hand, noise)
+    return ObjectDetection.nowhere(reason, found.starts, found.probability)
 
 
 def _too_near(
