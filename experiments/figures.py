@@ -18,9 +18,10 @@ a line; ```console blocks need none, for `docs/pages.py` runs them. A quotation 
 as a share or in percent.
 
 An entry has the command, date, machine, the code's commit, and its lines. `transcribed`: the lines were not written by
-`--measure`, but are those that the page had; date and code are then of the last change of its lines. `again`: how far a
-figure may be off when the command is run again ([absolute, relative], since processors round differently), and a pattern
-of what is not compared.
+`--measure`, but are those that the page had; date and code are then of the last change of its lines. `note`: how they
+differ from what the command prints; `part`: which part of it they are, and `--measure` refuses. `again`: how far a figure
+may be off when the command is run again ([absolute, relative, since processors round differently, and a pattern of what
+is not compared]).
 """
 
 import argparse
@@ -183,6 +184,8 @@ def differences(name: str, entry: dict[str, Any]) -> list[str]:
 
 def measured(name: str, entry: dict[str, Any]) -> dict[str, Any]:
     """Returns an entry with what its command prints now."""
+    if "part" in entry:
+        raise SystemExit(f"{name}: {entry['part']}, of {entry['command']}: change the page, then --enter it")
     print(f"{name}: {entry['command']}", flush=True)
     commit = subprocess.run(
         ["git", "describe", "--always", "--dirty", "--exclude=*"], cwd=ROOT, capture_output=True, text=True
