@@ -19,9 +19,9 @@ as a share or in percent.
 
 An entry has the command, date, machine, the code's commit, and its lines. `transcribed`: the lines were not written by
 `--measure`, but are those that the page had; date and code are then of the last change of its lines. `note`: how they
-differ from what the command prints; `part`: which part of it they are, and `--measure` refuses. `again`: how far a figure
-may be off when the command is run again ([absolute, relative, since processors round differently, and a pattern of what
-is not compared]).
+differ from what the command prints; `part`: which part of it they are, and `--measure` refuses. `again`: how far a
+figure may be off when the command is run again ([absolute, relative, since processors round differently, and a pattern
+of what is not compared]).
 """
 
 import argparse
@@ -75,6 +75,18 @@ class Block(NamedTuple):
         return f"{self.page}:{self.begin + 1}"
 
 
+def entries() -> Entries:
+    """The file."""
+    found: Entries = json.loads((ROOT / FILE).read_text(encoding="utf-8"))
+    return found
+
+
+def store(name: str, entry: dict[str, Any]) -> None:
+    """Writes an entry into the file."""
+    text = json.dumps(dict(sorted((entries() | {name: entry}).items())), indent=1, ensure_ascii=False)
+    (ROOT / FILE).write_text(text + "\n", encoding="utf-8")
+
+
 def pages() -> list[str]:
     """The pages, from the repository's root."""
     return ["README.md", *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md")))]
@@ -89,7 +101,10 @@ def blocks(page: str) -> Iterator[Block]:
             mark, k = (found[1], found[2]), k + 1
             continue
         begin, line = k, lines[k].strip()
-        if fence := re.match(r"(`{3,})(.*)", line):
+        if line.startswith("<!--"):
+            while "-->" not in lines[k]:
+                k += 1
+        elif fence := re.match(r"(`{3,})(.*)", line):
             k += 1
             while lines[k].strip() != fence[1]:
                 k += 1
@@ -114,35 +129,36 @@ def without_origin(block: Block) -> bool:
     return len(FRACTION.findall(text)) >= MOST
 
 
-def unfounded(block: Block, entries: Entries) -> list[str]:
+def unfounded(block: Block, known: Entries) -> list[str]:
     """Returns the figures of a block that are in none of the entries which it quotes."""
-    text = "\n".join("\n".join(entries[name]["lines"]) for name in block.said.split(", "))
-    known = [float(number) for number in NUMBER.findall(text)]
-    quoted = re.sub(r"`[^`]*`" if block.kind in ("table", "prose") else "^[^#]*", "", "\n".join(block.lines))
+    text = "\n".join("\n".join(known[name]["lines"]) for name in block.said.split(", "))
+    numbers = [float(number) for number in NUMBER.findall(text)]
+    unquoted = r"`[^`]*`" if block.kind in ("table", "prose") else r"(?m)^[^#\n]*"  # code, but its comments
+    quoted = re.sub(unquoted, "", "\n".join(block.lines))
     wrong = []
     for match in MEASURE.finditer(quoted):
         number = (match["number"] or match["share"]).replace(" ", "")
         half = 0.5001 * 10.0 ** -len(number.partition(".")[2])
-        if all(abs(factor * each - float(number)) > half for each in known for factor in (1, 100, 0.01)):
+        if all(abs(factor * each - float(number)) > half for each in numbers for factor in (1, 100, 0.01)):
             wrong.append(match[0])
     return wrong
 
 
-def check(entries: Entries) -> list[str]:
+def check() -> list[str]:
     """Returns sentences about pages that do not agree with the file."""
-    wrong, shown = [], set[str]()
+    wrong, shown, known = [], set[str](), entries()
     for block in (block for page in pages() for block in blocks(page)):
         names = block.said.split(", ") if block.mark.startswith("figures") else []
         shown |= {*names}
-        if missing := [name for name in names if name not in entries]:
+        if missing := [name for name in names if name not in known]:
             wrong.append(f"{block.place}: {FILE} has no {', '.join(missing)}")
-        elif block.mark == "figures" and block.lines != entries[block.said]["lines"]:
+        elif block.mark == "figures" and block.lines != known[block.said]["lines"]:
             wrong.append(f"{block.place}: other figures than {block.said} in {FILE}")
-        elif block.mark == "figures from" and (found := unfounded(block, entries)):
+        elif block.mark == "figures from" and (found := unfounded(block, known)):
             wrong.append(f"{block.place}: {', '.join(found)}: not in {block.said}")
         elif without_origin(block):
             wrong.append(f"{block.place}: figures without an origin")
-    return wrong + [f"{FILE}: no page shows {name}" for name in entries if name not in shown]
+    return wrong + [f"{FILE}: no page shows {name}" for name in known if name not in shown]
 
 
 def run(command: str) -> list[str]:
@@ -182,45 +198,43 @@ def differences(name: str, entry: dict[str, Any]) -> list[str]:
     return found
 
 
+def git(*words: str) -> str:
+    """Returns what git prints; empty where there is none, or no repository."""
+    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True).stdout.strip()
+
+
 def measured(name: str, entry: dict[str, Any]) -> dict[str, Any]:
     """Returns an entry with what its command prints now."""
     if "part" in entry:
         raise SystemExit(f"{name}: {entry['part']}, of {entry['command']}: change the page, then --enter it")
     print(f"{name}: {entry['command']}", flush=True)
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty", "--exclude=*"], cwd=ROOT, capture_output=True, text=True
-    ).stdout.strip()
-    today = datetime.datetime.now(datetime.UTC).date().isoformat()
+    code = git("describe", "--always", "--dirty", "--exclude=*")
     kept = {key: entry[key] for key in ("command", "again") if key in entry}
-    return kept | {"date": today, "machine": report.machine(), "code": commit, "lines": run(entry["command"])}
+    return kept | {"date": today(), "machine": report.machine(), "code": code, "lines": run(entry["command"])}
 
 
-def entered(block: Block, command: str) -> dict[str, Any]:
+def entered(block: Block, entry: dict[str, Any]) -> dict[str, Any]:
     """Returns an entry of a page's block as it stands, with the commit that last changed its lines."""
-    lines = f"-L{block.begin + 1},{block.end}"
-    blame = subprocess.run(
-        ["git", "blame", "-w", "-s", "--abbrev=7", lines, block.page], cwd=ROOT, capture_output=True, text=True
-    ).stdout
-    commits = sorted({line.split()[0].lstrip("^") for line in blame.splitlines()})
-    dated = [
-        subprocess.run(
-            ["git", "show", "-s", "--format=%cs", commit], cwd=ROOT, capture_output=True, text=True
-        ).stdout.strip()
-        if commit.strip("0")
-        else datetime.datetime.now(datetime.UTC).date().isoformat()
-        for commit in commits
-    ]
-    date, code = max(zip(dated, commits, strict=True))
-    return {"command": command, "transcribed": True, "date": date, "code": code, "lines": block.lines}
+    blame = git("blame", "-w", "--date=short", f"-L{block.begin + 1},{block.end}", block.page)
+    changes = re.findall(r"^\^?(\w+).*? (\d{4}-\d\d-\d\d) +\d+\)", blame, re.MULTILINE)
+    date, code = max(((date, code) for code, date in changes), default=(today(), ""))
+    kept = {key: entry[key] for key in ("command", "note", "part", "again", "machine") if key in entry}
+    return kept | {"transcribed": True, "date": date, "code": code, "lines": block.lines}
 
 
-def write_pages(entries: Entries) -> None:
+def today() -> str:
+    """The date in UTC."""
+    return datetime.datetime.now(datetime.UTC).date().isoformat()
+
+
+def write_pages() -> None:
     """Writes the file's blocks into the pages."""
+    known = entries()
     for page in pages():
         lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
         for block in reversed([*blocks(page)]):
-            if block.mark == "figures" and block.said in entries:
-                lines[block.begin : block.end] = entries[block.said]["lines"]
+            if block.mark == "figures" and block.said in known:
+                lines[block.begin : block.end] = known[block.said]["lines"]
         (ROOT / page).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -235,20 +249,16 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--enter", nargs="+", default=[], metavar="NAME")
     parser.add_argument("--command", help="of what is measured or entered; without it the entry's own")
     given = parser.parse_args(words)
-    entries: Entries = json.loads((ROOT / FILE).read_text(encoding="utf-8"))
     told = {"command": given.command} if given.command else {}
     for name in given.measure:
-        entries[name] = measured(name, entries.get(name, {}) | told)
+        store(name, measured(name, entries().get(name, {}) | told))
     marked = {b.said: b for page in pages() for b in blocks(page) if b.mark == "figures"}
     for name in given.enter:
-        entries[name] = entered(marked[name], (entries.get(name, {}) | told)["command"])
-    if given.measure or given.enter:
-        text = json.dumps(dict(sorted(entries.items())), indent=1, ensure_ascii=False)
-        (ROOT / FILE).write_text(text + "\n", encoding="utf-8")
+        store(name, entered(marked[name], entries().get(name, {}) | told))
     if given.measure or given.pages:
-        write_pages(entries)
-    wrong = check(entries)
-    for name, entry in entries.items():
+        write_pages()
+    wrong = check()
+    for name, entry in entries().items():
         if given.run and "again" in entry:
             wrong += differences(name, entry)
     print("\n".join(wrong) or f"the pages agree with {FILE}")
