@@ -4,7 +4,8 @@
     python -m experiments.figures --check --run      # runs again what is cheap, too, and compares
     python -m experiments.figures --measure NAME...  # runs commands, and writes file and pages
     python -m experiments.figures --pages            # writes the file's blocks into the pages
-    python -m experiments.figures --enter NAME... --command 'python experiments/...'   # a page's block into the file
+    python -m experiments.figures --enter            # takes the pages' blocks that differ into the file
+    python -m experiments.figures --enter NAME --command 'python experiments/...'    # a new one
 
 A block is a fenced one or a table, or of prose what goes on until an empty line. The line before says where its
 figures are from:
@@ -215,6 +216,8 @@ def measured(name: str, entry: dict[str, Any]) -> dict[str, Any]:
 
 def entered(block: Block, entry: dict[str, Any]) -> dict[str, Any]:
     """Returns an entry of a page's block as it stands, with the commit that last changed its lines."""
+    if "command" not in entry:
+        raise SystemExit(f"{block.place}: {block.said}: --command: expected what prints it, got none")
     blame = git("blame", "-w", "--date=short", f"-L{block.begin + 1},{block.end}", block.page)
     changes = re.findall(r"^\^?(\w+).*? (\d{4}-\d\d-\d\d) +\d+\)", blame, re.MULTILINE)
     date, code = max(((date, code) for code, date in changes), default=(today(), ""))
@@ -246,14 +249,15 @@ def main(words: list[str] | None = None) -> int:
     for flag in ("--check", "--run", "--pages"):
         parser.add_argument(flag, action="store_true")
     parser.add_argument("--measure", nargs="+", default=[], metavar="NAME")
-    parser.add_argument("--enter", nargs="+", default=[], metavar="NAME")
+    parser.add_argument("--enter", nargs="*", metavar="NAME", help="without a name all that differ")
     parser.add_argument("--command", help="of what is measured or entered; without it the entry's own")
     given = parser.parse_args(words)
     told = {"command": given.command} if given.command else {}
     for name in given.measure:
         store(name, measured(name, entries().get(name, {}) | told))
     marked = {b.said: b for page in pages() for b in blocks(page) if b.mark == "figures"}
-    for name in given.enter:
+    every = [name for name, block in marked.items() if block.lines != entries().get(name, {}).get("lines")]
+    for name in given.enter or (every if given.enter == [] else []):
         store(name, entered(marked[name], entries().get(name, {}) | told))
     if given.measure or given.pages:
         write_pages()
