@@ -18,7 +18,7 @@ A table or an output with several decimal fractions, and on the first pages any 
 a line; ```console blocks need none, for `docs/pages.py` runs them. A quotation is checked by value, not by place, and
 as a share or in percent.
 
-An entry has the command, date, machine, the code's commit, and its lines. `transcribed`: the lines were not written by
+An entry has the command, date, machine, the code's commit (+: and changes), and its lines. `transcribed`: the lines were not written by
 `--measure`, but are those that the page had; date and code are then of the last change of its lines. `note`: how they
 differ from what the command prints; `part`: which part of it they are, and `--measure` refuses. `again`: how far a
 figure may be off when the command is run again ([absolute, relative, since processors round differently, and a pattern
@@ -209,7 +209,8 @@ def measured(name: str, entry: dict[str, Any]) -> dict[str, Any]:
     if "part" in entry:
         raise SystemExit(f"{name}: {entry['part']}, of {entry['command']}: change the page, then --enter it")
     print(f"{name}: {entry['command']}", flush=True)
-    code = git("describe", "--always", "--dirty", "--exclude=*")
+    changed = git("status", "--porcelain", "--", "src", "experiments", "benchmarks", "testbed")
+    code = git("rev-parse", "--short", "HEAD") + ("+" if changed else "")
     kept = {key: entry[key] for key in ("command", "again") if key in entry}
     return kept | {"date": today(), "machine": report.machine(), "code": code, "lines": run(entry["command"])}
 

@@ -184,7 +184,9 @@ class Viewer(NullViewer):
                     begins = None if self._shown == shown else self._shown
                     moment = moment or Moment.now(tracker)  # while no browser was open, none was computed
                     new_shot, self._sent = None if shot is self._sent[1] else shot, (newest, shot)
-                    self._send(viewer_process.PageUpdate(begins, moment, self._origin, new_shot, self._curves()))
+                    self._send(
+                        viewer_process.PageUpdate(begins, moment, self._origin, new_shot, self._curves())
+                    )
                     break
         self._watched = False
 

@@ -117,7 +117,9 @@ class ObjectDetection:
     ) -> "ObjectDetection":
         """Returns a detection without poses, with the probability of the likeliest that was rejected."""
         none, candidates = np.zeros(0), np.zeros(0, dtype=CANDIDATE)
-        return cls(none.reshape(0, 4, 4), none.reshape(0, 6, 6), none, candidates, probability, reason, starts)
+        return cls(
+            none.reshape(0, 4, 4), none.reshape(0, 6, 6), none, candidates, probability, reason, starts
+        )
 
 
 def first_pose(
