@@ -12,6 +12,7 @@ figures are from:
 
     <!-- figures: NAME -->              it is what the command of that entry of the file has printed
     <!-- figures from: NAME, NAME -->   it quotes: each of its figures is one of theirs, rounded
+    <!-- figures from: its commands --> of a table: each row quotes the command in its last column, in the one before
     <!-- no figures: REASON -->         its numbers are given, not measured
 
 A table or an output with several decimal fractions, and on the first pages any paragraph with a measure, must have such
@@ -50,6 +51,7 @@ MEASURE = re.compile(
     r"|(?<![\w.])(?P<share>\.\d+)(?!\w)"
 )
 NUMBER = re.compile(r"(?<![\w.])-?\d*\.?\d+(?:e-?\d+)?")
+COMMANDS = "its commands"
 MOST = 4
 """Decimal fractions of a block that need an origin."""
 Entries = dict[str, dict[str, Any]]
@@ -145,10 +147,26 @@ def unfounded(block: Block, known: Entries) -> list[str]:
     return wrong
 
 
+def quotations(block: Block, known: Entries) -> Iterator[Block]:
+    """Yields what quotes other entries than the rest of a block: the rows of a table of commands, or the block."""
+    if block.said != COMMANDS:
+        yield block
+        return
+    names = list[str]()
+    for k, line in enumerate(block.lines[2:], block.begin + 2):
+        *_, quoted, last, _ = line.split("|")
+        programs = re.findall(r"\w+\.py|benchmarks\.\w+", last)
+        if "the same" not in last:
+            names = [name for name in known if any(each in known[name]["command"] for each in programs)]
+        if names:
+            yield block._replace(begin=k, lines=[quoted], said=", ".join(names))
+
+
 def check() -> list[str]:
     """Returns sentences about pages that do not agree with the file."""
     wrong, shown, known = [], set[str](), entries()
-    for block in (block for page in pages() for block in blocks(page)):
+    every = (each for page in pages() for block in blocks(page) for each in quotations(block, known))
+    for block in every:
         names = block.said.split(", ") if block.mark.startswith("figures") else []
         shown |= {*names}
         if missing := [name for name in names if name not in known]:
