@@ -19,11 +19,11 @@ A table or an output with several decimal fractions, and on the first pages any 
 a line; ```console blocks need none, for `docs/pages.py` runs them. A quotation is checked by value, not by place, and
 as a share or in percent.
 
-An entry has the command, date, machine, the code's commit (+: and changes), and its lines. `transcribed`: the lines were not written by
-`--measure`, but are those that the page had; date and code are then of the last change of its lines. `note`: how they
-differ from what the command prints; `part`: which part of it they are, and `--measure` refuses. `again`: how far a
-figure may be off when the command is run again ([absolute, relative, since processors round differently, and a pattern
-of what is not compared]).
+An entry has the command, date, machine, the code's commit (+: and changes), and its lines. `transcribed`: the lines
+were not written by `--measure`, but are those that the page had; date and code are then of their last change. `note`:
+how they differ from what the command prints; `part`: which part of it they are, and `--measure` refuses. `again`: how
+far a figure may be off when the command is run again ([absolute, relative, since processors round differently, and a
+pattern of what is not compared]).
 """
 
 import argparse
@@ -191,7 +191,7 @@ def run(command: str) -> list[str]:
         done = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", command],
             cwd=place,
-            env=os.environ | {"PATH": path, "TERM": "dumb"},
+            env=os.environ | {"PATH": path, "TERM": "dumb", "COLUMNS": str(report.WIDTH)},
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,

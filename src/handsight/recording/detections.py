@@ -17,8 +17,7 @@ MAX_REASONS = 3
 MAX_HYPOTHESES, MIN_WEIGHT = 3, 0.01
 """Hypotheses of an object that are written, and the weight above which the others than the best are."""
 FAR, IMPROBABLE = 3.0, 0.005
-"""A median depth [m] beyond which, and a probability of its likeliest pose below which, an object that was not found
-may be in an image of another unit."""
+"""Median depth [m] beyond which, and probability below which, an object not found may be in another unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

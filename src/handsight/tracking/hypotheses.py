@@ -76,9 +76,8 @@ class Alternatives:
         known = vectors[:, values > 1e-9 * values[-1]].T * np.repeat([1.0, model.radius], 3)
         covariance = self.share * estimate.bounded_covariance + self.spread
         information = known.T @ np.linalg.inv(known @ covariance @ known.T) @ known
-        T = se3.moved(estimate.T_palm_object, self.mean)
-        complete = estimate.covariance is not None and len(known) == 6
-        best = estimate.with_gaussian(T, covariance if complete else None, information)
+        T, complete = se3.moved(estimate.T_palm_object, self.mean), estimate.covariance is not None
+        best = estimate.with_gaussian(T, covariance if complete and len(known) == 6 else None, information)
         best.answer["weight"] *= likeliest
         return with_others(model, best, (*own, *self.others))
 

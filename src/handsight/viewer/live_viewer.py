@@ -106,8 +106,7 @@ class Viewer(NullViewer):
         """The newest and the shot that the page has."""
         self._past = deque[tuple[float, float, State, Slip]](maxlen=LIVE_VIEWER.max_notes)
         """Stamp [s], sigma [m], state and slip of the last minute, since the clock was last set back."""
-        self._origin = math.nan
-        """The first stamp, or the first since the clock was last set back [s]."""
+        self._origin = math.nan  # the first stamp since the clock was last set back [s]
         self._noted = self._plotted = -math.inf
         self._thread = threading.Thread(target=self._run, name="handsight viewer", daemon=True)
         self._thread.start()
@@ -138,8 +137,9 @@ class Viewer(NullViewer):
                 self._past.clear()
             self._past.append((tracker.stamp, tracker.sigma, tracker.state, tracker.slip))
         if observation.color is not None or observation.depth is not None:
-            camera_from_palm = tracker.vision.camera_from_palm
-            self._shot = viewer_process.Shot(observation, camera_from_palm, tracker.T_world_palm)
+            self._shot = viewer_process.Shot(
+                observation, tracker.vision.camera_from_palm, tracker.T_world_palm
+            )
         self._newest = tracker, Moment.now(tracker) if self._watched else None
         if self._watched:
             self._changed.set()
@@ -154,14 +154,13 @@ class Viewer(NullViewer):
 
     def _end_process(self) -> None:
         """Waits until the page's process ends, and kills it if that takes too long."""
-        process = self._process
-        if process is None:
+        if self._process is None:
             return
         try:
-            process.wait(LIVE_VIEWER.end_timeout)
+            self._process.wait(LIVE_VIEWER.end_timeout)
         except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+            self._process.kill()
+            self._process.wait()
 
     def _send(self, message: object) -> None:
         """Sends a message to the page, if it is still there."""
@@ -184,9 +183,8 @@ class Viewer(NullViewer):
                     begins = None if self._shown == shown else self._shown
                     moment = moment or Moment.now(tracker)  # while no browser was open, none was computed
                     new_shot, self._sent = None if shot is self._sent[1] else shot, (newest, shot)
-                    self._send(
-                        viewer_process.PageUpdate(begins, moment, self._origin, new_shot, self._curves())
-                    )
+                    curves = self._curves()
+                    self._send(viewer_process.PageUpdate(begins, moment, self._origin, new_shot, curves))
                     break
         self._watched = False
 

@@ -57,11 +57,9 @@ class Page:
         viser = require_viser()
         if not 1 <= port <= PAGE.max_port:  # viser would wait for ever
             raise InvalidInput(f"port: expected a number from 1 to {PAGE.max_port}, got {port}")
-        self.on_open: Callable[[dict[str, list[str]]], None] = lambda _: None
-        """Called with the fields of the URL when a browser opens the page."""
-        self.links = False
-        """Whether a moment has an address of its own, as those of a recording have."""
-        self.guard = Guard(lambda fields: self.on_open(fields))
+        self.on_open: Callable[[dict[str, list[str]]], None] | None = None
+        """Called with the fields of the URL when a browser opens the page; None: moments have no addresses."""
+        self.guard = Guard(lambda fields: None if self.on_open is None else self.on_open(fields))
         # What is no message of a browser ends its connection, and needs no traceback.
         logging.getLogger("websockets").setLevel(logging.CRITICAL)
         try:
@@ -113,7 +111,7 @@ class Page:
             self.scene.draw(moment, forces)
             time = f"{moment.stamp - self.origin:.2f}"
             when = f'<span title="stamp {moment.stamp:.6f} s">{time} s</span>'
-            if self.links:
+            if self.on_open is not None:
                 when += f' · <a href="?token={self.guard.token}&amp;t={time}">link to it</a>'
             self.panel.draw(moment, forces, when)
             self._draw_picture(moment)
@@ -126,8 +124,7 @@ class Page:
 
     def redraw(self) -> None:
         """Shows the same moment again, after a person has chosen other layers."""
-        last = self.last
-        if last is not None:
+        if (last := self.last) is not None:
             self.draw(last)
 
     def close(self) -> None:

@@ -70,7 +70,7 @@ class Player:
         }
         for key, (label, act) in keys.items():
             gui.add_command(label, hotkey=key).on_trigger(lambda _, act=act: act())
-        page.on_open, page.links = opened, True
+        page.on_open = opened
         self._button.on_click(lambda _: self.play(not self.playing))
         self._slider.on_update(moved)
         speed.on_update(chosen)

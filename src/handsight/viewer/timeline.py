@@ -133,9 +133,7 @@ def curves(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Cur
 
 def in_mm(sigmas: Sequence[float]) -> Array:
     """Returns standard deviations (n,) in millimetres of those in metres; NaN for infinite ones."""
-    found = 1e3 * np.array(sigmas)
-    found[~np.isfinite(found)] = np.nan
-    return found
+    return np.where(np.isfinite(sigmas), 1e3 * np.array(sigmas), np.nan)
 
 
 def slips_of(slips: Iterable[tuple[float, Slip]]) -> list[tuple[float, float]]:

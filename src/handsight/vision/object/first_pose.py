@@ -1,7 +1,7 @@
 """An object's first pose from a depth image, without a guess."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -112,14 +112,10 @@ class ObjectDetection:
     """Of the poses that were given: are they right? None: none was."""
 
     @classmethod
-    def nowhere(
-        cls, reason: str, starts: JudgedStarts | None = None, probability: float = 0.0
-    ) -> "ObjectDetection":
+    def nowhere(cls, reason: str, starts: JudgedStarts | None = None, probability: float = 0.0) -> Self:
         """Returns a detection without poses, with the probability of the likeliest that was rejected."""
-        none, candidates = np.zeros(0), np.zeros(0, dtype=CANDIDATE)
-        return cls(
-            none.reshape(0, 4, 4), none.reshape(0, 6, 6), none, candidates, probability, reason, starts
-        )
+        none, T, covariance = np.zeros(0), np.zeros((0, 4, 4)), np.zeros((0, 6, 6))
+        return cls(T, covariance, none, np.zeros(0, dtype=CANDIDATE), probability, reason, starts)
 
 
 def first_pose(

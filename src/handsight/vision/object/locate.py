@@ -105,10 +105,9 @@ def locate(
         found = replace(found, starts=_judged(model, given, refined, found, prior))
     if found.probability >= LOCATE.min_probability:
         return found
-    name, probability = model.name or "the object", f"with a probability of {found.probability:.2f} only"
-    reason = f"the likeliest pose of {name} is right {probability}"
-    if not len(found.candidates):
-        reason = "no surface there is large enough to tell its shape"
+    name = model.name or "the object"
+    doubt = f"the likeliest pose of {name} is right with a probability of {found.probability:.2f} only"
+    reason = doubt if len(found.candidates) else "no surface there is large enough to tell its shape"
     reason += _too_near(model, scene, wanted, hand, noise)
     return ObjectDetection.nowhere(reason, found.starts, found.probability)
 
