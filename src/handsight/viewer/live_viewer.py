@@ -105,9 +105,8 @@ class Viewer(NullViewer):
         self._sent: tuple[object, object] = None, None
         """The newest and the shot that the page has."""
         self._past = deque[tuple[float, float, State, Slip]](maxlen=LIVE_VIEWER.max_notes)
-        """Stamp [s], sigma [m], state and slip of the last minute, since the clock was last set back."""
-        self._origin = math.nan  # the first stamp since the clock was last set back [s]
-        self._noted = self._plotted = -math.inf
+        """Stamp [s], sigma [m], state and slip of the last minute, since `_origin`, when the clock was set back."""
+        self._noted = self._plotted = self._origin = -math.inf
         self._thread = threading.Thread(target=self._run, name="handsight viewer", daemon=True)
         self._thread.start()
 
@@ -137,9 +136,8 @@ class Viewer(NullViewer):
                 self._past.clear()
             self._past.append((tracker.stamp, tracker.sigma, tracker.state, tracker.slip))
         if observation.color is not None or observation.depth is not None:
-            self._shot = viewer_process.Shot(
-                observation, tracker.vision.camera_from_palm, tracker.T_world_palm
-            )
+            camera_from_palm = tracker.vision.camera_from_palm
+            self._shot = viewer_process.Shot(observation, camera_from_palm, tracker.T_world_palm)
         self._newest = tracker, Moment.now(tracker) if self._watched else None
         if self._watched:
             self._changed.set()
