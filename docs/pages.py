@@ -153,7 +153,7 @@ def shown(example: Example) -> str | None:
     """What is wrong with a block of commands and their outputs, which is what is printed to both channels."""
     for block in re.split(r"^\$ ", str(example.parsed), flags=re.MULTILINE)[1:]:
         command, _, expected = block.partition("\n")
-        printed = bash(f"{command} 2>&1").stdout
+        printed = bash(f"exec 2>&1\n{command}").stdout
         pattern = ".*".join(re.escape(part) for part in expected.strip().split("..."))
         if not re.fullmatch(pattern, printed.strip(), re.DOTALL):
             return f"$ {command}\nexpected:\n{expected}\ngot:\n{printed}"
