@@ -103,15 +103,22 @@ def declared_symmetries(model: ObjectModel, words: Sequence[str]) -> Symmetries:
 
 
 def check_symmetries(
-    model: ObjectModel, symmetries: Symmetries, name: str = "symmetries", came: str = "one"
+    model: ObjectModel,
+    symmetries: Symmetries,
+    name: str = "symmetries",
+    came: str = "one",
+    tolerance: float = SEARCH.declared_tolerance,
 ) -> None:
-    """Raises InvalidInput, which begins with `name`, where symmetries move the object's surface; `came` names them."""
+    """Raises InvalidInput, which begins with `name`, where symmetries move the object's surface; `came` names them.
+
+    `tolerance`: how far a turn may move a point off the surface [diameters].
+    """
     if symmetries.trivial:
         return
     points, angles = model.sample(SEARCH.declared_samples)[0], 2 * np.pi * np.arange(1, 12) / 12
     turns = [about(point, angle * axis) for point, axis in symmetries.axes for angle in angles]
     off = max(_distance(model, points, T) for T in (*symmetries.rotations[1:], *turns))
-    if off > SEARCH.declared_tolerance * model.diameter:
+    if off > tolerance * model.diameter:
         expected = "expected turns that leave the surface in place"
         raise InvalidInput(f"{name}: {expected}, got {came}, which is {1e3 * off:.1f} mm off")
 
