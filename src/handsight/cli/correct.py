@@ -29,7 +29,11 @@ def correct(
     problems: Annotated[str, Argument(help="A .jsonl file, a .json file of one problem, or - for stdin.")],
     output: Annotated[
         Path | None,
-        Option("--output", "-o", help="File for the answers, one per line. Default: stdout."),
+        Option(
+            "--output",
+            "-o",
+            help="File for the answers, one per line; OUTPUT.part until they are complete. Default: stdout.",
+        ),
     ] = None,
     plot: Annotated[
         Path | None,
@@ -119,6 +123,9 @@ def correct(
         check_not_overwritten(place, "the answers", given, "the problems")
         check_not_overwritten(plot, "the picture", given, "the problems")
         check_not_overwritten(plot, "the picture", place, "the answers")
+        if place is output:
+            check_not_overwritten(terminal.part_of(output), "the first answers", given, "the problems")
+        name = output if place is output else stream_name(place)
         source = _open(problems)
         size = os.fstat(source.fileno()).st_size  # 0 for a pipe
         single, started, read = problems.endswith(".json"), time.monotonic(), 0
@@ -135,7 +142,7 @@ def correct(
                     terminal.warn(warning)
                 pairs = zip(lines, answers.texts, strict=True)
                 good = [pair for pair in pairs if not pair[1].startswith('{"error"')]
-                with write_errors(stream_name(sink)):
+                with write_errors(name):
                     sink.write("".join(f"{text}\n" for text in answers.texts))
                     # Counted before the flush: answers in the buffer are written even if Ctrl-C comes now.
                     done, failed = done + len(lines), failed + len(lines) - len(good)

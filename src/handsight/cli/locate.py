@@ -14,7 +14,7 @@ from typer import Argument, Option
 from handsight.cli import terminal
 from handsight.cli.options import DEPTH_CAMERAS, LibraryPlace, RigPath, find_models, find_rig
 from handsight.cli.terminal import announce_compiling
-from handsight.errors import HandsightError, InvalidInput
+from handsight.errors import HandsightError, InvalidInput, NotWritten
 from handsight.files import check_not_overwritten, stream_name, write_errors
 
 if TYPE_CHECKING:
@@ -63,8 +63,8 @@ def locate(
         Option(
             "--output",
             "-o",
-            help="File for the answers: a line of JSON for each image, or BOP results if its name ends in .csv. "
-            "Default: stdout.",
+            help="File for the answers: a line of JSON for each image, or BOP results if its name ends in .csv; "
+            "OUTPUT.part until they are complete. Default: stdout.",
         ),
     ] = None,
     plot: Annotated[
@@ -279,14 +279,14 @@ def _locate_each(
     unread, missed = list[str](), list[str]()  # messages about images
     as_table = output is None and sys.stdout.isatty()
     with (
-        terminal.output_stream(output) as sink,
         terminal.kept_going() as end,
+        terminal.output_stream(output) as sink,
         terminal.bar("locating") as move,
     ):
 
         def write(*lines: str) -> None:
             """Writes the lines of an answer at once."""
-            with write_errors(stream_name(sink)):
+            with write_errors(stream_name(sink) if sink is sys.stdout or output is None else output):
                 sink.writelines(f"{line}\n" for line in lines)
                 sink.flush()
 
@@ -328,7 +328,11 @@ def _locate_each(
     drawn = [draw(panels, plot)] if plot is not None and panels else []
     if more := unread[MAX_MESSAGES:]:
         unread[MAX_MESSAGES:] = [f"handsight: {len(more)} more images cannot be read"]
-    wrote = [] if output is None else [f"wrote {output}: found in {found} of {done} images"]
+    wrote = (
+        []
+        if output is None or isinstance(end.error, NotWritten)
+        else [f"wrote {output}: found in {found} of {done} images"]
+    )
     stopped = f"handsight: stopped after {done} images; what was found is kept"
     ended = [end.message or stopped] if end.exit_code else []
     for sentence in (*unread, *wrote, *missed[: MAX_MESSAGES if cells else 0], *ended, *drawn):

@@ -128,7 +128,7 @@ def simulate(
     handsight simulate box --nuisance message_loss=0.05 --nuisance vision_delay=0.2
     ```
     """
-    from handsight.files import write_errors
+    from handsight.files import text_file
     from handsight.rig import Rig
     from handsight.simulation import Nuisances, Scenario, constant_errors, find_grasp, read_grasp, write_grasp
     from handsight.simulation.scene import scene
@@ -194,8 +194,8 @@ def simulate(
             "nuisances": dataclasses.asdict(scenario.nuisances),
             "drawn": {name: value.tolist() for name, value in drawn.items()},
         }
-        with write_errors(beside):
-            beside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        with text_file(beside) as file:
+            file.write(json.dumps(content, indent=1) + "\n")
         say(f"wrote {beside}: what is wrong in this world, which the rig does not know")
     if dropped:
         say("the object has slipped out of the grasp; another --seed may hold it")

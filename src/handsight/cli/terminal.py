@@ -153,12 +153,34 @@ def print_out(*parts: "str | Table", **options: Any) -> None:
 
 @contextlib.contextmanager
 def output_stream(path: Path | None) -> Iterator[IO[str]]:
-    """Yields a new text file, or stdout where the path is None or `-`; raises NotWritten."""
+    """Yields a new text file, or stdout where the path is None or `-`; raises NotWritten.
+
+    The file is `part_of(path)` while it grows. It gets its name at the end, whatever the reason, unless it could not be
+    written: its last line may be cut.
+    """
     if path is None or str(path) == "-":
         yield sys.stdout
         return
-    with write_errors(path), open(path, "w", encoding="utf-8") as file:
-        yield file
+    ended: BaseException | None = None
+    with write_errors(path):
+        growing = part_of(path)
+        with open(growing, "w", encoding="utf-8") as file:
+            try:
+                yield file
+            except (OSError, NotWritten):
+                raise
+            except BaseException as error:
+                ended = error
+        if growing != (final := Path(os.path.realpath(path))):
+            growing.replace(final)
+    if ended is not None:
+        raise ended
+
+
+def part_of(path: Path) -> Path:
+    """Returns the name of a file while it grows: PATH.part; a pipe or a device has no other name."""
+    real = Path(os.path.realpath(path))
+    return real if real.exists() and not real.is_file() else real.with_name(f"{real.name}.part")
 
 
 @dataclass(slots=True)

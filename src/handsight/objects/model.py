@@ -32,7 +32,7 @@ USUAL_SIGMA = 2e-3
 class ObjectModel(Geometry):
     """An `ObjectModel` is the geometry of an object's surface, with the object's name, symmetries and weight.
 
-    It is created by `box`, `cylinder`, `sphere`, `from_file`, `from_library`, `from_mesh` or `from_points`, all of which
+    It is created by `box`, `cylinder`, `sphere`, `from_file`, `from_library`, `from_mesh` or `from_points`, which all
     refuse symmetries that move the surface, as `with_symmetries` does.
     """
 
