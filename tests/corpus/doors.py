@@ -3,6 +3,7 @@
 from tests.corpus import (
     arguments,
     caches,
+    commands,
     libraries,
     lines,
     networks,
@@ -18,6 +19,7 @@ from tests.corpus import (
 ROOMS = [
     arguments,
     caches,
+    commands,
     libraries,
     lines,
     networks,

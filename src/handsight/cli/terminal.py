@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from handsight.errors import HandsightError, NotFound, NotWritten, printable
+from handsight.errors import HandsightError, InvalidInput, NotFound, NotWritten, printable
 from handsight.files import STREAMS, write_errors
 
 if TYPE_CHECKING:
@@ -71,11 +71,13 @@ def announce_compiling() -> None:
 
 
 def check_plots(plot: Path | None) -> None:
-    """Raises MissingExtra where a picture is wanted, but matplotlib is not installed."""
+    """Raises MissingExtra where a picture is wanted without matplotlib, and InvalidInput for a format that it lacks."""
     if plot is not None:
         from handsight.viewer.correction_figures import require_matplotlib
 
-        require_matplotlib()
+        known = require_matplotlib().Figure().canvas.get_supported_filetypes()
+        if plot.suffix[1:].lower() not in known:
+            raise InvalidInput(f"--plot: expected a name that ends in .png, .pdf or .svg, got {plot.name}")
 
 
 @contextlib.contextmanager
