@@ -61,15 +61,15 @@ def text(rig: Rig, tables: Mapping[str, str] | None = None) -> str:
 
 def pose_text(T: Array) -> str:
     """Returns a pose (4, 4) as the rig file has it."""
-    return _inline(_pose(T))
+    return inline(_pose(T))
 
 
 def sensor_text(finger: Finger) -> list[str]:
     """Returns what a calibration finds of a finger's sensor, as the rig file's lines below `sensor`."""
     sensor = _finger(finger)["sensor"]
-    lines = (f"{name}: {_inline(sensor[name])}" for name in ("noise", "bias", "tip_mass", "tip_center"))
+    lines = (f"{name}: {inline(sensor[name])}" for name in ("noise", "bias", "tip_mass", "tip_center"))
     return [
-        re.sub(r"\d+\.\d+(e-\d+)?", lambda number: _inline(float(f"{float(number[0]):.4g}")), line)
+        re.sub(r"\d+\.\d+(e-\d+)?", lambda number: inline(float(f"{float(number[0]):.4g}")), line)
         for line in lines
     ]
 
@@ -175,7 +175,7 @@ def _section(values: Mapping[str, Any], kind: object, comments: bool = True) -> 
         key = declared.get(name)
         inner = key.kind if key else get_args(kind)[1]
         comment = f"   # {key.comment}" if key and key.comment and comments else ""
-        name = name if key else _inline(name)
+        name = name if key else inline(name)
         if value is None or (isinstance(value, Mapping) and all(part is None for part in value.values())):
             continue
         if get_origin(inner) is dict or (isinstance(inner, type) and issubclass(inner, Section)):
@@ -183,18 +183,18 @@ def _section(values: Mapping[str, Any], kind: object, comments: bool = True) -> 
             lines = _section(value, inner, comments and (key is not None or i == 0))
             yield from (f"  {line}" for line in lines)
         else:
-            yield f"{name}: {value if get_origin(inner) is Literal else _inline(value)}{comment}"
+            yield f"{name}: {value if get_origin(inner) is Literal else inline(value)}{comment}"
 
 
-def _inline(value: object) -> str:
+def inline(value: object) -> str:
     """Returns a value in one line; of a mapping, the entries that are not None."""
     if isinstance(value, Mapping):
-        parts = (f"{name}: {_inline(part)}" for name, part in value.items() if part is not None)
+        parts = (f"{name}: {inline(part)}" for name, part in value.items() if part is not None)
         return "{" + ", ".join(parts) + "}"
     if isinstance(value, str):  # YAML's double-quoted text is JSON's
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Iterable):
-        return "[" + ", ".join(map(_inline, value)) + "]"
+        return "[" + ", ".join(map(inline, value)) + "]"
     if isinstance(value, int):
         return str(value)
     number = f"{float(value):.12g}" if value else "0.0"  # type: ignore[arg-type]
