@@ -216,9 +216,14 @@ def test_an_object_of_the_library_is_simulated_by_its_name(tmp_path, monkeypatch
     monkeypatch.setenv("HANDSIGHT_LIBRARY", str(tmp_path / "library"))
     added = ("objects", "add", "bottle.stl", "--name", "flask")
     assert called(monkeypatch, tmp_path, *added) == 0
-    assert called(monkeypatch, tmp_path, "simulate", "flask", "--motion", "grasp", "--seed", "2") == 0
+    command = ("simulate", "flask", "--motion", "grasp", "--seed", "2")
+    assert called(monkeypatch, tmp_path, *command) == 0
     rig = hs.Rig.from_file(tmp_path / "flask-2.rig.yaml")
     assert rig.objects["flask"].name == "flask"
+    again = ("--grasp", "flask-2.grasp.json", "--nuisance", "object_scale=1.1")
+    assert called(monkeypatch, tmp_path, *command, *again) == 0
+    wider = hs.Rig.from_file(tmp_path / "flask-2.rig.yaml").objects["flask"].model()
+    np.testing.assert_allclose(wider.diameter, 1.1 * rig.objects["flask"].model().diameter, rtol=1e-3)
 
 
 @pytest.mark.slow

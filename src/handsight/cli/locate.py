@@ -452,17 +452,12 @@ def _table_rows(row: "Row", *, several: bool) -> list[list[str]]:
             which = [f"{answer.name or 'none'}: {probability:.2f}"]
         elif several:
             which = [f"{each.model.name}: {each.found.probability:.2f}"]
-        rows.append([each.frame.name, *which, *_cells(each), milliseconds])
+        cells = ["not here", *[""] * 5]
+        if each.reason is None:
+            T, found = each.found.Ts_camera_object[0], each.found
+            shift, turn = (math.sqrt(found.covariances[0].diagonal()[k : k + 3].max()) for k in (0, 3))
+            cells = [", ".join(f"{1e3 * x:.1f}" for x in T[:3, 3]), f"{1e3 * shift:.1f}"]
+            cells += [f"{math.degrees(turn):.1f}", f"{each.explained:.0%}", f"{found.weights[0]:.2f}"]
+            cells.append(str(len(found.weights) - 1))
+        rows.append([each.frame.name, *which, *cells, milliseconds])
     return rows or [[row.frame.name, *which, "not here", *[""] * 5, milliseconds]]
-
-
-def _cells(row: "Located") -> list[str]:
-    """Returns the cells of a row of the table that are of the pose."""
-    if row.reason is not None:
-        return ["not here", *[""] * 5]
-    T, covariance = row.found.Ts_camera_object[0], row.found.covariances[0]
-    shift, turn = (math.sqrt(covariance.diagonal()[part].max()) for part in (slice(3), slice(3, 6)))
-    place = ", ".join(f"{1e3 * x:.1f}" for x in T[:3, 3])
-    sigmas = (f"{1e3 * shift:.1f}", f"{math.degrees(turn):.1f}")
-    weights = (f"{row.found.weights[0]:.2f}", str(len(row.found.weights) - 1))
-    return [place, *sigmas, f"{row.explained:.0%}", *weights]

@@ -24,6 +24,7 @@ from handsight.objects.record import ModelRecord, model_record
 from handsight.objects.surface import SURFACE, ObjectWarning, Triangles
 from handsight.objects.symmetry import Symmetries, check_kept, kept_center, nearest
 
+NONE = Symmetries()
 USUAL_SIGMA = 2e-3
 """Standard deviation per axis of a centre of mass that is given without one [m]."""
 
@@ -32,8 +33,7 @@ USUAL_SIGMA = 2e-3
 class ObjectModel(Geometry):
     """An `ObjectModel` is the geometry of an object's surface, with the object's name, symmetries and weight.
 
-    It is created by `box`, `cylinder`, `sphere`, `from_file`, `from_library`, `from_mesh` or `from_points`, which all
-    refuse symmetries that move the surface, as `with_symmetries` does.
+    It is created by `box`, `cylinder`, `sphere`, `from_file`, `from_library`, `from_mesh` or `from_points`.
     """
 
     name: str
@@ -162,11 +162,11 @@ class ObjectModel(Geometry):
 
     @classmethod
     def _from(
-        cls, geometry: Geometry, name: str, declared: Symmetries | None, own: Symmetries | None = None
+        cls, geometry: Geometry, name: str, declared: Symmetries | None, own: Symmetries = NONE
     ) -> Self:
         """Returns a model with the declared symmetries, else its own, and issues the geometry's remarks as warnings."""
         parts = {part.name: getattr(geometry, part.name) for part in dataclasses.fields(geometry)}
-        model = cls(**parts, name=name, symmetries=own or Symmetries())
+        model = cls(**parts, name=name, symmetries=own)
         for remark in geometry.remarks:
             warnings.warn(remark, ObjectWarning, stacklevel=3)
         return model if declared is None else model.with_symmetries(declared)

@@ -44,8 +44,7 @@ def text(rig: Rig, tables: Mapping[str, str] | None = None) -> str:
         "version": form.VERSION,
         "hand": _values(form.HandForm, rig, file=_file_name(rig.hand.file), palm=rig.hand.palm),
         "fingers": {
-            name: _finger(finger) if _has_sensor(name, rig) else _finger(finger) | {"sensor": None}
-            for name, finger in rig.fingers.items()
+            name: _finger(finger, sensed=name in rig.topics.wrenches) for name, finger in rig.fingers.items()
         },
         "skin": {name: _surface(name, rig, (tables or {}).get(name)) for name in rig.skin},
         "camera": None if rig.camera is None else _camera(rig.camera),
@@ -105,13 +104,8 @@ def _table(surface: TactileSurface) -> Array:
     return np.column_stack([surface.points, axes[:, :, 2], axes[:, :, 0]])
 
 
-def _has_sensor(name: str, rig: Rig) -> bool:
-    """Returns whether a finger has a force/torque sensor: a topic, or a calibration."""
-    known = rig.fingers[name].calibration
-    return name in rig.topics.wrenches or bool(known.mass or known.bias_force.any())
-
-
-def _finger(finger: Finger) -> Values:
+def _finger(finger: Finger, sensed: bool = True) -> Values:
+    """Returns the values of a finger; its sensor's only where it is `sensed`, or calibrated."""
     known, tip = finger.calibration, finger.tip
     T_surface_sensor = np.eye(4) if tip.T_surface_sensor is None else tip.T_surface_sensor
     size = {"sphere": tip.radius} if isinstance(tip, Sphere) else {"ellipsoid": tip.semi_axes}
@@ -126,7 +120,8 @@ def _finger(finger: Finger) -> Values:
         tip_center=known.center_of_mass,
     )
     shape = _values(form.TipForm, tip, **size)
-    given: dict[str, Any] = {"surface": _pose(finger.T_frame_surface), "tip": shape, "sensor": sensor}
+    given: dict[str, Any] = {"surface": _pose(finger.T_frame_surface), "tip": shape}
+    given["sensor"] = sensor if sensed or known.mass or known.bias_force.any() else None
     if finger.friction is None:
         given["sigma_friction"] = None
     return _values(form.FingerForm, finger, **given)

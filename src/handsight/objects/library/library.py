@@ -73,11 +73,8 @@ class Library:
     def model(self, name: str) -> ObjectModel:
         """Returns the object with that name, its symmetries and its weight; raises the errors of `entry` and `file`."""
         entry = self.entry(name)
-        model = replace(
-            ObjectModel.from_file(self.file(entry), scale=METRES),
-            name=entry.name,
-            symmetries=entry.symmetries,
-        )
+        model = ObjectModel.from_file(self.file(entry), scale=METRES)
+        model = replace(model, name=entry.name, symmetries=entry.symmetries)
         where = f"{entry.place}: {entry.file}: symmetries"
         check_symmetries(model, model.symmetries, where, tolerance=SURFACE_TOLERANCE)
         if facts := entry.facts:
