@@ -163,20 +163,17 @@ def output_stream(path: Path | None) -> Iterator[IO[str]]:
     if path is None or str(path) == "-":
         yield sys.stdout
         return
-    ended: BaseException | None = None
+    growing, final, complete = part_of(path), Path(os.path.realpath(path)), True
     with write_errors(path):
-        growing = part_of(path)
-        with open(growing, "w", encoding="utf-8") as file:
-            try:
+        try:
+            with open(growing, "w", encoding="utf-8") as file:
                 yield file
-            except (OSError, NotWritten):
-                raise
-            except BaseException as error:
-                ended = error
-        if growing != (final := Path(os.path.realpath(path))):
-            growing.replace(final)
-    if ended is not None:
-        raise ended
+        except (OSError, NotWritten):
+            complete = False
+            raise
+        finally:
+            if complete and growing != final:
+                growing.replace(final)
 
 
 def part_of(path: Path) -> Path:
