@@ -5,8 +5,9 @@ import os
 import stat
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -17,6 +18,7 @@ from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import check_not_overwritten, stream_name, write_errors
 
 if TYPE_CHECKING:
+    from handsight.batch.problems import Problem
     from handsight.batch.run import Source
 
 MOST_PANELS = 6
@@ -151,12 +153,9 @@ def correct(
                 move(read / size if size else None, f"{done} answers, {rate:.0f}/s")
         if plot is not None and first:
             from handsight.batch.problems import Reader
-            from handsight.viewer.correction_figures import CorrectionPanel, draw_corrections
 
             reader = Reader(folder)
-            answered = ((reader.read(line), json.loads(text)) for line, text in first)
-            panels = [CorrectionPanel(of.model, of.contacts, of.vision, answer) for of, answer in answered]
-            draw_corrections(panels, plot)
+            draw(((reader.read(line), json.loads(text)) for line, text in first), plot)
             terminal.say(f"wrote {plot}")
     except KeyboardInterrupt:
         terminal.say(f"handsight: stopped after {done} answers; they are written")
@@ -183,3 +182,11 @@ def _open(problems: str) -> "Source":
         source.close()  # such as /dev/zero, a line without an end
         raise InvalidFile(f"{stream_name(source)}: expected a file, a pipe or a terminal, got a device")
     return source
+
+
+def draw(answered: "Iterable[tuple[Problem, dict[str, Any]]]", plot: Path) -> None:
+    """Writes a picture of problems and their answers."""
+    from handsight.viewer.correction_figures import CorrectionPanel, draw_corrections
+
+    panels = [CorrectionPanel(of.model, of.contacts, of.vision, answer) for of, answer in answered]
+    draw_corrections(panels, plot)

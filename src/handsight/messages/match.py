@@ -72,15 +72,12 @@ def match_taxels(types: Mapping[str, str], fingers: Sequence[str]) -> dict[str, 
     for end, (of_hand, of_finger, places) in TAXELS.items():
         about = "tact|taxel|touch|skin|pressure" if end == "MultiArray" else ""
         topics = [t for t, kind in types.items() if kind.endswith(end) and re.search(about, t.lower())]
-        if len(topics) > 1:
-            own = _by_finger(topics, fingers)
-            return {f: {**places, "topic": topic, "field": of_finger} for f, topic in own.items()}
         if topics:
-            paths = (of_hand.format(f, n, 16 * n - 16, 16 * n) for n, f in enumerate(fingers, start=1))
-            return {
-                f: {**places, "topic": topics[0], "field": path}
-                for f, path in zip(fingers, paths, strict=True)
-            }
+            path, of = of_hand, dict.fromkeys(fingers, topics[0])
+            if len(topics) > 1:
+                path, of = of_finger, _by_finger(topics, fingers)
+            fields = (path.format(f, n + 1, 16 * n, 16 * n + 16) for n, f in enumerate(of))
+            return {f: {**places, "topic": of[f], "field": each} for f, each in zip(of, fields, strict=True)}
     return {}
 
 
