@@ -1,5 +1,6 @@
 """Any hand of a rig grasps in simulation: its scene, its sensors, its grasps, and what is said where there is none."""
 
+import itertools
 import json
 import math
 from dataclasses import replace
@@ -135,6 +136,15 @@ def test_fitted_postures_press_tips_on_the_object_from_opposite_sides(claw):
             box = se3.apply(se3.inverse(grasp.T_palm_middle), center[None])[0]
             outside = np.maximum(np.abs(box) - half, 0)
             assert np.linalg.norm(outside) > 0.01
+
+
+def test_the_corners_of_the_links_must_be_clear_of_the_object_too(claw):
+    surface = HandFit(claw, scene("box", rig=claw), body_of(convex_hull("box")[0]), 0)._surface
+    points = surface.points_palm(dict.fromkeys(surface.joints, 0.0))
+    corners = list(itertools.product((-0.05, 0.05), (-0.04, 0.04), (-0.01, 0.01)))  # of the palm
+    low = itertools.product((-0.007, 0.007), (-0.007, 0.007), (0.005, 0.045))  # of a finger's first link
+    corners += [(x - 0.045, y, z + 0.02) for x, y, z in low]
+    assert np.linalg.norm(points - np.array(corners)[:, None], axis=2).min(axis=1).max() < 1e-9
 
 
 @pytest.mark.slow

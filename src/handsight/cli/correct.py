@@ -96,8 +96,9 @@ def correct(
     Each answer has the pose, its covariance and information, the residuals, the directions that are unobservable by
     touch, the outliers among the contacts, the conflicts (which evidence contradicts the rest), and other hypotheses. A
     wrong line is answered with `{"error": ...}` in its place, and the exit code is then 1; it is 2 if problems cannot
-    be read, and 74 if answers cannot be written. Lines are answered as they are read, so there may be any number of
-    them. A byte order mark at the beginning is ignored.
+    be read, and 74 if answers cannot be written: those until then are in OUTPUT.part, but a shell's `> FILE` is cut
+    under its own name. Lines are answered as they are read, so there may be any number of them. A byte order mark at
+    the beginning is ignored.
 
     ```
     handsight correct grasps.jsonl --output answers.jsonl --plot first.png
