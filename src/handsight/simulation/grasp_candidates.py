@@ -107,6 +107,15 @@ def body_of(vertices: Array) -> Body:
     return Body(kept, hull.equations[:, :3], -hull.equations[:, 3], areas, mass, middle)
 
 
+def least_rotation(first: Array, second: Array) -> Array:
+    """Returns the least rotation (3, 3) that turns one direction (3,) to another, both of any length."""
+    a, b = first / np.linalg.norm(first), second / np.linalg.norm(second)
+    axis = np.cross(a, b)
+    sine = float(np.linalg.norm(axis))
+    axis = np.cross(se3.perpendicular(a), a) if sine < 1e-9 else axis / sine
+    return se3.rotation_exp(np.arctan2(sine, a @ b) * axis)
+
+
 def rests(body: Body) -> list[Array]:
     """Returns rotations Rs_world_object (3, 3) in which the body rests: as in its file, on its largest sides, on end.
 
@@ -119,13 +128,7 @@ def rests(body: Body) -> list[Array]:
         down = body.normals[i]
         stands = (body.normals @ (body.mass + heights[i] * down) - body.offsets).max() < GRASP.stable_margin
         if stands and all(-down @ R[2] < GRASP.same_side_cosine for R in found):
-            # The least rotation that brings that side down.
-            axis = np.cross(down, [0.0, 0, -1])
-            sine = np.linalg.norm(axis)
-            if sine < 1e-9:
-                found.append(np.eye(3) if down[2] < 0 else np.diag([1.0, -1, -1]))
-            else:
-                found.append(se3.rotation_exp(np.arctan2(sine, -down[2]) * axis / sine))
+            found.append(least_rotation(down, np.array([0.0, 0, -1])))
     if len(found) > GRASP.max_rests:
         end = max(found[GRASP.max_rests - 1 :], key=lambda R: float(np.ptp(body.vertices @ R[2])))
         found = [*found[: GRASP.max_rests - 1], end]

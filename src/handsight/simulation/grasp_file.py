@@ -8,7 +8,7 @@ import numpy as np
 
 from handsight import checks, se3
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.files import read_bytes, write_errors
+from handsight.files import read_bytes, text_file
 from handsight.simulation.grasp_search import GraspSearchResult
 from handsight.simulation.motion import Grasp
 
@@ -54,8 +54,8 @@ def write_grasp(found: GraspSearchResult, object: str, path: Path) -> None:
         opening=dict(grasp.opening),
         closed=dict(grasp.closed),
     )
-    with write_errors(path):
-        path.write_bytes(msgspec.json.format(msgspec.json.encode(form), indent=1) + b"\n")
+    with text_file(path) as file:
+        file.write(msgspec.json.format(msgspec.json.encode(form), indent=1).decode() + "\n")
 
 
 def read_grasp(path: Path, joints: Collection[str] | None = None) -> Grasp:

@@ -148,7 +148,7 @@ class Probe(World):
         prior = PROBE.sigma_relative / Nuisances().table_tilt
         rows = np.vstack([np.insert(points[:, :2], 0, 1, axis=1), prior * np.eye(3)[1:]])
         height, *slopes = np.linalg.lstsq(rows, np.append(points[:, 2], [0.0, 0.0]), rcond=None)[0]
-        R_world_table = _frame(np.array([1.0, 0.0, slopes[0]]), np.array([0.0, 1.0, slopes[1]]))
+        R_world_table = se3.axes_along(np.array([1.0, 0.0, slopes[0]]), np.array([0.0, 1.0, slopes[1]]))
         return float(height * R_world_table[2, 2]), R_world_table
 
     def touch(self, sweep: Sweep) -> Touch:
@@ -225,7 +225,7 @@ class Probe(World):
         """Returns R_world_palm (3, 3) with the finger down, its tip and the palm's front in a direction."""
         finger, front = self._T_palm_finger[:3, 2], np.array([0.0, -1.0, 0.0])
         down = np.sin(PROBE.lean) * direction_world - np.cos(PROBE.lean) * np.array([0.0, 0.0, 1.0])
-        return _frame(down, direction_world) @ _frame(finger, front).T
+        return se3.axes_along(down, direction_world) @ se3.axes_along(finger, front).T
 
     def _palm(self, R_world_palm: Array, middle_world: Array) -> Array:
         """Returns T_world_palm (4, 4) with the middle of the finger's tip at a point (3,) [m]."""
@@ -247,14 +247,6 @@ def _palm_and_joints(observation: Observation) -> tuple[Array, Mapping[str, floa
     if observation.T_world_palm is None or observation.joint_positions is None:
         raise InvalidInput("observation: expected joint positions and a T_world_palm, got none")
     return observation.T_world_palm, observation.joint_positions
-
-
-def _frame(first: Array, second: Array) -> Array:
-    """Returns axes (3, 3): the first direction, the part of the second across it, and their cross product."""
-    x = first / np.linalg.norm(first)
-    y = second - (second @ x) * x
-    y /= np.linalg.norm(y)
-    return np.column_stack([x, y, np.cross(x, y)])
 
 
 def _distances(length: float) -> Array:

@@ -109,7 +109,7 @@ def model_of(scenario: Scenario) -> ObjectModel:
         points, normals = model.sample(scan_points, 7)
         rng = np.random.default_rng((seed, 8))
         noisy = points + n.object_scan * rng.normal(size=points.shape)
-        model = ObjectModel.from_points(noisy, normals, symmetries=model.symmetries)
+        model = replace(ObjectModel.from_points(noisy, normals), symmetries=model.symmetries)
     if n.declared_mass > 0:
         mass, sigma = declared_weight(n)
         model = model.with_weight(mass=mass, center_of_mass=center, sigma_center_of_mass=sigma)
