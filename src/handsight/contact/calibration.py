@@ -72,10 +72,9 @@ def calibrate_wrench(
 ) -> WrenchCalibration:
     """Returns bias, mass and centre of mass from readings in several orientations, by linear least squares.
 
-    `forces` [N], `torques` [N m] and `gravities` (the vector of gravity in the sensor's frame [m/s²]) are (n, 3)
-    each, the tip touching nothing. At least three orientations that do not share an axis are needed; six along ±x,
-    ±y, ±z are best. Raises InvalidInput for fewer, for orientations that are too similar, and for a mass that is not
-    above zero.
+    `forces` [N], `torques` [N m] and `gravities` (the vector of gravity in the sensor's frame [m/s²]) are (n, 3) each,
+    the tip touching nothing. At least three orientations that do not share an axis are needed; six along ±x, ±y, ±z are
+    best. Raises InvalidInput for fewer, for orientations that are too similar, and for a mass that is not above zero.
     """
     F, M = checks.load(forces, "forces", (None, 3)), checks.load(torques, "torques", (None, 3))
     G = checks.finite(gravities, "gravities", (None, 3))

@@ -44,19 +44,16 @@ class WeigherOptions(NamedTuple):
     creep: float = 5e-4  # standard deviation of the speed at which contacts creep [m/(N s)]
     object_creep: float = 1.5e-4
     """Sigma of the object's motion in addition to that of the tips and of creep, per axis after a second, where two or
-    more tips hold it [m]; it grows with the root of time.
-    """
+    more tips hold it [m]; it grows with the root of time."""
     loose_object_creep: float = 3e-3
     """The same where fewer tips hold it, because the others do not touch it or are at their limits of friction: boxes
-    of .3 to .5 kg move 3 to 6 mm in a second then, always the same way.
-    """
+    of .3 to .5 kg move 3 to 6 mm in a second then, always the same way."""
     sigma_gravity: float = float(
         np.deg2rad(1.0)
     )  # error of gravity's direction in the world, about each axis [rad]
     wrong_mass: float = 2.33
     """A mass that is farther off than so many sigmas contradicts the declared one: by chance in 2 %, whose share of the
-    sigmas is mostly that of the declared mass, so that more directions are not more chances.
-    """
+    sigmas is mostly that of the declared mass, so that more directions are not more chances."""
     right_mass: float = 1.64  # a declared mass stays contradicted until it is nearer (a level of 10 %)
     biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
     pull: float = 0.3  # cosine of forces with the way out of the grasp, below whose negative fingers pull
@@ -301,8 +298,7 @@ class ObjectWeight:
     """Fingers whose sensors have larger biases in the air than calibration leaves; these are subtracted."""
     assumed: str = ""
     """What the weighing has to assume, because the loads would not fit a weight if gains were exact: wrong gains, or a
-    small force that no sensor measures. Empty where they would.
-    """
+    small force that no sensor measures. Empty where they would."""
 
     def kept_by_symmetries(self, model: ObjectModel) -> tuple[Array, float]:
         """Returns the centre of mass (3,) that the object's symmetries allow, and its largest sigma [m]."""

@@ -38,8 +38,7 @@ class WeightOptions(NamedTuple):
 
     sigma_reach: float = 0.15
     """Prior sigma of the centre of mass about the middle of the loads, per axis [m]: all that is known of its height
-    along gravity while gravity has had only one direction.
-    """
+    along gravity while gravity has had only one direction."""
     acceleration_share: float = 0.1
     """Sigma of an acceleration as a share of it: arms lag behind the poses that they report, and hands bend."""
     gyration: float = 0.05

@@ -33,8 +33,7 @@ class PullOptions(NamedTuple):
     max_travel: float = 0.02  # largest draw of that distance [m]
     normal_share: float = 0.03
     """Variance of the pull's direction across all tips, relative to that along all of them: it pulls along the surfaces
-    of the tips, not off them.
-    """
+    of the tips, not off them."""
 
 
 PULL = PullOptions()

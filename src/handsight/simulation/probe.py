@@ -31,8 +31,7 @@ class ProbeOptions(NamedTuple):
 
     reach: float = 0.06
     """How far the tip's middle may be below the object's top [m]: the lowest knuckle of the fist is 71 mm above it. The
-    finger's first link, 31 mm above it and 1 mm wider than the tip, trails by its lean.
-    """
+    finger's first link, 31 mm above it and 1 mm wider than the tip, trails by its lean."""
     levels: int = 4  # heights of sweeps that are compared
     radius: float = 0.009  # of the tip's sides [m]
     sigma_relative: float = 0.0005  # of the tip's height at one place relative to that at another [m]
@@ -56,8 +55,7 @@ class ProbeOptions(NamedTuple):
     table_start: float = 0.05  # height above the expected table at which the tip starts to search for it [m]
     table_unevenness: float = 0.015
     """Largest difference of height on a table tilted by a degree [m]. A lower contact is one of the finger's side with
-    the table's edge.
-    """
+    the table's edge."""
     start_height: float = 0.5  # of the palm at first above the object's middle [m]
 
 

@@ -127,8 +127,7 @@ def render(
 
     `ghost` is T_palm_object (4, 4) of a second object, drawn in `color` (red, green, blue, opacity, 0 to 1); the true
     one is drawn if `show_object`. `T_world_camera` (4, 4) is the pose of the camera's optical frame in the rig's world;
-    None: the pose of the robot's own camera. Raises InvalidInput; MissingExtra where nothing can
-    draw.
+    None: the pose of the robot's own camera. Raises InvalidInput; MissingExtra where nothing can draw.
     """
     built = scene(scenario.object, rig=scenario.rig)
     if sample.configuration.shape != (built.model.nq,):

@@ -47,8 +47,7 @@ class SceneOptions(NamedTuple):
     """Factor by which a picture for people is drawn larger, each way, before it is averaged."""
     table_collision_bit: int = 2
     """Collision bit of object and fingertips: nothing else collides with the table. A random draw may lower the palm's
-    edge some millimetres into the table, where a collision would bend the wrist.
-    """
+    edge some millimetres into the table, where a collision would bend the wrist."""
     hidden_group: int = 5  # group of the geoms that are not drawn
 
 

@@ -23,8 +23,7 @@ class SkinOptions(NamedTuple):
     foam: float = 1e7  # stiffness of a skin of 5 mm of foam [N/m per m²]
     rubber: float = 6e7
     """Stiffness of 1.5 mm of soft rubber, as on the simulated hand [N/m per m²]. The hand is hard in the physics
-    engine, so a softer skin would contradict the object's pose.
-    """
+    engine, so a softer skin would contradict the object's pose."""
     springs: int = 3  # of a taxel of a flat array, each way
     tip_springs: int = 3000  # of a fingertip, evenly distributed
     cell: float = 0.85  # distance from a taxel to the springs that it measures, in pitches

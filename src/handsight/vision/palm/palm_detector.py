@@ -219,9 +219,8 @@ def _covariance(
 ) -> Array:
     """Returns (6, 6) of CANDIDATE (1,) by (δp, δθ) of the palm along the camera's axes.
 
-    rows (k,): the visible points; bound: Tukey's [m]. The errors of points are those of `noise`. Those of whole
-    pixels are added, and those of constant errors of the joints, to first order: a weighted fit follows a joint that is
-    off.
+    rows (k,): the visible points; bound: Tukey's [m]. The errors of points are those of `noise`. Those of whole pixels
+    are added, and those of constant errors of the joints, to first order: a weighted fit follows a joint that is off.
     """
     T, hand, camera, compared = poses_of(candidate)[0], picture.hand, picture.camera, 150
     skin, fitted = np.ascontiguousarray(hand.skin[:, rows]), np.empty((len(rows), 8))

@@ -97,8 +97,7 @@ def parts_of(surface: SurfacePoints, volume: Volume) -> Iterator[SurfacePoints]:
 
 def share_observed(surface: SurfacePoints, volume: Volume) -> float:
     """Returns at most which share of an object's closed surface is measured: the rest of its convex hull, where it is
-    not free space, was not observed. More than that may be hidden behind it.
-    """
+    not free space, was not observed. More than that may be hidden behind it."""
     points, normals, cell = *surface, volume.grid.cell
     try:
         hull = ConvexHull(points)

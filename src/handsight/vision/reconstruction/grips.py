@@ -119,8 +119,7 @@ class InHandReconstruction:
 
     def merged(self) -> tuple[Volume, SurfacePoints, list[str]]:
         """Returns the volume of all grips, in the frame of the one with most views, what the fingers hold in it, and
-        sentences that say which grips are in it. Raises InvalidInput where nothing is held.
-        """
+        sentences that say which grips are in it. Raises InvalidInput where nothing is held."""
         grips = sorted(self.grips, key=lambda grip: -grip.volume.views)
         grips = [each for each in grips if each.volume.views >= GRIP.min_views] or grips[:1]
         found = [(grip, *in_fingers(grip.volume, grip.tips_object)) for grip in grips]
