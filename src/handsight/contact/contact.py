@@ -62,15 +62,9 @@ class Contact:
     def moved(self, T_new_old: Array) -> "Contact":
         """Returns the same contact in another frame; `T_new_old` (4, 4) maps coordinates of this frame to it."""
         T = se3.check(T_new_old, "T_new_old")
-        R = T[:3, :3]
-        return Contact(
-            R @ self.point + T[:3, 3],
-            R @ self.normal,
-            R @ self.force,
-            self.force_normal,
-            self.torque,
-            symmetric(se3.rotate_covariance(R, self.covariance)),
-        )
+        R, covariance = T[:3, :3], symmetric(se3.rotate_covariance(T[:3, :3], self.covariance))
+        vectors = R @ self.point + T[:3, 3], R @ self.normal, R @ self.force
+        return Contact(*vectors, self.force_normal, self.torque, covariance)
 
 
 _new = object.__new__

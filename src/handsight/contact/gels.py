@@ -7,7 +7,6 @@ object's normal, which the slope of the indentation gives. The rest of a patch h
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -90,7 +89,9 @@ class Gel(TactileSurface):
 
     @staticmethod
     def _kernel() -> Callable[..., int]:
-        return _sense_gel()
+        from handsight._kernels.touch.gels import sense_gel
+
+        return sense_gel
 
 
 def block_of(rows: Any, columns: Any) -> int:
@@ -100,10 +101,3 @@ def block_of(rows: Any, columns: Any) -> int:
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 1 <= value <= 10_000:
             raise InvalidInput(f"{name}: expected a whole number from 1 to 10000, got {checks.brief(value)}")
     return math.ceil(math.sqrt(rows * columns / MOST_CELLS))
-
-
-@cache
-def _sense_gel() -> Callable[..., int]:
-    from handsight._kernels.touch.gels import sense_gel
-
-    return sense_gel

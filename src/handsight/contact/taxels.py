@@ -13,7 +13,6 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
@@ -122,19 +121,13 @@ class TactileSurface:
         sigma_normal = math.radians(4.0 if flat else 0.8) if self.sigma_normal is None else self.sigma_normal
         for name, sigma in (("sigma_point", self.sigma_point), ("sigma_mount", self.sigma_mount)):
             checks.sigma_point(sigma, name)
-        record, taxels = (
-            np.ones(1, dtype=SURFACE),
-            _records(points, self._axes(normals), distance, pitch),
-        )
-        for name in ("scale", "offset"):
-            value, shape = getattr(self, name), (self.components,)
-            record[name][0, : self.components] = checks.finite(
-                value, name, shape if checks.ndim(value) else ()
-            )
+        record, taxels = np.ones(1, dtype=SURFACE), _records(points, self._axes(normals), distance, pitch)
+        for name, value in (("scale", self.scale), ("offset", self.offset)):
+            shape = (self.components,) if checks.ndim(value) else ()
+            record[name][0, : self.components] = checks.finite(value, name, shape)
         if not record["scale"].all() or not 0 <= float(checks.finite(self.noise, "noise", ())) <= 1:
-            raise InvalidInput(
-                f"scale, noise: expected no 0, and a share up to 1, got {self.scale}, {self.noise}"
-            )
+            came = f"{self.scale}, {self.noise}"
+            raise InvalidInput(f"scale, noise: expected no 0, and a share up to 1, got {came}")
         # Two opposite sides may differ in height by the mount's error too, as soft skin gives way more where it is
         # pressed more; so the surface may also be turned.
         width = pitch + float(np.ptp(points @ taxels["axes"][0][:, :2], axis=0).min())
@@ -226,11 +219,8 @@ class TactileSurface:
         if np.shape(baseline) not in ((), self.shape):
             came = np.shape(baseline)
             raise InvalidInput(f"baseline: expected a number or {self._expected}, got shape {came}")
-        values, bases = (
-            self.reading(values),
-            np.broadcast_to(np.asarray(baseline, dtype=np.float64), self.shape),
-        )
-        return self.sensed(self.cells(values), self.cells(bases))
+        bases = np.broadcast_to(np.asarray(baseline, dtype=np.float64), self.shape)
+        return self.sensed(self.cells(self.reading(values)), self.cells(bases))
 
     def sensed(self, values: Array, baseline: Array) -> "SkinTouch":
         """Returns the same as `touch`, of a checked reading and baseline (n, components)."""
@@ -242,7 +232,9 @@ class TactileSurface:
 
     @staticmethod
     def _kernel() -> Callable[..., int]:
-        return _sense_taxels()
+        from handsight._kernels.touch.taxels import sense_taxels  # importing numba takes half a second
+
+        return sense_taxels
 
 
 def TaxelArray(**fields: Any) -> TactileSurface:
@@ -435,11 +427,3 @@ def _farthest_points(places: Array, count: int) -> Indices:
         nearest = np.minimum(nearest, ((places - places[chosen[-1]]) ** 2).sum(axis=1))
         chosen.append(int(nearest.argmax()))
     return np.array(chosen)
-
-
-@cache
-def _sense_taxels() -> Callable[..., int]:
-    """Returns the kernel, imported with the first reading: importing numba takes half a second."""
-    from handsight._kernels.touch.taxels import sense_taxels
-
-    return sense_taxels
