@@ -57,7 +57,6 @@ FIRST = round(math.log(FRICTION.min_ratio) / FRICTION.bin_width)
 BINS = round(math.log(FRICTION.max_ratio) / FRICTION.bin_width) - FIRST + 1
 """Number of the first bin, and how many there are."""
 
-
 Vector = tuple[float, float, float, float]
 """A ratio vector: tangential force (3) and torque / e, both divided by the normal force."""
 
@@ -97,18 +96,15 @@ class Friction:
         self._error = round(error / FRICTION.bin_width)
         load = {name: math.hypot(*vector) for name, vector in vectors.items()}
         rise = 1 - math.exp(-min(since, FRICTION.keep_up) / FRICTION.keep_up)
-        higher = {name: ratio for name, ratio in load.items() if ratio > self._kept_up.get(name, 0.0)}
-        if higher:
-            was = {name: self._kept_up.get(name, 0.0) for name in higher}
-            risen = {name: was[name] + rise * (ratio - was[name]) for name, ratio in higher.items()}
+        kept = {name: self._kept_up.get(name, 0.0) for name in load}
+        risen = {name: was + rise * (load[name] - was) for name, was in kept.items() if load[name] > was}
+        if risen:
             self._kept_up = {**self._kept_up, **risen}
-        before = self._anchors
-        moved = {
-            name: vector
-            for name, vector in vectors.items()
-            if name not in before
-            or math.dist(vector, before[name]) > FRICTION.min_turn * math.hypot(*before[name])
-        }
+        before, moved = self._anchors, dict[str, Vector]()
+        for name, now in vectors.items():
+            anchor = before.get(name)
+            if anchor is None or math.dist(now, anchor) > FRICTION.min_turn * math.hypot(*anchor):
+                moved[name] = now
         if moved or len(before) > len(vectors):
             self._anchors = {name: moved.get(name) or before[name] for name in vectors}
         for name, now in moved.items():
@@ -121,7 +117,7 @@ class Friction:
         for name in sliding:
             if FRICTION.min_ratio < load.get(name, 0.0) < FRICTION.max_ratio:
                 self._count(load[name], FRICTION.sliding_turns)
-        if higher or moved or sliding:
+        if risen or moved or sliding:
             self._estimate()
 
     @property

@@ -97,11 +97,9 @@ def load_sensors(rig: Rig, names: Collection[str] = ()) -> tuple[LoadSensor, ...
             found.append(_of_taxels(finger.frame, own))
             continue
         T, T_sensor = finger.T_frame_surface, finger.tip.T_surface_sensor
-        T, sigma = (
-            T if T_sensor is None else T @ T_sensor,
-            [finger.sigma_force] * 3 + [finger.sigma_torque] * 3,
-        )
-        rest = np.array(sigma), finger.sigma_gain, finger.full_scale or (np.inf, np.inf)
+        T = T if T_sensor is None else T @ T_sensor
+        sigma = np.repeat([finger.sigma_force, finger.sigma_torque], 3)
+        rest = sigma, finger.sigma_gain, finger.full_scale or (np.inf, np.inf)
         found.append(LoadSensor(name, finger.frame, T, finger.calibration, *rest))
     return (*found, *(_of_taxels(frame, own) for frame, own in surfaces.items()))
 
@@ -116,10 +114,8 @@ def _of_taxels(frame: str, surfaces: Sequence[TactileSurface]) -> LoadSensor:
     noise = np.sqrt(LOADS.patch) * max(surface.threshold for surface in surfaces) / 6
     arm = np.sqrt(((points - middle) ** 2).sum(axis=1).mean())
     sigma, gain = noise * np.repeat([1.0, arm], 3), max(surface.noise for surface in surfaces)
-    nothing = WrenchCalibration(zero, zero, 1e-9, zero)
-    return LoadSensor(
-        LINK_TAXELS.format(frame), frame, se3.compose(np.eye(3), middle), nothing, sigma, gain, taxels=True
-    )
+    nothing, name = WrenchCalibration(zero, zero, 1e-9, zero), LINK_TAXELS.format(frame)
+    return LoadSensor(name, frame, se3.compose(np.eye(3), middle), nothing, sigma, gain, taxels=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -53,7 +53,6 @@ class SlipOptions(NamedTuple):
 
 SLIP = SlipOptions()
 
-
 Load = list[float]
 """Tangential force (3), normal force, torque about the normal."""
 
@@ -74,12 +73,9 @@ class _Limits(NamedTuple):
     def of(cls, sensor: LoadSensor) -> "_Limits":
         """Returns those of a load sensor."""
         sigma = float(sensor.sigma[0])
-        return cls(
-            max(SLIP.min_force, SLIP.min_force_sigmas * sigma),
-            max(SLIP.sure_force, SLIP.sure_force_sigmas * sigma),
-            math.hypot(sigma, sensor.sigma[3] / FRICTION.torsion),
-            sensor.sigma_gain * sensor.taxels,
-        )
+        least, sure = SLIP.min_force_sigmas * sigma, SLIP.sure_force_sigmas * sigma
+        noise, gain = math.hypot(sigma, sensor.sigma[3] / FRICTION.torsion), sensor.sigma_gain * sensor.taxels
+        return cls(max(SLIP.min_force, least), max(SLIP.sure_force, sure), noise, gain)
 
     @property
     def factor(self) -> float:
@@ -168,11 +164,8 @@ class SlipDetector:
         skin = {LINK_TAXELS.format(surface.frame) for surface in rig.skin.values()}
         fingers = {finger.frame: name for name, finger in rig.fingers.items()}
         self._by_wrench = {sensor.name: _Limits.of(sensor) for sensor in load_sensors(rig, fingers.values())}
-        self._by_taxels = {
-            fingers.get(sensor.frame, sensor.name): _Limits.of(sensor)
-            for sensor in load_sensors(rig, skin)
-            if sensor.taxels
-        }
+        taxels = {fingers.get(each.frame, each.name): each for each in load_sensors(rig, skin) if each.taxels}
+        self._by_taxels = {name: _Limits.of(sensor) for name, sensor in taxels.items()}
         self._means: Mapping[str, Load] = {}
         """By finger, the running mean of its load."""
         self._rests: Mapping[str, Load] = {}
@@ -201,19 +194,15 @@ class SlipDetector:
         unmeasured = tuple(name for name, row in rows if not math.isfinite(sum(row)))
         # A load without a normal force, or with NaN, has no ratio.
         usable = {name: row for name, row in rows if row[3] > 0 and math.isfinite(sum(row))}
-        limits = {
-            name: (self._by_taxels if name in by_taxels or name not in self._by_wrench else self._by_wrench)[
-                name
-            ]
-            for name in usable
-        }
+        by_wrench = self._by_wrench.keys() - by_taxels
+        limits = {name: (self._by_wrench if name in by_wrench else self._by_taxels)[name] for name in usable}
         goes_on = since <= SLIP.max_gap
         self._means = _follow(self._means if goes_on else {}, usable, since / SLIP.time_constant)
         self._rests = _follow(self._rests if goes_on else {}, usable, since / SLIP.rest)
         mu = self.friction.coefficient
+        last = self._ratios if goes_on else {}
         self._ratios = {
-            name: _read(limits[name].noise, stamp, row, mu, self._ratios.get(name) if goes_on else None)
-            for name, row in usable.items()
+            name: _read(limits[name].noise, stamp, row, mu, last.get(name)) for name, row in usable.items()
         }
         sure = dict[str, Vector]()
         for name, (x, y, z, normal, torque) in self._means.items():
@@ -223,14 +212,10 @@ class SlipDetector:
         gain = max((limit.gain for limit in limits.values()), default=0.0)
         self.friction.update(sure, since if goes_on else 0.0, sliding, gain)
         mu, sigma = self.friction.coefficient, self.friction.sigma
-        ratios = {}
-        if mu is not None:
-            ratios = {
-                name: read.upper * limits[name].factor / (mu * self._relative.get(name, 1.0))
-                for name, read in self._ratios.items()
-                if self._means[name][3] > limits[name].min_force
-            }
-
+        ratios = dict[str, float]()
+        for name, read in self._ratios.items():
+            if mu is not None and self._means[name][3] > limits[name].min_force:
+                ratios[name] = read.upper * limits[name].factor / (mu * self._relative.get(name, 1.0))
         # Hysteresis, in the ratio and in time.
         was, least = self.now, min(ratios.values(), default=0.0)
         known = mu is not None and sigma is not None and sigma <= SLIP.max_sigma * mu
@@ -293,18 +278,12 @@ def declared_friction(
     A finger without one, and taxels, have the object's, or the mean of the others. Sigmas are combined as those of one
     measurement each of the logarithm of μ.
     """
-    fingers = {
-        name: (finger.friction, finger.sigma_friction)
-        for name, finger in rig.fingers.items()
-        if finger.friction is not None
-    }
-    known = list(fingers.values())
+    fingers = {name: each.friction for name, each in rig.fingers.items() if each.friction is not None}
+    if not fingers:
+        return {}, friction or ()
     # The fingers' common error, as of the object's surface, is that of one of them.
-    prior = friction
-    if known:
-        mu = math.exp(sum(math.log(value) for value, _ in known) / len(known))
-        prior = mu, mu * math.sqrt(sum((sigma / value) ** 2 for value, sigma in known) / len(known))
-        if friction is not None:
-            prior = joined([prior, friction])
-        return {name: value / mu for name, (value, _) in fingers.items()}, prior
-    return {}, prior or ()
+    mu = math.exp(sum(map(math.log, fingers.values())) / len(fingers))
+    squares = sum((rig.fingers[name].sigma_friction / value) ** 2 for name, value in fingers.items())
+    prior = mu, mu * math.sqrt(squares / len(fingers))
+    relative = {name: value / mu for name, value in fingers.items()}
+    return relative, prior if friction is None else joined([prior, friction])

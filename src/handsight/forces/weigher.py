@@ -48,9 +48,7 @@ class WeigherOptions(NamedTuple):
     loose_object_creep: float = 3e-3
     """The same where fewer tips hold it, because the others do not touch it or are at their limits of friction: boxes
     of .3 to .5 kg move 3 to 6 mm in a second then, always the same way."""
-    sigma_gravity: float = float(
-        np.deg2rad(1.0)
-    )  # error of gravity's direction in the world, about each axis [rad]
+    sigma_gravity: float = float(np.deg2rad(1.0))  # of its direction in the world, about each axis [rad]
     wrong_mass: float = 2.33
     """A mass that is farther off than so many sigmas contradicts the declared one: by chance in 2 %, whose share of the
     sigmas is mostly that of the declared mass, so that more directions are not more chances."""
@@ -201,10 +199,8 @@ class Weigher:
 
     def _weigh(self, load: LoadSum, root: Array) -> None:
         """Weighs with the kept instants and a new one, and decides whether the result is trusted."""
-        direction = load.gravity / np.linalg.norm(load.gravity)
-        others = [
-            k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > WEIGHER.new_direction
-        ]
+        direction, others = load.gravity / np.linalg.norm(load.gravity), [kept.carried for kept in self._kept]
+        others = [each for each in others if _angle(each.load.gravity, direction) > WEIGHER.new_direction]
         self.instants = instants = (*others, Carried(load))
         # Calibration leaves biases that are about as large as a reading's noise.
         biases = np.concatenate([sensor.sigma for sensor in self.sensors])
@@ -234,9 +230,8 @@ class Weigher:
         if not self.reason and not found.consistent:
             self.reason = "the loads are not those of this weight alone: something else bears part of it"
         if not self.reason and self._doubted and len(instants) < WEIGHER.trusted_directions:
-            self.reason = (
-                f"loads have fitted no weight, and not one in {WEIGHER.trusted_directions} directions since"
-            )
+            few = WEIGHER.trusted_directions
+            self.reason = f"loads have fitted no weight, and not one in {few} directions since"
         self._doubted = self._doubted and bool(self.reason)
         self.weighing = found
         # Where only the declared mass contradicts them, the loads still fit those that were kept.

@@ -96,14 +96,9 @@ class Weighing:
         """Returns the weighing after an independent measurement of the mass [kg], such as a declared one."""
         H, off = np.eye(1, len(self.mean)), mass - self.mass
         step, covariance = kalman_update(self.joint_covariance, H, np.array([off]), np.array([[sigma**2]]))
-        chi2 = self.chi2 + off**2 / (self.joint_covariance[0, 0] + sigma**2)
-        return replace(
-            self,
-            mean=self.mean + step,
-            joint_covariance=covariance,
-            chi2=float(chi2),
-            freedom=self.freedom + 1,
-        )
+        chi2 = float(self.chi2 + off**2 / (self.joint_covariance[0, 0] + sigma**2))
+        mean, freedom = self.mean + step, self.freedom + 1
+        return replace(self, mean=mean, joint_covariance=covariance, chi2=chi2, freedom=freedom)
 
     @property
     def mass(self) -> float:
@@ -204,10 +199,8 @@ def common_equations(instants: Sequence[Carried], unknowns: Unknowns, found: Wei
     start, own = rows[:, 1:4] @ moment, rows[:, [*range(1, 8), *range(8 + j, 8 + j + len(unknowns.biases))]]
     own[:, :3] *= WEIGHT_FIT.sigma_reach * mass
     L = np.linalg.cholesky(np.eye(len(rows)) + own @ own.T)
-    left = rows[:, -7] - start - mass * rows[:, 0]
-    common = np.column_stack(
-        [rows[:, 0], rows[:, 8 : 8 + j], rows[:, 8 + j + len(unknowns.biases) : -7], left]
-    )
+    left, gains = rows[:, -7] - start - mass * rows[:, 0], rows[:, 8 + j + len(unknowns.biases) : -7]
+    common = np.column_stack([rows[:, 0], rows[:, 8 : 8 + j], gains, left])
     common = np.asarray(np.linalg.solve(L, common))
     return common[:, :-1].T @ common[:, :-1], -common[:, :-1].T @ common[:, -1]
 

@@ -54,9 +54,8 @@ class Chains:
             _check_positions(joint_positions, self.joints)
             raise
         numeric = values.ndim == 1 and values.dtype.kind in "iuf"  # not strings
-        if not numeric or not chain.poses(
-            values.astype(float), self.starts, self.steps, self.homes, Ts, axes
-        ):
+        parts = self.starts, self.steps, self.homes
+        if not numeric or not chain.poses(values.astype(float), *parts, Ts, axes):
             _check_positions(joint_positions, self.joints)
             raise InvalidInput("joint_positions: expected a finite number for each joint")
         return Ts, axes
@@ -92,9 +91,8 @@ def build_chains(model: "MjModel", base: int, bodies: Sequence[int], file: str) 
 
     Raises InvalidInput where a joint between them is neither hinge nor slide, or has no name.
     """
-    Ts_world_body = se3.compose(
-        se3.rotation_from_quaternion(model.body_quat[:, [1, 2, 3, 0]]), model.body_pos
-    )
+    Rs = se3.rotation_from_quaternion(model.body_quat[:, [1, 2, 3, 0]])
+    Ts_world_body = se3.compose(Rs, model.body_pos)
     for body in range(1, model.nbody):  # with all joints at zero; parents come first
         Ts_world_body[body] = Ts_world_body[model.body_parentid[body]] @ Ts_world_body[body]
     Ts_base_body = se3.inverse(Ts_world_body[base]) @ Ts_world_body

@@ -98,8 +98,7 @@ class Urdf:
             geometry = shape.find("geometry")
             if geometry is None or not geometry.children:
                 continue
-            mesh = geometry.find("mesh")
-            if mesh is not None:
+            if mesh := geometry.find("mesh"):
                 name = self._mesh_name(mesh)
                 if name is None:
                     self.missing[kind].append(mesh.get("filename"))

@@ -227,11 +227,8 @@ class ReorderBuffer:
     def _pop(self, edge: float) -> list[Measurement]:
         """Returns the measurements up to the edge [s], and more if too many wait; of repeated ones, the first."""
         found, waiting = list[Measurement](), self._waiting
-        while waiting and (
-            waiting[0][0] <= edge
-            or len(waiting) > CLOCKS.max_waiting
-            or self._bytes > CLOCKS.max_waiting_bytes
-        ):
+        most = CLOCKS.max_waiting_bytes
+        while waiting and (waiting[0][0] <= edge or len(waiting) > CLOCKS.max_waiting or self._bytes > most):
             self._released, _, measurement = heapq.heappop(waiting)
             self._bytes -= measurement.size
             if measurement.topic.role != "tf":
@@ -277,11 +274,9 @@ class PromptBuffer(ReorderBuffer):
 
     def _edge(self) -> float:
         while self._pending:
-            stamp, until = self._pending[0]
-            if self.now < until and any(
-                newest + half < stamp <= newest + CLOCKS.max_silence
-                for newest, half in self._reached.values()
-            ):
+            (stamp, until), reached = self._pending[0], self._reached.values()
+            due = (newest + half < stamp <= newest + CLOCKS.max_silence for newest, half in reached)
+            if self.now < until and any(due):
                 break
             self.complete = max(self.complete, stamp)
             self._pending.popleft()

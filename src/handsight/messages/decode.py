@@ -71,10 +71,9 @@ def decode(
     value: object
     try:
         if not topic.accepts(raw):
-            undefined = ", whose definition did not come: source its package" if topic.any_defined else ""
-            raise MessageRejected(
-                f"expected {' or '.join(topic.expected)}, got {raw.type or 'no type'}{undefined}"
-            )
+            came = raw.type or "no type"
+            came += ", whose definition did not come: source its package" if topic.any_defined else ""
+            raise MessageRejected(f"expected {' or '.join(topic.expected)}, got {came}")
         if role in ("tf", "tf_static"):
             return _transforms(raw, topic, reader)
         if reader and role == "wrench" and (wrench := reader.wrench(raw.data)):
@@ -90,9 +89,7 @@ def decode(
             if role == "contact":
                 found = contacts(message, topic.tips, frames["palm"])
                 topic.messages += len(found)
-                stamp = stamp or max(
-                    (_seconds(each) for each in getattr(message, "contacts", ())), default=0.0
-                )
+                stamp = stamp or max(map(_seconds, getattr(message, "contacts", ())), default=0.0)
                 return [Measurement(topic, stamp, raw.log_time, each, finger) for finger, each in found]
             value = READERS[role](message, topic, frames)
         topic.messages += 1
@@ -113,23 +110,20 @@ def _surfaces(raw: RawMessage, message: RosMessage, topic: TopicReport, stamp: f
             found.append(Measurement(topic, stamp or own, raw.log_time, values, source.name))
         except (MessageRejected, InvalidInput) as error:
             path = f"{source.field}: " if source.field and not str(error).startswith("field ") else ""
-            topic.reject(
-                MessageRejected(f"skin {source.name}: {path}{error}", nan=getattr(error, "nan", False))
-            )
+            reason, nan = f"skin {source.name}: {path}{error}", getattr(error, "nan", False)
+            topic.reject(MessageRejected(reason, nan=nan))
     return found
 
 
 def _transforms(raw: RawMessage, topic: TopicReport, reader: FastReader | None) -> list[Measurement]:
     """Returns the transforms of a TFMessage; one that cannot be used is rejected, and the others are returned."""
-    transforms = reader.transforms(raw.data) if reader else None
-    if not transforms:
-        transforms = [
-            StampedTransform(
-                _seconds(each), each.header.frame_id, each.child_frame_id, (*_xyz(p), *_xyz(q), q.w)
-            )
-            for each in _deserialized(raw).transforms
-            for p, q in [(each.transform.translation, each.transform.rotation)]
-        ]
+    transforms = (reader.transforms(raw.data) if reader else None) or []
+    for each in () if transforms else _deserialized(raw).transforms:
+        p, q = each.transform.translation, each.transform.rotation
+        numbers = (*_xyz(p), *_xyz(q), q.w)
+        transforms.append(
+            StampedTransform(_seconds(each), each.header.frame_id, each.child_frame_id, numbers)
+        )
     found = list[Measurement]()
     for each in transforms:
         topic.messages += 1
@@ -148,25 +142,16 @@ def _deserialized(raw: RawMessage) -> RosMessage:
     # The shortest message is a count. There may be many empty ones, and errors of rosbags are slow.
     if len(raw.data) < (1 if raw.type in definitions.SINGLE else 4):
         raise MessageRejected(expected)
-    store = _store_of(raw)
-    reason = ""
+    store, reason = typestore(raw.encoding), ""
+    if raw.definition and (raw.type in definitions.DEFINITIONS or raw.type not in store.types):
+        store = _defined(raw.encoding, raw.type, raw.definition)  # its own, if it is no type of ROS itself
     for layout in KINDS[raw.encoding] if raw.type == RosType.DETECTIONS else (kind,):
         try:
             message: RosMessage = getattr(store, f"deserialize_{raw.encoding}")(raw.data, layout)
             return message
-        except (
-            Exception
-        ) as error:  # code that rosbags generates raises anything: the bytes are no such message
+        except Exception as error:  # rosbags' generated code raises anything: the bytes are no such message
             reason = reason or str(error)[:80]
     raise MessageRejected(f"{expected} ({reason})")
-
-
-def _store_of(raw: RawMessage) -> "Typestore":
-    """Returns types with that of a message: as its own definition says, if it is no type of ROS itself."""
-    store = typestore(raw.encoding)
-    if raw.definition and (raw.type in definitions.DEFINITIONS or raw.type not in store.types):
-        return _defined(raw.encoding, raw.type, raw.definition)
-    return store
 
 
 @lru_cache(64)
@@ -184,9 +169,8 @@ def _defined(encoding: str, kind: str, definition: str) -> "Typestore":
             types = typesys.get_types_from_msg(definition, kind)
         store.register({name: each for name, each in types.items() if name not in store.types})
     except Exception as error:  # a parser that raises anything: the text is no definition
-        raise MessageRejected(
-            f"expected a definition of {kind}, got one that is none ({str(error)[:80]})"
-        ) from None
+        came = f"one that is none ({str(error)[:80]})"
+        raise MessageRejected(f"expected a definition of {kind}, got {came}") from None
     return store
 
 

@@ -45,10 +45,7 @@ NUMBERS = "Float32", "Float64", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UI
 SINGLE = tuple(f"std_msgs/msg/{number}" for number in ("Bool", *NUMBERS))
 PLAIN_TAXELS = (
     *(f"std_msgs/msg/{number}MultiArray" for number in NUMBERS),
-    *SINGLE,
-    "sensor_msgs/msg/Image",
-    "sensor_msgs/msg/ChannelFloat32",
-    "tactile_msgs/msg/TactileState",
+    *(*SINGLE, "sensor_msgs/msg/Image", "sensor_msgs/msg/ChannelFloat32", "tactile_msgs/msg/TactileState"),
 )
 """Types with readings of taxels that are found without a path into the message; of a TactileState by the name."""
 TAXELS = (

@@ -33,9 +33,8 @@ def match_topics(types: Mapping[str, str], fingers: Sequence[str]) -> tuple[Topi
         named = {t: finger_name([t]) for t, kind in types.items() if kind in kinds}
         found = {finger: t for t, finger in named.items() if finger in fingers}
         found |= {finger: t for finger in fingers for t in named if f"/{finger.lower()}/" in t.lower()}
-        rest = sorted(
-            named.keys() - found.values(), key=lambda t: [int(n) for n in re.findall(r"\d+", t)] or [0]
-        )
+        numbers = {t: [int(n) for n in re.findall(r"\d+", t)] or [0] for t in named}
+        rest = sorted(named.keys() - found.values(), key=numbers.__getitem__)
         found |= dict(zip((f for f in fingers if f not in found), rest, strict=False))
         used.update({t: f"{what} of {finger}" for finger, t in found.items()})
         return {finger: found[finger] for finger in fingers if finger in found}

@@ -70,26 +70,21 @@ class Report:
             messages += topic.sentences()
         joints = self.topics.get(self.joint_states)
         if joints is not None and joints.gaps:
-            messages.append(
-                f"{joints.name}: {joints.gaps} gaps of more than {TOPICS.max_gap} s, the longest {joints.gap:.3f} s"
-            )
+            longer = f"of more than {TOPICS.max_gap} s, the longest {joints.gap:.3f} s"
+            messages.append(f"{joints.name}: {joints.gaps} gaps {longer}")
         of = f"of {self.observations} observations"
         fingers, arrays = self.without.items(), self.without_skin.items()
         messages += shortened(f"finger {name}: no wrench in {count} {of}" for name, count in fingers)
         messages += shortened(f"skin {name}: no reading in {count} {of}" for name, count in arrays)
         others = sorted(name for name, kind in self.others.items() if kind == RosType.WRENCH)
-        return [printable(each) for each in messages] + shortened(
-            f"{name}: wrenches of no finger of the rig; not used" for name in others
-        )
+        unused = shortened(f"{name}: wrenches of no finger of the rig; not used" for name in others)
+        return [printable(each) for each in messages] + unused
 
 
 def _counted(now: T, before: T) -> T:
     """Returns a report with all its numbers counted after an earlier one."""
-    changes: dict[str, Any] = {
-        each.name: getattr(now, each.name) - getattr(before, each.name)
-        for each in fields(now)
-        if type(getattr(now, each.name)) in (int, Counter)
-    }
+    counts = [each.name for each in fields(now) if type(getattr(now, each.name)) in (int, Counter)]
+    changes: dict[str, Any] = {name: getattr(now, name) - getattr(before, name) for name in counts}
     return replace(now, **changes)
 
 

@@ -9,20 +9,9 @@ from handsight.messages.definitions import CONTACTS, PLAIN_TAXELS, SHADOW, TAXEL
 from handsight.rig import Rig
 
 Role = Literal[
-    "joints",
-    "wrench",
-    "contact",
-    "skin",
-    "vision",
-    "truth",
-    "color",
-    "depth",
-    "detections",
-    "mask",
-    "tf",
-    "tf_static",
+    "joints", "wrench", "contact", "skin", "vision", "truth", "color", "depth", "detections", "mask", "tf", "tf_static",
     "info",
-]
+]  # fmt: skip
 
 
 class RosType:

@@ -63,12 +63,8 @@ PARTICLES, LIKELIHOOD, CERTAINTY = ParticleOptions(), LikelihoodOptions(), Certa
 MAX_SEED = 2**32
 
 
-@renamed_members(
-    sure="is_certain",
-    weight="probability",
-    prior="pose_world_object",
-    T_world_object="pose_world_object.T_a_b",
-)
+@renamed_members(sure="is_certain", weight="probability", prior="pose_world_object")
+@renamed_members(T_world_object="pose_world_object.T_a_b")
 @dataclass(frozen=True, slots=True, eq=False)
 class Mode:
     """A `Mode` is particles within 15 mm and 20° of each other, modulo symmetry, as one Gaussian."""
@@ -211,11 +207,9 @@ class Belief:
         off2 = ((offsets - mean) ** 2).reshape(-1, 2, 3).sum(axis=2)
         off2 += [table.sigma_height**2, 2 * table.sigma_tilt**2]
         near = (off2 < np.square([CERTAINTY.position, CERTAINTY.rotation])).all(axis=1)
-        deviations = np.sqrt(np.diag(covariance))
-        pose, n = at_center.at_point(-model.center_object), len(self.placements)
-        return Mode(
-            pose, len(Ts) / n, float(near.sum()) / n, float(np.hypot(*deviations[:2])), float(deviations[5])
-        )
+        (sigma_x, sigma_y, *_, sigma_yaw), n = np.sqrt(np.diag(covariance)), len(self.placements)
+        pose, certainty = at_center.at_point(-model.center_object), float(near.sum()) / n
+        return Mode(pose, len(Ts) / n, certainty, float(np.hypot(sigma_x, sigma_y)), float(sigma_yaw))
 
 
 def placements_about(

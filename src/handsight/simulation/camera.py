@@ -17,13 +17,8 @@ from handsight.vision import DepthNoise
 
 TARGET = np.array([0.0, 0.02, 0.07])
 """The point that the camera faces, and about which its calibration is turned, in the world [m]."""
-INTRINSICS = np.array(
-    [
-        [SCENE.focal_length, 0, (IMAGE_SIZE[0] - 1) / 2],
-        [0, SCENE.focal_length, (IMAGE_SIZE[1] - 1) / 2],
-        [0, 0, 1.0],
-    ]
-)
+INTRINSICS = np.diag([SCENE.focal_length, SCENE.focal_length, 1.0])
+INTRINSICS[:2, 2] = (np.array(IMAGE_SIZE) - 1) / 2
 """The camera matrix (3, 3) [pixels]; the centres of pixels have integer coordinates."""
 EDGE = 0.02
 """How much nearer a surface at less than 1 m must be for depth to be lost beside it [m]; at z > 1 m it is `EDGE` z², as

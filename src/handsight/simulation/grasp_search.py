@@ -73,9 +73,8 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
     else:
         fit = HandFit(scenario.rig, built, body, int(scenario.seed))
         candidates, opening = fit.grasps(), f"fingertips open to {1000 * fit.opening:.0f} mm; "
-    failures: Counter[str] = Counter()
+    failures, trials = Counter[str](), 0
     best: tuple[float, Grasp | None, str] = (-1.0, None, "")
-    trials = 0
     for fitted, (grasp, reason, name) in enumerate(islice(candidates, GRASP_SEARCH.max_fitted)):
         if progress is not None:
             progress(max(fitted / GRASP_SEARCH.max_fitted, trials / GRASP_SEARCH.max_trials))

@@ -58,12 +58,9 @@ class Payload:
         """Returns the payload drawn by the scenario's seed; raises as `scene` does."""
         n, rng = scenario.nuisances, np.random.default_rng((int(scenario.seed), 10))
         off, force = rng.normal(size=3), rng.normal(size=3)
+        errors = tip_errors(n, int(scenario.seed), scenario.fingers)
         touch: dict[str, Any] = {"friction": float(n.friction), "pyramidal": bool(n.pyramidal_friction)}
-        touch |= {
-            "softness": float(n.contact_softness),
-            "tip_errors": tip_errors(n, int(scenario.seed), scenario.fingers),
-        }
-        touch["rig"] = scenario.rig
+        touch |= {"softness": float(n.contact_softness), "tip_errors": errors, "rig": scenario.rig}
         usual = scene(scenario.object, **touch)
         low, high = usual.bounds_object
         point = (low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low)

@@ -47,11 +47,8 @@ class Grasp:
 
 
 def _joints(**of_finger: Mapping[int, float]) -> dict[str, float]:
-    return {
-        f"robot0:{finger}J{number}": angle
-        for finger, angles in of_finger.items()
-        for number, angle in angles.items()
-    }
+    joints = {f"{finger}J{k}": angle for finger, angles in of_finger.items() for k, angle in angles.items()}
+    return {f"robot0:{joint}": angle for joint, angle in joints.items()}
 
 
 _UPRIGHT = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
@@ -101,11 +98,9 @@ def perturbed(grasp: Grasp, rng: np.random.Generator) -> Grasp:
     shift = rng.uniform(-MOTION.max_shift, MOTION.max_shift, 3)
     turn = rng.uniform(-MOTION.max_rotation, MOTION.max_rotation, 3)
     aim = rng.uniform(-MOTION.max_aim, MOTION.max_aim, len(grasp.closed))
-    return replace(
-        grasp,
-        T_palm_middle=se3.moved(grasp.T_palm_middle, np.concatenate([shift, turn])),
-        closed={joint: angle + a for (joint, angle), a in zip(grasp.closed.items(), aim, strict=True)},
-    )
+    closed = {joint: angle + a for (joint, angle), a in zip(grasp.closed.items(), aim, strict=True)}
+    T_palm_middle = se3.moved(grasp.T_palm_middle, np.concatenate([shift, turn]))
+    return replace(grasp, T_palm_middle=T_palm_middle, closed=closed)
 
 
 LEGS = np.array(

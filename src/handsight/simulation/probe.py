@@ -137,9 +137,8 @@ class Probe(World):
                     found.append([*T[:2, 3], low])
                     break
         if not found:
-            raise InvalidInput(
-                f"places: expected some over the table, touched nothing at any of {len(np.atleast_2d(places))}"
-            )
+            came = f"touched nothing at any of {len(np.atleast_2d(places))}"
+            raise InvalidInput(f"places: expected some over the table, {came}")
         points = np.array(found)
         points = points[np.abs(points[:, 2] - np.median(points[:, 2])) < PROBE.table_unevenness]
         # The slopes are near 0, by the table's prior. An error that all touches share moves the height only.

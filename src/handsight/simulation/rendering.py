@@ -69,11 +69,8 @@ class Renderer:
             if not show_object and drawn.objtype == self._mujoco.mjtObj.mjOBJ_GEOM and drawn.objid == geom:
                 drawn.rgba[3] = 0.0
         if ghost is not None:
-            (T_palm_object, rgba), model, palm = (
-                ghost,
-                self._scene.model,
-                self._data.body(self._scene.hand.palm),
-            )
+            (T_palm_object, rgba), model = ghost, self._scene.model
+            palm = self._data.body(self._scene.hand.palm)
             T_world_palm = se3.compose(palm.xmat.reshape(3, 3), palm.xpos)
             # MuJoCo moves a mesh's frame to its principal axes of inertia.
             quaternion_xyzw = np.roll(model.geom_quat[geom], -1)
@@ -99,9 +96,8 @@ class Renderer:
         camera = data.camera("camera")
         # OpenGL looks along -z, y up.
         camera.xpos[:], camera.xmat[:] = T_world_camera[:3, 3], (T_world_camera[:3, :3] * [1, -1, -1]).ravel()
-        self._mujoco.mjv_updateScene(
-            model, data, self._option, None, self._camera, self._mujoco.mjtCatBit.mjCAT_ALL.value, self._drawn
-        )
+        every = self._mujoco.mjtCatBit.mjCAT_ALL.value
+        self._mujoco.mjv_updateScene(model, data, self._option, None, self._camera, every, self._drawn)
 
     def _pixels(self, *, finer: int = 1) -> tuple[Color, Depth]:
         """Returns colour (h, w, 3) and the depth buffer (h, w), of `finer` times the image's size."""

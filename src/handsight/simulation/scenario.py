@@ -267,20 +267,15 @@ class Scenario:
 
     def __post_init__(self) -> None:
         meshes, name = (".stl", ".obj", ".ply", ".off"), self.object
-        if not isinstance(name, str) or (
-            name not in ("can", "box") and Path(name).suffix.lower() not in meshes and not _in_library(name)
-        ):
+        suffix = Path(name).suffix.lower() if isinstance(name, str) else ""
+        if not isinstance(name, str) or not (name in ("can", "box") or suffix in meshes or _in_library(name)):
             expected = f"expected can, box, a mesh file ({', '.join(meshes)}) or an object of the library"
             raise InvalidInput(f"object: {expected}, got {name!r:.80}")
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
             raise InvalidInput(f"seed: expected a whole number of at least 0, got {self.seed!r:.60}")
-        for name, kinds in (
-            ("motion", get_args(Motion)),
-            ("sensors", get_args(SensorKind)),
-            ("depth_camera", get_args(DepthCamera)),
-        ):
-            if (value := getattr(self, name)) not in kinds:
-                raise InvalidInput(f"{name}: expected one of {', '.join(kinds)}, got {value!r:.80}")
+        for name, kind in {"motion": Motion, "sensors": SensorKind, "depth_camera": DepthCamera}.items():
+            if (value := getattr(self, name)) not in get_args(kind):
+                raise InvalidInput(f"{name}: expected one of {', '.join(get_args(kind))}, got {value!r:.80}")
         if not isinstance(self.nuisances, Nuisances):
             raise InvalidInput(f"nuisances: expected Nuisances, got {type(self.nuisances).__name__}")
         for name in ("images", "skin"):

@@ -188,11 +188,8 @@ def _shadow_hand(mujoco: ModuleType) -> tuple["MjSpec", HandInWorld]:
         spec.geom(f"robot0:V_{finger}distal").group = SCENE.hidden_group
         T_link_sensor = se3.compose(np.eye(3), np.array([0.0, 0.0, SCENE.sensor_z]))
         center = np.array([0.0, 0.0, center_z])
-        T_sensor_surface = se3.compose(np.eye(3), center)
-        link = f"robot0:{finger}distal"
-        tips[finger] = TipInWorld(
-            link, T_link_sensor, T_sensor_surface, semi_axes, SCENE.tip_mass, center, unloaded, 1.0
-        )
+        link, placed = f"robot0:{finger}distal", (T_link_sensor, se3.compose(np.eye(3), center))
+        tips[finger] = TipInWorld(link, *placed, semi_axes, SCENE.tip_mass, center, unloaded, 1.0)
     mount = spec.body("robot0:hand mount")
     mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # else its Euler angles override the quaternion
     # Tips that are no neighbours never meet.
@@ -271,9 +268,8 @@ def _add_table_and_camera(mujoco: ModuleType, spec: "MjSpec") -> None:
         contype=0, conaffinity=SCENE.table_collision_bit, friction=[0.4, 0.005, 0.0001], priority=1,
         rgba=[0.85, 0.76, 0.64, 1], **stiffness(0.0),
     )  # fmt: skip
-    spec.worldbody.add_camera(
-        name="camera", fovy=float(np.rad2deg(2 * np.arctan(IMAGE_SIZE[1] / 2 / SCENE.focal_length)))
-    )
+    fovy = float(np.rad2deg(2 * np.arctan(IMAGE_SIZE[1] / 2 / SCENE.focal_length)))
+    spec.worldbody.add_camera(name="camera", fovy=fovy)
     # All lights together are less than full, or white parts would lose their shape.
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.25] * 3, [0.15] * 3
     if spec.light("light0") is not None:  # of the Shadow hand's file

@@ -37,13 +37,7 @@ SKIN = SkinOptions()
 T_PALM_GRID = np.array([[1.0, 0, 0, 0.011], [0, 0, -1, -0.0111], [0, 1, 0, 0.045], [0, 0, 0, 1]])
 """On the face of the palm's collision box that is towards -y."""
 PALM_SKIN = TactileSurface.grid(
-    frame=PALM,
-    T_frame_grid=T_PALM_GRID,
-    rows=20,
-    columns=15,
-    pitch=0.004,
-    threshold=0.015,
-    full_scale=5.0,
+    frame=PALM, T_frame_grid=T_PALM_GRID, rows=20, columns=15, pitch=0.004, threshold=0.015, full_scale=5.0
 )
 """The array of 60 x 80 mm on the simulated palm: its x is towards the thumb, its y towards the fingers."""
 
@@ -130,11 +124,8 @@ class ElasticSkin:
         """Returns the skin of a flat grid of taxels, with springs below these alone."""
         fine = array.pitch / SKIN.springs
         steps = fine * (np.arange(SKIN.springs) - (SKIN.springs - 1) / 2)
-        within = np.stack([*np.meshgrid(steps, steps), np.zeros((SKIN.springs, SKIN.springs))], 2).reshape(
-            -1, 3
-        )
-        n, each = len(array.points), len(within)
-        axes = array.taxels["axes"]
+        within = np.stack(np.meshgrid(steps, steps, 0.0), axis=-1).reshape(-1, 3)
+        n, each, axes = len(array.points), len(within), array.taxels["axes"]
         points = array.points[:, None] + within @ axes.swapaxes(1, 2)
         normals, taxels = np.repeat(axes[:, :, 2], each, axis=0), np.repeat(np.arange(n), each)
         return cls(points.reshape(-1, 3), normals, np.full(n * each, fine**2), taxels, array.points)

@@ -272,11 +272,5 @@ def messages(
             rows = values.reshape(-1, 3).astype(np.float32)
             channels = {name: rows.ravel(), f"{name}_resultant": rows.sum(axis=0)}
             sensors = [Message(name=key, values=each) for key, each in channels.items()]
-            yield (
-                f"/{name}/taxels",
-                "tactile_msgs/msg/TactileState",
-                {
-                    "header": header(stamp),
-                    "sensors": sensors,
-                },
-            )
+            fields = {"header": header(stamp), "sensors": sensors}
+            yield f"/{name}/taxels", "tactile_msgs/msg/TactileState", fields

@@ -110,16 +110,14 @@ class Moment:
         T_world_palm = np.eye(4) if self.T_world_palm is None else self.T_world_palm
         gravity = np.zeros(3) if self.T_world_palm is None else rig.gravity
         found = {}
-        for name in self.fingertips.fingers:
-            if name in self.wrenches:
-                finger, reading = rig.fingers[name], np.asarray(self.wrenches[name])
-                T_palm_sensor = Ts[name] @ finger.T_frame_surface
-                if finger.tip.T_surface_sensor is not None:
-                    T_palm_sensor = T_palm_sensor @ finger.tip.T_surface_sensor
-                R = T_palm_sensor[:3, :3]
-                gravity_sensor = R.T @ T_world_palm[:3, :3].T @ gravity
-                force, _ = compensate(reading[:3], reading[3:], gravity_sensor, finger.calibration)
-                found[name] = R @ force
+        for name in (finger for finger in self.fingertips.fingers if finger in self.wrenches):
+            finger, reading = rig.fingers[name], np.asarray(self.wrenches[name])
+            R = Ts[name][:3, :3] @ finger.T_frame_surface[:3, :3]
+            if finger.tip.T_surface_sensor is not None:
+                R = R @ finger.tip.T_surface_sensor[:3, :3]
+            gravity_sensor = R.T @ T_world_palm[:3, :3].T @ gravity
+            force, _ = compensate(reading[:3], reading[3:], gravity_sensor, finger.calibration)
+            found[name] = R @ force
         return found
 
     @property

@@ -125,9 +125,8 @@ class Page:
 
     def redraw(self) -> None:
         """Shows the same moment again, after a person has chosen other layers."""
-        last = self.last
-        if last is not None:
-            self.draw(last)
+        if self.last is not None:
+            self.draw(self.last)
 
     def close(self) -> None:
         """Ends the server; browsers keep what they show."""
@@ -139,17 +138,14 @@ class Page:
         shown, estimate = moment.picture, moment.estimate
         if shown is None:
             return
-        vision = None if moment.vision is None else moment.vision.T_palm_object
-        poses = {
-            # Vision's pose was brought into the palm by the calibrated camera; the same brings it back.
-            "vision": (shown.T_camera_palm_calibrated, vision),
-            "object": (shown.T_camera_palm, None if estimate is None else estimate.T_palm_object),
-        }
-        outlines = {
-            LAYERS[name][1]: T_camera_palm @ T
-            for name, (T_camera_palm, T) in poses.items()
-            if T is not None and T_camera_palm is not None and self.scene.layers[name]
-        }
+        outlines = {}
+        # Vision's pose was brought into the palm by the calibrated camera; the same brings it back.
+        for name, known, T_camera_palm in (
+            ("vision", moment.vision, shown.T_camera_palm_calibrated),
+            ("object", estimate, shown.T_camera_palm),
+        ):
+            if known is not None and T_camera_palm is not None and self.scene.layers[name]:
+                outlines[LAYERS[name][1]] = T_camera_palm @ known.T_palm_object
         before, stamp, drawn = self._drawn
         if shown is before and outlines.keys() == drawn.keys():
             moved = max((np.abs(T - drawn[color]).max() for color, T in outlines.items()), default=0.0)
@@ -180,5 +176,5 @@ class Page:
         self.server.scene.set_up_direction(up)
         self.server.initial_camera.up = up
         for camera in (self.server.initial_camera, *(c.camera for c in self.server.get_clients().values())):
-            for name, value in (("position", position), ("look_at", center)):  # viser asks for this order
-                setattr(camera, name, value)
+            camera.position = position  # viser asks for this order
+            camera.look_at = center

@@ -15,36 +15,12 @@ from handsight.vision.pixels import read_camera, read_color, read_depth
 from handsight.vision.registration import register_color
 
 __all__ = [
-    "PRESETS",
-    "STEREO",
-    "STRUCTURED_LIGHT",
-    "TIME_OF_FLIGHT",
-    "DepthNoise",
-    "DepthTracker",
-    "FirstPoseSource",
-    "HandAppearance",
-    "JudgedStarts",
-    "ObjectDetection",
-    "ObjectInstance",
-    "PalmDetection",
-    "PalmNotFound",
-    "PlacedHand",
-    "Recognition",
-    "SceneDetection",
-    "Sighting",
-    "depth_points",
-    "detect_palm",
-    "follow_palm",
-    "hand_mask",
-    "locate",
-    "locate_all",
-    "locate_detected",
-    "read_camera",
-    "read_color",
-    "read_depth",
-    "recognise",
+    "PRESETS", "STEREO", "STRUCTURED_LIGHT", "TIME_OF_FLIGHT", "DepthNoise", "DepthTracker", "FirstPoseSource",
+    "HandAppearance", "JudgedStarts", "ObjectDetection", "ObjectInstance", "PalmDetection", "PalmNotFound",
+    "PlacedHand", "Recognition", "SceneDetection", "Sighting", "depth_points", "detect_palm", "follow_palm",
+    "hand_mask", "locate", "locate_all", "locate_detected", "read_camera", "read_color", "read_depth", "recognise",
     "register_color",
-]
+]  # fmt: skip
 
 __getattr__ = renamed(
     __name__,

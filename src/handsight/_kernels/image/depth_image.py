@@ -190,10 +190,9 @@ def _gathered(surface: Any, image: Any, window: Any, at: Any, found: Any) -> int
                 continue
             P = point_at(rays, depth, v, u)
             way = sub(P, center)
-            if (
-                dot(way, way) < reach2
-                and abs(field_at(nodes, coarse, apply_inverse(pose, P))[0]) < here.within
-            ):
+            if not dot(way, way) < reach2:
+                continue
+            if abs(field_at(nodes, coarse, apply_inverse(pose, P))[0]) < here.within:
                 found[count] = v * depth.shape[1] + u
                 count += 1
     return count

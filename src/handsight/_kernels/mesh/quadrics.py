@@ -34,11 +34,7 @@ LEVEL = np.dtype(
     [
         ("place", "i8"),  # number of this window size, from the smallest
         ("window", "f8"),  # radius [m]
-        (
-            "origin",
-            "f8",
-            (3,),
-        ),  # of the grid whose cells sort the points; a cell is as wide as the window's radius
+        ("origin", "f8", (3,)),  # of the grid that sorts the points, a cell of it as wide as that radius
         ("shape", "i8", (3,)),  # of that grid
         ("variance", "f8"),  # of a point's noise [m²]
         ("together", "f8"),  # how many points share one noise
@@ -258,11 +254,8 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
         if patch.fits > 0 and not level.free:
             excess = QUADRICS.max_excess * np.sqrt(2 * level.together / room.many)
             expected = level.variance * (1 + excess) + level.tolerance
-            if (
-                left_out > QUADRICS.max_left_out
-                or trial.spread > expected
-                or _has_drifted(trial, earlier[k], level.place, room.tensor)
-            ):
+            wide = left_out > QUADRICS.max_left_out or trial.spread > expected
+            if wide or _has_drifted(trial, earlier[k], level.place, room.tensor):
                 patch.ended = 1
                 continue
         patches[k] = trial

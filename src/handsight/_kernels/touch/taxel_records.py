@@ -13,7 +13,7 @@ TAXEL = np.dtype(
             "edge",
             float,
             3,
-        ),  # mean unit vector to its neighbours: 0 amid them, of length 1 where they are on one side
+        ),  # mean unit vector to its neighbours: 0 amid them, of length 1 on one side of them
         ("near", np.int64, NEAR),  # neighbours; the number of taxels where there are fewer
         ("wide", np.int64, WIDE),  # those up to two taxels away
         ("beside", np.int64, 4),  # the neighbour towards -x, +x, -y, +y
@@ -22,11 +22,8 @@ TAXEL = np.dtype(
 """One taxel of a surface."""
 SURFACE = np.dtype(
     [
-        *((name, float, 3) for name in ("scale", "offset")),
-        *(
-            (name, float)
-            for name in ("threshold", "full_scale", "noise", "variance_point", "variance_normal")
-        ),
+        *(("scale", float, 3), ("offset", float, 3), ("threshold", float), ("full_scale", float)),
+        *(("noise", float), ("variance_point", float), ("variance_normal", float)),
         ("pitch", float),  # side of a taxel [m]
         ("variance_mount", float, 6),  # of the common error, shift [m²] and turn [rad²]
         ("flat", bool),  # whether all normals are parallel
@@ -35,29 +32,19 @@ SURFACE = np.dtype(
 """What all taxels of a surface have in common; the names are those of `handsight.contact.TactileSurface`."""
 PATCH = np.dtype(
     [
-        *(
-            (name, float, 3) for name in ("point", "normal", "force")
-        ),  # as those of a `handsight.contact.Contact`
+        *((name, float, 3) for name in ("point", "normal", "force")),  # as a `handsight.contact.Contact` has
         ("covariance", float, (6, 6)),
-        (
-            "torque",
-            float,
-        ),  # NaN, as the force is, unless the surface has three components, none at its full scale
+        ("torque", float),  # NaN, as the force is, unless there are three components, none at its full scale
         ("wrench", float, 6),  # the force, and its torque about the link's origin [N m]
         ("total", float),  # sum of the readings along the normals
-        (
-            "contacts",
-            float,
-        ),  # of a surface whose contacts have so much in common that they count as one, their number
+        ("contacts", float),  # the number of contacts that have so much in common that they count as one
         ("flat", bool),
     ]
 )
 """Taxels that touch each other, and the contact at their centre of pressure, in the link."""
 WATCHED = np.dtype(
     [
-        *(
-            (name, float, 3) for name in ("mean", "first", "last")
-        ),  # readings at rest, the first of these, the last one
+        *((name, float, 3) for name in ("mean", "first", "last")),  # reading at rest, at first, and last
         ("varied", bool),  # whether it has changed at rest
         ("still", np.int64),  # readings since its last change
         ("fault", np.int64),  # number in `FAULTS`

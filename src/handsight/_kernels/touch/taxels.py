@@ -23,9 +23,7 @@ from handsight._kernels.touch.taxel_records import (
 class TaxelOptions(NamedTuple):
     """`TaxelOptions` are the constants of patches, fitted to simulated tips (`tests/tip_scenes.py`), and of faults."""
 
-    flat: float = math.cos(
-        math.radians(3.0)
-    )  # of the angle between the normals of a flat patch and their mean
+    flat: float = math.cos(math.radians(3.0))  # of the angle of a flat patch's normals with their mean
     filled: float = 0.5  # sigma of the reading that a dead taxel is given, as a share of it
     steeper: float = 0.35
     """The reading of a dead taxel is above the mean of its neighbours by this share of what that is above the mean of
@@ -101,10 +99,8 @@ def sense_taxels(
                         j, steps = taxels[j].beside[side], steps + 1
                     ends += touched[j]
                 state[i] = UNKNOWN if ends == 2 else state[i]
-            if state[i] == FAR and (
-                record.flat or (_sum(touched, taxels[i].wide) and not _sum(touched, near))
-            ):
-                state[i] = UNTOUCHED
+            beside = record.flat or (_sum(touched, taxels[i].wide) > 0 and not _sum(touched, near))
+            state[i] = UNTOUCHED if state[i] == FAR and beside else state[i]
     return _find_patches(record, taxels, touched, rise, states, patches)
 
 

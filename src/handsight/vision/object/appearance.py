@@ -80,9 +80,10 @@ def appearance_of(model: ObjectModel) -> Appearance:
         area *= 2
     directions = se3.directions(DIRECTIONS)
     name = cache.key("visible 2", samples, directions, model.vertices, model.faces)
-    packed = cache.remembered_numbers(
+    bits = cache.remembered_numbers(
         "bits", name, np.uint8, lambda: visible_sets(model, samples, directions).reshape(-1)
-    ).reshape(DIRECTIONS, -1)
+    )
+    packed = bits.reshape(DIRECTIONS, -1)
     sides = Sides(samples, directions, packed, area)
     few = Sides(samples[:, :FEW].copy(), directions, packed[:, : FEW // 8].copy(), area * (SAMPLES // FEW))
     count, diameter = voters.shape[1], model.diameter

@@ -16,21 +16,9 @@ from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import (
-    NOTHING_KNOWN,
-    Candidates,
-    candidates_at,
-    poses_of,
-    surface_distances,
-)
+from handsight.vision.candidates import NOTHING_KNOWN, Candidates, candidates_at, poses_of, surface_distances
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
-from handsight.vision.object.first_pose import (
-    JudgedStarts,
-    ObjectDetection,
-    first_pose,
-    log_odds,
-    logit,
-)
+from handsight.vision.object.first_pose import JudgedStarts, ObjectDetection, first_pose, log_odds, logit
 from handsight.vision.object.pose_refiner import PoseRefiner
 from handsight.vision.object.region import REGION, Scene, scene_of
 

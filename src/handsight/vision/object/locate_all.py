@@ -343,13 +343,8 @@ class _Pool:
             owner = self.owners(chosen)
             odds = [self.odds(limits, chosen, k, owner) for k in range(len(chosen))]
             own = np.array([one[n] for one, n in zip(odds, chosen, strict=True)])
-            better = [
-                (value - own[k], k, n)
-                for k, one in enumerate(odds)
-                for n, value in one.items()
-                if value > own[k] and n not in tried and n not in banned
-            ]
-            if better:
+            free = [(k, n) for k, one in enumerate(odds) for n in one if n not in tried and n not in banned]
+            if better := [(odds[k][n] - own[k], k, n) for k, n in free if odds[k][n] > own[k]]:
                 _, k, chosen[k] = max(better)
                 tried.add(chosen[k])
                 continue

@@ -115,12 +115,9 @@ def detect_palm(
     """
     T = se3.check(T_camera_palm, "T_camera_palm")
     camera.check_size(depth, "depth")
-    sigmas = (
-        checks.positive(sigma_position, "sigma_position"),
-        checks.positive(sigma_rotation, "sigma_rotation"),
-    )
-    belief = Belief(hand, T, sigmas)
-    picture = picture_of(camera, depth, hand, T, sigmas[0])
+    sigma = checks.positive(sigma_position, "sigma_position")
+    belief = Belief(hand, T, (sigma, checks.positive(sigma_rotation, "sigma_rotation")))
+    picture = picture_of(camera, depth, hand, T, sigma)
     if picture is None:
         return PalmNotFound("outside")
     visible = hand.visible_from(camera, T)

@@ -59,11 +59,8 @@ class Volume:
         to_other = T_other_self[:3, :3] * (self.grid.cell / other.grid.cell)
         first = (se3.apply(T_other_self, self.grid.origin[None])[0] - other.grid.origin) / other.grid.cell
         for name, order in (("sum", 1), ("weight", 1), ("views", 0), ("passed", 0)):
-            values, at = (
-                np.ascontiguousarray(other.voxels[name]),
-                {"output_shape": self.grid.shape, "order": order},
-            )
-            self.voxels[name] += affine_transform(values, to_other, first, mode="constant", **at)
+            values = np.ascontiguousarray(other.voxels[name])
+            self.voxels[name] += affine_transform(values, to_other, first, self.grid.shape, order=order)
         self.views += other.views
 
     def known(self, least: int = MIN_VIEWS) -> Mask:
