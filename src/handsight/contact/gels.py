@@ -17,8 +17,7 @@ from handsight.checks import Array
 from handsight.contact.taxels import TactileSurface
 from handsight.errors import InvalidInput
 
-MOST_CELLS = 2048
-"""Cells of a gel at most; a larger image is averaged over blocks of pixels."""
+MOST_CELLS = 2048  # cells of a gel at most; a larger image is averaged over blocks of pixels
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -18,10 +18,8 @@ from handsight.contact.contact import REASON_NAMES, Contact, ContactBatch, NoCon
 from handsight.contact.fingertips import Fingertip
 from handsight.errors import InvalidInput
 
-SIGMA_FORCE = 1e-2
-"""Default standard deviation of a force reading, per axis [N]."""
-SIGMA_TORQUE = 5e-5
-"""Default standard deviation of a torque reading, per axis [N m]."""
+SIGMA_FORCE = 1e-2  # default standard deviation of a force reading, per axis [N]
+SIGMA_TORQUE = 5e-5  # default standard deviation of a torque reading, per axis [N m]
 
 
 def contact_from_wrench(

@@ -32,8 +32,7 @@ Place = str | os.PathLike[str] | TextIO
 Format = Literal["csv", "jsonl"]
 Labels = dict[str, object]
 
-NUMBERS, LABELS = ("fx", "fy", "fz", "tx", "ty", "tz"), ("stamp", "finger")
-"""Columns of a CSV of wrenches."""
+NUMBERS, LABELS = ("fx", "fy", "fz", "tx", "ty", "tz"), ("stamp", "finger")  # columns of a CSV of wrenches
 COLUMNS = (
     *("reason", "x", "y", "z", "nx", "ny", "nz", "force_normal"),
     *("force_tangential_x", "force_tangential_y", "force_tangential_z", "torque"),

@@ -42,8 +42,7 @@ MOST_TAXELS, FLAT = 4096, math.radians(3.0)
 class Grid(NamedTuple):
     """A `Grid` is the layout of a flat grid of taxels."""
 
-    T_frame_grid: Array
-    """(4, 4) pose of the grid in the body."""
+    T_frame_grid: Array  # (4, 4) pose of the grid in the body
     rows: int
     columns: int
 

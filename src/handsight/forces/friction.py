@@ -69,21 +69,17 @@ class Friction:
 
     def __init__(self, declared: float | None = None, sigma: float | None = None) -> None:
         """Starts without any load; `declared` is μ with its standard deviation, None where it is unknown."""
-        self.coefficient = declared
-        """μ; None before it was declared or there were enough turns."""
-        self.sigma = sigma
-        """Standard deviation of μ; None where μ is."""
+        self.coefficient = declared  # μ; None before it was declared or there were enough turns
+        self.sigma = sigma  # standard deviation of μ; None where μ is
         self._declared = None if declared is None or sigma is None else (declared, sigma)
         self._anchors: Mapping[str, Vector] = {}
         """By finger, the ratio vector from which the next turn is measured."""
         self._turns = np.zeros(BINS, dtype=np.int64)
         """(BINS,) number of turns in each bin of the logarithm of the ratio."""
-        self._error = 0
-        """Standard deviation of the ratios in bins."""
+        self._error = 0  # standard deviation of the ratios in bins
         self._heap: tuple[float, int] | None = None
         """Mean ratio of the highest heap, and its turns; None before there was one."""
-        self._kept_up: Mapping[str, float] = {}
-        """By finger, the highest ratio that it has kept up."""
+        self._kept_up: Mapping[str, float] = {}  # by finger, the highest ratio that it has kept up
 
     def update(
         self, vectors: Mapping[str, Vector], since: float, sliding: Collection[str] = (), error: float = 0.0

@@ -53,19 +53,15 @@ class SlipOptions(NamedTuple):
 
 SLIP = SlipOptions()
 
-Load = list[float]
-"""Tangential force (3), normal force, torque about the normal."""
+Load = list[float]  # tangential force (3), normal force, torque about the normal
 
 
 class _Limits(NamedTuple):
     """The `_Limits` of what measures a load."""
 
-    min_force: float
-    """Normal force above which its ratio counts [N]."""
-    sure_force: float
-    """The same above which friction is learnt from it [N]."""
-    noise: float
-    """Of its tangential load [N]."""
+    min_force: float  # normal force above which its ratio counts [N]
+    sure_force: float  # the same above which friction is learnt from it [N]
+    noise: float  # of its tangential load [N]
     gain: float
     """Relative error of its ratio; 0: of a six-axis sensor, which has the same gain at every place."""
 
@@ -87,10 +83,8 @@ class _Limits(NamedTuple):
 class _Ratios(NamedTuple):
     """A `_Ratios` is a finger's load on its limit surface, and the ratios of the last readings, without μ."""
 
-    tangential: float
-    """√(f_t² + (τ / e)²), averaged as far as its noise requires [N]."""
-    normal: float
-    """The same of f_n [N]."""
+    tangential: float  # √(f_t² + (τ / e)²), averaged as far as its noise requires [N]
+    normal: float  # the same of f_n [N]
     last: tuple[tuple[float, float, float], ...]
     """Stamps [s], ratios and normal forces [N] of the last readings."""
 

@@ -55,8 +55,7 @@ class WeigherOptions(NamedTuple):
     right_mass: float = 1.64  # a declared mass stays contradicted until it is nearer (a level of 10 %)
     biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
     pull: float = 0.3  # cosine of forces with the way out of the grasp, below whose negative fingers pull
-    restart_after: float = 3.0
-    """How long loads may contradict the kept instants before these are dropped [s]."""
+    restart_after: float = 3.0  # how long loads may contradict the kept instants before these are dropped [s]
     trusted_directions: int = 3
     """After that, so many directions must fit before a weighing is trusted: with one direction any load fits."""
 
@@ -74,8 +73,7 @@ class Kept:
     """A `Kept` is an earlier instant, kept because gravity had another direction in the palm."""
 
     carried: Carried
-    direction: Array
-    """(3,) unit vector of gravity in the palm when this direction was first kept."""
+    direction: Array  # (3,) unit vector of gravity in the palm when this direction was first kept
 
 
 class Weigher:

@@ -45,8 +45,7 @@ class WeightOptions(NamedTuple):
     """Radius of gyration of objects: the torque of an angular acceleration is not subtracted, but is an error [m]."""
     passes: int = 2
     """The effect of gravity's direction on the torque depends on m c, which only the second pass knows."""
-    min_p: float = 0.003
-    """With a smaller p-value, something else bears a part of the load, or adds to it."""
+    min_p: float = 0.003  # with a smaller p-value, something else bears a part of the load, or adds to it
     min_p_fixed: float = 0.02
     """The same for a wrench that is fixed in the palm, such as that of an object which leans on a link of the hand."""
     unobservable: float = 1e-6

@@ -33,14 +33,10 @@ class JointKind(IntEnum):
 class Chains:
     """`Chains` say how some bodies move in a base frame with the joints between."""
 
-    joints: tuple[str, ...]
-    """Names of the j joints that move any of the bodies, in the file's order."""
-    starts: Indices
-    """(t + 1,) the joints from the base to body i are `steps[starts[i] : starts[i + 1]]`."""
-    steps: NDArray[np.void]
-    """(s,) joints of all chains, records CHAIN_JOINT."""
-    homes: Array
-    """(t, 4, 4) poses of the bodies in the base with all joints at zero."""
+    joints: tuple[str, ...]  # names of the j joints that move any of the bodies, in the file's order
+    starts: Indices  # (t + 1,) the joints from the base to body i are `steps[starts[i] : starts[i + 1]]`
+    steps: NDArray[np.void]  # (s,) joints of all chains, records CHAIN_JOINT
+    homes: Array  # (t, 4, 4) poses of the bodies in the base with all joints at zero
 
     def poses(self, joint_positions: Mapping[str, float]) -> tuple[Array, Array]:
         """Returns the poses (t, 4, 4) of the bodies in the base, and each joint's axis and a point on it (s, 2, 3) [m].

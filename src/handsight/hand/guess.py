@@ -35,10 +35,8 @@ class GuessedTip:
     """A `GuessedTip` is a link that may be a fingertip, and the sphere at its end."""
 
     link: str
-    T_link_surface: Array
-    """(4, 4) pose of the sphere's centre, its +z out of the finger."""
-    radius: float
-    """Of the sphere [m]."""
+    T_link_surface: Array  # (4, 4) pose of the sphere's centre, its +z out of the finger
+    radius: float  # of the sphere [m]
 
 
 def guess_hand(path: Path) -> tuple[str, dict[str, GuessedTip]]:

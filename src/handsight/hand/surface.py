@@ -40,12 +40,9 @@ class LinkMesh(NamedTuple):
 class OnLinks:
     """`OnLinks` are points each of which moves with one link of a hand."""
 
-    bodies: tuple[str, ...]
-    """Names of the b links that have any."""
-    body_of: Indices
-    """(k,) places in `bodies` of the points' links."""
-    chains: Chains
-    """How `bodies` move in the palm."""
+    bodies: tuple[str, ...]  # names of the b links that have any
+    body_of: Indices  # (k,) places in `bodies` of the points' links
+    chains: Chains  # how `bodies` move in the palm
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -57,10 +54,8 @@ class OnLinks:
 class HandShape(OnLinks):
     """A `HandShape` has triangles each of which moves with one link of a hand."""
 
-    vertices_body: Array
-    """(k, 3) vertices in the axes of their link [m]."""
-    faces: Indices
-    """(m, 3) numbers of vertices, counterclockwise from outside."""
+    vertices_body: Array  # (k, 3) vertices in the axes of their link [m]
+    faces: Indices  # (m, 3) numbers of vertices, counterclockwise from outside
 
     @property
     def meshes(self) -> dict[str, LinkMesh]:

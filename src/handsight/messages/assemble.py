@@ -140,14 +140,10 @@ class WrenchSensor:
     """A `WrenchSensor` checks the readings of one finger's sensor: is it stuck, or at full scale?"""
 
     reading: tuple[float, ...] = ()
-    changed: float = -float("inf")
-    """When the reading last changed [s]."""
-    repeated: int = 0
-    """Number of messages in a row with the same reading."""
-    stuck: int = 0
-    """Number of messages that were rejected as stuck."""
-    saturated: int = 0
-    """Number of messages that were rejected at full scale."""
+    changed: float = -float("inf")  # when the reading last changed [s]
+    repeated: int = 0  # number of messages in a row with the same reading
+    stuck: int = 0  # number of messages that were rejected as stuck
+    saturated: int = 0  # number of messages that were rejected at full scale
 
     def read(
         self,

@@ -43,8 +43,7 @@ class Clocks:
     def __init__(self) -> None:
         self._known = set[str]()
         self._joint_offsets: deque[float] = deque(maxlen=15)
-        self._joints_at = -float("inf")
-        """Log time of the last joint states [s]."""
+        self._joints_at = -float("inf")  # log time of the last joint states [s]
         self._waiting: deque[Measurement] | None = deque()
         self._waiting_bytes = 0
         self._first_joints: Measurement | None = None

@@ -26,26 +26,21 @@ if TYPE_CHECKING:
 
 IDL = "=" * 80 + "\nIDL: "
 """What is before each definition in IDL, as recorders of ROS 2 write them one after the other."""
-MAX_DEFINITION = 1 << 16
-"""Length of the longest definition of a type that is read [characters]."""
+MAX_DEFINITION = 1 << 16  # length of the longest definition of a type that is read [characters]
 
 
 @dataclass(slots=True, eq=False)
 class Measurement:
     """A `Measurement` is the content of one message, or of one transform of /tf."""
 
-    topic: TopicReport
-    """The report in which the message is counted."""
-    stamp: float
-    """The message's own stamp; after `Clocks`, in the clock of the joint states [s]."""
-    log_time: float
-    """When it was recorded or received [s]."""
+    topic: TopicReport  # the report in which the message is counted
+    stamp: float  # the message's own stamp; after `Clocks`, in the clock of the joint states [s]
+    log_time: float  # when it was recorded or received [s]
     value: Any
     """By the topic's role. joints: positions by name. wrench: (6,). contact: `ContactMeasurement` or None. skin: the
     readings. vision: `PoseMeasurement`. truth: (4, 4). color, depth, mask: image. detections: `Detection2D`s.
     info: `Camera`. tf: parent, child, `T_parent_child` (4, 4)."""
-    part: str = ""
-    """The finger of a wrench or a contact, or the tactile surface."""
+    part: str = ""  # the finger of a wrench or a contact, or the tactile surface
     restarts: bool = False
     """Whether it is the first measurement of all, or the first after the clock of the joint states was set back."""
 

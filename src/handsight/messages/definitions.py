@@ -39,8 +39,7 @@ DEFINITIONS = {
     + "int16[112] palm\nfloat32 total_contact\nuint8 fingers_in_contact\nbool stable_contact",
 }
 """Definitions by name; live messages bring none, but over ROS 1."""
-CONTACTS = SHADOW, TACTILE, f"{TACTILE}s", ITS
-"""Types that say where a fingertip is touched."""
+CONTACTS = SHADOW, TACTILE, f"{TACTILE}s", ITS  # types that say where a fingertip is touched
 NUMBERS = "Float32", "Float64", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32"
 SINGLE = tuple(f"std_msgs/msg/{number}" for number in ("Bool", *NUMBERS))
 PLAIN_TAXELS = (

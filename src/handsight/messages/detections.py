@@ -5,8 +5,7 @@ from math import cos, hypot, isfinite, sin
 from handsight.messages.topics import MessageRejected, RosMessage
 from handsight.observation import Detection2D
 
-MAX_DETECTIONS = 1000
-"""Detections of a message that are used."""
+MAX_DETECTIONS = 1000  # detections of a message that are used
 
 
 def _layout(package: str, hypothesis: str, center: str, last: str) -> dict[str, str]:

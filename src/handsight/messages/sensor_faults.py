@@ -26,8 +26,7 @@ class Readings:
     low: Array
     high: Array
     count: int = 0
-    some: list[Array] = field(default_factory=list)
-    """Readings at equal steps of their number."""
+    some: list[Array] = field(default_factory=list)  # readings at equal steps of their number
     step: int = 1
 
     def put(self, values: Array) -> None:

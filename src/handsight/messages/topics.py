@@ -68,12 +68,9 @@ class RosMessage(Protocol):
 class TaxelSource(NamedTuple):
     """A `TaxelSource` says where a tactile surface's readings are in a message."""
 
-    name: str
-    """The surface's."""
-    field: str
-    """Path into the message; empty: the message is nothing but the readings."""
-    shape: tuple[int, ...]
-    """Of its readings, such as rows and columns."""
+    name: str  # the surface's
+    field: str  # path into the message; empty: the message is nothing but the readings
+    shape: tuple[int, ...]  # of its readings, such as rows and columns
 
 
 class RawMessage(NamedTuple):

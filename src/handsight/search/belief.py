@@ -71,14 +71,11 @@ class Mode:
 
     pose_world_object: GaussianPose
     """Their mean and covariance, with the errors of the table's height and tilt."""
-    probability: float
-    """The mode's share of all particles."""
+    probability: float  # the mode's share of all particles
     certainty: float
     """Probability that the object is within 8 mm and 8° of the mode's pose: the share of all particles that are."""
-    sigma_position: float
-    """Standard deviation of the object's middle in the table's plane [m]."""
-    sigma_yaw: float
-    """Standard deviation of the rotation about the vertical, modulo symmetry [rad]."""
+    sigma_position: float  # standard deviation of the object's middle in the table's plane [m]
+    sigma_yaw: float  # standard deviation of the rotation about the vertical, modulo symmetry [rad]
 
     @property
     def is_certain(self) -> bool:

@@ -36,8 +36,7 @@ def camera_facing(eye: ArrayLike, at: ArrayLike) -> Array:
     return se3.compose(np.column_stack([x, np.cross(z, x), z]), origin)
 
 
-CALIBRATED_CAMERA = camera_facing([-0.45, 0.50, 0.60], TARGET)
-"""T_world_camera (4, 4) of the robot's rig."""
+CALIBRATED_CAMERA = camera_facing([-0.45, 0.50, 0.60], TARGET)  # T_world_camera (4, 4) of the robot's rig
 
 
 def calibration_error(nuisances: Nuisances, seed: int) -> Array:

@@ -50,18 +50,12 @@ GRASP = GraspOptions()
 class Body:
     """A `Body` is the convex hull of an object in some pose, reduced to few faces."""
 
-    vertices: Array
-    """(k, 3) [m]."""
-    normals: Array
-    """(m, 3) outward, of its faces."""
-    offsets: Array
-    """(m,): inside, normals @ p < offsets [m]."""
-    areas: Array
-    """(m,) of the faces [m²]."""
-    mass: Array
-    """(3,) the centre of mass [m]."""
-    middle: Array
-    """(3,) the middle of the bounds in the object's own frame [m]."""
+    vertices: Array  # (k, 3) [m]
+    normals: Array  # (m, 3) outward, of its faces
+    offsets: Array  # (m,): inside, normals @ p < offsets [m]
+    areas: Array  # (m,) of the faces [m²]
+    mass: Array  # (3,) the centre of mass [m]
+    middle: Array  # (3,) the middle of the bounds in the object's own frame [m]
 
     def turned(self, R: Array) -> "Body":
         """Returns the body turned by R (3, 3) and standing on the table, its middle above the origin."""
@@ -76,18 +70,12 @@ class Body:
 class Hold:
     """A `Hold` is where fingertips are to press on a resting object, in the world; the grip's axis is x."""
 
-    R_world_object: Array
-    """(3, 3) rotation of the object at rest."""
-    body: Body
-    """The object as it rests there."""
-    points: Mapping[str, Array]
-    """(3,) by finger [m]."""
-    normals: Mapping[str, Array]
-    """(3,) outward normals of the object there."""
-    roll: float
-    """Of the hand about x [rad]."""
-    merit: float
-    """Its rank: about 1 for the best, without a lower bound."""
+    R_world_object: Array  # (3, 3) rotation of the object at rest
+    body: Body  # the object as it rests there
+    points: Mapping[str, Array]  # (3,) by finger [m]
+    normals: Mapping[str, Array]  # (3,) outward normals of the object there
+    roll: float  # of the hand about x [rad]
+    merit: float  # its rank: about 1 for the best, without a lower bound
     kin: tuple[int, float, float]
     """Number of its resting pose, roll and offset: candidates that share all three tend to fail together."""
 

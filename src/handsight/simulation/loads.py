@@ -44,14 +44,10 @@ class Payload:
     """A `Payload` is the scene with the scenario's mass and centre of mass, and the constant loads on its object."""
 
     scene: SimulatedScene
-    force_palm: Array
-    """(3,) on the object, which no sensor measures [N]."""
-    point_object: Array
-    """(3,) where that force acts [m]."""
-    support: float
-    """Upward force in the world by which something else bears the object [N]."""
-    base_object: Array
-    """(3,) where the support acts [m]."""
+    force_palm: Array  # (3,) on the object, which no sensor measures [N]
+    point_object: Array  # (3,) where that force acts [m]
+    support: float  # upward force in the world by which something else bears the object [N]
+    base_object: Array  # (3,) where the support acts [m]
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Payload":

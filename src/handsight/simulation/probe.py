@@ -22,8 +22,7 @@ from handsight.simulation.simulate import Sensors
 from handsight.simulation.world import World, rows
 from handsight.tracking import FingertipSensors
 
-FINGER = "ff"
-"""The stretched finger."""
+FINGER = "ff"  # the stretched finger
 
 
 class ProbeOptions(NamedTuple):

@@ -20,8 +20,7 @@ from handsight.vision.pixels import Color
 if TYPE_CHECKING:
     from mujoco.gl_context import GLContext
 
-Rgba = tuple[float, float, float, float]
-"""Red, green, blue and opacity, each 0 to 1."""
+Rgba = tuple[float, float, float, float]  # red, green, blue and opacity, each 0 to 1
 
 
 class Renderer:

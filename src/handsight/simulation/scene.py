@@ -26,11 +26,9 @@ if TYPE_CHECKING:
     from mujoco import MjSpec
 
 
-HAND_FILE = "envs/assets/hand/reach.xml"
-"""Within gymnasium-robotics; its only scene without an object."""
+HAND_FILE = "envs/assets/hand/reach.xml"  # within gymnasium-robotics; its only scene without an object
 PALM = "robot0:palm"
-PALM_GEOM = "robot0:C_palm0"
-"""The geom that a tactile array of the palm covers."""
+PALM_GEOM = "robot0:C_palm0"  # the geom that a tactile array of the palm covers
 T_MOUNT_PALM = se3.compose(np.eye(3), np.array([0.0, 0.01, 0.29]))
 """(4, 4) of the palm in the hand's mount, with the wrist straight."""
 FINGERS = ("ff", "mf", "rf", "lf", "th")
@@ -66,10 +64,8 @@ UNLOADED = np.array(
 """(5, 6) readings of the fingers' sensors without load [N, N m]; the rig's calibration has the same."""
 CAN_SIZE, BOX_SIZE = (0.033, 0.122), (0.060, 0.090, 0.140)
 """Radius and height of the can; sides of the box [m]."""
-TABLE = ((-0.075, 0.6), (-0.45, 0.45), (-0.03, 0.0))
-"""First and last coordinate along x, y, z [m]."""
-IMAGE_SIZE = (640, 480)
-"""Width and height of the camera's images, a Kinect's [pixels]."""
+TABLE = ((-0.075, 0.6), (-0.45, 0.45), (-0.03, 0.0))  # first and last coordinate along x, y, z [m]
+IMAGE_SIZE = (640, 480)  # width and height of the camera's images, a Kinect's [pixels]
 
 
 def stiffness(softness: float) -> dict[str, list[float]]:
@@ -89,14 +85,10 @@ class SimulatedScene:
     Its bodies are PALM, `object`, and one that ends in `_tip` for each finger.
     """
 
-    model: Any
-    """mujoco.MjModel, never changed after this."""
-    joints: dict[str, int]
-    """Places of the hand's joints in qpos, by name."""
-    tips: dict[int, str]
-    """Names of fingers by their tip's geom."""
-    bounds_object: Array
-    """(2, 3) in the object's frame [m]."""
+    model: Any  # mujoco.MjModel, never changed after this
+    joints: dict[str, int]  # places of the hand's joints in qpos, by name
+    tips: dict[int, str]  # names of fingers by their tip's geom
+    bounds_object: Array  # (2, 3) in the object's frame [m]
     hand: HandInWorld
 
 

@@ -42,8 +42,7 @@ class Sensors:
         self._T_camera_world = true_camera(scenario)
         self._drift = np.zeros(6)  # of vision, in sigmas
         self._loads: Array | None = None
-        self.lost = False
-        """Whether the last observation's joint state was lost, and with it the observation."""
+        self.lost = False  # whether the last observation's joint state was lost, and with it the observation
         self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + round(n.vision_delay * scenario.rate))
         self._renderer = Renderer(world.scene) if scenario.images else None
         self._depth_noise = PRESETS[scenario.depth_camera].times(n.depth_noise)

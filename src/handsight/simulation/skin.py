@@ -46,10 +46,8 @@ PALM_SKIN = TactileSurface.grid(
 class Solid:
     """A `Solid` is a convex body, described by the planes of its faces."""
 
-    normals: Array
-    """(k, 3) outward."""
-    offsets: Array
-    """(k,) distances of the planes from the origin along their normals [m]."""
+    normals: Array  # (k, 3) outward
+    offsets: Array  # (k,) distances of the planes from the origin along their normals [m]
 
     @classmethod
     def cylinder(cls, radius: float, height: float) -> "Solid":
@@ -108,16 +106,11 @@ def spring_forces(gaps: Array, force: float, stiffness: Array | float) -> Array:
 class ElasticSkin:
     """An `ElasticSkin` is a bed of springs on a link, each below one of its taxels or below none."""
 
-    points: Array
-    """(m, 3) ends of the unloaded springs in the link [m]."""
-    normals: Array
-    """(m, 3) outward."""
-    areas: Array
-    """(m,) that each represents [m²]."""
-    taxels: Indices
-    """(m,) the taxel that measures each spring; the number of taxels where none does."""
-    places: Array
-    """(n, 3) of the taxels in the link [m]."""
+    points: Array  # (m, 3) ends of the unloaded springs in the link [m]
+    normals: Array  # (m, 3) outward
+    areas: Array  # (m,) that each represents [m²]
+    taxels: Indices  # (m,) the taxel that measures each spring; the number of taxels where none does
+    places: Array  # (n, 3) of the taxels in the link [m]
 
     @classmethod
     def flat(cls, array: TactileSurface) -> "ElasticSkin":

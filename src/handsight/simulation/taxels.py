@@ -37,13 +37,10 @@ class Product(NamedTuple):
     """A `Product` is a maker's kind of tactile sensor."""
 
     pads: tuple[Pad, ...] = ()
-    palm: tuple[int, int, float] = (20, 15, 0.004)
-    """Rows, columns and pitch [m] of the array on the palm."""
+    palm: tuple[int, int, float] = (20, 15, 0.004)  # rows, columns and pitch [m] of the array on the palm
     components: int = 3
-    rate: float = 1000.0
-    """Readings per second, at most one an observation."""
-    newtons: float = 0.0
-    """Force of one count of a reading [N]; 0: readings are in newtons."""
+    rate: float = 1000.0  # readings per second, at most one an observation
+    newtons: float = 0.0  # force of one count of a reading [N]; 0: readings are in newtons
 
 
 PRODUCTS: dict[SensorKind, Product] = {
@@ -60,8 +57,7 @@ PRODUCTS: dict[SensorKind, Product] = {
 }
 """XELA: uSkin's curved fingertip, and one module of the palm's. PaXini: as many points as PX-6AX DP-S2716-Core and
 CP-M3025-Core have. Inspire: RH56DFTP; a finger's nail is not simulated. Pitches but XELA's are assumed."""
-FULL_SCALE, COUNTS = 5.0, 4095
-"""Of a three-axis taxel [N]; the largest count."""
+FULL_SCALE, COUNTS = 5.0, 4095  # of a three-axis taxel [N]; the largest count
 PADS = {"th": np.array([-0.8, 0.6, 0.0])}
 """The direction across the finger in which a tip's taxels face, where that is not -y: the thumb's, to the fingers."""
 T_FEWER = se3.compose(np.eye(3), np.array([-0.004, 0.009, 0.0]))
@@ -69,8 +65,7 @@ T_FEWER = se3.compose(np.eye(3), np.array([-0.004, 0.009, 0.0]))
 INSPIRE_FINGERS = {"lf": "little", "rf": "ring", "mf": "middle", "ff": "index", "th": "thumb"}
 XELA, INSPIRE = "xela_server_ros2/msg/SensStream", "inspire_hand_ros2/msg/InspireHandTouch"
 XELA_TOPIC, INSPIRE_TOPIC = "/xServTopic", "/inspire_hand/touch"
-RAW = 30000, 1000
-"""A raw reading of XELA's without load, and counts per newton."""
+RAW = 30000, 1000  # a raw reading of XELA's without load, and counts per newton
 
 
 @lru_cache(maxsize=8)

@@ -30,8 +30,7 @@ class CorrectionPanel(NamedTuple):
     model: ObjectModel
     contacts: Contacts
     vision: PosePrior | None
-    answer: dict[str, Any]
-    """In the form of the answers of `handsight correct`."""
+    answer: dict[str, Any]  # in the form of the answers of `handsight correct`
 
 
 def require_matplotlib() -> ModuleType:

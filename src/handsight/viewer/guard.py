@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
 LOCAL = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d+)?")
 """Hosts by which a browser asks this machine, at any port, as a tunnel has its own."""
-CLOSE_TIMEOUT = 0.1
-"""Given to a browser to answer that the page ends [s]."""
+CLOSE_TIMEOUT = 0.1  # given to a browser to answer that the page ends [s]
 
 
 class Guard:

@@ -68,8 +68,7 @@ class Page:
                 self.server = viser.ViserServer(host=PAGE.host, port=port, label="handsight", verbose=False)
         except OSError as error:
             raise HandsightError(f"port: expected one that is free from {port} on, got {error}") from None
-        self.port: int = self.server.get_port()
-        """The port at which the page is served."""
+        self.port: int = self.server.get_port()  # the port at which the page is served
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
             self.begin(rig, model, title)
@@ -84,8 +83,7 @@ class Page:
         self._aimed = False
         self._drawn: tuple[Picture | None, float, dict[Color, Array]] = None, 0.0, {}
         """The image on the page, the stamp of its moment [s], and T_camera_object (4, 4) of each outline by colour."""
-        self.last: Moment | None = None
-        """The moment that is shown."""
+        self.last: Moment | None = None  # the moment that is shown
         with self.server.atomic():
             self.server.scene.reset()
             self.server.gui.reset()

@@ -39,14 +39,11 @@ PICTURE = PictureOptions()
 class Picture:
     """A `Picture` is an image of the rig's camera."""
 
-    camera: Camera | None
-    """The camera of these pixels; None where it is not known."""
+    camera: Camera | None  # the camera of these pixels; None where it is not known
     image: Color | bytes
     """Colour (h, w, 3), or depth in grey, the nearer the lighter; or either as a JPEG file."""
-    points_palm: NDArray[np.floating]
-    """(n, 3) [m]; none where the camera's pose is not known."""
-    colors: Color
-    """(n, 3) of the points."""
+    points_palm: NDArray[np.floating]  # (n, 3) [m]; none where the camera's pose is not known
+    colors: Color  # (n, 3) of the points
     T_camera_palm: Array | None
     """(4, 4) as measured from images of the hand, else as calibrated; None where neither is known."""
     T_camera_palm_calibrated: Array | None

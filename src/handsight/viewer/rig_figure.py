@@ -14,8 +14,7 @@ from handsight.viewer.correction_figures import require_matplotlib, save
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PIXELS, FAR = 1000, 3.0
-"""Width and height of a view; distance from which it is drawn [m]."""
+PIXELS, FAR = 1000, 3.0  # width and height of a view; distance from which it is drawn [m]
 NORMAL, AXIS, SMALL, BEHIND = 0.004, 0.03, 0.012, 0.0015
 """Length of a normal, of the palm's and the camera's axes, and of the others'; a taxel that is farther behind the
 hand's surface is drawn hollow [m]."""

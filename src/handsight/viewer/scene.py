@@ -65,8 +65,7 @@ class MomentScene:
     def __init__(self, scene: "SceneApi", rig: Rig, model: ObjectModel) -> None:
         """Adds all nodes to viser's `scene`, invisible."""
         self._scene, self._rig, self._model = scene, rig, model
-        self.layers = dict.fromkeys(LAYERS, True)
-        """Which layers are to be shown."""
+        self.layers = dict.fromkeys(LAYERS, True)  # which layers are to be shown
         style = {"color": HAND, "opacity": STYLE.hand_opacity, "visible": False}
         self.links = {
             name: scene.add_mesh_simple(f"/hand/{name.replace('/', '_')}", *mesh, **style)

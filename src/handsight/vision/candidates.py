@@ -16,8 +16,7 @@ from handsight.objects import ObjectModel
 from handsight.vision.depth_noise import DepthNoise
 
 Candidates = NDArray[np.void]
-NOTHING_KNOWN = np.zeros((6, 6))
-"""The information of a pose without prior knowledge."""
+NOTHING_KNOWN = np.zeros((6, 6))  # the information of a pose without prior knowledge
 UNKNOWN = 0.5, 0.9
 """Sigma along a direction that no point observes, of a shift and of radius times a turn [diameters]."""
 MODEL_ERROR = 1e-3

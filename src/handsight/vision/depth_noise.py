@@ -15,8 +15,7 @@ from handsight.rig.rig import DepthCamera
 
 SIZES = ("step", "lateral", "smooth", "offset")
 SHARES = ("correlated", "edges", "dropouts")
-LARGEST = 100.0
-"""No number of a camera's errors is larger, in its unit."""
+LARGEST = 100.0  # no number of a camera's errors is larger, in its unit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

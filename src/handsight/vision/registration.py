@@ -19,8 +19,7 @@ class Registered(NamedTuple):
 
     color: Color
     """(h, w, 3) red, green, blue of each depth pixel; 0 where it is not visible to the colour camera."""
-    visible: Mask
-    """(h, w) whether it is."""
+    visible: Mask  # (h, w) whether it is
 
 
 def register_color(

@@ -16,8 +16,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 
 HALF_WINDOW, MIN_NEIGHBOURS = 4, 15
 """Half the side of the window for a normal [pixels], and how many of its pixels must be on the surface."""
-OPEN = -4
-"""Label of a pixel whose segment has no number yet."""
+OPEN = -4  # label of a pixel whose segment has no number yet
 
 
 @inner

@@ -30,8 +30,7 @@ from handsight._kernels.touch.sensing_steps import (
     wrench_to_contact,
 )
 
-LANES = 32
-"""Wrenches of a block."""
+LANES = 32  # wrenches of a block
 
 
 class Columns(NamedTuple):

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-NEAR, WIDE = 8, 24
-"""Most neighbours of a taxel that touch it, and most of those up to two taxels away."""
+NEAR, WIDE = 8, 24  # most neighbours of a taxel that touch it, and most of those up to two taxels away
 TAXEL = np.dtype(
     [
         ("point", float, 3),  # in the link [m]

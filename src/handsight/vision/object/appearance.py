@@ -18,8 +18,7 @@ from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, distinct, 
 
 SAMPLES, FEW = 2400, 600
 """Surface points by which a pose is scored, and by which many are compared; the model's own 256 vote."""
-DIRECTIONS = 800
-"""Directions from which it is computed which of them are visible."""
+DIRECTIONS = 800  # directions from which it is computed which of them are visible
 
 
 class TurnsOptions(NamedTuple):
@@ -42,14 +41,10 @@ drawn are visible [diameters]."""
 class Sides(NamedTuple):
     """`Sides` are points of an object's surface, and which of them are visible from where."""
 
-    samples: Array
-    """(2, m, 3) points and normals."""
-    directions: Array
-    """(k, 3) unit, from the object's centre."""
-    visible: NDArray[np.uint8]
-    """(k, m / 8) which points are visible along each, in bits, the lowest first."""
-    area: float
-    """The area that each point stands for [m²]."""
+    samples: Array  # (2, m, 3) points and normals
+    directions: Array  # (k, 3) unit, from the object's centre
+    visible: NDArray[np.uint8]  # (k, m / 8) which points are visible along each, in bits, the lowest first
+    area: float  # the area that each point stands for [m²]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +53,9 @@ class Appearance:
 
     pairs: tuple[NDArray[np.int32], NDArray[np.int32]]
     """Where the pairs of each cell begin, and the pairs: first point and spin of each in one number."""
-    voters: Array
-    """(2, 256, 3) points and normals of the pairs."""
-    sides: Sides
-    """By which a pose is scored."""
-    few_sides: Sides
-    """By which many poses are compared."""
+    voters: Array  # (2, 256, 3) points and normals of the pairs
+    sides: Sides  # by which a pose is scored
+    few_sides: Sides  # by which many poses are compared
     turns: Array
     """(t, 4, 4) motions of the object that bring most of its surface onto itself, without its symmetries."""
 

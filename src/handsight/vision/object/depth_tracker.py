@@ -107,17 +107,14 @@ class _Belief:
     """(6, 6) covariance if the errors of images were independent, by which they are weighed."""
     T_at_rest: Array
     """(4, 4) T_camera_object if it has not moved since the last image, or only with the palm that grips it."""
-    observed: float
-    """Stamp of the last image that showed enough of it [s]."""
+    observed: float  # stamp of the last image that showed enough of it [s]
     lost: bool
-    velocity: Array = field(default_factory=lambda: np.zeros(6))
-    """(6,) of the object's centre [m/s, rad/s]."""
+    velocity: Array = field(default_factory=lambda: np.zeros(6))  # (6,) of the object's centre [m/s, rad/s]
     shared: Array = field(default_factory=lambda: np.zeros((6, 6)))
     """(6, 6) derivative of the pose by errors of unit variance that all images share."""
     changed: Array = field(default_factory=lambda: np.zeros((6, 6)))
     """(6, 6) part of both covariances that is due to a change of motion since the last image."""
-    odds: float = 0.0
-    """Log odds that the pose is right, by all images."""
+    odds: float = 0.0  # log odds that the pose is right, by all images
 
 
 class DepthTracker:

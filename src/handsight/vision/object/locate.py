@@ -22,8 +22,7 @@ from handsight.vision.object.first_pose import JudgedStarts, ObjectDetection, fi
 from handsight.vision.object.pose_refiner import PoseRefiner
 from handsight.vision.object.region import REGION, Scene, scene_of
 
-Box = Sequence[float] | Array
-"""u0, v0, u1, v1: the first column and row, and the last, all included [pixels]."""
+Box = Sequence[float] | Array  # u0, v0, u1, v1: the first column and row, and the last, all included [pixels]
 Start = GaussianPose | Sequence[GaussianPose] | ArrayLike
 """Poses of the object in the camera: (4, 4), (k, 4, 4), or with their covariances."""
 

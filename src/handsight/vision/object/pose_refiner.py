@@ -44,10 +44,8 @@ class RefinedPose(NamedTuple):
     """A `RefinedPose` is the pose that depth alone gives."""
 
     pose_camera_object: GaussianPose
-    candidate: Candidates
-    """CANDIDATE (1,)"""
-    points: int
-    """Points near the surface."""
+    candidate: Candidates  # CANDIDATE (1,)
+    points: int  # points near the surface
 
 
 class PoseRefiner:

@@ -34,12 +34,9 @@ class Scene:
     """A `Scene` is a depth image, with the segments of it that may be the object."""
 
     camera: Camera
-    depth: Depth
-    """(h, w) [m]; 0 where there is none."""
-    labels: NDArray[np.int32]
-    """(h, w) number of the segment, `TABLE`, `HAND`, or `OUT`."""
-    sizes: Array
-    """(p,) pixels of each segment."""
+    depth: Depth  # (h, w) [m]; 0 where there is none
+    labels: NDArray[np.int32]  # (h, w) number of the segment, `TABLE`, `HAND`, or `OUT`
+    sizes: Array  # (p,) pixels of each segment
 
     @property
     def reason(self) -> str:

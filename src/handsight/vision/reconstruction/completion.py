@@ -53,14 +53,10 @@ COMPLETION = CompletionOptions()
 class ReconstructedModel:
     """A `ReconstructedModel` is an object's surface as points, measured and guessed."""
 
-    points: Array
-    """(n, 3) [m]."""
-    normals: Array
-    """(n, 3) unit, outward."""
-    measured: Mask
-    """(n,) whether views showed the point; else it is guessed."""
-    guesses: tuple[str, ...]
-    """What was guessed, in a few words each."""
+    points: Array  # (n, 3) [m]
+    normals: Array  # (n, 3) unit, outward
+    measured: Mask  # (n,) whether views showed the point; else it is guessed
+    guesses: tuple[str, ...]  # what was guessed, in a few words each
 
     @property
     def sigmas(self) -> Array:

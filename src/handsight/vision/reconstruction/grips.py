@@ -56,8 +56,7 @@ class Grip:
     """A `Grip` is what was fused while the hand did not move on the object."""
 
     reconstruction: Reconstruction
-    tips_object: Array
-    """(k, 3) fingertips that hold the object, in its frame [m]."""
+    tips_object: Array  # (k, 3) fingertips that hold the object, in its frame [m]
     surface: SurfacePoints | None = None
     """What the fingers hold, as of `views` views; None where there is nothing."""
     views: int = 0
@@ -91,8 +90,7 @@ class InHandReconstruction:
     def __init__(self, camera: Camera) -> None:
         self._camera, self.grips = camera, list[Grip]()
         self._last: Grip | None = None
-        self.forgotten = 0
-        """Number of views in grips that were too short, such as while fingers closed."""
+        self.forgotten = 0  # number of views in grips that were too short, such as while fingers closed
 
     @property
     def views(self) -> int:

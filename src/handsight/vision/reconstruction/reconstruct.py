@@ -43,8 +43,7 @@ STAGES = np.array([(0, 1.0, 0.5, 6, 1), (1, 1.0, 0.6, 8, 1)], dtype=STAGE)
 class View:
     """A `View` is a depth image of the object."""
 
-    depth: Depth
-    """(h, w) along the optical axis [m]; 0 or NaN where there is none, or where it is the hand's."""
+    depth: Depth  # (h, w) along the optical axis [m]; 0 or NaN where there is none, or where it is the hand's
     T_camera_object: Array
     """(4, 4) as far as it is known; the object's frame is any that moves with the object."""
     tips_object: Array | None = None

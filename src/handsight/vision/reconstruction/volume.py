@@ -12,19 +12,15 @@ from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices, Mask
 from handsight.objects.fields import Grid, GridField
 
-BOUND = 3.0
-"""Distances to the surface are kept up to this [cells]."""
-MIN_VIEWS = 2
-"""Views that must agree on a node: one alone may be noise."""
+BOUND = 3.0  # distances to the surface are kept up to this [cells]
+MIN_VIEWS = 2  # views that must agree on a node: one alone may be noise
 
 
 class SurfacePoints(NamedTuple):
     """`SurfacePoints` are points of a surface, about a cell apart."""
 
-    points: Array
-    """(n, 3) [m]."""
-    normals: Array
-    """(n, 3) unit, outward."""
+    points: Array  # (n, 3) [m]
+    normals: Array  # (n, 3) unit, outward
 
 
 class Volume:
