@@ -263,10 +263,8 @@ def grid_places(rows: int, columns: int, pitch: float) -> Array:
 
 
 def _check_outward(points: Array, normals: Array, near: Mask) -> None:
-    """Raises InvalidInput where a normal is opposite to those of its neighbours, or where all point inward.
-
-    A surface whose normals point outward is the wider, the farther out it is; a palm may be a little hollow.
-    """
+    """Raises InvalidInput where a normal is opposite to those of its neighbours, or where all point inward. A surface
+    whose normals point outward is the wider, the farther out it is; a palm may be a little hollow."""
     wrong = np.flatnonzero((near @ normals * normals).sum(axis=1) < -0.5 * near.sum(axis=1).clip(min=1))
     arms, expected = points - points.mean(axis=0), "expected normals that point out of the link"
     if len(wrong):

@@ -273,9 +273,7 @@ def _summed(
     J: Array,
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Returns the sum of mean loads (6,), its derivatives by joints and biases, the readings, and the forces (t, 3).
-
-    `gravity` is that of a `LoadSum`, and `J` (t, 6, j) the Jacobians at the sensors' origins.
-    """
+    `gravity` is that of a `LoadSum`, and `J` (t, 6, j) the Jacobians at the sensors' origins."""
     t = len(sensors)
     wrench, by_joint = np.zeros(6), np.zeros((6, J.shape[2]))
     by_bias, readings, forces = np.zeros((6, 6 * t)), np.zeros(6 * t), np.zeros((t, 3))

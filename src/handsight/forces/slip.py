@@ -144,10 +144,8 @@ class SlipDetector:
     """
 
     def __init__(self, rig: Rig, friction: tuple[float, float] | None = None) -> None:
-        """Starts without loads. `friction`: μ of the object and its standard deviation, None where it is unknown.
-
-        Where the rig's fingers declare theirs, μ is each finger's, joined with the object's.
-        """
+        """Starts without loads. `friction`: μ of the object and its standard deviation, None where it is unknown. Where
+        the rig's fingers declare theirs, μ is each finger's, joined with the object's."""
         self.now = Slip()
         """The value after the last update."""
         self._relative, prior = declared_friction(rig, friction)

@@ -205,10 +205,8 @@ def common_equations(instants: Sequence[Carried], unknowns: Unknowns, found: Wei
 
 
 def score_test(columns: Array, residuals: Array, H: Array, covariance: Array) -> float:
-    """Returns the probability that columns (n, k), added to a linear problem, explain so much by chance (Rao 1948).
-
-    The problem has the rows H (n, m), the whitened residuals (n,), and the `covariance` (m, m) of its solution.
-    """
+    """Returns the probability that columns (n, k), added to a linear problem, explain so much by chance (Rao 1948). The
+    problem has the rows H (n, m), the whitened residuals (n,), and the `covariance` (m, m) of its solution."""
     score, normal_matrix = columns.T @ residuals, columns.T @ H
     values, vectors = np.linalg.eigh(columns.T @ columns - normal_matrix @ covariance @ normal_matrix.T)
     observable = values > WEIGHT_FIT.unobservable * values[-1]

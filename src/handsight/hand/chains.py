@@ -40,9 +40,7 @@ class Chains:
 
     def poses(self, joint_positions: Mapping[str, float]) -> tuple[Array, Array]:
         """Returns the poses (t, 4, 4) of the bodies in the base, and each joint's axis and a point on it (s, 2, 3) [m].
-
-        Raises an InvalidInput that names joints without a position, or with one that is not a finite number.
-        """
+        Raises an InvalidInput that names joints without a position, or with one that is not a finite number."""
         Ts, axes = np.empty_like(self.homes), np.empty((len(self.steps), 2, 3))
         try:
             values = np.array([joint_positions[name] for name in self.joints])
@@ -83,10 +81,8 @@ def _check_positions(joint_positions: object, joints: Iterable[str]) -> None:
 
 
 def build_chains(model: "MjModel", base: int, bodies: Sequence[int], file: str) -> Chains:
-    """Returns how `bodies` of a MuJoCo model move with respect to the body `base`.
-
-    Raises InvalidInput where a joint between them is neither hinge nor slide, or has no name.
-    """
+    """Returns how `bodies` of a MuJoCo model move with respect to the body `base`. Raises InvalidInput where a joint
+    between them is neither hinge nor slide, or has no name."""
     Rs = se3.rotation_from_quaternion(model.body_quat[:, [1, 2, 3, 0]])
     Ts_world_body = se3.compose(Rs, model.body_pos)
     for body in range(1, model.nbody):  # with all joints at zero; parents come first

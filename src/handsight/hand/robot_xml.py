@@ -102,10 +102,8 @@ def check_depth(depth: int, file: str) -> None:
 
 
 def to_text(root: Element) -> tuple[str, list[Element]]:
-    """Returns the text of a tree, one element a line, and the element of each line.
-
-    Raises InvalidFile for a number that is not finite, as MuJoCo would only print a warning about it.
-    """
+    """Returns the text of a tree, one element a line, and the element of each line. Raises InvalidFile for a number
+    that is not finite, as MuJoCo would only print a warning about it."""
     lines, elements = list[str](), list[Element]()
     texts = ("name", "class", "childclass", "mesh", "file", "filename", "link", "prefix", "model")
 

@@ -101,10 +101,8 @@ class HandSurface(OnLinks):
 
 
 def sample_evenly(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:
-    """Returns samples as `sample_by_area` does, with the points of each link as even as possible.
-
-    They are chosen from eight times as many; above 1000 points `sample_by_area` is even enough.
-    """
+    """Returns samples as `sample_by_area` does, with the points of each link as even as possible. They are chosen from
+    eight times as many; above 1000 points `sample_by_area` is even enough."""
     few = sample_by_area(triangles, count, seed)
     if count > 1000:
         return few
@@ -118,10 +116,8 @@ def sample_evenly(triangles: list[Array], count: int, seed: int) -> tuple[Indice
 
 
 def choose_evenly(points: Array, count: int) -> Indices:
-    """Returns `count` numbers of points (n, 3), count ≤ n, each the most central of those nearest to it.
-
-    Farthest-point sampling gives the cells; its own points are on edges, the most central ones of the cells are not.
-    """
+    """Returns `count` numbers of points (n, 3), count ≤ n, each the most central of those nearest to it. Farthest-point
+    sampling gives the cells; its own points are on edges, the most central ones of the cells are not."""
     place, nearest, owner = 0, np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
     for k in range(count):
         offsets = points - points[place]
@@ -161,10 +157,8 @@ def sample_by_area(triangles: list[Array], count: int, seed: int) -> tuple[Indic
 
 
 def body_triangles(model: "MjModel", body: int, *, visual: bool = False) -> Array:
-    """Returns the triangles (f, 3, 3) of a body's collision shapes, or else of all, in its axes [m].
-
-    With `visual` its visual shapes, which collide with nothing in most files, or else all.
-    """
+    """Returns the triangles (f, 3, 3) of a body's collision shapes, or else of all, in its axes [m]. With `visual` its
+    visual shapes, which collide with nothing in most files, or else all."""
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     shapes = [g for g in range(first, first + count) if model.geom_type[g] in list(ShapeKind)]
     preferred = [g for g in shapes if bool(model.geom_contype[g] or model.geom_conaffinity[g]) != visual]

@@ -152,11 +152,8 @@ class WrenchSensor:
         full_scale: tuple[float, float] | None,
         sensors: Iterable["WrenchSensor"],
     ) -> str | None:
-        """Returns why the sensor's next wrench (6,) cannot be used; None: it can.
-
-        `full_scale`: the largest force [N] and torque [N m] that the sensor can measure; None: unknown. `sensors`:
-        those of all fingers.
-        """
+        """Returns why the sensor's next wrench (6,) cannot be used; None: it can. `full_scale`: the largest force [N]
+        and torque [N m] that the sensor can measure; None: unknown. `sensors`: those of all fingers."""
         reading = tuple(wrench.tolist())
         if reading != self.reading:
             self.reading, self.changed, self.repeated = reading, stamp, 0

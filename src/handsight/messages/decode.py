@@ -235,10 +235,8 @@ def _wrench(values: Sequence[float]) -> Array:
 
 
 def _rigid_transform(*numbers: float) -> Array:
-    """Returns a pose (4, 4) from x, y, z [m] and a quaternion's x, y, z, w.
-
-    Plain floats, because NumPy takes ten times as long for one pose.
-    """
+    """Returns a pose (4, 4) from x, y, z [m] and a quaternion's x, y, z, w. Plain floats, because NumPy takes ten times
+    as long for one pose."""
     px, py, pz, x, y, z, w = numbers
     length = hypot(x, y, z, w)
     if not isfinite(length + abs(px) + abs(py) + abs(pz)):

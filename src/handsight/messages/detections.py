@@ -41,10 +41,8 @@ KINDS = {
 
 
 def detections(message: RosMessage) -> tuple[Detection2D, ...]:
-    """Returns the detections of a Detection2DArray: one for each hypothesis of what is in a box.
-
-    A turned box is replaced by the upright one around it. Raises MessageRejected, InvalidInput.
-    """
+    """Returns the detections of a Detection2DArray: one for each hypothesis of what is in a box. A turned box is
+    replaced by the upright one around it. Raises MessageRejected, InvalidInput."""
     found = list[Detection2D]()
     for k, each in enumerate(message.detections[:MAX_DETECTIONS]):
         center = getattr(each.bbox.center, "position", each.bbox.center)

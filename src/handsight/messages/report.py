@@ -97,10 +97,8 @@ def shortened(sentences: Iterable[str]) -> list[str]:
 
 
 def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -> list[str]:
-    """Returns a sentence for each topic, frame and joint of the rig that is missing.
-
-    `frames`, `joint_names`: all that have come.
-    """
+    """Returns a sentence for each topic, frame and joint of the rig that is missing. `frames`, `joint_names`: all that
+    have come."""
     topics, lacking = rig.topics, list[str]()
     calibrated = rig.camera is not None and rig.camera.intrinsics is not None
     by_tf = rig.world_from == "tf" and topics.tf is not None

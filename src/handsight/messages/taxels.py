@@ -69,10 +69,8 @@ def _numbers(value: Any) -> tuple[Array, tuple[int, ...]]:
 
 
 def _at(message: object, field: str) -> tuple[Any, float]:
-    """Returns what a path leads to in a message, and the last `time` on its way [s], 0 without one.
-
-    Raises InvalidInput that names the step which leads nowhere.
-    """
+    """Returns what a path leads to in a message, and the last `time` on its way [s], 0 without one. Raises InvalidInput
+    that names the step which leads nowhere."""
     value, time = message, 0.0
     for step in steps(field):
         try:

@@ -284,9 +284,7 @@ def contact_log_likelihoods(
 
 def free_log_likelihood(model: ObjectModel, touches: Sequence[Touch], Ts_world_object: Array) -> Array:
     """Returns (n,) the log likelihood at each pose (n, 4, 4) of the free parts of all sweeps, where tips met nothing.
-
-    All positions of a sweep have one error in common, so each sweep counts once, by its deepest penetration.
-    """
+    All positions of a sweep have one error in common, so each sweep counts once, by its deepest penetration."""
     log_likelihood = np.zeros(len(Ts_world_object))
     if not model.closed:
         return log_likelihood

@@ -40,10 +40,8 @@ CALIBRATED_CAMERA = camera_facing([-0.45, 0.50, 0.60], TARGET)  # T_world_camera
 
 
 def calibration_error(nuisances: Nuisances, seed: int) -> Array:
-    """Returns T_measured_true (4, 4) in the world: it maps true poses to where the wrong calibration places them.
-
-    It is a constant rotation about `TARGET` and a constant shift, drawn by the seed.
-    """
+    """Returns T_measured_true (4, 4) in the world: it maps true poses to where the wrong calibration places them. It is
+    a constant rotation about `TARGET` and a constant shift, drawn by the seed."""
     draw = np.random.default_rng((seed, 4)).normal(size=6)
     # The mean length of a Gaussian in the plane is √(π/2) of its sigma.
     plane = nuisances.camera_position / np.sqrt(np.pi / 2)

@@ -97,9 +97,7 @@ def body_of(vertices: Array) -> Body:
 
 def rests(body: Body) -> list[Array]:
     """Returns rotations Rs_world_object (3, 3) in which the body rests: as in its file, on its largest sides, on end.
-
-    It rests on a side if its centre of mass, projected to the side's plane, is inside all other faces.
-    """
+    It rests on a side if its centre of mass, projected to the side's plane, is inside all other faces."""
     found = [np.eye(3)]
     heights = body.offsets - body.normals @ body.mass
     sizes = (body.normals @ body.normals.T > GRASP.flat_cosine) @ body.areas
@@ -226,10 +224,8 @@ def _holds_along_x(body: Body, R: Array, order: int) -> Iterator[Hold]:
 
 
 def _exits(body: Body, starts: Array, sense: float) -> tuple[Array, Array]:
-    """Returns points (n, 3) where lines along ±x from `starts` (n, 3) leave the body, and the normals (n, 3) there.
-
-    A line that starts outside has NaN.
-    """
+    """Returns points (n, 3) where lines along ±x from `starts` (n, 3) leave the body, and the normals (n, 3) there. A
+    line that starts outside has NaN."""
     rate = sense * body.normals[:, 0]
     ahead = rate > 1e-9
     below = body.offsets[None] - starts @ body.normals.T

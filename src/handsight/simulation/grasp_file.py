@@ -14,10 +14,8 @@ from handsight.simulation.motion import Grasp
 
 
 class _GraspFile(msgspec.Struct, forbid_unknown_fields=True):
-    """A `_GraspFile` has the fields of the file: lengths in metres, angles in radians, quaternions x, y, z, w.
-
-    The first five are for people.
-    """
+    """A `_GraspFile` has the fields of the file: lengths in metres, angles in radians, quaternions x, y, z, w. The
+    first five are for people."""
 
     object: str
     hold: str

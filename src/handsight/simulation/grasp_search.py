@@ -121,10 +121,8 @@ def _in_turn(found: list[Hold]) -> Iterator[Hold]:
 
 
 def _trial(scenario: Scenario, grasp: Grasp, pressing: str) -> tuple[float, str]:
-    """Returns how long a grasp holds the object [s], and why no longer; the reason is empty if it holds to the end.
-
-    The finger `pressing` and another must touch the object nearly all the time.
-    """
+    """Returns how long a grasp holds the object [s], and why no longer; the reason is empty if it holds to the end. The
+    finger `pressing` and another must touch the object nearly all the time."""
     try:
         world = World(scenario, grasp)
     except InvalidObject:

@@ -105,10 +105,8 @@ class Pull:
         self._profile, self._slipped = scenario.motion, 0.0
 
     def wrench(self, time: float, slip_speed: float, speed: float) -> Array:
-        """Returns force [N] and torque [N m], (6,) along the palm's axes, for the simulator's next step.
-
-        `slip_speed` is how fast the object slips along the tips, `speed` how fast it moves at all [m/s].
-        """
+        """Returns force [N] and torque [N m], (6,) along the palm's axes, for the simulator's next step. `slip_speed`
+        is how fast the object slips along the tips, `speed` how fast it moves at all [m/s]."""
         since = time - PULL.begin
         self._slipped += slip_speed / SCENARIO.steps_per_second
         if not 0 <= since <= PULL.duration or self._slipped > self._max_travel:

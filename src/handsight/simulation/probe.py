@@ -182,10 +182,8 @@ class Probe(World):
         return sensed.contacts.select([k]).moved(_palm_and_joints(observation)[0])
 
     def _along(self, Ts_world_palm: Array, *, needed: bool = True) -> Iterator[Sample]:
-        """Yields samples while the palm moves through poses (n, 4, 4), two milliseconds from one to the next.
-
-        Unless they are `needed` or recorded it yields none, for a sample takes longer than the simulation.
-        """
+        """Yields samples while the palm moves through poses (n, 4, 4), two milliseconds from one to the next. Unless
+        they are `needed` or recorded it yields none, for a sample takes longer than the simulation."""
         arm = rows(se3.inverse(self._sensors.T_world_scene) @ Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
         for i, T in enumerate(Ts_world_palm):
             self._arm, self._T_world_palm = arm[i : i + 1], T

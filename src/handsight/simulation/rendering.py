@@ -134,10 +134,8 @@ def render(
 
 
 def _context() -> "GLContext":
-    """Returns an OpenGL context without a screen, of the kind that $MUJOCO_GL names, else EGL, else OSMesa.
-
-    Raises MissingExtra with the reasons why there is none.
-    """
+    """Returns an OpenGL context without a screen, of the kind that $MUJOCO_GL names, else EGL, else OSMesa. Raises
+    MissingExtra with the reasons why there is none."""
     named = os.environ.get("MUJOCO_GL", "").strip().lower()
     kinds = (named,) if named in ("egl", "osmesa") else ("egl", "osmesa")
     platform, reasons = os.environ.get("PYOPENGL_PLATFORM"), []

@@ -69,21 +69,16 @@ IMAGE_SIZE = (640, 480)  # width and height of the camera's images, a Kinect's [
 
 
 def stiffness(softness: float) -> dict[str, list[float]]:
-    """Returns the contact stiffness, for `contact_softness`.
-
-    With MuJoCo's defaults tips sink in by 0.5 mm, which moves sensed points by 0.2 mm; with contacts much stiffer than
-    the usual ones the hand drops objects.
-    """
+    """Returns the contact stiffness, for `contact_softness`. With MuJoCo's defaults tips sink in by 0.5 mm, which moves
+    sensed points by 0.2 mm; with contacts much stiffer than the usual ones the hand drops objects."""
     k = 1 + softness
     return {"solref": [0.01 * k, 1.0], "solimp": [1 - 0.05 * k, 1 - 0.01 * k, 0.001, 0.5, 2.0]}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedScene:
-    """A `SimulatedScene` is a compiled scene, the same for all draws of one object.
-
-    Its bodies are PALM, `object`, and one that ends in `_tip` for each finger.
-    """
+    """A `SimulatedScene` is a compiled scene, the same for all draws of one object. Its bodies are PALM, `object`, and
+    one that ends in `_tip` for each finger."""
 
     model: Any  # mujoco.MjModel, never changed after this
     joints: dict[str, int]  # places of the hand's joints in qpos, by name

@@ -26,10 +26,8 @@ from handsight.vision.depth_noise import PRESETS
 
 
 class Sensors:
-    """`Sensors` measure joints, wrenches, vision and taxels in a world, with the errors of its scenario.
-
-    Constant errors are drawn at the start, noise at every sample.
-    """
+    """`Sensors` measure joints, wrenches, vision and taxels in a world, with the errors of its scenario. Constant
+    errors are drawn at the start, noise at every sample."""
 
     def __init__(self, scenario: Scenario, world: World) -> None:
         """Draws by the scenario's seed; each sensor has its own random stream, which no other's settings change."""

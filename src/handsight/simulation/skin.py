@@ -73,10 +73,8 @@ class Solid:
         return cls.hull(convex_hull(name)[0])
 
     def distances(self, points: Array, direction: Array) -> Array:
-        """Returns the distances (n,) from points (n, 3) along a unit direction to the body's nearer surface [m].
-
-        They are infinite where the line misses the body, and negative where that surface is behind the point.
-        """
+        """Returns the distances (n,) from points (n, 3) along a unit direction to the body's nearer surface [m]. They
+        are infinite where the line misses the body, and negative where that surface is behind the point."""
         rate, left = self.normals @ direction, self.offsets - points @ self.normals.T
         with np.errstate(divide="ignore", invalid="ignore"):
             at = left / rate
@@ -125,10 +123,8 @@ class ElasticSkin:
 
     @classmethod
     def ellipsoid(cls, semi_axes: Array, T_link_tip: Array, places: Array, reach: Array) -> "ElasticSkin":
-        """Returns the skin all over a fingertip, an ellipsoid (3,) [m] with that pose (4, 4).
-
-        `places` (n, 3) are its taxels in the link, `reach` (n,) how far each one's cell extends at most [m].
-        """
+        """Returns the skin all over a fingertip, an ellipsoid (3,) [m] with that pose (4, 4). `places` (n, 3) are its
+        taxels in the link, `reach` (n,) how far each one's cell extends at most [m]."""
         unit = se3.directions(SKIN.tip_springs)
         out = unit / semi_axes
         length = np.linalg.norm(out, axis=1)

@@ -128,10 +128,8 @@ def picture(
 
 
 def palm_in_camera(rig: Rig, from_palm: CameraFromPalm, T_world_palm: Array | None) -> Array | None:
-    """Returns T_camera_palm (4, 4) as measured from images of the hand, else as the camera was calibrated.
-
-    None where the rig has no camera, or has one in the world in which the palm's pose is not known.
-    """
+    """Returns T_camera_palm (4, 4) as measured from images of the hand, else as the camera was calibrated. None where
+    the rig has no camera, or has one in the world in which the palm's pose is not known."""
     mounted = rig.camera
     if mounted is None:
         return None

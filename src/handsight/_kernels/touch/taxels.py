@@ -115,10 +115,8 @@ def _sum(values: Any, numbers: Any) -> float:
 
 @inner
 def _find_patches(record: Any, taxels: Any, touched: Any, rise: Any, states: Any, patches: Any) -> int:
-    """Returns the number of patches: connected touched taxels, dead ones between them, and all around them.
-
-    What reads less than the threshold bears a part of the force, too. A dead taxel reads about as its neighbours do.
-    """
+    """Returns the number of patches: connected touched taxels, dead ones between them, and all around them. What reads
+    less than the threshold bears a part of the force, too. A dead taxel reads about as its neighbours do."""
     n, count, last, state, label = len(taxels), 0, rise.shape[1] - 1, states[0], states[1]
     filled, members, known = np.zeros(n + 1, dtype=np.bool_), np.empty(n, dtype=np.int64), state != UNKNOWN
     for i in range(n):

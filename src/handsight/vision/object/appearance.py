@@ -101,10 +101,8 @@ def appearance_of(model: ObjectModel) -> Appearance:
 
 
 def visible_sets(model: ObjectModel, samples: Array, directions: Array) -> NDArray[np.uint8]:
-    """Returns (k, m / 8) which of the samples (2, m, 3) are visible along each direction (k, 3), in bits.
-
-    The object is drawn from a few diameters off, which is as far as cameras are.
-    """
+    """Returns (k, m / 8) which of the samples (2, m, 3) are visible along each direction (k, 3), in bits. The object is
+    drawn from a few diameters off, which is as far as cameras are."""
     surface, center, away = model.surface, model.center_object, AWAY * model.diameter
     vertices, faces = surface.vertices, surface.faces
     if isinstance(surface, Cloud):  # a triangle for each point

@@ -200,9 +200,7 @@ def slid(
     model: ObjectModel, scene: Scene, observed: NDArray[np.void], candidate: Candidates, noise: DepthNoise
 ) -> Candidates:
     """Returns CANDIDATE (1,) where the image supports it best along the direction that DEPTH_POINT (n,) observe least.
-
-    Points on walls do not tell where the walls end: pixels do that see past them, and those that are explained.
-    """
+    Points on walls do not tell where the walls end: pixels do that see past them, and those that are explained."""
     T, center = poses_of(candidate)[0], model.center_object
     covariance = pose_covariances(model, scene.camera, observed, candidate, noise)[0]
     units = np.repeat([1.0, model.radius], 3)  # radius times a turn is a shift

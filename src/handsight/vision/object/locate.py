@@ -265,9 +265,7 @@ def _checked_starts(start: Start) -> list[GaussianPose]:
 
 def _refined(model: ObjectModel, scene: Scene, given: list[GaussianPose], noise: DepthNoise) -> Candidates:
     """Returns CANDIDATE (2k,): the given poses, then these moved to the points near them that are no table's or hand's.
-
-    Both, because a neighbour's points may draw a pose away from where it was right.
-    """
+    Both, because a neighbour's points may draw a pose away from where it was right."""
     refiner, Ts = PoseRefiner(model, scene.camera, noise), list[Array]()
     for pose in given:
         known = NOTHING_KNOWN

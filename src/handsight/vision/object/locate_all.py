@@ -327,10 +327,8 @@ class _Pool:
         return odds
 
     def present(self, limits: Mapping[str, int], chosen: list[int]) -> list[int]:
-        """Returns those of the candidates that are likely enough, given the others.
-
-        One by one the least likely is left out, or a likelier one of another object is put in a candidate's place.
-        """
+        """Returns those of the candidates that are likely enough, given the others. One by one the least likely is left
+        out, or a likelier one of another object is put in a candidate's place."""
         chosen, banned = list(chosen), list[int]()
         # Where nothing else is, an object is there if `locate` finds it.
         for each in self.searches:

@@ -96,9 +96,7 @@ class PoseRefiner:
         self, T_expected: Array, known: Array, within: float, stages: NDArray[np.void], other: Array | None
     ) -> tuple[Candidates, NDArray[np.void]]:
         """Returns CANDIDATE (1,), scored, and the points of the window within so far of it [m], to which it was moved.
-
-        It is the other pose (4, 4) if the image supports that better.
-        """
+        It is the other pose (4, 4) if the image supports that better."""
         candidates = candidates_at(np.stack([T_expected] if other is None else [T_expected, other]))
         record = self.model.record[:2]
         image, z = (self.camera.rays, self._depth, self._labels), center_depths(self.model, candidates)

@@ -46,9 +46,7 @@ class Scene:
 
     def without(self, excluded: Mask) -> "Scene":
         """Returns the scene with some pixels (h, w) excluded as the hand's are: what is behind them is hidden by them.
-
-        What is left is divided into segments again.
-        """
+        What is left is divided into segments again."""
         labels = np.where(self.labels >= 0, np.int32(depth_image.OPEN), self.labels)
         labels[excluded & (self.labels >= 0)] = HAND
         sizes = np.empty(labels.size // REGION.min_segment + 1)
@@ -100,10 +98,8 @@ def check_metres(depth: Depth) -> None:
 
 
 def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float) -> Array | None:
-    """Returns the plane (4,) that most of the wanted pixels (h, w) lie on, by random sample consensus.
-
-    It is `n·P + offset = 0` with n towards the camera; None where no plane is wider than `extent` [m].
-    """
+    """Returns the plane (4,) that most of the wanted pixels (h, w) lie on, by random sample consensus. It is `n·P +
+    offset = 0` with n towards the camera; None where no plane is wider than `extent` [m]."""
     pixels = np.flatnonzero(wanted & (depth > 0) & (depth < np.inf))
     if len(pixels) < 500:
         return None

@@ -44,9 +44,7 @@ class HandInImage:
         follow: bool = False,
     ) -> PalmDetection | PalmNotFound | None:
         """Returns the palm as `detect_palm` does, with sigmas of its predicted pose [m, rad]; None where `placed` is.
-
-        `follow`: the palm was found there in the last image, and is searched only if it no longer fits there.
-        """
+        `follow`: the palm was found there in the last image, and is searched only if it no longer fits there."""
         hand = self.placed(joint_positions)
         if hand is None:
             return None

@@ -194,9 +194,7 @@ def registered(
     model: Grip, surface: SurfacePoints, other: Grip, own: SurfacePoints
 ) -> tuple[Array, Array, Array]:
     """Returns the transforms (k, 4, 4) of one grip's frame into another's that fit best, their cost, whether they fit.
-
-    `surface` and `own` are what the fingers hold in each.
-    """
+    `surface` and `own` are what the fingers hold in each."""
     rng, volume = np.random.default_rng(0), model.volume
     some = rng.permutation(len(own.points))[: GRIP.points]
     points = np.zeros(len(some), dtype=DEPTH_POINT)

@@ -126,10 +126,8 @@ class Reconstruction:
         return View(view.depth, T) if (off < RECONSTRUCTION.near * self.volume.bound).sum() > enough else None
 
     def placed(self, points: NDArray[np.void], T: Array) -> tuple[Array, NDArray[np.void]]:
-        """Returns the pose near T_camera_object (4, 4) at which DEPTH_POINT (n,) lie on the surface so far.
-
-        And those of the points that were in places that have been observed.
-        """
+        """Returns the pose near T_camera_object (4, 4) at which DEPTH_POINT (n,) lie on the surface so far. And those
+        of the points that were in places that have been observed."""
         surface = self.surface()
         for stage, volume, known in zip(STAGES, (self._coarse, self.volume), surface.known, strict=True):
             # Places that no view has observed yet would be pulled onto known surfaces.
