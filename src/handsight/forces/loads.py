@@ -243,8 +243,7 @@ def accelerations(Ts_world_palm: Array, point_palm: Array, step: float) -> tuple
     if n < LOADS.min_instants or step <= 0:
         return np.zeros((n, 3)), np.zeros((n, 3))
     length = min(max(2 * round(LOADS.span / step / 2) + 1, LOADS.min_instants), n - 1 + n % 2)
-    R_middle = Ts_world_palm[n // 2, :3, :3]
-    turns = se3.rotation_log(Ts_world_palm[:, :3, :3] @ R_middle.T)
+    turns = se3.rotation_log(Ts_world_palm[:, :3, :3] @ Ts_world_palm[n // 2, :3, :3].T)
     rows = np.hstack([Ts_world_palm[:, :3, :3] @ point_palm + Ts_world_palm[:, :3, 3], turns])
     second = _second_derivative(n, length) @ rows / step**2
     return second[:, :3], second[:, 3:]

@@ -167,8 +167,12 @@ class Weigher:
         if np.linalg.norm(load.wrench[:3]) < WEIGHER.min_weight:
             self.reason = f"less than {WEIGHER.min_weight:g} N hangs on the fingertips"
             return False
-        if self._last is not None:
-            self._kept = _carried_on(self._kept, self._last, load, loose=self._loose)
+        if self._kept and self._last is not None:  # they are carried on as the object moves in the grip
+            motion = moved_with_tips(self._last, load)
+            T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
+            sigma = WEIGHER.loose_object_creep if self._loose or motion is None else WEIGHER.object_creep
+            sigma *= float(np.sqrt(max(load.stamp - self._last.stamp, 0.0)))
+            self._kept = tuple(replace(k, carried=k.carried.moved(T, creep, sigma)) for k in self._kept)
         self._last, self._loose = load, pivots
         self._weigh(load, joints[1])
         if load.acceleration <= WEIGHER.max_acceleration and load.turning <= WEIGHER.max_turning:
@@ -207,8 +211,7 @@ class Weigher:
         before = self.weighing
         found = weigh(instants, replace(exactly, gains=gains), before)
         if before is None or before.directions != found.directions:
-            exact = weigh(instants, exactly, before)
-            self.assumed = "" if exact.consistent else ASSUMED
+            self.assumed = "" if weigh(instants, exactly, before).consistent else ASSUMED
         limit = WEIGHER.right_mass if self.reason.startswith(WEIGHS) else WEIGHER.wrong_mass
         self.reason = ""
         if found.mass < -WEIGHER.wrong_mass * found.sigma_mass:
@@ -249,17 +252,6 @@ class Weigher:
         elif angles[near] < WEIGHER.same_direction:
             new = replace(self._kept[near], carried=Carried(load))
             self._kept = (*self._kept[:near], new, *self._kept[near + 1 :])
-
-
-def _carried_on(kept: tuple[Kept, ...], last: LoadSum, load: LoadSum, *, loose: bool) -> tuple[Kept, ...]:
-    """Returns the kept instants after the object's motion in the grip between two loads."""
-    if not kept:
-        return kept
-    motion = moved_with_tips(last, load)
-    T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
-    sigma = WEIGHER.loose_object_creep if loose or motion is None else WEIGHER.object_creep
-    sigma *= float(np.sqrt(max(load.stamp - last.stamp, 0.0)))
-    return tuple(replace(each, carried=each.carried.moved(T, creep, sigma)) for each in kept)
 
 
 def _angle(gravity: Array, direction: Array) -> float:

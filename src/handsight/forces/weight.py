@@ -222,8 +222,7 @@ def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) 
     load, g = instant.load, instant.load.gravity
     R, t = instant.T_now_then[:3, :3], instant.T_now_then[:3, 3]
     G = se3.skew(g)
-    moment_then = R.T @ (moment - mass * t)
-    lever = se3.skew(moment_then)
+    lever = se3.skew(R.T @ (moment - mass * t))
     tilted = -load.R_palm_world @ se3.skew(unknowns.gravity) * unknowns.sigma_gravity
     crept = mass * instant.creep[:3] + se3.skew(instant.creep[3:]) @ moment  # m d
     rows = np.zeros((6, 8))

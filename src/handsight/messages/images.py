@@ -54,8 +54,7 @@ def depth(message: RosMessage) -> Depth:
 
 def labels(message: RosMessage) -> NDArray[np.integer]:
     """Returns the numbers (h, w) of an Image that says of each pixel which object it is of, 0: of none."""
-    found = values(message, ("mono8", "8UC1", "mono16", "16UC1", "32SC1"))[..., 0]
-    return found.astype(np.int32)
+    return values(message, ("mono8", "8UC1", "mono16", "16UC1", "32SC1"))[..., 0].astype(np.int32)
 
 
 def values(message: RosMessage, expected: tuple[str, ...]) -> NDArray[np.generic]:

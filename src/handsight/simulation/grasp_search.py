@@ -12,7 +12,7 @@ import numpy as np
 from handsight._deprecated import renamed_members
 from handsight.errors import InvalidObject, NotFound
 from handsight.rig import Rig
-from handsight.simulation.grasp_candidates import Body, Hold, body_of, grasp_candidates
+from handsight.simulation.grasp_candidates import Body, body_of, grasp_candidates
 from handsight.simulation.grasp_fit import HandFit
 from handsight.simulation.motion import BOX, CAN, LEGS, MOTION, POWER_CAN, Grasp
 from handsight.simulation.posture import Posture
@@ -104,20 +104,14 @@ def grasp_for(name: str, seed: int, *, skin: bool = False, rig: Rig | None = Non
 
 def _shadow_grasps(built: SimulatedScene, body: Body) -> Iterator[tuple[Grasp | None, str, str]]:
     """Yields the Shadow hand's grasps and their names, and the reason where there is none; see `HandFit.grasps`."""
-    for hold in _in_turn(grasp_candidates(body)):
+    left, failed = grasp_candidates(body), Counter[tuple[int, float, float]]()
+    while left:  # each that was yielded before has failed, and lowers the merit of those of its `kin`
+        hold = max(left, key=lambda each: each.merit - GRASP_SEARCH.failure_penalty * failed[each.kin])
+        left.remove(hold)
+        failed[hold.kin] += 1
         fingers = ", ".join(finger for finger in hold.points if finger != "th")
         side = ("the side", "obliquely above", "above")[round(hold.roll / (np.pi / 4))]
         yield *Posture(built, hold).grasp(), f"thumb against {fingers}, from {side}"
-
-
-def _in_turn(found: list[Hold]) -> Iterator[Hold]:
-    """Yields holds, best first; each one yielded before has failed, and lowers the merit of holds of its `kin`."""
-    left, failed = list(found), Counter[tuple[int, float, float]]()
-    while left:
-        best = max(left, key=lambda hold: hold.merit - GRASP_SEARCH.failure_penalty * failed[hold.kin])
-        left.remove(best)
-        failed[best.kin] += 1
-        yield best
 
 
 def _trial(scenario: Scenario, grasp: Grasp, pressing: str) -> tuple[float, str]:

@@ -123,8 +123,7 @@ class Probe(World):
         """
         found = []
         for x, y in np.atleast_2d(places):
-            R = self._turned(np.array([1.0, 0.0, 0.0]))
-            begin = self._palm(R, np.array([x, y, PROBE.table_start]))
+            begin = self._palm(self._turned(np.eye(3)[0]), np.array([x, y, PROBE.table_start]))
             self._travel(begin)
             down = _distances(2 * PROBE.table_start)[:, None] * [0.0, 0.0, -1.0]
             for sample in self._along(_shifted(begin, down)):

@@ -156,8 +156,7 @@ class TaxelSensors:
 
     def readings(self, world: World) -> dict[str, Array]:
         """Returns the readings of all surfaces, by name, in their shape and in the driver's unit."""
-        true = self.forces(world)
-        return {name: self.read(name, true[name]) for name in self.surfaces}
+        return {name: self.read(name, forces) for name, forces in self.forces(world).items()}
 
     def forces(self, world: World) -> dict[str, Array]:
         """Returns the true forces (n, 3) on the taxels in their links, by surface [N].

@@ -96,8 +96,7 @@ class MomentScene:
         sizes = {"shaft_radius": 0.001, "head_radius": 0.003, "head_length": 0.01}
         scene.add_arrows("/world/gravity", down, dark, **sizes)
         cells = {"cell_size": STYLE.grid_cell, "section_size": 4 * STYLE.grid_cell}
-        below = (0.0, 0.0, -STYLE.grid_depth)
-        scene.add_grid("/world/grid", width=0.8, height=0.8, **cells, position=below)
+        scene.add_grid("/world/grid", width=0.8, height=0.8, **cells, position=(0, 0, -STYLE.grid_depth))
         grey = LAYERS["depth"][1]
         self.depth = scene.add_point_cloud("/depth", np.zeros((1, 3)), (grey,), point_size=0.0012, **gone)
 

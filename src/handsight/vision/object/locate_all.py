@@ -291,7 +291,12 @@ class _Pool:
             if n not in self.distances:
                 model = self.models[self.names[n]]
                 self.distances[n] = distances_in(self.scene, model, self.candidates[n : n + 1])
-        return owners(self.scene, [self.distances[n] for n in chosen])
+        nearest = np.full(self.scene.depth.shape, np.inf, dtype=np.float32)
+        owner = np.full(nearest.shape, -1, dtype=np.int32)
+        for k, (box, distance) in enumerate(self.distances[n] for n in chosen):
+            near = distance < nearest[box]
+            nearest[box][near], owner[box][near] = distance[near], k
+        return owner
 
     def searched(self, chosen: list[int], k: int, owner: Pixels) -> _Search:
         """Returns the search for the k-th of the chosen candidates without the pixels (h, w) of the others."""
@@ -399,13 +404,3 @@ def distances_in(scene: Scene, model: ObjectModel, candidate: Candidates) -> Dis
     distance = np.full(inside.shape, np.inf, dtype=np.float32)
     distance[inside] = surface_distances(model, points, bound, candidate)[0]
     return box, distance
-
-
-def owners(scene: Scene, bodies: Sequence[Distances]) -> Pixels:
-    """Returns which of the bodies explains each pixel (h, w): the one with the nearest surface; -1: none."""
-    nearest = np.full(scene.depth.shape, np.inf, dtype=np.float32)
-    owner = np.full(nearest.shape, -1, dtype=np.int32)
-    for k, (box, distance) in enumerate(bodies):
-        near = distance < nearest[box]
-        nearest[box][near], owner[box][near] = distance[near], k
-    return owner
