@@ -101,16 +101,9 @@ def calibrate_wrench(
             f"reading={reading!r} a tip at rest reads its weight {'along' if sign > 0 else 'against'} "
             f"gravity, else pass the other reading ({', '.join(get_args(Reading))})"
         )
-    return WrenchCalibration(
-        bias_force=np.array(bias_force),
-        bias_torque=x_torque[:3],
-        mass=mass,
-        center_of_mass=x_torque[3:] / (mass * length),
-        residual_force=residual_force,
-        residual_torque=residual_torque,
-        condition=max(condition_force, condition_torque),
-        reading=reading,
-    )
+    center, condition = x_torque[3:] / (mass * length), max(condition_force, condition_torque)
+    known = np.array(bias_force), x_torque[:3], mass, center
+    return WrenchCalibration(*known, residual_force, residual_torque, condition, reading)
 
 
 def compensate(

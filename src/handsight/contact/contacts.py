@@ -172,13 +172,8 @@ class Contacts:
 
 NO_GROUP = np.empty((0, 6, 6))
 MOST_GROUPS = 1000
-_FIELDS = {
-    "point": "points_palm",
-    "normal": "normals_palm",
-    "has_normal": "has_normal",
-    "covariance": "covariance",
-    "of_residual": "of_residual",
-}
+_FIELDS = {"point": "points_palm", "normal": "normals_palm"}
+_FIELDS |= {name: name for name in ("has_normal", "covariance", "of_residual")}
 """Fields of a contact's record, and the arrays of `Contacts` that they come from."""
 
 

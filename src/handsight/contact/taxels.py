@@ -130,19 +130,18 @@ class TactileSurface:
         # Two opposite sides may differ in height by the mount's error too, as soft skin gives way more where it is
         # pressed more; so the surface may also be turned.
         width = pitch + float(np.ptp(points @ taxels["axes"][0][:, :2], axis=0).min())
+        record["threshold"], record["full_scale"] = self.threshold, np.inf if most is None else most
+        record["pitch"] = pitch if self.area is None else math.sqrt(checks.positive(self.area, "area"))
+        record["variance_normal"] = checks.sigma_angle(sigma_normal, "sigma_normal") ** 2
+        record["variance_mount"] = self.sigma_mount**2 * np.repeat([1.0, 4 / width**2], 3)
+        record["noise"], record["variance_point"], record["flat"] = self.noise, self.sigma_point**2, flat
         values: dict[str, Any] = {
-            "threshold": self.threshold,
-            "full_scale": np.inf if most is None else most,
-            "noise": self.noise,
-            "pitch": pitch if self.area is None else math.sqrt(checks.positive(self.area, "area")),
-            "variance_point": self.sigma_point**2,
-            "variance_normal": checks.sigma_angle(sigma_normal, "sigma_normal") ** 2,
-            "variance_mount": self.sigma_mount**2 * np.repeat([1.0, 4 / width**2], 3),
-            "flat": flat,
+            "points": points,
+            "normals": normals,
+            "pitch": pitch,
+            "taxels": taxels,
+            "record": record,
         }
-        for name, value in values.items():
-            record[name] = value
-        values = {"points": points, "normals": normals, "pitch": pitch, "taxels": taxels, "record": record}
         for name, value in values.items():
             object.__setattr__(self, name, value)
 

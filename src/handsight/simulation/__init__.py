@@ -24,12 +24,9 @@ __all__ = [
     "touch_search_rig", "true_camera", "write_grasp",
 ]  # fmt: skip
 
-__getattr__ = renamed(
-    __name__,
-    {
-        "Found": "handsight.simulation.GraspSearchResult",
-        "blind_rig": "handsight.simulation.touch_search_rig",
-        "looking": "handsight.simulation.camera_facing",
-        "simulate_blind": "handsight.simulation.simulate_touch_search",
-    },
-)
+__getattr__ = renamed(__name__, {
+    "Found": "handsight.simulation.GraspSearchResult",
+    "blind_rig": "handsight.simulation.touch_search_rig",
+    "looking": "handsight.simulation.camera_facing",
+    "simulate_blind": "handsight.simulation.simulate_touch_search",
+})  # fmt: skip

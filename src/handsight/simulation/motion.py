@@ -119,16 +119,14 @@ LEGS = np.array(
 )
 """(10, 6) legs of a manipulation, once the object is in the hand [s, m, rad]; a mere grasp has only the first."""
 LEGS[:, 4:] = np.deg2rad(LEGS[:, 4:])
-PULLED = np.array(
-    [
-        (0.5, 0.00, 0.00, 0.00, 0, 0),
-        (1.0, 0.00, 0.00, 0.08, 0, 0),
-        (0.5, 0.00, 0.00, 0.08, 0, 0),
-        (3.5, 0.00, 0.00, 0.08, 0, 0),
-        (1.2, 0.00, 0.00, 0.08, 0, np.deg2rad(20)),
-        (0.8, 0.00, 0.00, 0.08, 0, np.deg2rad(20)),
-    ]
-)
+PULLED = np.array([
+    (0.5, 0.00, 0.00, 0.00, 0, 0),
+    (1.0, 0.00, 0.00, 0.08, 0, 0),
+    (0.5, 0.00, 0.00, 0.08, 0, 0),
+    (3.5, 0.00, 0.00, 0.08, 0, 0),
+    (1.2, 0.00, 0.00, 0.08, 0, np.deg2rad(20)),
+    (0.8, 0.00, 0.00, 0.08, 0, np.deg2rad(20)),
+])  # fmt: skip
 """(6, 6) legs of a motion in which the object is pulled: during the fourth."""
 WEIGH_LEGS = np.array(
     [  # the last column: tilt about the horizontal across the forearm [deg]

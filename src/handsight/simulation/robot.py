@@ -131,14 +131,8 @@ def _finger(name: str, unloaded: Array | None) -> Finger:
     center = np.array([0.0, 0.0, center_z])
     sensor: dict[str, Any] = {}
     if unloaded is not None:
-        sensor["calibration"] = WrenchCalibration(
-            bias_force=unloaded[:3],
-            bias_torque=unloaded[3:],
-            mass=scene.SCENE.tip_mass,
-            center_of_mass=center,
-            reading="on_tip",
-        )
-        sensor["full_scale"] = (50.0, 0.5)
+        known = unloaded[:3], unloaded[3:], scene.SCENE.tip_mass, center
+        sensor = {"calibration": WrenchCalibration(*known, reading="on_tip"), "full_scale": (50.0, 0.5)}
     T_surface_sensor = se3.compose(np.eye(3), -center)
     tip = Ellipsoid(semi_axes, -semi_axes[2] / 2, max_friction=1.2, T_surface_sensor=T_surface_sensor)
     return Finger(

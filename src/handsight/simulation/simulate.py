@@ -99,16 +99,9 @@ class Sensors:
 
     def sample(self) -> Sample:
         """Returns the observation and the truth at the current instant; the world must have been refreshed."""
-        world = self.world
-        return Sample(
-            observation=self.observe(),
-            T_palm_object=world.T_palm_object(),
-            T_world_object=self.T_world_scene @ world.pose("object"),
-            contacts_truth=world.tip_contacts(),
-            phase=world.phase,
-            dropped=world.dropped(),
-            configuration=world.data.qpos.copy(),
-        )
+        world, observation = self.world, self.observe()
+        truth = world.T_palm_object(), self.T_world_scene @ world.pose("object"), world.tip_contacts()
+        return Sample(observation, *truth, world.phase, world.dropped(), world.data.qpos.copy())
 
     def _drifted(self) -> Array:
         """Returns the wandering part of vision's error at this observation, a motion (4, 4) in the world."""

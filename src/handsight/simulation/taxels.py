@@ -48,13 +48,10 @@ PRODUCTS: dict[SensorKind, Product] = {
     "xela": Product((Pad("", 30, 0.0047, 0.45),), (4, 6, 0.0047)),
     "paxini": Product((Pad("", 116, 0.0028, 0.45),), (7, 11, 0.0042)),
     "inspire": Product(
-        (Pad("_tip", 9, 0.0028, 1.0), Pad("_pad", 80, 0.0023, 0.15)),
-        (8, 14, 0.0042),
-        components=1,
-        rate=50.0,
-        newtons=0.001,
+        (Pad("_tip", 9, 0.0028, 1.0), Pad("_pad", 80, 0.0023, 0.15)), (8, 14, 0.0042),
+        components=1, rate=50.0, newtons=0.001,
     ),
-}
+}  # fmt: skip
 """XELA: uSkin's curved fingertip, and one module of the palm's. PaXini: as many points as PX-6AX DP-S2716-Core and
 CP-M3025-Core have. Inspire: RH56DFTP; a finger's nail is not simulated. Pitches but XELA's are assumed."""
 FULL_SCALE, COUNTS = 5.0, 4095  # of a three-axis taxel [N]; the largest count
@@ -248,16 +245,11 @@ def messages(
             most = float(max(tip.max(), pad.max()))
             touching += most > 100
             middle = np.zeros(9 if name == "th" else 0, np.int16)
+            total, count = float(tip.sum() + pad.sum()), int((tip > 100).sum() + (pad > 100).sum())
             fields[finger] = Message(
-                name=finger,
-                tip=tip,
-                nail=np.zeros(96, np.int16),
-                pad=pad,
-                middle_section=middle,
-                total_pressure=float(tip.sum() + pad.sum()),
-                max_pressure=most,
-                contact_count=int((tip > 100).sum() + (pad > 100).sum()),
-            )
+                name=finger, tip=tip, nail=np.zeros(96, np.int16), pad=pad, middle_section=middle,
+                total_pressure=total, max_pressure=most, contact_count=count,
+            )  # fmt: skip
         total = float(sum(each.sum() for each in regions.values()))
         state = {"total_contact": total, "fingers_in_contact": touching, "stable_contact": touching > 1}
         yield INSPIRE_TOPIC, INSPIRE, fields | {"palm": regions.get("palm", np.zeros(112, np.int16))} | state

@@ -22,16 +22,13 @@ __all__ = [
     "register_color",
 ]  # fmt: skip
 
-__getattr__ = renamed(
-    __name__,
-    {
-        "Found": "handsight.vision.ObjectDetection",
-        "HandLook": "handsight.vision.HandAppearance",
-        "HandNotSeen": "handsight.vision.PalmNotFound",
-        "Drawn": "handsight.camera.DrawnTriangles",
-        "PinholeCamera": "handsight.camera.Camera",
-        "SeenHand": "handsight.vision.PalmDetection",
-        "followed_hand": "handsight.vision.follow_palm",
-        "seen_hand": "handsight.vision.detect_palm",
-    },
-)
+__getattr__ = renamed(__name__, {
+    "Found": "handsight.vision.ObjectDetection",
+    "HandLook": "handsight.vision.HandAppearance",
+    "HandNotSeen": "handsight.vision.PalmNotFound",
+    "Drawn": "handsight.camera.DrawnTriangles",
+    "PinholeCamera": "handsight.camera.Camera",
+    "SeenHand": "handsight.vision.PalmDetection",
+    "followed_hand": "handsight.vision.follow_palm",
+    "seen_hand": "handsight.vision.detect_palm",
+})  # fmt: skip

@@ -77,17 +77,10 @@ def unpack_fingertip(record: Any) -> Fingertip:
     axes = vector(record.semi_axes)
     W = 1.0 / axes[0], 1.0 / axes[1], 1.0 / axes[2]
     product = W[0] * W[1] * W[2]
-    return Fingertip(
-        axes,
-        W,
-        (product / W[0], product / W[1], product / W[2]),
-        1.0 / product,
-        record.cap,
-        record.max_friction * record.max_friction,
-        record.min_force * record.min_force,
-        matrix(record.R_surface_sensor),
-        vector(record.origin_surface),
-    )
+    by_moment, R = (product / W[0], product / W[1], product / W[2]), matrix(record.R_surface_sensor)
+    friction2, force2 = record.max_friction * record.max_friction, record.min_force * record.min_force
+    origin = vector(record.origin_surface)
+    return Fingertip(axes, W, by_moment, 1.0 / product, record.cap, friction2, force2, R, origin)
 
 
 @lane
