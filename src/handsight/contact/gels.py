@@ -97,6 +97,5 @@ def block_of(rows: Any, columns: Any) -> int:
     """Returns the pixels along the side of a block, so that an image has at most `MOST_CELLS` blocks; raises
     InvalidInput."""
     for name, value in (("rows", rows), ("columns", columns)):
-        if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 1 <= value <= 10_000:
-            raise InvalidInput(f"{name}: expected a whole number from 1 to 10000, got {checks.brief(value)}")
+        checks.integer(value, name, 10_000, 1)
     return math.ceil(math.sqrt(rows * columns / MOST_CELLS))

@@ -251,10 +251,7 @@ def checked_pitch(pitch: Any) -> float:
 def grid_places(rows: int, columns: int, pitch: float) -> Array:
     """Returns (rows, columns, 3) positions about the middle of a flat grid, in its frame [m]; raises InvalidInput."""
     for name, value in (("rows", rows), ("columns", columns)):
-        integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
-        if not integer or not 1 <= value <= MOST_TAXELS:
-            expected = f"expected a whole number from 1 to {MOST_TAXELS}"
-            raise InvalidInput(f"{name}: {expected}, got {checks.brief(value)}")
+        checks.integer(value, name, MOST_TAXELS, 1)
     if rows * columns > MOST_TAXELS:
         raise InvalidInput(f"rows: expected at most {MOST_TAXELS} taxels, got {rows * columns}")
     x, y = (checked_pitch(pitch) * (np.arange(count) - (count - 1) / 2) for count in (columns, rows))
