@@ -111,8 +111,7 @@ class Sphere(Ellipsoid):
         object.__setattr__(self, "radius", length)
 
 
-Fingertip = Ellipsoid
-"""The type of every fingertip; all shapes are ellipsoids so far."""
+Fingertip = Ellipsoid  # the type of every fingertip; all shapes are ellipsoids so far
 
 
 def unambiguous_cap(fingertip: Fingertip) -> float:

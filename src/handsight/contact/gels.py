@@ -33,8 +33,7 @@ class Gel(TactileSurface):
     image: tuple[int, int] | None = None
     """Rows and columns of a reading's pixels, which are averaged over square blocks, one for each point, row by row;
     None: one number for each point."""
-    noise: float = 0.1
-    """Standard deviation of the indentation's scale, as a share of it."""
+    noise: float = 0.1  # standard deviation of the indentation's scale, as a share of it
     sigma_point: float = 5e-5
     sigma_normal: float | None = math.radians(3.0)
     """Standard deviation of a contact's normal [rad], in addition to that by noise."""

@@ -47,8 +47,7 @@ class LoadOptions(NamedTuple):
 
 
 LOADS = LoadOptions()
-LINK_TAXELS = "the taxels of {}"
-"""Name of the load sensor that a link's taxels are."""
+LINK_TAXELS = "the taxels of {}"  # name of the load sensor that a link's taxels are
 
 
 class LoadSensor(NamedTuple):
@@ -57,19 +56,13 @@ class LoadSensor(NamedTuple):
     Taxels have no bias, as the tracker has subtracted it, and nothing hangs on them.
     """
 
-    name: str
-    """Of its readings among an observation's wrenches: the finger's, or `LINK_TAXELS` with the link."""
-    frame: str
-    """The link."""
-    T_frame_sensor: Array
-    """(4, 4)"""
+    name: str  # of its readings among an observation's wrenches: the finger's, or `LINK_TAXELS` with the link
+    frame: str  # the link
+    T_frame_sensor: Array  # (4, 4)
     calibration: WrenchCalibration
-    sigma: Array
-    """(6,) noise of a reading [N, N m]."""
-    sigma_gain: float
-    """Constant relative error of the readings."""
-    full_scale: tuple[float, float] = (np.inf, np.inf)
-    """Largest force [N] and torque [N m] that it can read."""
+    sigma: Array  # (6,) noise of a reading [N, N m]
+    sigma_gain: float  # constant relative error of the readings
+    full_scale: tuple[float, float] = (np.inf, np.inf)  # largest force [N] and torque [N m] that it can read
     taxels: bool = False
 
     def readings(self, observations: Sequence[Observation]) -> Array:
@@ -125,30 +118,19 @@ class LoadSum:
     It is along the palm's axes, about the palm's origin.
     """
 
-    stamp: float
-    """The middle of that time [s]."""
-    wrench: Array
-    """(6,) force [N] and torque [N m] of the object on the tips."""
-    gravity: Array
-    """(3,) gravity less the palm's acceleration [m/s²]: the weight of each kilogram."""
-    R_palm_world: Array
-    """(3, 3) rotation of the world in the palm."""
-    by_joint: Array
-    """(6, j) derivative of the wrench by the error of each joint."""
-    by_bias: Array
-    """(6, 6 t) derivative of the wrench by the force and torque of each sensor's bias."""
+    stamp: float  # the middle of that time [s]
+    wrench: Array  # (6,) force [N] and torque [N m] of the object on the tips
+    gravity: Array  # (3,) gravity less the palm's acceleration [m/s²]: the weight of each kilogram
+    R_palm_world: Array  # (3, 3) rotation of the world in the palm
+    by_joint: Array  # (6, j) derivative of the wrench by the error of each joint
+    by_bias: Array  # (6, 6 t) derivative of the wrench by the force and torque of each sensor's bias
     readings: Array
     """(6 t,) force [N] and torque [N m] that each sensor measures, with its tip's own weight, in its own axes."""
-    noise: Array
-    """(6, 6) covariance of the wrench due to errors that change from reading to reading."""
-    acceleration: float
-    """Root mean square of the palm's acceleration, per axis [m/s²]."""
-    turning: float
-    """Root mean square of the palm's angular acceleration, per axis [rad/s²]."""
-    Ts_palm_tip: Array
-    """(t, 4, 4) poses of the tips; of taxels, of their middles."""
-    forces: Array
-    """(t, 3) force of the object on each of them [N]."""
+    noise: Array  # (6, 6) covariance of the wrench due to errors that change from reading to reading
+    acceleration: float  # root mean square of the palm's acceleration, per axis [m/s²]
+    turning: float  # root mean square of the palm's angular acceleration, per axis [rad/s²]
+    Ts_palm_tip: Array  # (t, 4, 4) poses of the tips; of taxels, of their middles
+    forces: Array  # (t, 3) force of the object on each of them [N]
     touched: Mapping[int, tuple[Array, Array]]
     """By index of a tip that touches: the contact's point (3,) in the palm [m], and its normal (3,)."""
 

@@ -109,18 +109,13 @@ class _Ratios(NamedTuple):
 class Slip:
     """A `Slip` says whether the object slips at one instant, and how near each finger is to slipping."""
 
-    slipping: bool = False
-    """Whether the object slips."""
+    slipping: bool = False  # whether the object slips
     ratios: Mapping[str, float] = field(default_factory=dict)
     """By finger that holds the object, its ratio; empty before friction is known."""
-    friction: float | None = None
-    """Coefficient of friction; None before it was learnt."""
-    began: float = -math.inf
-    """When the object began to slip, this time or the last [s]."""
-    ended: float = -math.inf
-    """When the last slip ended [s]."""
-    sigma_friction: float | None = None
-    """Standard deviation of that coefficient; None where it is unknown."""
+    friction: float | None = None  # coefficient of friction; None before it was learnt
+    began: float = -math.inf  # when the object began to slip, this time or the last [s]
+    ended: float = -math.inf  # when the last slip ended [s]
+    sigma_friction: float | None = None  # standard deviation of that coefficient; None where it is unknown
     unmeasured: tuple[str, ...] = ()
     """Fingers that touch, and taxels that are pressed, without a measurement of their force: of pressure alone, or at
     full scale. They are no evidence of a slip, and may hold the object while all others slip."""
@@ -146,8 +141,7 @@ class SlipDetector:
     def __init__(self, rig: Rig, friction: tuple[float, float] | None = None) -> None:
         """Starts without loads. `friction`: μ of the object and its standard deviation, None where it is unknown. Where
         the rig's fingers declare theirs, μ is each finger's, joined with the object's."""
-        self.now = Slip()
-        """The value after the last update."""
+        self.now = Slip()  # the value after the last update
         self._relative, prior = declared_friction(rig, friction)
         """By finger, its μ relative to the common one."""
         self.friction = Friction(*prior)
@@ -158,12 +152,9 @@ class SlipDetector:
         self._by_wrench = {sensor.name: _Limits.of(sensor) for sensor in load_sensors(rig, fingers.values())}
         taxels = {fingers.get(each.frame, each.name): each for each in load_sensors(rig, skin) if each.taxels}
         self._by_taxels = {name: _Limits.of(sensor) for name, sensor in taxels.items()}
-        self._means: Mapping[str, Load] = {}
-        """By finger, the running mean of its load."""
-        self._rests: Mapping[str, Load] = {}
-        """The same over `SLIP.rest`."""
-        self._ratios: Mapping[str, _Ratios] = {}
-        """By finger that touches, its last ratios."""
+        self._means: Mapping[str, Load] = {}  # by finger, the running mean of its load
+        self._rests: Mapping[str, Load] = {}  # the same over `SLIP.rest`
+        self._ratios: Mapping[str, _Ratios] = {}  # by finger that touches, its last ratios
 
     def update(
         self,

@@ -89,14 +89,11 @@ class Weigher:
         """The last weighing; None before the first one since the object was grasped."""
         self.reason = "nothing is lifted"
         """Why there is no weighing, or why it is not trusted; empty where it is trusted."""
-        self.instants: tuple[Carried, ...] = ()
-        """The instants that it used, the last one at its end."""
-        self.assumed = ""
-        """What the rig does not have, and a trusted weighing still has to assume."""
+        self.instants: tuple[Carried, ...] = ()  # the instants that it used, the last one at its end
+        self.assumed = ""  # what the rig does not have, and a trusted weighing still has to assume
         self._names: frozenset[str] = frozenset()
         """Those of all readings that have come so far, by which the sensors are chosen."""
-        self.sensors = load_sensors(rig)
-        """The t load sensors."""
+        self.sensors = load_sensors(rig)  # the t load sensors
         self.tare = np.zeros((len(self.sensors), 6))
         """(t, 6) the biases, read while the tips touched nothing, in their sensors' frames [N, N m]."""
         self._lifted = False
@@ -104,8 +101,7 @@ class Weigher:
         self._kept: tuple[Kept, ...] = ()
         self._last: LoadSum | None = None
         self._fits_at = -np.inf
-        self._loose = False
-        """Whether the object could turn about one finger at any time since the last load."""
+        self._loose = False  # whether the object could turn about one finger at any time since the last load
         self._doubted = False
         """Whether the kept instants were dropped because loads contradicted them, and no weighing was trusted since."""
 
@@ -263,22 +259,15 @@ def _angle(gravity: Array, direction: Array) -> float:
 class ObjectWeight:
     """An `ObjectWeight` is the mass and the centre of mass of the object in the hand, from the fingertips' loads."""
 
-    mass: float
-    """[kg]"""
-    sigma_mass: float
-    """[kg]"""
-    center_object: Array
-    """(3,) the centre of mass in the object's frame [m]."""
-    covariance: Array
-    """(3, 3) of `center_object`, along the object's axes, with the pose's uncertainty [m²]."""
-    center_palm: Array
-    """(3,) the centre of mass in the palm [m]."""
-    covariance_palm: Array
-    """(3, 3) of `center_palm`, along the palm's axes [m²]."""
+    mass: float  # [kg]
+    sigma_mass: float  # [kg]
+    center_object: Array  # (3,) the centre of mass in the object's frame [m]
+    covariance: Array  # (3, 3) of `center_object`, along the object's axes, with the pose's uncertainty [m²]
+    center_palm: Array  # (3,) the centre of mass in the palm [m]
+    covariance_palm: Array  # (3, 3) of `center_palm`, along the palm's axes [m²]
     directions: int
     """The number of directions of gravity in which it was weighed; one leaves the centre's height along it unknown."""
-    reason: str
-    """Why the weight is not trusted; empty where it is trusted."""
+    reason: str  # why the weight is not trusted; empty where it is trusted
     biased: tuple[str, ...]
     """Fingers whose sensors have larger biases in the air than calibration leaves; these are subtracted."""
     assumed: str = ""
@@ -301,8 +290,7 @@ class WeightSensor:
         mass, sigma_declared = model.mass, 0.03  # one standard deviation, as a share of the mass
         self.weigher = Weigher(rig, mass, sigma_declared * (mass or 0.0))
         self.model = model
-        self._used: Weighing | None = None
-        """The weighing that the last correction used."""
+        self._used: Weighing | None = None  # the weighing that the last correction used
 
     def copied(self) -> "WeightSensor":
         """Returns a copy that evolves apart from this one."""

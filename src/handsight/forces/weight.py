@@ -61,14 +61,10 @@ class Unknowns:
 
     joints: Array
     """(j, j) L, where L Lᵀ is the covariance of the joints' constant errors [rad], or [m] for prismatic joints."""
-    biases: Array
-    """(6 t,) sigmas of the force [N] and torque [N m] of each tip's bias."""
-    creep: float
-    """Sigma of the speed at which contacts creep [m/(N s)]."""
-    gravity: Array
-    """(3,) nominal gravity in the world [m/s²]."""
-    sigma_gravity: float
-    """Sigma of gravity's direction, about each axis [rad]."""
+    biases: Array  # (6 t,) sigmas of the force [N] and torque [N m] of each tip's bias
+    creep: float  # sigma of the speed at which contacts creep [m/(N s)]
+    gravity: Array  # (3,) nominal gravity in the world [m/s²]
+    sigma_gravity: float  # sigma of gravity's direction, about each axis [rad]
     gains: Array = field(default_factory=lambda: np.zeros(1))
     """(6 t,) sigmas of the relative errors of each tip's readings, one for each axis of its sensor; zero: none."""
 
@@ -80,16 +76,11 @@ class Weighing:
 
     mean: Array
     """(4 + j,) mass [kg], centre in the palm [m], and the joints' offsets: reading less true position [rad]."""
-    joint_covariance: Array
-    """(4 + j, 4 + j) of `mean`."""
-    chi2: float
-    """Sum of the squared whitened residuals."""
-    freedom: int
-    """Degrees of freedom of `chi2`."""
-    p_fixed: float
-    """p-value of the hypothesis that there is no wrench that is fixed in the palm."""
-    directions: int
-    """The number of directions of gravity in which it was weighed."""
+    joint_covariance: Array  # (4 + j, 4 + j) of `mean`
+    chi2: float  # sum of the squared whitened residuals
+    freedom: int  # degrees of freedom of `chi2`
+    p_fixed: float  # p-value of the hypothesis that there is no wrench that is fixed in the palm
+    directions: int  # the number of directions of gravity in which it was weighed
 
     def given_mass(self, mass: float, sigma: float) -> "Weighing":
         """Returns the weighing after an independent measurement of the mass [kg], such as a declared one."""
@@ -139,8 +130,7 @@ class Carried:
     """(4, 4) motion with the tips: a point of the object that was at p in the palm then is at T p now."""
     creep: Array = field(default_factory=lambda: np.zeros(6))
     """(6,) motion (v, ω) by creep, for each m/(N s): p has moved by v + ω × p in addition."""
-    sigma: float = 0.0
-    """Standard deviation of the rest of the motion, per axis [m]."""
+    sigma: float = 0.0  # standard deviation of the rest of the motion, per axis [m]
 
     def moved(self, T: Array, creep: Array, sigma: float) -> "Carried":
         """Returns the value after one more motion: T (4, 4) with the tips, creep (6,), sigma of the rest [m]."""

@@ -30,10 +30,8 @@ class ShapeKind(IntEnum):
 class LinkMesh(NamedTuple):
     """A `LinkMesh` is the surface of one link."""
 
-    vertices: Array
-    """(k, 3) vertices in the link's axes [m]."""
-    faces: Indices
-    """(m, 3) numbers of vertices, counterclockwise from outside."""
+    vertices: Array  # (k, 3) vertices in the link's axes [m]
+    faces: Indices  # (m, 3) numbers of vertices, counterclockwise from outside
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -77,12 +75,9 @@ class HandShape(OnLinks):
 class HandSurface(OnLinks):
     """A `HandSurface` has points on links of a hand; no object can be deeper in the hand than these points."""
 
-    points_body: Array
-    """(k, 3) points in the axes of their link [m], inside the surface by the given depth."""
-    normals: Array
-    """(k, 3) unit outward normals in the axes of their link."""
-    middles: Array
-    """(b, 3) centroid of each link's points, in its axes [m]."""
+    points_body: Array  # (k, 3) points in the axes of their link [m], inside the surface by the given depth
+    normals: Array  # (k, 3) unit outward normals in the axes of their link
+    middles: Array  # (b, 3) centroid of each link's points, in its axes [m]
 
     def points_palm(self, joint_positions: Mapping[str, float]) -> Array:
         """Returns the points (k, 3) in the palm [m]; raises InvalidInput as `Hand.Ts_palm_tip` does."""

@@ -19,28 +19,21 @@ T = TypeVar("T", TopicReport, "Report")
 class Report:
     """A `Report` counts the messages that have come on the topics of a rig."""
 
-    joint_states: str
-    """The topic whose stamps are the clock."""
-    topics: dict[str, TopicReport] = field(default_factory=dict)
-    """The topics of the rig that exist, by name."""
-    others: dict[str, str] = field(default_factory=dict)
-    """The types of all other topics, by name."""
+    joint_states: str  # the topic whose stamps are the clock
+    topics: dict[str, TopicReport] = field(default_factory=dict)  # the topics of the rig that exist, by name
+    others: dict[str, str] = field(default_factory=dict)  # the types of all other topics, by name
     observations: int = 0
-    placed: int = 0
-    """Number of observations that have `T_world_palm`."""
+    placed: int = 0  # number of observations that have `T_world_palm`
     without: Counter[str] = field(default_factory=Counter)
     """Number of observations without a wrench or a contact message, by finger."""
     without_skin: Counter[str] = field(default_factory=Counter)
     """Number of observations without readings, by tactile array."""
-    fingers: dict[str, str] = field(default_factory=dict)
-    """What is wrong with a sensor, by finger."""
+    fingers: dict[str, str] = field(default_factory=dict)  # what is wrong with a sensor, by finger
     backwards: tuple[int, float, float] | None = None
     """How often the clock of the joint states was set back, the largest step back [s], and the stamp before the first
     one [s]; None: it never was."""
-    units: Units | None = None
-    """Finds values that seem to be in a wrong unit."""
-    ended: bool = False
-    """Whether all messages have come."""
+    units: Units | None = None  # finds values that seem to be in a wrong unit
+    ended: bool = False  # whether all messages have come
 
     def copied(self) -> "Report":
         """Returns a copy that does not change any more."""

@@ -41,8 +41,7 @@ class ObservationStream:
         """The topics of the rig, by name; messages on other topics are ignored."""
         self.report = Report(rig.topics.joint_states) if report is None else report
         """The counts of the messages until now, and what is wrong with them."""
-        self.intrinsics: Camera | None = None
-        """The camera of the last CameraInfo; None: none has come."""
+        self.intrinsics: Camera | None = None  # the camera of the last CameraInfo; None: none has come
         for name, topic in self.topics.items():
             if name in known:
                 topic.type = known[name]

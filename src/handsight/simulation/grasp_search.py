@@ -47,12 +47,9 @@ class GraspSearchResult:
     grasp: Grasp
     succeeded: bool
     """Whether a trial held it through the whole manipulation; else this is the grasp that held it longest."""
-    trials: int
-    """How many grasps were simulated."""
-    hold: str
-    """Which fingers hold it, and from which side the hand comes."""
-    failures: str
-    """How often each kind of failure occurred; empty where nothing failed."""
+    trials: int  # how many grasps were simulated
+    hold: str  # which fingers hold it, and from which side the hand comes
+    failures: str  # how often each kind of failure occurred; empty where nothing failed
 
 
 def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = None) -> GraspSearchResult:

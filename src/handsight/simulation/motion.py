@@ -38,10 +38,8 @@ class Grasp:
     """(4, 4) when the fingers begin to close; `middle` is the middle of the object's bounds, with the object's axes."""
     opening: Mapping[str, float]
     """Servo targets of the open hand by joint [rad]; 0 for joints that are not named."""
-    closed: Mapping[str, float]
-    """Servo targets of the closed hand by joint [rad]."""
-    height: float
-    """Height of `middle` above the table [m]."""
+    closed: Mapping[str, float]  # servo targets of the closed hand by joint [rad]
+    height: float  # height of `middle` above the table [m]
     R_world_palm: Array = field(default_factory=lambda: np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]]))
     """(3, 3) when the fingers begin to close; by default fingers point along x, the palm faces y, the thumb is up."""
 

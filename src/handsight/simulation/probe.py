@@ -93,8 +93,7 @@ class Probe(World):
         certain = replace(scenario.nuisances, message_loss=0.0)
         self._sensors = Sensors(replace(scenario, nuisances=certain), self)
         self._sensors.T_world_scene = T_world_table @ self._sensors.T_world_scene
-        self.top = float(np.ptp(corners[:, 2]))
-        """Height of the object above the table [m]."""
+        self.top = float(np.ptp(corners[:, 2]))  # height of the object above the table [m]
         self._on_table = False
         self._recording, self.recorded = recording, list[Sample]()
         self._every = round(SCENARIO.steps_per_second / scenario.rate)

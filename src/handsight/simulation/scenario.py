@@ -311,18 +311,13 @@ class TipContact:
     """A `TipContact` is a contact of a fingertip in the simulator: ground truth for tests, unknown to the robot."""
 
     finger: str
-    point_palm: Array
-    """(3,) on the tip's surface [m]."""
-    force_palm: Array
-    """(3,) of the other body on the tip [N]."""
-    other: str
-    """The geom that touches the tip: `object`, `table`, or one of the hand's."""
-    normal_palm: Array
-    """(3,) unit; the direction in which the other body pushes the tip."""
+    point_palm: Array  # (3,) on the tip's surface [m]
+    force_palm: Array  # (3,) of the other body on the tip [N]
+    other: str  # the geom that touches the tip: `object`, `table`, or one of the hand's
+    normal_palm: Array  # (3,) unit; the direction in which the other body pushes the tip
     velocity_palm: Array
     """(6,) twist of the other body relative to the tip: velocity of its point there [m/s], angular velocity [rad/s]."""
-    torque: float = 0.0
-    """Of the other body on the tip, about the normal [N m]."""
+    torque: float = 0.0  # of the other body on the tip, about the normal [N m]
 
     @property
     def speed(self) -> float:
@@ -337,20 +332,16 @@ class Sample:
     """A `Sample` is one instant: the robot's observation, and the truth."""
 
     observation: Observation
-    T_palm_object: Array
-    """(4, 4) true."""
-    T_world_object: Array
-    """(4, 4) true."""
-    contacts_truth: tuple[TipContact, ...]
-    """All contacts of fingertips."""
+    T_palm_object: Array  # (4, 4) true
+    T_world_object: Array  # (4, 4) true
+    contacts_truth: tuple[TipContact, ...]  # all contacts of fingertips
     phase: Phase
     """`touch`: a finger searches for the object, which stands free; `close`: the fingers close and the object is held
     in place; `hold`: the object is free and the palm is still; `move`: the palm moves; `pull`: the palm is still and
     the object is pulled."""
     dropped: bool
     """Whether the object has left the grasp: by more than 3 cm or half a radian in the palm since it became free."""
-    configuration: Array
-    """The simulator's generalized positions, for `render`."""
+    configuration: Array  # the simulator's generalized positions, for `render`
 
     @property
     def forces_object(self) -> Mapping[str, float]:

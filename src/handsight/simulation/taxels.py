@@ -24,11 +24,9 @@ from handsight.simulation.world import World
 class Pad(NamedTuple):
     """A `Pad` is a group of taxels on a fingertip."""
 
-    name: str
-    """Behind the finger's; empty for a tip's only one."""
+    name: str  # behind the finger's; empty for a tip's only one
     number: int
-    pitch: float
-    """[m]"""
+    pitch: float  # [m]
     up: float
     """Height of its middle above the ellipsoid's, in parts of the semi-axis along the finger; 1: at its end."""
 

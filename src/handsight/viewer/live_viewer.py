@@ -57,10 +57,8 @@ def view(tracker: Tracker, *, port: int = PAGE.port, say: Callable[[str], None] 
 class NullViewer:
     """A `NullViewer` has the methods of a `Viewer` and does nothing, for a program that is to show nothing."""
 
-    address = ""
-    """Address of the page for a browser; empty: there is no page."""
-    watched = False
-    """Whether a browser is open on the page."""
+    address = ""  # address of the page for a browser; empty: there is no page
+    watched = False  # whether a browser is open on the page
 
     def update(self, observation: Observation, tracker: Tracker) -> None:
         """Does nothing."""
@@ -96,8 +94,7 @@ class Viewer(NullViewer):
         self._newest: tuple[Tracker, Moment | None] | None = None
         """The tracker to be shown, and its moment if a browser is open."""
         self._shot: viewer_process.Shot | None = None
-        self._sent: tuple[object, object] = None, None
-        """The newest and the shot that the page has."""
+        self._sent: tuple[object, object] = None, None  # the newest and the shot that the page has
         self._past = deque[tuple[float, float, State, Slip]](maxlen=LIVE_VIEWER.max_notes)
         """Stamp [s], sigma [m], state and slip of the last minute."""
         self._noted = self._plotted = -math.inf

@@ -56,19 +56,14 @@ class Fingertip(NamedTuple):
     """A `Fingertip` has the numbers of a record FINGERTIP, and constants computed from them."""
 
     semi_axes: Vec3
-    W: Vec3
-    """Reciprocals of the semi-axes: the diagonal of W."""
-    by_moment: Vec3
-    """The diagonal of |W| W⁻¹, by which torques are multiplied."""
-    volume: float
-    """1 / |W|."""
+    W: Vec3  # reciprocals of the semi-axes: the diagonal of W
+    by_moment: Vec3  # the diagonal of |W| W⁻¹, by which torques are multiplied
+    volume: float  # 1 / |W|
     cap: float
     friction_squared: float
     min_force_squared: float
-    R: Mat33
-    """Rotation of the sensor in the surface's frame."""
-    origin: Vec3
-    """Position of the sensor in the surface's frame [m]."""
+    R: Mat33  # rotation of the sensor in the surface's frame
+    origin: Vec3  # position of the sensor in the surface's frame [m]
 
 
 @lane

@@ -70,18 +70,13 @@ HIDDEN = "hardly anything of it is seen"
 class Sighting:
     """A `Sighting` is the estimate of a tracked object's pose after one depth image."""
 
-    stamp: float
-    """Of the image [s]."""
-    T_camera_object: Array | None
-    """(4, 4); None: lost."""
+    stamp: float  # of the image [s]
+    T_camera_object: Array | None  # (4, 4); None: lost
     covariance: Array | None
     """(6, 6) of (δp [m], δθ [rad]) of the object's origin along the camera's axes; None: lost."""
-    state: State
-    """`tracking`; `uncertain`: the pose fits, but others may fit as well; `lost`: no pose fits."""
-    reason: str
-    """Why it is not `tracking`; empty if it is."""
-    candidate: NDArray[np.void]
-    """CANDIDATE (1,): the pose that was tried, and how well the image supports it."""
+    state: State  # `tracking`; `uncertain`: the pose fits, but others may fit as well; `lost`: no pose fits
+    reason: str  # why it is not `tracking`; empty if it is
+    candidate: NDArray[np.void]  # CANDIDATE (1,): the pose that was tried, and how well the image supports it
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -114,14 +114,10 @@ def _too_near(
 class Recognition:
     """A `Recognition` says which object a depth image shows, and where."""
 
-    scores: dict[str, float]
-    """Probability of each name, the likeliest first."""
-    none: float
-    """Probability that it is none of them; with the scores it sums to 1."""
-    found: dict[str, ObjectDetection]
-    """Where each would be, in the same order."""
-    reason: str | None = None
-    """Why it is none."""
+    scores: dict[str, float]  # probability of each name, the likeliest first
+    none: float  # probability that it is none of them; with the scores it sums to 1
+    found: dict[str, ObjectDetection]  # where each would be, in the same order
+    reason: str | None = None  # why it is none
 
     @property
     def name(self) -> str | None:

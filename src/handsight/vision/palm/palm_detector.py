@@ -88,14 +88,11 @@ class PalmNotFound:
 class PalmDetection:
     """A `PalmDetection` is the pose of the palm in one depth image."""
 
-    T_camera_palm: Array
-    """(4, 4)"""
-    covariance: Array
-    """(6, 6) of (δp [m], δθ [rad]) along the camera's axes."""
+    T_camera_palm: Array  # (4, 4)
+    covariance: Array  # (6, 6) of (δp [m], δθ [rad]) along the camera's axes
     fit: float
     """Of the pixels that the hand should fill, the share that it explains; hidden ones are not explained."""
-    candidate: NDArray[np.void]
-    """(1,) CANDIDATE: what the image says of it, in pixels."""
+    candidate: NDArray[np.void]  # (1,) CANDIDATE: what the image says of it, in pixels
 
 
 def detect_palm(
