@@ -169,9 +169,8 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     by_center = -Cj.T @ H @ covariance @ D.T  # how the joints' errors follow those of (m, c)
     within = np.eye(Cj.shape[1]) - Cj.T @ Cj + Cj.T @ H @ covariance @ H.T @ Cj
     joints = unknowns.joints
-    joint = np.block(
-        [[D @ covariance @ D.T, by_center.T @ joints.T], [joints @ by_center, joints @ within @ joints.T]]
-    )
+    across, within = joints @ by_center, joints @ within @ joints.T
+    joint = np.block([[D @ covariance @ D.T, by_center.T @ joints.T], [across, within]])
     mean = np.concatenate([[mass], moment / mass, joints @ (Cj.T @ left)])
     return Weighing(mean, joint, chi2, len(rows) - 1, p_fixed, len(instants))
 
