@@ -135,15 +135,9 @@ class TactileSurface:
         record["variance_normal"] = checks.sigma_angle(sigma_normal, "sigma_normal") ** 2
         record["variance_mount"] = self.sigma_mount**2 * np.repeat([1.0, 4 / width**2], 3)
         record["noise"], record["variance_point"], record["flat"] = self.noise, self.sigma_point**2, flat
-        values: dict[str, Any] = {
-            "points": points,
-            "normals": normals,
-            "pitch": pitch,
-            "taxels": taxels,
-            "record": record,
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        made = {"points": points, "normals": normals, "pitch": pitch, "taxels": taxels, "record": record}
+        for name, array in made.items():
+            object.__setattr__(self, name, array)
 
     def _axes(self, normals: Array) -> Array:
         """Returns (n, 3, 3) the taxels' axes, in columns; raises InvalidInput for an x along the normal."""

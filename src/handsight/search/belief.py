@@ -63,8 +63,12 @@ PARTICLES, LIKELIHOOD, CERTAINTY = ParticleOptions(), LikelihoodOptions(), Certa
 MAX_SEED = 2**32
 
 
-@renamed_members(sure="is_certain", weight="probability", prior="pose_world_object")
-@renamed_members(T_world_object="pose_world_object.T_a_b")
+@renamed_members(
+    sure="is_certain",
+    weight="probability",
+    prior="pose_world_object",
+    T_world_object="pose_world_object.T_a_b",
+)
 @dataclass(frozen=True, slots=True, eq=False)
 class Mode:
     """A `Mode` is particles within 15 mm and 20° of each other, modulo symmetry, as one Gaussian."""

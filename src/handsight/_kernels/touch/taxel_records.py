@@ -7,11 +7,7 @@ TAXEL = np.dtype([
     ("point", float, 3),  # in the link [m]
     ("axes", float, (3, 3)),  # columns: the taxel's x and y, and the outward normal
     ("bend", float, (3, 3)),  # change of the normal by that of the point [1/m]
-    (
-        "edge",
-        float,
-        3,
-    ),  # mean unit vector to its neighbours: 0 amid them, of length 1 on one side of them
+    ("edge", float, 3),  # mean unit vector to its neighbours: 0 amid them, of length 1 on one side of them
     ("near", np.int64, NEAR),  # neighbours; the number of taxels where there are fewer
     ("wide", np.int64, WIDE),  # those up to two taxels away
     ("beside", np.int64, 4),  # the neighbour towards -x, +x, -y, +y
