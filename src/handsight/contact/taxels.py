@@ -135,8 +135,8 @@ class TactileSurface:
         record["variance_normal"] = checks.sigma_angle(sigma_normal, "sigma_normal") ** 2
         record["variance_mount"] = self.sigma_mount**2 * np.repeat([1.0, 4 / width**2], 3)
         record["noise"], record["variance_point"], record["flat"] = self.noise, self.sigma_point**2, flat
-        made = {"points": points, "normals": normals, "pitch": pitch, "taxels": taxels, "record": record}
-        for name, array in made.items():
+        arrays = {"points": points, "normals": normals, "pitch": pitch, "taxels": taxels, "record": record}
+        for name, array in arrays.items():
             object.__setattr__(self, name, array)
 
     def _axes(self, normals: Array) -> Array:
