@@ -174,5 +174,5 @@ class Page:
         self.server.scene.set_up_direction(up)
         self.server.initial_camera.up = up
         for camera in (self.server.initial_camera, *(c.camera for c in self.server.get_clients().values())):
-            camera.position = position  # viser asks for this order
-            camera.look_at = center
+            for name, value in (("position", position), ("look_at", center)):  # viser asks for this order
+                setattr(camera, name, value)
