@@ -116,7 +116,6 @@ def correct(
     done = failed = 0
     first = list[tuple[bytes, str]]()  # lines and their answers, for the picture
     try:
-        terminal.check_plots(plot)
         if workers == 1 and cluster is None:
             announce_compiling()
         given = sys.stdin if problems == "-" else problems
@@ -127,6 +126,7 @@ def correct(
         if place is output:
             check_not_overwritten(terminal.part_of(output), "the first answers", given, "the problems")
         name = output if place is output else stream_name(place)
+        terminal.check_plots(plot)
         source = _open(problems)
         size = os.fstat(source.fileno()).st_size  # 0 for a pipe
         single, started, read = problems.endswith(".json"), time.monotonic(), 0

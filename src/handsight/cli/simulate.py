@@ -348,7 +348,7 @@ def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     if spec.name is not None and k != 1:  # its file, in BOP's millimetres
         library = Library()
         entry = library.entry(spec.name)
-        found = None if entry.symmetries.trivial else "find"
-        mesh, scale = library.file(entry), METRES
-        spec = dataclasses.replace(spec, name=None, mesh=mesh, scale=scale, symmetries=found)
+        spec = dataclasses.replace(spec, name=None, mesh=library.file(entry), scale=METRES)
+        if not entry.symmetries.trivial:
+            spec = dataclasses.replace(spec, symmetries="find")
     return dataclasses.replace(spec, scale=k * spec.scale)
