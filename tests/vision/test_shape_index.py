@@ -46,7 +46,9 @@ def test_a_descriptor_is_in_metres_and_the_same_however_the_camera_is_turned_abo
 
 def test_the_object_that_is_there_is_among_the_nearest(library, rng, monkeypatch):
     index = ShapeIndex(library)
-    monkeypatch.setattr(index, "_library", None)  # models cannot be loaded, so that only their names are asked for
+    monkeypatch.setattr(
+        index, "_library", None
+    )  # models cannot be loaded, so that only their names are asked for
     monkeypatch.setattr(ShapeIndex, "__getitem__", lambda self, name: name)
     found = [list(index.nearest(scene_of(CAMERA, picture(size, rng)))) for size in SIZES]
     ranks = [names.index(name) if name in names else 99 for names, name in zip(found, index, strict=True)]

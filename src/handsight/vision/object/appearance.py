@@ -108,7 +108,7 @@ def appearance_of(model: ObjectModel) -> Appearance:
 
 
 def drawn_surface(surface: Surface) -> tuple[Array, Indices]:
-    """Returns vertices (k, 3) [m] and triangles (m, 3) by which a surface is drawn: a cloud's are one for each point."""
+    """Returns vertices (k, 3) [m] and triangles (m, 3) by which a surface is drawn, one for each point of a cloud."""
     if not isinstance(surface, Cloud):
         return surface.vertices, surface.faces
     across = se3.perpendicular(surface.normals)

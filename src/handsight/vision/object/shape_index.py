@@ -83,7 +83,9 @@ class ShapeIndex(Mapping[str, ObjectModel]):
         count = min(SHAPE_INDEX.neighbours, SHAPE_INDEX.views * len(names))
         distance, view = self._tree.query(np.array(rows), k=range(1, count + 1))
         order = view.reshape(-1)[np.argsort(distance, axis=None, kind="stable")] // SHAPE_INDEX.views
-        return {names[k]: self[names[k]] for k in list(dict.fromkeys(order.tolist()))[: SHAPE_INDEX.shortlist]}
+        return {
+            names[k]: self[names[k]] for k in list(dict.fromkeys(order.tolist()))[: SHAPE_INDEX.shortlist]
+        }
 
     def _described(self, entries: tuple[Entry, ...]) -> NDArray[np.float32]:
         """Returns the descriptors (n, d) of all views of some entries, those of an entry next to each other."""
@@ -107,7 +109,7 @@ class ShapeIndex(Mapping[str, ObjectModel]):
 
 
 def described_views(vertices: Array, faces: Indices) -> Array:
-    """Returns the descriptors (v, d) of an object's views, drawn from triangles `faces` (m, 3) of vertices (k, 3) [m]."""
+    """Returns the descriptors (v, d) of the views of an object with vertices (k, 3) [m] and triangles (m, 3)."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     diameter, away = float(np.linalg.norm(high - low)), SHAPE_INDEX.away
     focal, middle = SHAPE_INDEX.pixels * away, 0.6 * SHAPE_INDEX.pixels
