@@ -215,8 +215,8 @@ def _begin(lifeline: Connection) -> None:
 class Cluster(contextlib.AbstractContextManager["Cluster"]):
     """A `Cluster` has the workers of a Dask cluster, to be used in `with`.
 
-    If a worker dies, Dask repeats its chunk, which gives the same answers; what a scheduler loses that dies is submitted
-    again when one answers at its address.
+    If a worker dies, Dask repeats its chunk, which gives the same answers. If the scheduler dies, what it has lost is
+    submitted again as soon as one answers at its address.
     """
 
     chunk_seconds = 0.5
@@ -234,7 +234,8 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
         for name in ["distributed", *logging.root.manager.loggerDict]:
             if name.partition(".")[0] == "distributed":
                 logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-        self._address, self._work, self._connect = address, work, Client
+        self._address, self._work = address, work
+        self._client_type: Any = Client
         try:
             # Checked first, as a client with a malformed address hangs on closing.
             resolve_address(address)
@@ -252,14 +253,14 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
             self._client.close(timeout=CONNECT_SECONDS)
 
     def submit(self, lines: list[bytes]) -> Future[Answers]:
-        """Returns a future of a chunk's answers, which may end with WorkerDied (of several workers) or WorkerFailure."""
+        """Returns a future of a chunk's answers, which may end with WorkerFailure, or WorkerDied of several workers."""
         answers: Future[Answers] = Future()
         self._send(lines, answers)
         return answers
 
     def _connected(self) -> Any:
         """Returns a new client; raises OSError where no scheduler answers."""
-        return self._connect(self._address, timeout=CONNECT_SECONDS, set_as_default=False)
+        return self._client_type(self._address, timeout=CONNECT_SECONDS, set_as_default=False)
 
     def _send(self, lines: list[bytes], answers: Future[Answers]) -> None:
         """Submits a chunk; `_fetch` gets it when it is done or lost."""
@@ -274,7 +275,7 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
 
     def _fetch(self) -> None:
         """Sets the results of the futures, and submits again what a scheduler has lost; it runs in its own thread."""
-        from distributed.comm import CommClosedError
+        from distributed.comm.core import CommClosedError
         from distributed.scheduler import KilledWorker
 
         while True:

@@ -188,8 +188,8 @@ def diameter(points: Array) -> float:
             break
         along = (points @ way for way in ways)
         ends = points[np.unique([end for x in along for end in (x.argmin(), x.argmax())])]
-        apart = cdist(ends, ends)
-        length, pair = float(apart.max()), np.unravel_index(apart.argmax(), apart.shape)
+        lengths = cdist(ends, ends)
+        length, pair = float(lengths.max()), np.unravel_index(lengths.argmax(), lengths.shape)
         # Of a longer pair, each end is at least as far from any place as the length less what the other end can be.
         off = np.linalg.norm(points - ends[list(pair)].mean(axis=0), axis=1)
         points = points[off >= (1 - 1e-9) * length - off.max()]

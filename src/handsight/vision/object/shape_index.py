@@ -1,6 +1,7 @@
 """An index of thousands of objects by the sizes of their views: the few of them that a depth image may show."""
 
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +35,7 @@ SHAPE_INDEX = ShapeIndexOptions()
 
 
 class ShapeIndex(Mapping[str, ObjectModel]):
-    """A `ShapeIndex` has the models of a library by name, each loaded when it is first asked for, and a k-d tree over
+    """A `ShapeIndex` has the models of a library by name, each loaded when it is asked for, and a k-d tree over
     descriptors of their views, which says at once which few of thousands a depth image may show.
 
     `recognise` takes it in place of models. What hides a part of an object changes its descriptor.
@@ -45,10 +46,10 @@ class ShapeIndex(Mapping[str, ObjectModel]):
         where a file is damaged."""
         from scipy.spatial import cKDTree  # its import is long
 
-        self._library, entries = library, library.entries()
-        if not entries:
+        if not (entries := library.entries()):
             raise InvalidFile(f"{library.place}: expected objects, got an empty library")
-        self._entries, self._models = {entry.name: entry for entry in entries}, dict[str, ObjectModel]()
+        self._library, self._entries = library, {entry.name: entry for entry in entries}
+        self._model = lru_cache(8 * SHAPE_INDEX.shortlist)(lambda name: library.model(self._entries[name]))
         self.max_diameter = max(entry.diameter for entry in entries)
         """Of all objects [m]."""
         parts = (entries[k : k + SHAPE_INDEX.block] for k in range(0, len(entries), SHAPE_INDEX.block))
@@ -61,75 +62,63 @@ class ShapeIndex(Mapping[str, ObjectModel]):
         return iter(self._entries)
 
     def __getitem__(self, name: str) -> ObjectModel:
-        """Returns the model of that name; raises KeyError where there is none. Those used last are kept."""
-        model = self._models.pop(name, None) or self._library.model(self._entries[name])
-        self._models[name] = model
-        if len(self._models) > 8 * SHAPE_INDEX.shortlist:
-            del self._models[next(iter(self._models))]
-        return model
+        return self._model(name)
 
     def nearest(self, scene: Scene) -> dict[str, ObjectModel]:
         """Returns the objects whose views are most like a segment of the scene, or like all of them, nearest first; any
         one of them for a scene without segments."""
-        inside = scene.labels >= 0
-        step = max(1, round(np.sqrt(inside.sum() / SHAPE_INDEX.points)))
-        points = scene.camera.points(scene.depth)[::step, ::step][inside[::step, ::step]].astype(np.float64)
-        label, names = scene.labels[::step, ::step][inside[::step, ::step]], list(self)
+        step, names = max(1, round(np.sqrt(scene.sizes.sum() / SHAPE_INDEX.points))), list(self)
+        labels, points = scene.labels[::step, ::step], scene.camera.points(scene.depth)[::step, ::step]
         largest = np.argsort(-scene.sizes, kind="stable")[: SHAPE_INDEX.segments]
-        parts = [points, *(points[label == part] for part in largest if len(scene.sizes) > 1)]
-        rows = [described(part) for part in parts if len(part) > len(SHAPE_INDEX.quantiles)]
+        parts = [points[mask] for mask in (labels >= 0, *(labels == part for part in largest))]
+        rows = [
+            described(part.astype(np.float64)) for part in parts if len(part) > len(SHAPE_INDEX.quantiles)
+        ]
         if not rows:
             return {names[0]: self[names[0]]}
         count = min(SHAPE_INDEX.neighbours, SHAPE_INDEX.views * len(names))
         distance, view = self._tree.query(np.array(rows), k=range(1, count + 1))
         order = view.reshape(-1)[np.argsort(distance, axis=None, kind="stable")] // SHAPE_INDEX.views
-        return {
-            names[k]: self[names[k]] for k in list(dict.fromkeys(order.tolist()))[: SHAPE_INDEX.shortlist]
-        }
+        found = [names[k] for k in dict.fromkeys(order.tolist())]
+        return {name: self[name] for name in found[: SHAPE_INDEX.shortlist]}
 
     def _described(self, entries: tuple[Entry, ...]) -> NDArray[np.float32]:
         """Returns the descriptors (n, d) of all views of some entries, those of an entry next to each other."""
-        contents = (np.fromfile(self._library.file(entry), dtype=np.uint8) for entry in entries)
-
-        def triangles(entry: Entry) -> tuple[Array, Indices]:
-            """Returns an object as `drawn_surface`, of a mesh without building its distance fields."""
-            shape = read_shape(self._library.file(entry))
-            if shape.faces is None:
-                return drawn_surface(self._library.model(entry).surface)
-            return METRES * shape.vertices, shape.faces
+        files = [self._library.file(entry) for entry in entries]
 
         def rows() -> NDArray[np.float32]:
-            """Returns the numbers of all descriptors."""
-            found = [described_views(*triangles(entry)) for entry in entries]
-            return np.concatenate(found).astype(np.float32).reshape(-1)
+            found = []
+            for entry, shape in zip(entries, map(read_shape, files), strict=True):
+                surface = (METRES * shape.vertices, shape.faces)  # without building a mesh's distance fields
+                found += described_views(
+                    *(drawn_surface(self[entry.name].surface) if shape.faces is None else surface)
+                )
+            return np.concatenate(found).astype(np.float32)
 
-        name = cache.key(f"views 1 {SHAPE_INDEX}", *contents)
+        name = cache.key(f"views 1 {SHAPE_INDEX}", *(np.fromfile(file, dtype=np.uint8) for file in files))
         numbers = cache.remembered_numbers("views", name, np.float32, rows)
         return numbers.reshape(SHAPE_INDEX.views * len(entries), -1)
 
 
-def described_views(vertices: Array, faces: Indices) -> Array:
-    """Returns the descriptors (v, d) of the views of an object with vertices (k, 3) [m] and triangles (m, 3)."""
+def described_views(vertices: Array, faces: Indices) -> list[Array]:
+    """Returns the descriptors (d,) of the views of an object with vertices (k, 3) [m] and triangles (m, 3)."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    diameter, away = float(np.linalg.norm(high - low)), SHAPE_INDEX.away
-    focal, middle = SHAPE_INDEX.pixels * away, 0.6 * SHAPE_INDEX.pixels
+    focal, middle = SHAPE_INDEX.pixels * SHAPE_INDEX.away, 0.6 * SHAPE_INDEX.pixels
     matrix = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1]])
     camera, found = Camera(matrix, (int(2 * middle), int(2 * middle))), []
     for way in se3.directions(SHAPE_INDEX.views):
         x = se3.perpendicular(way)
-        R = np.stack([x, np.cross(-way, x), -way])
-        placed = (vertices - (low + high) / 2) @ R.T + [0, 0, away * diameter]
+        placed = (vertices - (low + high) / 2) @ np.stack([x, np.cross(-way, x), -way]).T
+        placed[:, 2] += SHAPE_INDEX.away * np.linalg.norm(high - low)
         points = camera.points(camera.draw(placed, faces).depth).astype(np.float64)
         found.append(described(points[points[..., 2] > 0]))
-    return np.array(found)
+    return found
 
 
 def described(points: Array) -> Array:
-    """Returns the descriptor (d,) [m] of the points (n, 3) of a segment in a camera, whatever its turn about the ray.
-
-    It has quantiles of the coordinates along the principal axes across the mean ray, of the distance from that ray, and
-    of the depth along it; then the depth's correlations with these coordinates and with their squares.
-    """
+    """Returns the descriptor (d,) [m] of the points (n, 3) of a segment in a camera, whatever its turn about the ray:
+    quantiles of the coordinates along the principal axes across the mean ray, of the distance from that ray, and of the
+    depth along it; then the depth's correlations with these coordinates and with their squares."""
     middle = points.mean(axis=0)
     ray = middle / np.linalg.norm(middle)
     depth = (points - middle) @ ray
