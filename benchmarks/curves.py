@@ -45,7 +45,7 @@ Row = dict[str, float]
 CONTACTS = (100, 300, 1000, 3000, 10_000, 20_000)
 SUBDIVISIONS = (5, 6, 7, 8, 9)
 """20 480, 81 920, 327 680, 1 310 720 and 5 242 880 triangles."""
-OBJECTS = (100, 1000, 10_000)
+OBJECTS = (100, 1000, 2600, 10_000)
 IMAGES = ((320, 240), (640, 480), (1280, 960), (1920, 1440), (3840, 2160))
 RECORDED = (150, 500, 1500)
 """Depth images of a recording, 0.6 MB each before compression, and 17 joint states for each."""
