@@ -326,7 +326,7 @@ def main(arguments: list[str] | None = None) -> int:
     for name in given.only or AXES:
         _, sizes, column = AXES[name]
         if rows := curve(name, sizes[: given.most]):
-            cells = [[f"{value:,.6g}".replace(",", " ") if value >= 1000 else f"{value:.3g}" for value in row.values()]
+            cells = [[f"{value:,.0f}".replace(",", " ") if value >= 1000 else f"{value:.3g}" for value in row.values()]
                      for row in rows]  # fmt: skip
             slope = f"exponent of {column}: {exponent(rows, column):.2f}" if column and len(rows) > 1 else ""
             report.print_table(f"Growth: {name}", list(rows[0]), cells, f"{slope}\n{report.machine()}")

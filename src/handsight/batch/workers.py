@@ -235,16 +235,15 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
             if name.partition(".")[0] == "distributed":
                 logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         self._address, self._work = address, work
+        self._client_type: Any = Client
         try:
             # Checked first, as a client with a malformed address hangs on closing.
             resolve_address(address)
-            connect: Any = Client
-            self._client = connect(address, timeout=CONNECT_SECONDS, set_as_default=False)
-            self._client._timeout = RETURN_SECONDS  # within which it connects again
+            self._client = self._connected()
         except (OSError, ValueError, TypeError, RuntimeError) as error:
             message = str(error).partition("\n")[0] or type(error).__name__
             raise WorkerFailure(f"{address}: expected a Dask scheduler there, got none ({message})") from None
-        self._ended: SimpleQueue[tuple[Any, list[bytes], Future[Answers]]] = SimpleQueue()
+        self._ended: SimpleQueue[tuple[Any, Any, list[bytes], Future[Answers]]] = SimpleQueue()
         # In a daemon thread, as fetching results from a lost cluster may never end.
         threading.Thread(target=self._fetch, name="handsight-fetcher", daemon=True).start()
 
@@ -259,16 +258,20 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
         self._send(lines, answers)
         return answers
 
+    def _connected(self) -> Any:
+        """Returns a new client; raises OSError where no scheduler answers."""
+        return self._client_type(self._address, timeout=CONNECT_SECONDS, set_as_default=False)
+
     def _send(self, lines: list[bytes], answers: Future[Answers]) -> None:
         """Submits a chunk; `_fetch` gets it when it is done or lost."""
-        failed: Future[Answers] = Future()
+        client, failed = self._client, Future[Answers]()
         # Not Client.get_executor(), whose futures never end if the scheduler is lost.
         try:
-            submitted = self._client.submit(self._work, lines, pure=False)
+            submitted = client.submit(self._work, lines, pure=False)
         except Exception as error:
             failed.set_exception(error)
             submitted = failed
-        submitted.add_done_callback(lambda done: self._ended.put((done, lines, answers)))
+        submitted.add_done_callback(lambda done: self._ended.put((client, done, lines, answers)))
 
     def _fetch(self) -> None:
         """Sets the results of the futures, and submits again what a scheduler has lost; it runs in its own thread."""
@@ -276,19 +279,30 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
         from distributed.scheduler import KilledWorker
 
         while True:
-            done, lines, answers = self._ended.get()
+            client, done, lines, answers = self._ended.get()
             try:
                 answers.set_result(Answers(*done.result()))
             except KilledWorker:
                 answers.set_exception(WorkerDied())
             except BaseException as error:
                 gone = isinstance(error, CancelledError | asyncio.CancelledError | CommClosedError)
-                while gone and self._client.status == "connecting":
-                    time.sleep(0.1)
-                if gone and self._client.status == "running":
+                if (gone or getattr(client, "status", "") != "running") and self._returned(client):
                     self._send(lines, answers)
                 else:
                     answers.set_exception(self._lost(error))
+
+    def _returned(self, lost: Any) -> bool:
+        """Returns whether a scheduler answers again at the address, after `RETURN_SECONDS` at most, and replaces the
+        client that has lost it; once no scheduler has returned, the answer is no."""
+        until = time.monotonic() + RETURN_SECONDS
+        while self._client is lost is not None:
+            with contextlib.suppress(OSError, ValueError, TypeError, RuntimeError):
+                self._client = self._connected()
+            if self._client is lost and time.monotonic() > until:
+                self._client = None
+        with contextlib.suppress(Exception):
+            lost.close(timeout=CONNECT_SECONDS)
+        return self._client is not None
 
     def _lost(self, error: BaseException) -> WorkerFailure:
         message = f"the cluster was lost ({type(error).__name__}: {error})"

@@ -87,12 +87,12 @@ class ShapeIndex(Mapping[str, ObjectModel]):
         files = [self._library.file(entry) for entry in entries]
 
         def rows() -> NDArray[np.float32]:
-            found = []
+            found = list[Array]()
             for entry, shape in zip(entries, map(read_shape, files), strict=True):
-                surface = (METRES * shape.vertices, shape.faces)  # without building a mesh's distance fields
-                found += described_views(
-                    *(drawn_surface(self[entry.name].surface) if shape.faces is None else surface)
-                )
+                if shape.faces is not None:  # without building the mesh's distance fields
+                    found += described_views(METRES * shape.vertices, shape.faces)
+                else:
+                    found += described_views(*drawn_surface(self[entry.name].surface))
             return np.concatenate(found).astype(np.float32)
 
         name = cache.key(f"views 1 {SHAPE_INDEX}", *(np.fromfile(file, dtype=np.uint8) for file in files))
