@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -198,3 +199,9 @@ def run(
         say(f"  growth with {name}")
         found[name] = part()
     return found
+
+
+if __name__ == "__main__":
+    from benchmarks import curves
+
+    sys.exit(curves.main())
