@@ -57,15 +57,8 @@ def view(tracker: Tracker, *, port: int = PAGE.port, say: Callable[[str], None] 
 class NullViewer:
     """A `NullViewer` has the methods of a `Viewer` and does nothing, for a program that is to show nothing."""
 
-    @property
-    def address(self) -> str:
-        """Empty."""
-        return ""
-
-    @property
-    def watched(self) -> bool:
-        """Always false."""
-        return False
+    address = ""  # address of the page for a browser; empty: there is no page
+    watched = False  # whether a browser is open on the page
 
     def update(self, observation: Observation, tracker: Tracker) -> None:
         """Does nothing."""
@@ -97,28 +90,16 @@ class Viewer(NullViewer):
         if isinstance(answer, HandsightError):
             self._end_process()
             raise answer
-        self._address = answer
-        self._watched = self._closed = False
+        self.address, self._closed = answer, False
         self._newest: tuple[Tracker, Moment | None] | None = None
         """The tracker to be shown, and its moment if a browser is open."""
         self._shot: viewer_process.Shot | None = None
-        self._sent: tuple[object, object] = None, None
-        """The newest and the shot that the page has."""
+        self._sent: tuple[object, object] = None, None  # the newest and the shot that the page has
         self._past = deque[tuple[float, float, State, Slip]](maxlen=LIVE_VIEWER.max_notes)
         """Stamp [s], sigma [m], state and slip of the last minute, since `_origin`, when the clock was set back."""
         self._noted = self._plotted = self._origin = -math.inf
         self._thread = threading.Thread(target=self._run, name="handsight viewer", daemon=True)
         self._thread.start()
-
-    @property
-    def address(self) -> str:
-        """Address of the page for a browser."""
-        return self._address
-
-    @property
-    def watched(self) -> bool:
-        """Whether a browser is open on the page."""
-        return self._watched
 
     def update(self, observation: Observation, tracker: Tracker) -> None:
         """Shows a tracker's estimate after an observation that it has just processed.
@@ -138,8 +119,8 @@ class Viewer(NullViewer):
         if observation.color is not None or observation.depth is not None:
             camera_from_palm = tracker.vision.camera_from_palm
             self._shot = viewer_process.Shot(observation, camera_from_palm, tracker.T_world_palm)
-        self._newest = tracker, Moment.now(tracker) if self._watched else None
-        if self._watched:
+        self._newest = tracker, Moment.now(tracker) if self.watched else None
+        if self.watched:
             self._changed.set()
 
     def close(self) -> None:
@@ -169,8 +150,8 @@ class Viewer(NullViewer):
         """Sends what the page does not show yet each time that it asks for a frame, until the page is gone."""
         with contextlib.suppress(EOFError, OSError):
             while True:
-                self._watched = self._pipe.recv()
-                while self._watched and not self._closed:
+                self.watched = self._pipe.recv()
+                while self.watched and not self._closed:
                     self._changed.wait(LIVE_VIEWER.idle_pause)
                     self._changed.clear()
                     newest, shot = self._newest, self._shot
@@ -184,7 +165,7 @@ class Viewer(NullViewer):
                     curves = self._curves()
                     self._send(viewer_process.PageUpdate(begins, moment, self._origin, new_shot, curves))
                     break
-        self._watched = False
+        self.watched = False
 
     def _curves(self) -> Curves | None:
         """Returns the curves of the last minute; None if they were just plotted."""

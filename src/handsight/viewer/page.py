@@ -68,8 +68,7 @@ class Page:
                 self.server = viser.ViserServer(host=PAGE.host, port=port, label="handsight", verbose=False)
         except OSError as error:
             raise HandsightError(f"port: expected one that is free from {port} on, got {error}") from None
-        self.port: int = self.server.get_port()
-        """The port at which the page is served."""
+        self.port: int = self.server.get_port()  # the port at which the page is served
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
             self.begin(rig, model, title)
@@ -84,8 +83,7 @@ class Page:
         self._aimed = False
         self._drawn: tuple[Picture | None, float, dict[Color, Array]] = None, 0.0, {}
         """The image on the page, the stamp of its moment [s], and T_camera_object (4, 4) of each outline by colour."""
-        self.last: Moment | None = None
-        """The moment that is shown."""
+        self.last: Moment | None = None  # the moment that is shown
         with self.server.atomic():
             self.server.scene.reset()
             self.server.gui.reset()
@@ -124,8 +122,8 @@ class Page:
 
     def redraw(self) -> None:
         """Shows the same moment again, after a person has chosen other layers."""
-        if (last := self.last) is not None:
-            self.draw(last)
+        if self.last is not None:
+            self.draw(self.last)
 
     def close(self) -> None:
         """Ends the server; browsers keep what they show."""
@@ -137,17 +135,14 @@ class Page:
         shown, estimate = moment.picture, moment.estimate
         if shown is None:
             return
-        vision = None if moment.vision is None else moment.vision.T_palm_object
-        poses = {
-            # Vision's pose was brought into the palm by the calibrated camera; the same brings it back.
-            "vision": (shown.T_camera_palm_calibrated, vision),
-            "object": (shown.T_camera_palm, None if estimate is None else estimate.T_palm_object),
-        }
-        outlines = {
-            LAYERS[name][1]: T_camera_palm @ T
-            for name, (T_camera_palm, T) in poses.items()
-            if T is not None and T_camera_palm is not None and self.scene.layers[name]
-        }
+        outlines = {}
+        # Vision's pose was brought into the palm by the calibrated camera; the same brings it back.
+        for name, known, T_camera_palm in (
+            ("vision", moment.vision, shown.T_camera_palm_calibrated),
+            ("object", estimate, shown.T_camera_palm),
+        ):
+            if known is not None and T_camera_palm is not None and self.scene.layers[name]:
+                outlines[LAYERS[name][1]] = T_camera_palm @ known.T_palm_object
         before, stamp, drawn = self._drawn
         if shown is before and outlines.keys() == drawn.keys():
             moved = max((np.abs(T - drawn[color]).max() for color, T in outlines.items()), default=0.0)

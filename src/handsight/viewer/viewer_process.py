@@ -38,15 +38,11 @@ class Shot(NamedTuple):
 class PageUpdate(NamedTuple):
     """A `PageUpdate` is one frame for the page to draw."""
 
-    begins: tuple[Rig, ObjectModel] | None
-    """The rig and the object, if they have changed; else None."""
+    begins: tuple[Rig, ObjectModel] | None  # the rig and the object, if they have changed; else None
     moment: Moment
-    origin: float
-    """Stamp from which the page counts time [s]."""
-    shot: Shot | None
-    """The newest image, if there is a new one; else None."""
-    curves: Curves | None
-    """The curves, if they have changed; else None."""
+    origin: float  # stamp from which the page counts time [s]
+    shot: Shot | None  # the newest image, if there is a new one; else None
+    curves: Curves | None  # the curves, if they have changed; else None
 
 
 def begin() -> tuple[Connection, "subprocess.Popen[bytes] | None"]:
