@@ -348,7 +348,6 @@ def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     if spec.name is not None and k != 1:  # its file, in BOP's millimetres
         library = Library()
         entry = library.entry(spec.name)
-        spec = dataclasses.replace(spec, name=None, mesh=library.file(entry), scale=METRES)
-        if not entry.symmetries.trivial:
-            spec = dataclasses.replace(spec, symmetries="find")
+        kept = spec.symmetries if entry.symmetries.trivial else "find"
+        spec = dataclasses.replace(spec, name=None, mesh=library.file(entry), scale=METRES, symmetries=kept)
     return dataclasses.replace(spec, scale=k * spec.scale)

@@ -50,18 +50,12 @@ GRASP = GraspOptions()
 class Body:
     """A `Body` is the convex hull of an object in some pose, reduced to few faces."""
 
-    vertices: Array
-    """(k, 3) [m]."""
-    normals: Array
-    """(m, 3) outward, of its faces."""
-    offsets: Array
-    """(m,): inside, normals @ p < offsets [m]."""
-    areas: Array
-    """(m,) of the faces [m²]."""
-    mass: Array
-    """(3,) the centre of mass [m]."""
-    middle: Array
-    """(3,) the middle of the bounds in the object's own frame [m]."""
+    vertices: Array  # (k, 3) [m]
+    normals: Array  # (m, 3) outward, of its faces
+    offsets: Array  # (m,): inside, normals @ p < offsets [m]
+    areas: Array  # (m,) of the faces [m²]
+    mass: Array  # (3,) the centre of mass [m]
+    middle: Array  # (3,) the middle of the bounds in the object's own frame [m]
 
     def turned(self, R: Array) -> "Body":
         """Returns the body turned by R (3, 3) and standing on the table, its middle above the origin."""
@@ -76,18 +70,12 @@ class Body:
 class Hold:
     """A `Hold` is where fingertips are to press on a resting object, in the world; the grip's axis is x."""
 
-    R_world_object: Array
-    """(3, 3) rotation of the object at rest."""
-    body: Body
-    """The object as it rests there."""
-    points: Mapping[str, Array]
-    """(3,) by finger [m]."""
-    normals: Mapping[str, Array]
-    """(3,) outward normals of the object there."""
-    roll: float
-    """Of the hand about x [rad]."""
-    merit: float
-    """Its rank: about 1 for the best, without a lower bound."""
+    R_world_object: Array  # (3, 3) rotation of the object at rest
+    body: Body  # the object as it rests there
+    points: Mapping[str, Array]  # (3,) by finger [m]
+    normals: Mapping[str, Array]  # (3,) outward normals of the object there
+    roll: float  # of the hand about x [rad]
+    merit: float  # its rank: about 1 for the best, without a lower bound
     kin: tuple[int, float, float]
     """Number of its resting pose, roll and offset: candidates that share all three tend to fail together."""
 
@@ -118,9 +106,7 @@ def least_rotation(first: Array, second: Array) -> Array:
 
 def rests(body: Body) -> list[Array]:
     """Returns rotations Rs_world_object (3, 3) in which the body rests: as in its file, on its largest sides, on end.
-
-    It rests on a side if its centre of mass, projected to the side's plane, is inside all other faces.
-    """
+    It rests on a side if its centre of mass, projected to the side's plane, is inside all other faces."""
     found = [np.eye(3)]
     heights = body.offsets - body.normals @ body.mass
     sizes = (body.normals @ body.normals.T > GRASP.flat_cosine) @ body.areas
@@ -241,10 +227,8 @@ def _holds_along_x(body: Body, R: Array, order: int) -> Iterator[Hold]:
 
 
 def _exits(body: Body, starts: Array, sense: float) -> tuple[Array, Array]:
-    """Returns points (n, 3) where lines along ±x from `starts` (n, 3) leave the body, and the normals (n, 3) there.
-
-    A line that starts outside has NaN.
-    """
+    """Returns points (n, 3) where lines along ±x from `starts` (n, 3) leave the body, and the normals (n, 3) there. A
+    line that starts outside has NaN."""
     rate = sense * body.normals[:, 0]
     ahead = rate > 1e-9
     below = body.offsets[None] - starts @ body.normals.T
