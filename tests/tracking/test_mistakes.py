@@ -21,7 +21,7 @@ def recorded(simulated):
     from handsight.simulation import Scenario, rig_of
 
     def record(object, **fields):
-        scenario = Scenario(object=object, rate=25, motion="manipulate", **fields)
+        scenario = Scenario(object=object, motion="manipulate", **{"rate": 25, **fields})
         rig = rig_of(scenario)
         return rig, rig.objects[object].model(), [each.observation for each in simulated(scenario)]
 
@@ -114,9 +114,8 @@ def test_nothing_is_named_where_nothing_is_wrong(recorded):
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("sensors", ["wrench", "xela", "paxini", "inspire"])
 def test_nothing_is_named_of_any_sensor_where_nothing_is_wrong(recorded, sensors, seed):
-    for object in ("can", "box"):
-        rig, model, observations = recorded(object, seed=seed, sensors=sensors)
-        assert found(rig, observations, model) == found(rig, observations) == []
+    rig, model, observations = recorded(("can", "box")[seed % 2], seed=seed, sensors=sensors, rate=10)
+    assert found(rig, observations, model) == found(rig, observations) == []
 
 
 def cases(mistakes, quick):
