@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from handsight import se3
+from handsight.rig.save import pose_text
 from handsight.tracking.consistency import Excerpt
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.mistakes import TURNS, find_mistakes
@@ -42,6 +43,12 @@ def with_fingers(change, *names):
         return replace(rig, fingers=fingers)
 
     return changed
+
+
+def camera(change):
+    return lambda rig: replace(
+        rig, camera=replace(rig.camera, T_mount_camera=change(rig.camera.T_mount_camera))
+    )
 
 
 def other_sign(finger):
@@ -93,6 +100,10 @@ IN_RIG = {
     "the tip of each finger pointing along its -z": with_fingers(into_finger),
     "gravity the other way": lambda rig: replace(rig, gravity=-rig.gravity),
 }
+OF_CAMERA = {
+    "the camera in its inverse pose": camera(se3.inverse),
+    "the camera turned by 90° about -z": camera(lambda T: T @ se3.compose(Z90, np.zeros(3))),
+}
 IN_RECORDING = {
     "another order of the topics of ff, mf": wrenches(lambda name, all: all[SWAPPED.get(name, name)]),
     "the other sign of the forces of all": wrenches(lambda name, all: -all[name]),
@@ -141,6 +152,15 @@ def test_a_mistake_in_what_was_recorded_is_named(recorded, what, named):
     rig, model, observations = recorded("box")
     [sentence] = found(rig, list(map(IN_RECORDING[what], observations)), model if named else None)
     assert what in sentence.split(" fits better")[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", OF_CAMERA)
+def test_a_camera_in_another_of_its_frames_is_named_where_the_object_is(recorded, what):
+    rig, model, observations = recorded("can")
+    [sentence] = found(OF_CAMERA[what](rig), observations, model)
+    assert sentence.startswith(what)
+    assert f"set camera.pose: {pose_text(rig.camera.T_mount_camera)}" in sentence
 
 
 @pytest.mark.slow

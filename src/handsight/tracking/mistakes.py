@@ -331,6 +331,17 @@ def _cameras(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]
         yield Mistake(f"a camera on the {other.on}", fix, replace(rig, camera=other), _as_is)
 
 
+def _camera_poses(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
+    """A camera whose pose is inverted, or that of another of its frames, such as the body's in place of the optical."""
+    if (camera := rig.camera) is None:
+        return
+    T = camera.T_mount_camera
+    poses = [("in its inverse pose", se3.inverse(T)), *((f"turned by {turn}", _turned(T, R)) for turn, R in TURNS)]
+    for what, pose in poses:
+        other = replace(rig, camera=replace(camera, T_mount_camera=pose))
+        yield Mistake(f"the camera {what}", f"set camera.pose: {pose_text(pose)}", other, _as_is)
+
+
 def _as_wxyz(observation: Observation) -> Observation:
     """Returns an observation whose vision was read as x, y, z, w, and was w, x, y, z."""
     if (vision := observation.vision) is None:
@@ -400,6 +411,7 @@ KINDS: dict[Callable[[Rig, Sequence[Observation]], Iterator[Mistake]], set[str]]
     _units: {"touch", "squeeze", "balance", "limits", "object"},
     _tips: {"touch", "squeeze", "outward", "object"},
     _cameras: {"vision", "object"},
+    _camera_poses: {"object"},  # without the object, turns about an axis of the palm's motion cannot be told apart
     _palms: {"gravity", "vision", "object"},
     _joints: {"squeeze", "balance", "gravity", "limits", "object"},
 }
