@@ -157,7 +157,9 @@ def find_mistakes(excerpt: Excerpt, model: ObjectModel | None = None) -> list[Fo
         tied = [each for each in tried if each.total < least + MISTAKES.tie]
         if not tied:
             break
-        found.append(Found(now, tied[0], tuple(each.mistake for each in tied[1:3])))  # the likeliest one first
+        found.append(
+            Found(now, tied[0], tuple(each.mistake for each in tied[1:3]))
+        )  # the likeliest one first
         now = tied[0]
     return found
 
@@ -336,7 +338,10 @@ def _camera_poses(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mis
     if (camera := rig.camera) is None:
         return
     T = camera.T_mount_camera
-    poses = [("in its inverse pose", se3.inverse(T)), *((f"turned by {turn}", _turned(T, R)) for turn, R in TURNS)]
+    poses = [
+        ("in its inverse pose", se3.inverse(T)),
+        *((f"turned by {turn}", _turned(T, R)) for turn, R in TURNS),
+    ]
     for what, pose in poses:
         other = replace(rig, camera=replace(camera, T_mount_camera=pose))
         yield Mistake(f"the camera {what}", f"set camera.pose: {pose_text(pose)}", other, _as_is)
@@ -411,7 +416,9 @@ KINDS: dict[Callable[[Rig, Sequence[Observation]], Iterator[Mistake]], set[str]]
     _units: {"touch", "squeeze", "balance", "limits", "object"},
     _tips: {"touch", "squeeze", "outward", "object"},
     _cameras: {"vision", "object"},
-    _camera_poses: {"object"},  # without the object, turns about an axis of the palm's motion cannot be told apart
+    _camera_poses: {
+        "object"
+    },  # without the object, turns about an axis of the palm's motion cannot be told apart
     _palms: {"gravity", "vision", "object"},
     _joints: {"squeeze", "balance", "gravity", "limits", "object"},
 }
