@@ -1,10 +1,12 @@
 """The command `handsight`: its subcommands, and how it reports errors."""
 
 import io
+import os
 import sys
 import time
 import warnings
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Option
@@ -24,6 +26,9 @@ from handsight.cli.track import track
 from handsight.cli.view import view
 from handsight.errors import HandsightError, NotWritten
 from handsight.files import write_errors
+
+if TYPE_CHECKING:
+    from handsight.batch.workers import Answers
 
 app = typer.Typer(
     help="Know where the object is in the robot's hand, by touch and sight.",
@@ -87,22 +92,55 @@ def _handsight(
     pass
 
 
-def warmup() -> None:
-    """Compile all kernels now, which takes some minutes; needed once for each version and machine.
+def warmup(
+    into: Annotated[
+        Path | None,
+        Option(metavar="FOLDER", help="Keep them there, for an image or for machines of the same kind."),
+    ] = None,
+) -> None:
+    """Compile all kernels now, on all cores; needed once for each version and kind of machine.
 
     Without it, the first command that needs a kernel compiles it. Compiled kernels are kept in the user's cache folder,
-    or in the folder that HANDSIGHT_CACHE names.
+    or in the folder that HANDSIGHT_CACHE names. That folder may be copied to where processor, Python, numba and
+    handsight are the same.
 
     ```
     handsight warmup
+    handsight warmup --into /opt/handsight
     ```
     """
+    from concurrent.futures import as_completed
+
+    import numba
+
     from handsight._kernels.runtime.kernel_cache import folder
-    from handsight.tracking.warm import warm
+    from handsight.batch.workers import Processes
+    from handsight.tracking.warm import GROUPS, LATER
+
+    if into is not None:
+        os.environ["HANDSIGHT_CACHE"] = str(into.absolute())
+        os.environ.pop("NUMBA_CACHE_DIR", None)
+    started, done = time.monotonic(), 0
+    with Processes(numba.config.NUMBA_NUM_THREADS, _compiled) as workers, terminal.bar("compiling") as move:
+        for names in ([name for name in GROUPS if name not in LATER], LATER):
+            running = {workers.submit([name.encode()]): name for name in names}
+            for ended in as_completed(running):
+                terminal.say(f"{ended.result().seconds:6.1f} s  {running[ended]}")
+                done += 1
+                move(done / len(GROUPS))
+    print(f"compiled in {time.monotonic() - started:.1f} s; kept in {folder()}")
+    if into is not None:
+        print(f"used where HANDSIGHT_CACHE={folder().parent}")
+
+
+def _compiled(names: list[bytes]) -> "Answers":
+    from handsight.batch.workers import Answers
+    from handsight.tracking.warm import GROUPS
 
     started = time.monotonic()
-    warm(lambda name, seconds: terminal.say(f"{seconds:6.1f} s  {name}"))
-    print(f"compiled in {time.monotonic() - started:.1f} s; kept in {folder()}")
+    for name in names:
+        GROUPS[name.decode()]()
+    return Answers([], time.monotonic() - started, [])
 
 
 for command in (demo, track, view, locate, simulate, correct, reconstruct):

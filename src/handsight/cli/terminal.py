@@ -1,6 +1,7 @@
 """Output for a person at a terminal (messages, progress, tables), and exit codes."""
 
 import contextlib
+import itertools
 import math
 import os
 import sys
@@ -63,11 +64,15 @@ def discard(stream: IO[str]) -> None:
 
 
 def announce_compiling() -> None:
-    """Makes a terminal show a message before the first kernel is compiled, which takes minutes."""
+    """Makes a terminal show which kernel is being compiled, a line that goes again; all take minutes."""
     if sys.stderr.isatty():
         from handsight._kernels.runtime.kernel_cache import on_compile
 
-        on_compile.append(lambda: say("compiling handsight's kernels, once on this machine ..."))
+        def show(name: str, number: Iterator[int] = itertools.count(1)) -> None:
+            text = f"compiling handsight's kernels, once on this machine: {next(number)}, " if name else ""
+            print(f"\r\x1b[2K{text}{name.rpartition('.')[2]}", end="", file=sys.stderr, flush=True)
+
+        on_compile[:] = [show]
 
 
 def check_plots(plot: Path | None) -> None:

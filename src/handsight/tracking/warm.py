@@ -160,6 +160,9 @@ GROUPS: dict[str, Callable[[], None]] = {
 }
 """Groups of kernels by what they are for, each with problems that need them."""
 
+LATER = ("corrections from many starts", "hands and tracking")
+"""Those that need kernels of the others too, and find them on disk if these come first."""
+
 
 def _touched_box() -> tuple[ObjectModel, Contacts]:
     """Returns a box and three contacts on it."""
