@@ -20,7 +20,7 @@ from handsight.contact import (
     contact_from_wrench,
     contacts_from_wrenches,
 )
-from handsight.correction import PosePrior, correct_pose
+from handsight.correction import PosePrior, TwoPhase, correct_pose
 from handsight.hand import Hand
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
@@ -67,6 +67,7 @@ def correct_far() -> None:
     correct_pose(model, contacts, vision=far, outside=[[0.1, 0, 0], [0.05, 0.05, 0]])
     correct_pose(model, contacts, vision=far, samples=200)
     correct_pose(model, contacts)
+    correct_pose(model, contacts, vision=far, method=TwoPhase(starts=1000, reject_outliers=False))
 
 
 def build() -> None:
