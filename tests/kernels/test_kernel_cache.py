@@ -215,12 +215,10 @@ def signatures():
     return {kernel._cache.name: tuple(kernel.nopython_signatures) for kernel in found}
 """
 WARMED = """
-from handsight.tracking.warm import GROUPS, warm
+from handsight.tracking.warm import GROUPS
 
-reported = []
-warm(lambda name, seconds: reported.append((name, seconds)))
-assert [name for name, _ in reported] == list(GROUPS)
-assert all(seconds > 0 for _, seconds in reported)
+for warm in GROUPS.values():
+    warm()
 
 warmed = signatures()
 assert len(warmed) > 50, warmed

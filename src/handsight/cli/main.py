@@ -6,7 +6,7 @@ import sys
 import time
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 from typer import Option
@@ -26,9 +26,6 @@ from handsight.cli.track import track
 from handsight.cli.view import view
 from handsight.errors import HandsightError, NotWritten
 from handsight.files import write_errors
-
-if TYPE_CHECKING:
-    from handsight.batch.workers import Answers
 
 app = typer.Typer(
     help="Know where the object is in the robot's hand, by touch and sight.",
@@ -100,12 +97,10 @@ def warmup(
 ) -> None:
     """Compile all kernels now, on all cores; needed once for each version and kind of machine.
 
-    Without it, the first command that needs a kernel compiles it. Compiled kernels are kept in the user's cache folder,
-    or in the folder that HANDSIGHT_CACHE names. That folder may be copied to where processor, Python, numba and
-    handsight are the same.
+    Without it, the first command that needs a kernel compiles it. They are kept in the user's cache folder, or in the
+    one that HANDSIGHT_CACHE names, which may be copied to where processor, Python, numba and handsight are the same.
 
     ```
-    handsight warmup
     handsight warmup --into /opt/handsight
     ```
     """
@@ -120,20 +115,17 @@ def warmup(
     if into is not None:
         os.environ["HANDSIGHT_CACHE"] = str(into.absolute())
         os.environ.pop("NUMBA_CACHE_DIR", None)
-    started, done = time.monotonic(), 0
-    with Processes(numba.config.NUMBA_NUM_THREADS, _compiled) as workers, terminal.bar("compiling") as move:
+    started = time.monotonic()
+    with Processes(numba.config.NUMBA_NUM_THREADS, _compile) as workers:
         for names in ([name for name in GROUPS if name not in LATER], LATER):
             running = {workers.submit([name.encode()]): name for name in names}
             for ended in as_completed(running):
                 terminal.say(f"{ended.result().seconds:6.1f} s  {running[ended]}")
-                done += 1
-                move(done / len(GROUPS))
-    print(f"compiled in {time.monotonic() - started:.1f} s; kept in {folder()}")
-    if into is not None:
-        print(f"used where HANDSIGHT_CACHE={folder().parent}")
+    place = folder() if into is None else f"{into}; to use them, HANDSIGHT_CACHE={folder().parent}"
+    print(f"compiled in {time.monotonic() - started:.1f} s; kept in {place}")
 
 
-def _compiled(names: list[bytes]) -> "Answers":
+def _compile(names: list[bytes]) -> Any:
     from handsight.batch.workers import Answers
     from handsight.tracking.warm import GROUPS
 

@@ -1,7 +1,6 @@
 """Output for a person at a terminal (messages, progress, tables), and exit codes."""
 
 import contextlib
-import itertools
 import math
 import os
 import sys
@@ -68,11 +67,8 @@ def announce_compiling() -> None:
     if sys.stderr.isatty():
         from handsight._kernels.runtime.kernel_cache import on_compile
 
-        def show(name: str, number: Iterator[int] = itertools.count(1)) -> None:
-            text = f"compiling handsight's kernels, once on this machine: {next(number)}, " if name else ""
-            print(f"\r\x1b[2K{text}{name.rpartition('.')[2]}", end="", file=sys.stderr, flush=True)
-
-        on_compile[:] = [show]
+        text = "compiling handsight's kernels, once on this machine: "
+        on_compile[:] = [lambda name: os.write(2, f"\r\x1b[2K{name and text + name}".encode())]
 
 
 def check_plots(plot: Path | None) -> None:

@@ -1,6 +1,5 @@
 """Kernels compiled, or loaded, ahead of their first use, by solving small problems through the functions users call."""
 
-import time
 from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
@@ -30,14 +29,6 @@ from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.settings import TrackerSettings
 from handsight.vision import DepthTracker, HandAppearance, detect_palm, locate, locate_all
 from handsight.vision.reconstruction.reconstruct import Reconstruction, View
-
-
-def warm(report: Callable[[str, float], object]) -> None:
-    """Compiles or loads every kernel; calls `report` with what each group is for and the seconds it took."""
-    for name, solve in GROUPS.items():
-        began = time.perf_counter()
-        solve()
-        report(name, time.perf_counter() - began)
 
 
 @cache

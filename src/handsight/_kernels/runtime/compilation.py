@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numba
 from llvmlite.binding import parse_assembly
 from numba import _dynfunc
-from numba.core import codegen, compiler, lowering, typed_passes
+from numba.core import codegen, compiler, typed_passes
 from numba.core.compiler_machinery import register_pass
 
 # Numba asks once whether SciPy's BLAS can be imported, which no kernel of handsight calls; loading it takes a third of
@@ -78,14 +78,10 @@ class _EntryLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
-class _Lowering(typed_passes.BaseNativeLowering):  # type: ignore[misc]
+class _Lowering(typed_passes.NativeLowering):  # type: ignore[misc]
     """`_Lowering` replaces the last of numba's passes, and lowers into an `_InnerLibrary` or an `_EntryLibrary`."""
 
     _name = "lowering_to_link"
-
-    @property
-    def lowering_class(self) -> Any:
-        return lowering.Lower
 
     def run_pass(self, state: Any) -> bool:
         """Lowers the function, and registers an inner one for its callers by a function object without machine code."""
@@ -96,12 +92,12 @@ class _Lowering(typed_passes.BaseNativeLowering):  # type: ignore[misc]
         super().run_pass(state)
         if inner:
             library.finalize()
-            described = state.cr.fndesc
-            key = _dynfunc.make_function(
-                described.lookup_module(), function.func_name, "", 0, state.cr.env, (library,)
+            described, environment = state.cr.fndesc, state.cr.env
+            module, name = described.lookup_module(), function.func_name
+            key = _dynfunc.make_function(module, name, "", 0, environment, (library,))
+            context.insert_user_function(
+                key, described, [*dict.fromkeys([library, *library._linking_libraries])]
             )
-            linked = list(dict.fromkeys([library, *library._linking_libraries]))
-            context.insert_user_function(key, described, linked)
             state.cr = state.cr._replace(cfunc=key)
         return True
 
