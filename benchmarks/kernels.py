@@ -38,13 +38,14 @@ def fits_at_once(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePr
 
 def stages(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -> dict[str, Call]:
     """Returns the parts of one correction as calls, by name."""
-    rows, residuals = np.zeros(1, dtype=records.PROBLEM), np.empty((len(contacts), 2))
-    rows["constraints"], rows["last"] = vision.record, len(contacts)
-    given = model.record.model, model.record.nodes, contacts.record, NO_OUTSIDE, rows, residuals
+    rows, residuals = np.zeros(2, dtype=records.PROBLEM), np.empty((len(contacts), 2))
+    rows["constraints"], rows["last"], rows["answer"]["mean"] = vision.record, len(contacts), [1, 0]
+    given = model.record.model, model.record.nodes, contacts.record, NO_OUTSIDE
     answer = rows[0]["answer"]
     return {
-        "kernel": lambda: batch.correct_all(*given),
-        "of it the two phases": kernel_call(model, contacts, vision),
+        "kernel": lambda: batch.correct_all(*given, rows[:1], residuals),
+        "without a mean": lambda: batch.correct_all(*given, rows[1:], residuals),
+        "the two phases": kernel_call(model, contacts, vision),
         "estimate made": lambda: PoseEstimate(answer, (answer,), residuals, True),
     }
 

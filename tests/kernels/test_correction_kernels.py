@@ -315,9 +315,9 @@ def test_information_is_the_residuals_where_faces_are_touched():
         np.testing.assert_allclose(estimate.covariance @ expected, np.eye(6), atol=1e-3)
         # With the second order, wider by little where all is known well.
         everyone = np.ones((1, 5), dtype=bool)
-        full = solve.summarize(given, solve.Candidates(descent, everyone, given.freedom(everyone)))
-        np.testing.assert_allclose(full.information / scale, expected / scale, atol=0.05)
-        np.testing.assert_allclose(full.covariance @ full.information, np.eye(6), atol=1e-8)
+        full = solve.summaries(given, descent, everyone)[0]
+        np.testing.assert_allclose(full["information"] / scale, expected / scale, atol=0.05)
+        np.testing.assert_allclose(full["covariance"] @ full["information"], np.eye(6), atol=1e-8)
 
 
 @pytest.mark.parametrize("name", ["box", "can", "egg", "ball", "off"])

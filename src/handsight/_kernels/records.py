@@ -177,6 +177,7 @@ ANSWER = record(
     ("information", "f8", (6, 6)),
     ("covariance", "f8", (6, 6)),
     ("first_order", "i8"),  # whether these are from the Jacobian alone, at a pose that is no minimum
+    ("mean", "i8"),  # whether it becomes the mode's mean: 0 never, 1 where that is not Gaussian, 2 always
     ("complete", "i8"),  # whether there is a covariance
     ("unobservable", "f8", (6, 6)),
     ("open_count", "i8"),  # number of unobservable directions: the first rows of these
@@ -236,6 +237,14 @@ UNCERTAINTY = record(
 FLAT_DIRECTIONS = record(
     ("count", "i8"),  # number of flat directions, and of those across them
     ("count_across", "i8"),
+    ("vectors", "f8", (6, 6)),  # eigenvectors of the information at the mode, along the palm's axes
+    ("slopes", "f8", (6,)),  # eigenvalues [1/m²]; infinite for spins about declared axes
+    ("calibrated", "f8", (6,)),  # the same as the cost shows them
+    (
+        "rises",
+        "f8",
+        (6,),
+    ),  # ratio of the cost's rise to a Gaussian's; negative where it is not integrated along
     ("along", "f8", (6, 3)),
     ("spacing", "f8", (3,)),  # of the lattice [m]
     ("lattice", "f8", (6, 3)),  # steps from a lattice point to the next ones
@@ -245,16 +254,23 @@ FLAT_DIRECTIONS = record(
     ("bump_margin", "f8"),  # by how much bumps of a scanned model may lower the cost of contacts and walls
     ("level", "f8"),  # the cost below which lattice points therefore count as equal
 )
-# Sums over lattice points: of weights, relative to the largest, times deviations (δp, δθ) and their products.
+# Sums over points: of weights, relative to the largest, times deviations (δp, δθ) and their products.
 SUMS = record(
-    ("best", "f8"),  # largest log weight so far
+    ("best", "f8"),  # logarithm of the largest density
     ("total", "f8"),
     ("first", "f8", (6,)),
     ("second", "f8", (6, 6)),
     ("within", "f8", (6, 6)),
 )
-# A lattice point: its indices on the lattice, and its coordinates across.
-LATTICE_POINT = record(("index", "i8", (3,)), ("lateral", "f8", (6,)))
+# A point of a lattice, or of a line: its indices on the lattice, or its place on the line [m], and coordinates across.
+LATTICE_POINT = record(
+    ("index", "f8", (3,)),
+    ("lateral", "f8", (6,)),
+    ("log_weight", "f8"),  # of the density there
+    ("share", "f8"),  # of the integral, relative to the largest density
+    ("moved", "f8", (6,)),  # from the mode, by (δp, δθ), and the covariance across the flat directions
+    ("within", "f8", (6, 6)),
+)
 
 # A joint of the chain from a base to a body: its axis and a point on it, in the base, with all joints at their zero.
 CHAIN_JOINT = record(

@@ -21,7 +21,14 @@ from handsight.contact import Contacts
 from handsight.correction import conflicts, outliers, paper, starts
 from handsight.correction.depth import DepthPoints
 from handsight.correction.estimate import PoseEstimate, PosePrior, Vision, checked_prior
-from handsight.correction.mean import checked_answer, mean_by_sampling, with_means
+from handsight.correction.mean import (
+    KINDS,
+    checked_answer,
+    finished,
+    kind_of,
+    mean_by_sampling,
+    with_means,
+)
 from handsight.correction.outside import NO_OUTSIDE, Outside, outside_records
 from handsight.correction.paper import PaperMethod
 from handsight.correction.problem import MOST_CONTACTS, Budget, Problem, TwoPhase, check_number, descents_at
@@ -198,17 +205,18 @@ def _searched(problem: Problem, options: TwoPhase, limit: Budget, answer: str, s
             return register(problem, limit)
         if len(problem.contacts.shared_covariance):
             raise InvalidInput("samples, method: expected neither with contacts that share errors, got some")
+    answer = "maximum" if samples else answer
+    kind = kind_of(problem, answer)
     if options is USUAL and not samples and problem.starts is None:
-        estimate = solve_single_start(problem)
+        estimate = solve_single_start(problem, mean=kind)
         if estimate is not None:
-            return with_means(problem, estimate, answer, drawn=True)
+            return finished(problem, estimate, answer)
     found = outliers.solve_robustly(problem, options, limit)
-    estimate = summarize(problem, found)
+    rows = summarize(problem, found, mean=kind)
     if limit.cut_short:
-        estimate.answer["converged"] = False
-    if samples:
-        return mean_by_sampling(problem, estimate, found.used, samples)
-    return with_means(problem, estimate, answer, drawn=True)
+        rows["converged"][0] = False
+    estimate = with_means(problem, rows, found.used, answer)
+    return mean_by_sampling(problem, estimate, found.used, samples) if samples else estimate
 
 
 def refine_pose(
@@ -236,10 +244,9 @@ def refine_pose(
         found = register(replace(problem, starts=np.asarray(T_start)[None]), Budget())
         estimate = found if found.consistent else None
     else:
-        estimate = solve_single_start(problem, T_start)
+        estimate = solve_single_start(problem, T_start, mean=KINDS[answer])
     if estimate is None or (problem.weight is not None and problem.weight.contradicts(estimate)):
         return None
-    estimate = estimate if registered else with_means(problem, estimate, answer)
     estimate = estimate if skin is None else estimate.inflated(skin.sigmas**2)
     return estimate if weight is None else replace(estimate, weight_fits=True)
 
@@ -331,9 +338,10 @@ def correct_poses(model: ObjectModel, problems: Iterable[object]) -> list[PoseEs
     for begin in range(0, len(usual), at_once):
         rows = usual[begin : begin + at_once]
         pairs = [(each[i]["contacts"], each[i]["vision"]) for i in rows]
-        for i, pair, estimate in zip(rows, pairs, solve_batch(model, pairs), strict=True):
-            if estimate is not None:
-                found[i] = with_means(Problem(model, *pair, NO_OUTSIDE), estimate, "best", drawn=True)
+        alone = [Problem(model, *pair, NO_OUTSIDE) for pair in pairs]
+        kinds = [kind_of(problem, "best") for problem in alone]
+        for i, one, estimate in zip(rows, alone, solve_batch(model, pairs, kinds), strict=True):
+            found[i] = None if estimate is None else finished(one, estimate, "best")
     answers = []
     for i, (problem, estimate) in enumerate(zip(each, found, strict=True)):
         try:

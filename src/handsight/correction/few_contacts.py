@@ -13,7 +13,6 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array, Mask
 from handsight.correction import modes, solve
-from handsight.correction.estimate import PoseEstimate
 from handsight.correction.problem import Problem, Records
 
 
@@ -78,21 +77,26 @@ def _standard() -> Array:
     )
 
 
-def can_draw(problem: Problem, estimate: PoseEstimate) -> bool:
-    """Returns whether the modes of an estimate are to be drawn from, rather than integrated on a lattice.
+def may_draw(problem: Problem) -> bool:
+    """Returns whether modes of a problem may have to be drawn from, rather than integrated.
 
-    On a scan, whose bumps are not the object's, the lattice knows which part of the cost to leave out; about a declared
-    axis nothing is drawn.
+    On a scan, whose bumps are not the object's, the integral knows which part of the cost to leave out; about a
+    declared axis nothing is drawn.
     """
     model, error = problem.model, problem.model.field_error
     return (
         not problem.blind
+        and modes.has_detail(model)
         and modes.several_minima(model, problem.rows, len(problem.contacts))
-        and (len(estimate.modes) > 1 or estimate.answer["departure"] > DRAWS.least_departure)
         and len(problem.outside) <= DRAWS.most_outside
         and not len(model.symmetries.axes)
         and (error is None or not error.values[..., 2].any())
     )
+
+
+def have_draws(rows: Records) -> bool:
+    """Returns whether the modes (K,) ANSWER of such a problem are drawn from."""
+    return len(rows) > 1 or bool(rows[0]["departure"] > DRAWS.least_departure)
 
 
 def with_draws(problem: Problem, rows: Records, used: Mask) -> Records:

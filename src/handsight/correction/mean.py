@@ -1,7 +1,7 @@
 """A mode's mean and covariance in place of its maximum, by integration or by sampling.
 
 Two fingers and a thumb on opposite faces leave a flat direction that edges bound but do not fix: the maximum of the
-density is at an end of the interval, its mean in the middle. The kernel that integrates is in
+density is at an end of the interval, its mean in the middle. The code that integrates is in
 `_kernels/posterior/mean.py`.
 """
 
@@ -11,18 +11,20 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight import checks, se3
-from handsight._kernels.posterior import mean
 from handsight._kernels.posterior.options import INTEGRATION
+from handsight._kernels.solve import batch
 from handsight.checks import Array, Mask
 from handsight.correction import conflicts, few_contacts, modes, solve
 from handsight.correction.estimate import PoseEstimate, bounded_covariance
-from handsight.correction.problem import Problem, Records, descents_at
+from handsight.correction.problem import Problem, Records, descents_at, taken
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import tangents
 
 ANSWERS = ("best", "maximum", "mean")
 """What an answer can be: "best" is the mean where a mode is not Gaussian, and else the maximum."""
+KINDS = {"best": 1, "maximum": 0, "mean": 2}
+"""The same as the `mean` of an ANSWER."""
 
 
 class SamplingOptions(NamedTuple):
@@ -45,47 +47,45 @@ def checked_answer(answer: object, name: str = "answer") -> str:
     return answer
 
 
-def with_means(problem: Problem, estimate: PoseEstimate, answer: str, *, drawn: bool = False) -> PoseEstimate:
-    """Returns the estimate with each mode that is not Gaussian replaced by its mean: with `answer` "mean" the first
-    mode in any case, with "maximum" no mode. `drawn`: few contacts may take the time of `few_contacts.with_draws`.
+def kind_of(problem: Problem, answer: str) -> int:
+    """Returns the ANSWER's `mean` for an answer; 0 too where its modes may have to be drawn from."""
+    return 0 if answer == "best" and few_contacts.may_draw(problem) else KINDS[answer]
 
-    Only the likeliest modes are tested. A mode along the same flat direction as another is part of that one's mean, and
-    is no hypothesis any more; of means that are not distinct, one remains, the mean of all. Without vision, a mode with
-    an unobservable direction stays a maximum: the direction is not bounded, and several maxima along it are more
-    informative than one mean.
-    """
-    gaussian = answer == "maximum" or estimate.answer["departure"] <= INTEGRATION.max_gaussian_rise
-    if gaussian and answer != "mean" and len(estimate.modes) == 1:
+
+def finished(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstimate:
+    """Returns the estimate of one start, after draws from its mode if it needs them."""
+    row = estimate.answer
+    if row["mean"] or answer == "maximum" or row["departure"] <= INTEGRATION.max_gaussian_rise:
         return estimate
-    likeliest = estimate.modes[: INTEGRATION.max_modes]
-    integrated = [
-        row["departure"] > INTEGRATION.max_gaussian_rise and (row["complete"] or not problem.blind)
-        for row in likeliest
-    ]
-    integrate = answer == "mean" or (answer == "best" and any(integrated))
-    if not integrate and len(estimate.modes) == 1:
-        return estimate
-    rows = np.array(estimate.modes)
     used = np.ones((1, len(problem.contacts)), dtype=bool)
-    used[0, list(estimate.outliers)] = False
-    draw = drawn and answer == "best" and few_contacts.can_draw(problem, estimate)
+    return with_means(problem, np.array([row]), used, answer)
+
+
+def with_means(problem: Problem, rows: Records, used: Mask, answer: str) -> PoseEstimate:
+    """Returns the estimate of modes (K,) ANSWER, likeliest first, each that is not Gaussian replaced by its mean: with
+    `answer` "mean" the first mode in any case, with "maximum" no mode.
+
+    `used` (1, n): the contacts in use. Only the likeliest modes are tested. A mode along the same flat direction as
+    another is part of that one's mean, and is no hypothesis any more; of means that are not distinct, one remains, the
+    mean of all. Without vision, a mode with an unobservable direction stays a maximum: the direction is not bounded,
+    and several maxima along it are more informative than one mean.
+    """
+    draw = answer == "best" and few_contacts.have_draws(rows) and few_contacts.may_draw(problem)
     if draw:
         rows = few_contacts.with_draws(problem, rows, used)
-    elif integrate:
-        rows["departure"][: len(integrated)][~np.array(integrated, dtype=bool)] = 0.0
-        if answer == "mean":
-            rows["departure"][0] = np.inf
-        mean.integrate(*problem.arguments(used), rows)
+    elif answer != "maximum" and not rows[0]["mean"]:
+        rows["mean"], rows["mean"][0] = 1, KINDS[answer]
+        batch.summarize_all(*problem.arguments(used), rows)
     if len(rows) > 1 and not draw:
-        rows = rows[rows["weight"] >= 0]
-        rows = _merged(problem, rows[np.argsort(-rows["log_weight"], kind="stable")], answer)
+        left = np.flatnonzero(rows["weight"] >= 0)
+        rows = taken(rows, left[np.argsort(-rows["log_weight"][left], kind="stable")])
+        rows = _merged(problem, rows, answer) if len(rows) > 1 else rows
     share = np.exp(rows["log_weight"] - rows["log_weight"][0])
     rows["weight"] = share / share.sum()
     residuals = solve.residuals(problem, descents_at(rows["T_palm_object"][:1]))
     consistent, contradictions = conflicts.judged(problem, rows[0], used)
-    return PoseEstimate(
-        rows[0], tuple(rows), residuals, consistent, estimate.outliers, conflicts=contradictions
-    )
+    rejected = tuple(np.flatnonzero(~used[0]).tolist())
+    return PoseEstimate(rows[0], tuple(rows), residuals, consistent, rejected, conflicts=contradictions)
 
 
 def _merged(problem: Problem, rows: Records, answer: str) -> Records:
@@ -94,8 +94,9 @@ def _merged(problem: Problem, rows: Records, answer: str) -> Records:
     model = problem.model
     means = descents_at(rows["T_palm_object"])
     chosen = solve.distinct(model, means, np.arange(len(rows)), modes.MODES.max_modes, modes.SAME_MODE)
-    rest = np.setdiff1d(np.arange(len(rows)), chosen)
-    merged = rows[chosen]
+    repeats = np.ones(len(rows), dtype=bool)
+    repeats[chosen] = False
+    rest, merged = np.flatnonzero(repeats), taken(rows, chosen)
     if answer == "maximum" or not len(rest):
         return merged
     for row in merged:
@@ -118,7 +119,7 @@ def _merged(problem: Problem, rows: Records, answer: str) -> Records:
         row["T_palm_object"], row["covariance"] = se3.moved(T, middle), C
         row["log_weight"] += np.log1p(share.sum())
         row["information"] = _known_information(model, row["T_palm_object"], C)
-    return merged[np.argsort(-merged["log_weight"], kind="stable")]
+    return taken(merged, np.argsort(-merged["log_weight"], kind="stable"))
 
 
 def _known_information(model: ObjectModel, T: Array, covariance: Array) -> Array:

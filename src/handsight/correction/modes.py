@@ -100,7 +100,12 @@ def several_minima(model: ObjectModel, rows: int, contacts: int) -> bool:
     """Returns whether so few rows of evidence, from so many contacts, may have several minima: on a surface that is
     bent in more than one way, unlike that of a box, a cylinder or a sphere."""
     few = rows <= MODES.few_rows or (contacts <= MODES.few_contacts and rows <= 3 * MODES.few_contacts)
-    return few and model.record.model[0]["fine"]["kind"] in (GRID, SHEET)
+    return few and has_detail(model)
+
+
+def has_detail(model: ObjectModel) -> bool:
+    """Returns whether a surface may be bent in more than one way, as it is a grid."""
+    return model.record.model[0]["fine"]["kind"] in (GRID, SHEET)
 
 
 def unsuspicious(cost: float, freedom: int, gain: float) -> bool:

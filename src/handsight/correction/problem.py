@@ -96,7 +96,7 @@ class Problem:
             record = record if evidence is None else evidence.added_to(record)
         return record
 
-    @property
+    @cached_property
     def rows(self) -> int:
         """The rows of evidence beside the prior."""
         everyone = np.ones((1, len(self.contacts)), dtype=bool)
@@ -133,9 +133,9 @@ def plain(records: Records) -> Array:
     return records.view(np.float64).reshape(*records.shape, -1)
 
 
-def taken(descents: Records, rows: Indices) -> Records:
-    """Returns `descents[rows]`, a copy, in a tenth of the time."""
-    return np.asarray(plain(descents)[rows].view(DESCENT)[:, 0])
+def taken(records: Records, rows: Indices) -> Records:
+    """Returns `records[rows]`, a copy, in a tenth of the time."""
+    return np.asarray(plain(records)[rows].view(records.dtype)[:, 0])
 
 
 def descents_at(Ts_palm_object: Array) -> Records:

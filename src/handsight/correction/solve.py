@@ -1,7 +1,7 @@
 """Calls of the compiled solver: from one start, from many, and for the answer at a minimum."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -40,11 +40,14 @@ ACCEPTED = np.empty(0, dtype=records.ANSWER)[
 """The fields of an ANSWER by which it is accepted, as a view of it."""
 
 
-def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEstimate | None:
+def solve_single_start(
+    problem: Problem, T_start: Array | None = None, *, mean: int = 0
+) -> PoseEstimate | None:
     """Returns the answer of one descent from vision's own pose; None where one start may not be enough, or where the
     evidence does not fit at its end.
 
     `T_start` (4, 4): a pose that was right a moment ago, at which the descent starts instead, however wide the prior.
+    `mean`: that of its ANSWER.
     """
     model, contacts, vision = problem.model, problem.contacts.record, problem.vision
     if vision is None or not model.record.symmetry_known:
@@ -53,7 +56,7 @@ def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEs
     rows = np.frombuffer(bytearray(records.PROBLEM.itemsize), dtype=records.PROBLEM)
     residuals, row = np.empty((len(contacts), 2)), rows[0]
     given = vision.record if problem.weight is None and problem.depth is None else problem.constraints
-    row["constraints"], row["last"] = given[0], len(contacts)
+    row["constraints"], row["last"], row["answer"]["mean"] = given[0], len(contacts), mean
     if T_start is not None:
         row["follows"] = True
         row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
@@ -66,9 +69,9 @@ def solve_single_start(problem: Problem, T_start: Array | None = None) -> PoseEs
 
 
 def solve_batch(
-    model: ObjectModel, problems: Sequence[tuple[Contacts, PosePrior]]
+    model: ObjectModel, problems: Sequence[tuple[Contacts, PosePrior]], kinds: Sequence[int]
 ) -> list[PoseEstimate | None]:
-    """Returns the answer of `solve_single_start` to each of many problems of one object, or None."""
+    """Returns the answer of `solve_single_start` to each of many problems of one object, each with its own `mean`."""
     if not model.record.symmetry_known:
         return [None] * len(problems)
     counts = np.array([len(contacts) for contacts, _ in problems])
@@ -77,7 +80,7 @@ def solve_batch(
     # CONSTRAINTS are the first field of a PROBLEM; copied as plain numbers they take a hundredth of the time.
     constraints = np.concatenate([plain(vision.record) for _, vision in problems])
     plain(rows)[:, : constraints.shape[1]] = constraints
-    rows["last"] = np.cumsum(counts)
+    rows["last"], rows["answer"]["mean"] = np.cumsum(counts), kinds
     rows["first"] = rows["last"] - counts
     given = (*model.record[:2], contacts, NO_OUTSIDE)
     in_parts(lambda part: batch.correct_all(*given, part, residuals), (rows,), SOLVE.serial // 4)
@@ -241,21 +244,25 @@ def gains(problem: Problem, minimum: Records, used: Mask) -> Array:
     return np.where(used[0], arguments[2][0]["gain"], 0.0)
 
 
-def summaries(problem: Problem, descents: Records, used: Mask, *, first_order: bool = False) -> Records:
+def summaries(
+    problem: Problem, descents: Records, used: Mask, *, first_order: bool = False, mean: int = 0
+) -> Records:
     """Returns (K,) ANSWER at the poses of descents (K,), with the contacts `used` (1, n).
 
-    `first_order`: the uncertainty is from the Jacobian alone, for a pose that is no minimum.
+    `first_order`: the uncertainty is from the Jacobian alone, for a pose that is no minimum. `mean`: of the first
+    ANSWER; the others become no mean where they are Gaussian.
     """
     answers = np.zeros(len(descents), dtype=records.ANSWER)
-    answers["pose"], answers["first_order"] = descents["pose"], first_order
-    answers["iterations"], answers["converged"] = descents["iterations"], descents["converged"]
+    for name in ("pose", "iterations", "converged", "log_weight"):
+        answers[name] = descents[name]
+    answers["first_order"], answers["mean"], answers["mean"][:1] = first_order, min(mean, 1), mean
     batch.summarize_all(*problem.arguments(used), answers)
     return answers
 
 
-def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
-    """Returns the estimate of a problem from its minima: the distinct ones and their probabilities, likeliest first."""
-    minima, used = found.minima, found.used
+def summarize(problem: Problem, found: Candidates, *, mean: int = 0) -> Records:
+    """Returns (K,) ANSWER of the distinct ones of minima, likeliest first; `mean` is that of the first one."""
+    minima = found.minima
     order, chosen = np.argsort(-minima["log_weight"], kind="stable"), minima
     if len(minima) > 1:
         each = distinct(problem.model, minima, order, modes.MODES.max_modes, modes.SAME_MODE)
@@ -264,16 +271,11 @@ def summarize(problem: Problem, found: Candidates) -> PoseEstimate:
                 minima["log_weight"][order] > minima["log_weight"][order[0]] - modes.MODES.unlikely
             ]
             beside = distinct(problem.model, minima, likely, modes.MODES.max_minima, modes.SAME_MINIMUM)
-            each = np.union1d(each, beside)
-        chosen = taken(minima, each[np.argsort(-minima["log_weight"][each], kind="stable")])
-    answers = summaries(problem, chosen, used)
-    share = np.exp(chosen["log_weight"] - chosen["log_weight"][0])
-    answers["weight"], answers["log_weight"] = share / share.sum(), chosen["log_weight"]
-    answers["posterior_cost"] = chosen["posterior_cost"]
-    rejected = tuple(int(i) for i in np.flatnonzero(~used[0]))
-    consistent, contradictions = conflicts.judged(problem, answers[0], used)
-    estimate = PoseEstimate(answers[0], tuple(answers), residuals(problem, chosen[:1]), consistent, rejected)
-    return replace(estimate, conflicts=contradictions) if contradictions else estimate
+            among = np.zeros(len(minima), dtype=bool)
+            among[each] = among[beside] = True
+            each = order[among[order]]
+        chosen = taken(minima, each)
+    return summaries(problem, chosen, found.used, mean=mean)
 
 
 def summarize_pose(problem: Problem, descent: Records) -> PoseEstimate:

@@ -11,11 +11,10 @@ import numpy as np
 from handsight._kernels.evidence.contact_term import Pose
 from handsight._kernels.evidence.outside_term import largest_move, mark_far
 from handsight._kernels.evidence.terms import FIXED_NOISE, PRIOR, Evidence, evidence_cost
-from handsight._kernels.math.dense6 import eigen, in_metres
-from handsight._kernels.math.vec3 import cross, mul, norm, scale, vector
-from handsight._kernels.posterior.density import information, posterior_cost
+from handsight._kernels.math.vec3 import Mat33, cross, mul, norm, scale, vector
+from handsight._kernels.posterior.density import posterior_cost
 from handsight._kernels.posterior.options import CALIBRATION, INTEGRATION
-from handsight._kernels.posterior.uncertainty import calibrated_information, retract_body
+from handsight._kernels.posterior.uncertainty import retract_body
 from handsight._kernels.records import WEAK_PRIOR
 from handsight._kernels.runtime.compilation import inner
 
@@ -23,26 +22,31 @@ SPIN = 1e6
 """Information that is added for a spin around a declared axis, in traces of the matrix: so large that the spin is not
 taken for an unobservable direction."""
 TURN = np.array([
-    np.eye(3),
     [[0.8960, -0.4440, 0.0], [0.4440, 0.8960, 0.0], [0.0, 0.0, 1.0]],
     [[0.6816, -0.5834, 0.4416], [0.7267, 0.6105, -0.3150], [-0.0858, 0.5356, 0.8401]],
 ])  # fmt: skip
-"""Orientation of lattices along one, two or three directions: turned, so that the rows of points do not all end at a
-wall together."""
+"""Orientation of lattices along two or three directions: turned, so that the rows of points do not all end at a wall
+together."""
 
 
 @inner
-def mark_spins(model: Any, pose: Pose, matrix: Any) -> float:
+def _spin(model: Any, R: Mat33, k: int) -> Any:
+    """Returns the direction (δp, radius δθ) of a spin about the k-th declared axis, of unit length."""
+    axis = mul(R, vector(model.symmetry.axis[k]))
+    moved = cross(mul(R, vector(model.symmetry.pivot)), axis)
+    length = 1 / np.sqrt(norm(moved) ** 2 + model.radius**2)
+    return scale(moved, length) + scale(axis, model.radius * length)
+
+
+@inner
+def mark_spins(model: Any, R: Mat33, matrix: Any) -> float:
     """Adds the spins about declared axes to a matrix (6, 6) by (δp, radius δθ); returns a bound that only their
     eigenvalues exceed."""
-    R, size = pose[0], 0.0
+    size = 0.0
     for i in range(6):
         size += matrix[i, i]
     for k in range(model.symmetry.axes):
-        axis = mul(R, vector(model.symmetry.axis[k]))
-        moved = cross(mul(R, vector(model.symmetry.pivot)), axis)
-        length = 1 / np.sqrt(norm(moved) ** 2 + model.radius**2)
-        spin = scale(moved, length) + scale(axis, model.radius * length)
+        spin = _spin(model, R, k)
         for i in range(6):
             for j in range(6):
                 matrix[i, j] += SPIN * size * (spin[i] * spin[j])
@@ -50,16 +54,32 @@ def mark_spins(model: Any, pose: Pose, matrix: Any) -> float:
 
 
 @inner
-def choose(evidence: Evidence, pose: Pose, flat: Any, u: Any) -> None:
+def _leave_out_spins(model: Any, R: Mat33, flat: Any) -> None:
+    """Makes the slopes of the eigenvectors nearest to spins about declared axes infinite, and their rises negative."""
+    for _ in range(model.symmetry.axes):
+        nearest, most = 0, -1.0
+        for n in range(6):
+            part = 0.0
+            for k in range(model.symmetry.axes):
+                spin, along = _spin(model, R, k), 0.0
+                for i in range(6):
+                    along += flat.vectors[i, n] * spin[i]
+                part += along * along
+            if part > most and flat.slopes[n] < np.inf:
+                nearest, most = n, part
+        flat.slopes[nearest], flat.rises[nearest] = np.inf, -np.inf
+
+
+@inner
+def choose(evidence: Evidence, pose: Pose, flat: Any) -> None:
     """Fills in the flat directions (`along`) and those across; where nothing departs from a Gaussian, the widest is
     flat.
 
     A spin about a declared axis is neither.
     """
-    radius, rises = evidence.model.radius, np.zeros(6)
-    slopes, calibrated = np.empty(6), np.empty(6)
-    _rises(evidence, pose, slopes, calibrated, rises, u)
+    radius, rises, slopes = evidence.model.radius, flat.rises, flat.slopes
     flat.count = flat.count_across = 0
+    _leave_out_spins(evidence.model, pose[0], flat)
     for n in range(INTEGRATION.max_directions):
         widest = -1
         for k in range(6):
@@ -68,15 +88,18 @@ def choose(evidence: Evidence, pose: Pose, flat: Any, u: Any) -> None:
             ):
                 widest = k
         if widest >= 0:
-            _copy_column(u.vectors, widest, flat.along, n)
+            _copy_column(flat.vectors, widest, flat.along, n)
+            if n == 0:  # all there is to a line; a lattice is built later
+                _copy_column(flat.vectors, widest, flat.lattice, n)
             flat.spacing[n] = min(1 / np.sqrt(max(slopes[widest], 1 / radius**2)), radius / 2)
             flat.count, rises[widest] = n + 1, -np.inf
     blind, flat.proper = evidence.prior.kind == WEAK_PRIOR, True
     for k in range(6):
         flat.proper = flat.proper and not (blind and slopes[k] * (CALIBRATION.open_sigma * radius) ** 2 < 1)
         if rises[k] >= 0:
-            _copy_column(u.vectors, k, flat.across, flat.count_across)
-            flat.stretch[flat.count_across] = np.sqrt(slopes[k] / calibrated[k]) if slopes[k] > 0 else 1.0
+            _copy_column(flat.vectors, k, flat.across, flat.count_across)
+            narrower = slopes[k] / flat.calibrated[k] if slopes[k] > 0 else 1.0
+            flat.stretch[flat.count_across] = np.sqrt(narrower)
             flat.count_across += 1
 
 
@@ -85,32 +108,6 @@ def _copy_column(source: Any, k: int, out: Any, n: int) -> None:
     """Copies a column: assigning a slice would take two seconds to compile, most of it for errors about shapes."""
     for i in range(6):
         out[i, n] = source[i, k]
-
-
-@inner
-def _rises(evidence: Evidence, pose: Pose, slopes: Any, calibrated: Any, rises: Any, u: Any) -> None:
-    """Fills in the eigenvalues [1/m²] of the information at a mode, as it is (infinite for spins) and calibrated by the
-    cost, and the ratio of the cost's rise to a Gaussian's along its eigenvectors `u.vectors` (negative for spins)."""
-    model = evidence.model
-    information(evidence, pose, u.wider, u)
-    in_metres(u.wider, model.radius, u.matrix)
-    limit = mark_spins(model, pose, u.matrix)
-    eigen(u.matrix, u.values, u.vectors)
-    for k in range(6):
-        slopes[k] = u.values[k]
-    for far in range(2):
-        for k in range(6):
-            u.values[k] = 0.0 if slopes[k] > limit else slopes[k]
-        calibrated_information(
-            evidence, pose, INTEGRATION.wall_stride if far else CALIBRATION.stride, u.values, u.vectors, u.row
-        )
-        for k in range(6):
-            if slopes[k] * (INTEGRATION.narrow_sigma * model.radius) ** 2 < 1:
-                rises[k] = max(rises[k], np.inf if u.values[k] == 0.0 else u.row[k])
-            calibrated[k] = calibrated[k] if far else u.values[k]
-    for k in range(6):
-        if slopes[k] > limit:
-            slopes[k], rises[k] = np.inf, -np.inf
 
 
 @inner
@@ -158,7 +155,7 @@ def measure(evidence: Evidence, mode: Pose, flat: Any, here: float) -> None:
     each direction is followed from the middle of the one before, twice.
     """
     radius, middle, six = evidence.model.radius, np.zeros(6), np.zeros(6)
-    for m in range(flat.count * (INTEGRATION.sweeps if flat.count > 1 else 1)):
+    for m in range(flat.count * INTEGRATION.sweeps):
         n, ends = m % flat.count, (0.0, 0.0)
         for side in range(2):
             length, near, far = flat.spacing[n], 0.0, 2 * radius
@@ -178,7 +175,7 @@ def measure(evidence: Evidence, mode: Pose, flat: Any, here: float) -> None:
         for i in range(6):
             middle[i] += 0.5 * flat.along[i, n] * (ends[0] - ends[1])
         flat.spacing[n] = 0.5 * (ends[0] + ends[1])
-    sigma, points = INTEGRATION.sigma_of_reach[flat.count - 1], INTEGRATION.points_per_sigma[flat.count - 1]
+    sigma, points = INTEGRATION.sigma_of_reach, INTEGRATION.points_per_sigma[flat.count - 2]
     for n in range(flat.count):
         flat.spacing[n] *= sigma / points
 
@@ -192,7 +189,7 @@ def build_lattice(flat: Any) -> float:
         for i in range(6):
             value = 0.0
             for m in range(flat.count):
-                value += flat.along[i, m] * (flat.spacing[m] * TURN[flat.count - 1, m, n])
+                value += flat.along[i, m] * (flat.spacing[m] * TURN[flat.count - 2, m, n])
             flat.lattice[i, n] = value
     return cell
 
@@ -213,7 +210,7 @@ def coordinates_at(flat: Any, point: Any, out: Any) -> None:
 def fine_enough(flat: Any, sums: Any, radius: float) -> bool:
     """Returns whether a standard deviation along each flat direction has enough points; where not, their spacing is
     made smaller."""
-    fine, wanted = True, INTEGRATION.points_per_sigma[flat.count - 1]
+    fine, wanted = True, INTEGRATION.points_per_sigma[flat.count - 2]
     for k in range(flat.count):
         mean = square = 0.0
         for i in range(6):

@@ -1,4 +1,4 @@
-"""One point of the lattice along the flat directions: its best other coordinates, its weight, its part of the sums.
+"""One point along the flat directions: its best other coordinates, its weight, its part of the sums.
 
 weight = exp(-cost / 2) / √det H,    H: Gauss-Newton Hessian across the flat directions, walls in it
 """
@@ -59,73 +59,74 @@ def _relax(flat: Any, E: Mat33, u: Any) -> bool:
 
 
 @inner
-def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, sums: Any, u: Any) -> float:
-    """Returns the log weight of a point, whose coordinates across become the best ones; adds it to the sums.
+def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None:
+    """Fills in a point, whose coordinates across become the best ones.
 
-    The cost is that which the step across predicts: the contacts' covariances are taken as before the step.
+    The cost is that which the step across predicts: the contacts' covariances are taken as before the step. After a
+    step that changes much another one follows, and of the last one nothing that it predicts is believed; not so on a
+    lattice, whose points are near each other.
     """
-    count, fine = flat.count_across, evidence.model.fine
-    coordinates_at(flat, point, u.row)
-    pose = moved_to(evidence, mode, u.row)
-    u.equations[:] = 0.0
-    add_evidence(evidence, ALL, fine, pose, (evidence.center, evidence.model.radius), True, u.equations)
-    if not _relax(flat, matmul(pose[0], transpose(mode[0])), u):
-        return -np.inf
-    cost = u.equations[6, 6]
-    for a in range(count):
-        cost -= u.values[a] * u.column[a]
-        point.lateral[a] -= u.column[a]
+    radius, count, cost = evidence.model.radius, 0, 0.0
+    point.log_weight = -np.inf
+    for _ in range(INTEGRATION.steps_across):
+        coordinates_at(flat, point, u.row)
+        pose = moved_to(evidence, mode, u.row)
+        u.equations[:] = 0.0
+        add_evidence(evidence, ALL, evidence.model.fine, pose, (evidence.center, radius), True, u.equations)
+        count = flat.count_across if _relax(flat, matmul(pose[0], transpose(mode[0])), u) else 0
+        cost, fall = u.equations[6, 6], 0.0
+        for a in range(count):
+            fall += u.values[a] * u.column[a]
+            point.lateral[a] -= u.column[a]
+        if flat.count > 1 or fall < INTEGRATION.large_fall:
+            cost -= fall
+            break
     for i in range(len(evidence.terms)):
         if evidence.terms[i].contact.used:
             cost += evidence.terms[i].log_spread
     coordinates_at(flat, point, u.row)
-    cost = without_bumps(evidence, flat, at_coordinates(mode, evidence.model.radius, u.row), cost)
-    half = 0.5 * norm((u.row[3], u.row[4], u.row[5])) / evidence.model.radius
-    if half > 0.5 * np.pi:
-        return -np.inf  # this pose is also reached by the turn the other way round
-    log_weight = -0.5 * cost
-    if half > 1e-6:
-        log_weight += 2 * np.log(np.sin(half) / half)  # the volume of rotations shrinks with the turn
-    for a in range(count):
-        log_weight += np.log(u.factor[a, a])
-    _add(flat, mode, evidence.model.radius, log_weight, sums, u)
-    return log_weight
-
-
-@inner
-def _add(flat: Any, mode: Pose, radius: float, log_weight: float, sums: Any, u: Any) -> None:
-    """Adds the point at the coordinates `u.row` with its Gaussian across the flat directions, both by (δp, δθ)."""
-    count, shift = flat.count_across, sub(at_coordinates(mode, radius, u.row)[1], mode[1])
-    if log_weight > sums.best:
-        before = np.exp(sums.best - log_weight)
-        sums.best = log_weight
-        sums.total *= before
-        for i in range(6):
-            sums.first[i] *= before
-            for j in range(6):
-                sums.second[i, j] *= before
-                sums.within[i, j] *= before
-    weight = np.exp(log_weight - sums.best)
-    six = shift + scale((u.row[3], u.row[4], u.row[5]), 1 / radius)
+    pose = at_coordinates(mode, radius, u.row)
+    half = 0.5 * norm((u.row[3], u.row[4], u.row[5])) / radius
+    if count and half < 0.5 * np.pi:  # beyond, the pose is also reached by the turn the other way round
+        point.log_weight = -0.5 * without_bumps(evidence, flat, pose, cost)
+        if half > 1e-6:
+            point.log_weight += 2 * np.log(
+                np.sin(half) / half
+            )  # the volume of rotations shrinks with the turn
+        for a in range(count):
+            point.log_weight += np.log(u.factor[a, a])
+    shift = sub(pose[1], mode[1])
+    moved = shift + scale((u.row[3], u.row[4], u.row[5]), 1 / radius)
     for a in range(count):
         turn = scale((u.wider[3, a], u.wider[4, a], u.wider[5, a]), 1 / radius)
-        moved = scale(add((u.wider[0, a], u.wider[1, a], u.wider[2, a]), cross(turn, shift)), flat.stretch[a])
-        column = moved + scale(turn, flat.stretch[a])
+        six = scale(add((u.wider[0, a], u.wider[1, a], u.wider[2, a]), cross(turn, shift)), flat.stretch[a])
+        column = six + scale(turn, flat.stretch[a])
         # The columns of A = L⁻¹ Gᵀ: Aᵀ A = G H⁻¹ Gᵀ.
         for i in range(6):
             value = column[i]
             for b in range(a):
                 value -= u.factor[a, b] * u.by_touch[i, b]
             u.by_touch[i, a] = value * u.factor[a, a]
-    sums.total += weight
     for i in range(6):
-        sums.first[i] += weight * six[i]
-        for j in range(6):
+        point.moved[i] = moved[i]
+        for j in range(i + 1):
             value = 0.0
             for a in range(count):
                 value += u.by_touch[i, a] * u.by_touch[j, a]
-            sums.second[i, j] += weight * (six[i] * six[j])
-            sums.within[i, j] += weight * value
+            point.within[i, j] = point.within[j, i] = value
+
+
+@inner
+def add_up(points: Any, sums: Any) -> None:
+    """Adds points (n,) to the sums."""
+    for k in range(len(points)):
+        point = points[k]
+        sums.total += point.share
+        for i in range(6):
+            sums.first[i] += point.share * point.moved[i]
+            for j in range(6):
+                sums.second[i, j] += point.share * (point.moved[i] * point.moved[j])
+                sums.within[i, j] += point.share * point.within[i, j]
 
 
 @inner

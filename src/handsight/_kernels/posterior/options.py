@@ -21,7 +21,7 @@ class CalibrationOptions(NamedTuple):
 
 
 class IntegrationOptions(NamedTuple):
-    """`IntegrationOptions` say how a mode is integrated along its flat directions, on a lattice of points."""
+    """`IntegrationOptions` say how a mode is integrated along its flat directions, on a line or a lattice of points."""
 
     max_gaussian_rise: float = 1.5
     """A mode is not Gaussian when the cost beside it rises by more than this factor times a Gaussian's."""
@@ -33,8 +33,22 @@ class IntegrationOptions(NamedTuple):
     """Flat directions of one mode, the widest."""
     max_modes: int = 3
     """Modes that are integrated, the likeliest."""
-    points_per_sigma: tuple[float, float, float] = (4.0, 2.0, 1.3)
-    """Lattice points in a standard deviation, along one, two or three directions."""
+    max_fall: float = 5.0
+    """A line ends where the logarithm of the density is this much below the largest."""
+    small_fall: float = 0.3
+    """Where it falls by less from one point to the next, the line's end goes on by twice as far."""
+    misplaced: float = 0.06
+    """Part of the integral that may be at the wrong place in one gap: its length times the densities' difference."""
+    deepest: float = 8.0
+    """The logarithm is interpolated as if it fell no further below the largest: a wall is then amid its gap."""
+    steps_across: int = 3
+    """Most steps to the best of the other directions."""
+    large_fall: float = 1.0
+    """The next one is taken after a step by which the cost falls by more than this."""
+    parts: int = 6
+    """Places at which the density is interpolated in a gap."""
+    points_per_sigma: tuple[float, float] = (2.0, 1.3)
+    """Lattice points in a standard deviation, along two or three directions."""
     max_cost: float = 6.0
     """The lattice does not grow from a point that costs this much more than the best."""
     bump_sigmas: float = 3.0
@@ -42,18 +56,18 @@ class IntegrationOptions(NamedTuple):
     the mean to the least of about ten dents, and 1.5 from the mean to the cost at the right pose."""
     max_lattices: int = 5
     """Lattices that are tried until one is fine enough."""
-    max_points: int = 600
-    """Points of one lattice."""
-    max_extent: tuple[int, int, int] = (200, 40, 15)
-    """Points to either side of the mode, along one, two or three directions."""
+    max_points: tuple[int, int] = (40, 600)
+    """Points of a line, and of one lattice."""
+    max_extent: tuple[int, int] = (40, 15)
+    """Points of a lattice to either side of the mode, along two or three directions."""
     rise: float = 2.0
     """A direction reaches as far as its cost rises by this."""
     max_probes: int = 6
     """How often the cost is read to either side to find where."""
     sweeps: int = 2
     """How often all directions are measured."""
-    sigma_of_reach: tuple[float, float, float] = (0.6, 0.8, 0.8)
-    """A standard deviation as a part of the reach, along one, two or three directions."""
+    sigma_of_reach: float = 0.8
+    """A standard deviation as a part of the reach."""
     min_log_weight: float = 7.0
     """A mode whose log weight is less than another's by more than this is not integrated."""
     same_mode: float = 16.0

@@ -28,7 +28,7 @@ from handsight._kernels.math.vec3 import (
     vector,
 )
 from handsight._kernels.posterior.density import group_gain, information, largest_gain, posterior_cost
-from handsight._kernels.posterior.options import CALIBRATION
+from handsight._kernels.posterior.options import CALIBRATION, INTEGRATION
 from handsight._kernels.records import OUTSIDE, UNCERTAINTY, VISION_PRIOR
 from handsight._kernels.runtime.compilation import inner
 
@@ -219,19 +219,50 @@ def unobservable(model: Any, by_touch: Any, pose: Pose, out: Any, u: Any) -> int
 
 
 @inner
-def summarize(evidence: Evidence, pose: Pose, row: Any) -> None:
-    """Fills in an ANSWER of a pose, all but the pose itself."""
+def _shape(evidence: Evidence, pose: Pose, row: Any, flat: Any, u: Any) -> None:
+    """Fills in the shape of a mode by its information: eigenvectors and eigenvalues, as they are and, in `u.values`
+    too, calibrated by the cost, and how much the cost rises along them; and the answer's departure from a Gaussian.
+
+    Where a mean is wanted, the cost along the wide ones is also read as far away as walls may be.
+    """
+    radius, row.departure = evidence.model.radius, 0.0
+    in_metres(row.information, radius, u.matrix)
+    eigen(u.matrix, u.values, u.vectors)
+    for i in range(6):
+        flat.slopes[i] = flat.calibrated[i] = u.values[i]
+        flat.rises[i] = 0.0
+        for j in range(6):
+            flat.vectors[i, j] = u.vectors[i, j]
+    for far in range(0 if row.first_order else 2):
+        stride = INTEGRATION.wall_stride if far else CALIBRATION.stride
+        calibrated_information(evidence, pose, stride, u.values, u.vectors, u.row)
+        if not far:
+            row.departure = _departure(evidence.model, u.values, u.row)
+        not_gaussian = row.departure > INTEGRATION.max_gaussian_rise
+        for k in range(6):
+            wide = flat.slopes[k] * (INTEGRATION.narrow_sigma * radius) ** 2 < 1
+            if not far:
+                flat.calibrated[k] = u.values[k]
+                u.row[k] = u.row[k] if u.values[k] > 0 else np.inf
+            if wide:
+                flat.rises[k] = max(flat.rises[k], u.row[k])
+            u.values[k] = flat.slopes[k] if wide and flat.rises[k] < np.inf else 0.0
+        if not (row.mean == 2 or (row.mean == 1 and not_gaussian)):
+            break
+    for k in range(6):
+        u.values[k] = flat.calibrated[k]
+
+
+@inner
+def summarize(evidence: Evidence, pose: Pose, row: Any, flat: Any) -> None:
+    """Fills in an ANSWER of a pose, all but the pose itself, and the shape of its mode."""
     model, u = evidence.model, local(UNCERTAINTY)
     chi2, cost = information(evidence, pose, row.information, u)
     row.chi2, row.posterior_cost = chi2, cost
     row.gain = largest_gain(evidence, u)
     row.prior_gain, row.outside_gain = group_gain(evidence, u.prior, u), group_gain(evidence, u.walls, u)
     row.open_count = unobservable(model, u.by_touch, pose, row.unobservable, u)
-    in_metres(row.information, model.radius, u.matrix)
-    eigen(u.matrix, u.values, u.vectors)
-    if not row.first_order:
-        calibrated_information(evidence, pose, CALIBRATION.stride, u.values, u.vectors, u.row)
-    row.departure = 0.0 if row.first_order else _departure(model, u.values, u.row)
+    _shape(evidence, pose, row, flat, u)
     least = 0.0 if evidence.prior.kind == VISION_PRIOR else 1 / (CALIBRATION.open_sigma * model.radius) ** 2
     row.complete = second_order_information(model, least, row, u)
     row.rows = 0

@@ -24,8 +24,9 @@ from handsight._kernels.math.symmetry import (
 )
 from handsight._kernels.math.vec3 import Vec3, cross, dot, norm, vector
 from handsight._kernels.posterior.density import information, largest_gain, posterior_cost
+from handsight._kernels.posterior.mean import to_mean
 from handsight._kernels.posterior.uncertainty import summarize
-from handsight._kernels.records import PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
+from handsight._kernels.records import FLAT_DIRECTIONS, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
@@ -96,7 +97,7 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
     the pose is computed, for benchmarks. `contacts` (n,) are those of all problems one after another; `residuals`
     (n, 2) are written: distance [m], angle [rad].
     """
-    prior = local(PRIOR_TERM)
+    prior, flat = local(PRIOR_TERM), local(FLAT_DIRECTIONS)
     for k in range(len(problems)):
         problem, answer = problems[k], problems[k].answer
         constraints = problem.constraints
@@ -117,7 +118,9 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
         if problem.pose_only:
             continue
         answer.first_order, answer.weight = 0, 1.0
-        summarize(evidence, pose, answer)
+        summarize(evidence, pose, answer, flat)
+        to_mean(evidence, problems[k : k + 1].answer, 0, flat, -np.inf)
+        pose = transform_of(answer.T_palm_object)
         for i in range(len(terms)):
             row = residuals[problem.first + i]
             row[0], row[1] = _residual(model[0], nodes, terms[i].contact, pose)
@@ -157,15 +160,17 @@ def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any,
 def summarize_all(
     model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, answers: Any
 ) -> None:
-    """Completes answers (K,) whose pose is filled in, with the first set of contacts; the contacts' gains at the first
-    pose are written too."""
+    """Completes answers (K,) whose pose is filled in, with the first set of contacts, and turns them into means where
+    they ask for it; the contacts' gains at the first pose are written too."""
     term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
+    flat, best = local(FLAT_DIRECTIONS), -np.inf
     center = load_evidence(model[0], contacts[0], constraints[0], terms, term)
     evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, center)
     for k in range(len(answers)):
         pose = pose_of(answers[k].pose)
         store_transform(pose, answers[k].T_palm_object)
-        summarize(evidence, pose, answers[k])
+        summarize(evidence, pose, answers[k], flat)
+        best = to_mean(evidence, answers, k, flat, best)
         for i in range(len(terms) if k == 0 else 0):
             contacts[0, i].gain = terms[i].contact.gain
 
