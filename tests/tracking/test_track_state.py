@@ -107,8 +107,8 @@ def test_an_error_midway_leaves_the_tracker_as_it_was(can, monkeypatch):
         tracker.update(observation)
     state, known = tracker.track_state, numbers(tracker)
     with monkeypatch.context() as patch:
-        patch.setattr("handsight.tracking.follower.correct_pose", lambda *_, **__: 1 / 0)
-        patch.setattr("handsight.tracking.follower.refine_pose", lambda *_, **__: 1 / 0)
+        patch.setattr("handsight.tracking.follower.corrected", lambda *_, **__: 1 / 0)
+        patch.setattr("handsight.tracking.follower.refined", lambda *_, **__: 1 / 0)
         failed = False
         for observation in can.observations[50:]:
             state, known = tracker.track_state, numbers(tracker)

@@ -16,7 +16,7 @@ from handsight._kernels.posterior.options import INTEGRATION
 from handsight.checks import Array, Mask
 from handsight.correction import conflicts, few_contacts, modes, solve
 from handsight.correction.estimate import PoseEstimate, bounded_covariance
-from handsight.correction.problem import Problem, Records, descents_at
+from handsight.correction.problem import Problem, Records, Steps, descents_at
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import tangents
@@ -45,7 +45,9 @@ def checked_answer(answer: object, name: str = "answer") -> str:
     return answer
 
 
-def with_means(problem: Problem, estimate: PoseEstimate, answer: str, *, drawn: bool = False) -> PoseEstimate:
+def with_means(
+    problem: Problem, estimate: PoseEstimate, answer: str, *, drawn: bool = False
+) -> Steps[PoseEstimate]:
     """Returns the estimate with each mode that is not Gaussian replaced by its mean: with `answer` "mean" the first
     mode in any case, with "maximum" no mode. `drawn`: few contacts may take the time of `few_contacts.with_draws`.
 
@@ -72,10 +74,10 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str, *, drawn: 
     if draw:
         rows = few_contacts.with_draws(problem, rows, used)
     elif integrate:
-        rows["departure"][: len(integrated)][~np.array(integrated, dtype=bool)] = 0.0
+        departures = np.where(integrated, rows["departure"][: len(integrated)], 0.0)
         if answer == "mean":
-            rows["departure"][0] = np.inf
-        mean.integrate(*problem.arguments(used), rows)
+            departures[0] = np.inf
+        yield from _integrated(problem, used, rows, departures)
     if len(rows) > 1 and not draw:
         rows = rows[rows["weight"] >= 0]
         rows = _merged(problem, rows[np.argsort(-rows["log_weight"], kind="stable")], answer)
@@ -86,6 +88,19 @@ def with_means(problem: Problem, estimate: PoseEstimate, answer: str, *, drawn: 
     return PoseEstimate(
         rows[0], tuple(rows), residuals, consistent, estimate.outliers, conflicts=contradictions
     )
+
+
+def _integrated(problem: Problem, used: Mask, rows: Records, departures: Array) -> Steps[None]:
+    """Turns the first modes of rows (K,) ANSWER into means, one a step, if they depart (k,) from a Gaussian."""
+    best = -np.inf
+    for k in np.flatnonzero(departures > INTEGRATION.max_gaussian_rise):
+        if rows["weight"][k] >= 0 and rows["log_weight"][k] >= best - INTEGRATION.min_log_weight:
+            rows["departure"][: len(departures)] = 0.0
+            rows["departure"][k] = departures[k]
+            mean.integrate(*problem.arguments(used), rows)
+            best = max(best, float(rows["log_weight"][k]))
+            yield
+    rows["departure"][: len(departures)] = departures
 
 
 def _merged(problem: Problem, rows: Records, answer: str) -> Records:

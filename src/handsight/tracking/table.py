@@ -17,7 +17,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.correction import PoseEstimate, PosePrior
+from handsight.correction import PoseEstimate, PosePrior, Steps
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.objects.resting import RestingPose, resting_poses
@@ -128,24 +128,27 @@ class TableEvidence:
         self,
         vision: PoseBiasSmoother,
         likeliest: tuple[PoseEstimate, PosePrior],
-        correct: Callable[[PosePrior], PoseEstimate],
-        refine: Callable[[PosePrior, Array], PoseEstimate | None],
+        correct: Callable[[PosePrior], Steps[PoseEstimate]],
+        refine: Callable[[PosePrior, Array], Steps[PoseEstimate | None]],
         drift: Array,
         stamp: float,
-    ) -> tuple["TableEvidence", PoseEstimate, PosePrior]:
+    ) -> Steps[tuple["TableEvidence", PoseEstimate, PosePrior]]:
         """Returns the evidence after all supports were compared by touch, and estimate and prior of the likeliest one.
 
         `likeliest`: those of the one that was likeliest before; `correct` finds the estimate of another prior, `refine`
         from a given start; `drift` is that of `measured`.
         """
-        each, best = range(len(self.supports)), self.best
-        priors = [likeliest[1] if i == best else self.smoother(vision, i).without_touch for i in each]
-        estimates = [likeliest[0] if i == best else correct(priors[i]) for i in each]
+        priors, estimates = [], []
+        for i in range(len(self.supports)):
+            here = i == self.best
+            priors.append(likeliest[1] if here else self.smoother(vision, i).without_touch)
+            estimates.append(likeliest[0] if here else (yield from correct(priors[i])))
         fits = [estimate for estimate in estimates if estimate.consistent]
         if fits:  # what fits one may fit another, where a search has missed it
             start = fits[0].T_palm_object_maximum
-            again = (e if e.consistent else refine(p, start) for e, p in zip(estimates, priors, strict=True))
-            estimates = [new or old for new, old in zip(again, estimates, strict=True)]
+            for i, (estimate, prior) in enumerate(zip(estimates, priors, strict=True)):
+                if not estimate.consistent:
+                    estimates[i] = (yield from refine(prior, start)) or estimate
         touch = np.array([log_evidence(self.model, *pair) for pair in zip(estimates, priors, strict=True)])
         # Where touch fits none, its noise is larger than expected, and it tells that much less.
         rows, chi2 = zip(*((e.answer["rows"], e.answer["chi2"]) for e in estimates), strict=True)

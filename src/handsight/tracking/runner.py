@@ -1,0 +1,61 @@
+"""Corrections in steps: an update runs a few of them, so that none waits for a long search."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from handsight.correction import Steps
+from handsight.tracking.track_state import Progress, TrackState
+
+
+class StepOptions(NamedTuple):
+    """`StepOptions` say how many steps of a correction an update may run."""
+
+    period: float = 0.002
+    """One step for so much time since the last observation [s]: most steps take less than half of it."""
+    most: int = 10  # steps of one update, however late it is
+
+
+STEPS = StepOptions()
+CORRECTED = (
+    *("estimate", "propagated_to", "correction", "corrections", "innovations", "margins", "links_checked_at"),
+    *("recovered_at", "better_object", "objects_compared_at"),
+)
+"""The fields of a state that corrections alone change."""
+
+
+def steps_in(elapsed: float) -> int:
+    """Returns how many steps an update may run, `elapsed` after the last observation [s]: counted, so that a recording
+    is answered as it was live, whatever the machine."""
+    return max(1, round(min(elapsed / STEPS.period, STEPS.most)))
+
+
+class Runner:
+    """A `Runner` runs corrections. It keeps the computation of the last one, which can be lost: then it is repeated."""
+
+    def __init__(self, begin: Callable[[TrackState], Steps[TrackState]]) -> None:
+        """`begin`: from the state at which a correction begins to the one at its end."""
+        self._begin = begin
+
+    def run(self, progress: Progress, count: int) -> tuple[Progress | None, TrackState | None]:
+        """Returns a correction after `count` more steps; where it has ended, None and the state at its end."""
+        begun, done = progress.begun, progress.steps
+        kept = vars(self).pop(
+            "_kept", None
+        )  # at once, as copies of a tracker may be updated by several threads
+        if kept is None or kept[0].begun is not begun or kept[0].steps != done:
+            steps, count = self._begin(begun), done + count
+            done = 0
+        else:
+            steps = kept[1]
+        try:
+            for _ in range(count):
+                next(steps)
+        except StopIteration as end:
+            return None, end.value
+        after = Progress(begun, done + count)
+        self._kept = after, steps
+        return after, None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Returns what is copied and pickled: all but a computation."""
+        return {"_begin": self._begin}
