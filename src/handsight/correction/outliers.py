@@ -47,7 +47,8 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Steps
     may_draw = not problem.blind and options.starts is None and problem.starts is None
     while not budget.spent():
         without = _leave_one_out(problem, found, budget) if options.reject_outliers and suspicious else None
-        yield
+        if without is not None:
+            yield
         gain = 0.0 if without is None else found.cost - without.cost
         if (
             without is not None

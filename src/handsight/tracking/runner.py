@@ -1,21 +1,13 @@
 """Corrections in steps: an update runs a few of them, so that none waits for a long search."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 from handsight.correction import Steps
 from handsight.tracking.track_state import Progress, TrackState
 
-
-class StepOptions(NamedTuple):
-    """`StepOptions` say how many steps of a correction an update may run."""
-
-    period: float = 0.002
-    """One step for so much time since the last observation [s]: most steps take less than half of it."""
-    most: int = 10  # steps of one update, however late it is
-
-
-STEPS = StepOptions()
+STEP_EVERY = 0.002
+"""An update runs one step for so much time since the last observation [s]: most steps take less than half of it."""
 CORRECTED = (
     *("estimate", "propagated_to", "correction", "corrections", "innovations", "margins", "links_checked_at"),
     *("recovered_at", "better_object", "objects_compared_at"),
@@ -24,9 +16,9 @@ CORRECTED = (
 
 
 def steps_in(elapsed: float) -> int:
-    """Returns how many steps an update may run, `elapsed` after the last observation [s]: counted, so that a recording
-    is answered as it was live, whatever the machine."""
-    return max(1, round(min(elapsed / STEPS.period, STEPS.most)))
+    """Returns how many steps an update may run, `elapsed` after the last observation [s]: by stamps and not by the
+    clock, so that a recording is answered as it was live."""
+    return max(1, round(min(elapsed, 1.0) / STEP_EVERY))
 
 
 class Runner:
