@@ -96,7 +96,7 @@ class _Ratios(NamedTuple):
     normal: float
     """The same of f_n [N]."""
     last: tuple[tuple[float, float, float], ...]
-    """Stamps [s], ratios and normal forces [N] of the last readings."""
+    """Ratios, stamps [s] and normal forces [N] of the last readings."""
 
     @property
     def chatter(self) -> float:
@@ -110,9 +110,8 @@ class _Ratios(NamedTuple):
     @property
     def upper(self) -> float:
         """The mean ratio of the upper half of the last readings, of two at least."""
-        ratios = sorted((ratio for _, ratio, _ in self.last), reverse=True)
-        count = max(2, len(ratios) // 2)
-        return sum(ratios[:count]) / min(count, len(ratios))
+        best = sorted(self.last, reverse=True)[: max(2, len(self.last) // 2)]
+        return sum([each[0] for each in best]) / len(best)
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +175,7 @@ class SlipDetector:
         self._means: Mapping[str, Load] = {}
         """By finger, the running mean of its load."""
         self._rests: Mapping[str, Load] = {}
-        """The same over `SLIP.rest`."""
+        """The same over `SLIP.rest`, of those with an error of gain."""
         self._ratios: Mapping[str, _Ratios] = {}
         """By finger that touches, its last ratios."""
 
@@ -197,10 +196,10 @@ class SlipDetector:
         if not stamp > self.stamp:
             return self.now
         since, self.stamp = stamp - self.stamp, stamp
-        rows = () if loads is None else tuple(zip(fingers, loads.tolist(), strict=True))
-        unmeasured = tuple(name for name, row in rows if not math.isfinite(sum(row)))
+        rows = {} if loads is None else dict(zip(fingers, loads.tolist(), strict=True))
+        unmeasured = tuple([name for name, row in rows.items() if not math.isfinite(sum(row))])
         # A load without a normal force, or with NaN, has no ratio.
-        usable = {name: row for name, row in rows if row[3] > 0 and math.isfinite(sum(row))}
+        usable = {name: row for name, row in rows.items() if row[3] > 0 and name not in unmeasured}
         limits = {
             name: (self._by_taxels if name in by_taxels or name not in self._by_wrench else self._by_wrench)[
                 name
@@ -209,7 +208,8 @@ class SlipDetector:
         }
         goes_on = since <= SLIP.max_gap
         self._means = _follow(self._means if goes_on else {}, usable, since / SLIP.time_constant)
-        self._rests = _follow(self._rests if goes_on else {}, usable, since / SLIP.rest)
+        inexact = {name: row for name, row in usable.items() if limits[name].gain}
+        self._rests = _follow(self._rests if goes_on else {}, inexact, since / SLIP.rest)
         mu = self.friction.coefficient
         self._ratios = {
             name: _read(limits[name].noise, stamp, row, mu, self._ratios.get(name) if goes_on else None)
@@ -245,7 +245,9 @@ class SlipDetector:
         return self.now
 
     def _changes(self, name: str, gain: float) -> bool:
-        """Returns whether a finger's load changes by more than its noise."""
+        """Returns whether a finger's load changes by more than the error of its `gain`."""
+        if not gain:
+            return True
         now, rest = self._means[name], self._rests[name]
         return math.dist(now, rest) >= SLIP.change_sigmas * gain * math.hypot(*now)
 
@@ -278,11 +280,11 @@ def _read(sigma: float, stamp: float, row: Load, mu: float | None, before: "_Rat
     if before is not None:
         tangential = before.tangential + weight * (tangential - before.tangential)
         normal = before.normal + weight * (normal - before.normal)
-        last = before.last[-1:]
-        first = stamp - SLIP.window - 1e-9
-        if len(before.last) > 1 and before.last[-2][0] >= first:
-            last = tuple(each for each in before.last if each[0] >= first)
-    return _Ratios(tangential, normal, (*last, (stamp, tangential / normal, row[3])))
+        last, first, old = before.last, stamp - SLIP.window - 1e-9, 0
+        while old < len(last) - 1 and last[old][1] < first:
+            old += 1
+        last = last[old:]
+    return _Ratios(tangential, normal, (*last, (tangential / normal, stamp, row[3])))
 
 
 def declared_friction(

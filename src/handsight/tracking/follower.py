@@ -81,8 +81,7 @@ class _Next(TrackState):
             state.weight.copied(),
         )
 
-    def __setattr__(self, name: str, value: object) -> None:
-        vars(self)[name] = value
+    __setattr__ = object.__setattr__
 
     def frozen(self) -> TrackState:
         """Returns the next state, as a value."""
