@@ -8,7 +8,7 @@ import pytest
 
 from handsight.errors import InvalidInput
 from handsight.observation import check_observation
-from handsight.tracking import Tracker
+from handsight.tracking import Tracker, runner
 
 EVERY = 17
 
@@ -31,6 +31,12 @@ def said(tracker):
 def same(one, other):
     np.testing.assert_array_equal(numbers(one), numbers(other))
     assert said(one) == said(other)
+
+
+@pytest.fixture(autouse=True)
+def corrections_go_on(monkeypatch):
+    """One step an update, so that many states are in the middle of a correction."""
+    monkeypatch.setattr(runner, "STEP_EVERY", 0.02)
 
 
 @pytest.fixture(params=["can", "box"])
