@@ -7,17 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handsight.correction.problem import finished
 from handsight.tracking import Tracker, runner
 from handsight.tracking.runner import steps_in
-
-
-def finished(steps):
-    """The last state of a correction that runs without a pause."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            return end.value
 
 
 @pytest.fixture
