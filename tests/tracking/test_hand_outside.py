@@ -9,7 +9,7 @@ from scipy.stats import norm
 import handsight as hs
 import scenes
 from handsight import se3
-from handsight.correction import corrected, problem_of
+from handsight.correction.correct import corrected, problem_of
 from handsight.correction.problem import finished
 from handsight.hand import Hand
 from handsight.rig import Rig

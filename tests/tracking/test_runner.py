@@ -39,11 +39,11 @@ def test_a_correction_goes_on_by_a_step_an_update_and_its_answer_is_that_of_its_
     for observation in grasp.observations:
         tracker.update(observation)
         now, last = tracker.track_state.progress, tracker.track_state.correction
-        if before is not None and now is not None and now.begun is before.begun:
+        if before is not None and now is not None and now.started is before.started:
             assert now.steps == before.steps + 1
         elif before is not None and last is not None:  # it has ended
-            assert last.stamp == before.begun.stamp < observation.stamp
-            expected = finished(at_once.follower._correct(before.begun)).correction
+            assert last.stamp == before.started.stamp < observation.stamp
+            expected = finished(at_once.follower._correct(before.started)).correction
             assert last.estimate.answer.tobytes() == expected.estimate.answer.tobytes()
         before, longest = now, max(longest, 0 if now is None else now.steps)
     assert longest > 3

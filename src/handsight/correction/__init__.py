@@ -1,15 +1,6 @@
 """Correction: from contacts and vision to a pose with its uncertainty."""
 
-from handsight.correction.correct import (
-    METHODS,
-    MOST_SAMPLES,
-    correct_pose,
-    correct_poses,
-    corrected,
-    problem_of,
-    refine_pose,
-    refined,
-)
+from handsight.correction.correct import METHODS, MOST_SAMPLES, correct_pose, correct_poses, refine_pose
 from handsight.correction.depth import DepthPoints
 from handsight.correction.estimate import (
     Conflict,
@@ -21,9 +12,9 @@ from handsight.correction.estimate import (
 )
 from handsight.correction.mean import ANSWERS
 from handsight.correction.modes import pose_distances
-from handsight.correction.outside import MOST_PLANES, MOST_POINTS, Outside, Plane, outside_records
+from handsight.correction.outside import MOST_PLANES, MOST_POINTS, Outside, Plane
 from handsight.correction.paper import PaperMethod
-from handsight.correction.problem import MOST_CONTACTS, Steps, TwoPhase
+from handsight.correction.problem import MOST_CONTACTS, TwoPhase
 from handsight.correction.skin import SkinEvidence
 from handsight.correction.weight import WeightEvidence
 
@@ -44,16 +35,11 @@ __all__ = [
     "PosePrior",
     "Residuals",
     "SkinEvidence",
-    "Steps",
     "TwoPhase",
     "WeightEvidence",
     "bounded_covariance",
     "correct_pose",
     "correct_poses",
-    "corrected",
-    "outside_records",
     "pose_distances",
-    "problem_of",
     "refine_pose",
-    "refined",
 ]

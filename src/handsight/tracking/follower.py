@@ -13,17 +13,10 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import (
-    Outside,
-    PoseEstimate,
-    PosePrior,
-    Steps,
-    corrected,
-    outside_records,
-    problem_of,
-    refine_pose,
-    refined,
-)
+from handsight.correction import Outside, PoseEstimate, PosePrior, refine_pose
+from handsight.correction.correct import corrected, problem_of, refined
+from handsight.correction.outside import outside_records
+from handsight.correction.problem import Steps
 from handsight.forces import WeightSensor
 from handsight.objects import ObjectModel
 from handsight.objects.resting import resting_poses
@@ -209,7 +202,7 @@ class Follower:
         before = state.smoother
         self._measure_by_vision(state, observation)
         if vision := state.smoother is not before:
-            state.seen_at = stamp
+            state.observed_at = stamp
         if state.smoother is not None and not state.smoother.is_near:
             # The palm has moved so far away that the hand cannot hold the object.
             state.smoother, state.correction, state.estimate = _started(state.vision, state.start), None, None
@@ -332,7 +325,7 @@ class Follower:
         if last.disputed_at is not None and state.stamp - last.disputed_at >= CONFIRM_AFTER:
             return True
         news = state.weight.news or state.skin.news(last.skin) or state.slip.news(last.stamp)
-        if state.seen_at > last.stamp or regrasped or news:
+        if state.observed_at > last.stamp or regrasped or news:
             return True
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
             return True
@@ -343,35 +336,32 @@ class Follower:
     def _motion_since(self, last: Correction, state: TrackState) -> Array:
         """Returns the variance (6,) of the object's motion since a correction [m², rad²]."""
         noise = process_variance(self.process_noise, state.stamp - last.stamp)
-        return noise if state.fingertips.fingers == last.fingers else noise + self.regrasp_noise
+        return noise if state.fingertips.fingers in (last.fingers, ()) else noise + self.regrasp_noise
 
     def _continued(self, state: _Next, progress: Progress, elapsed: float) -> None:
         """Continues a correction; once it has ended, what it has found replaces what the state had before."""
         state.progress, found = self._runner.run(progress, steps_in(elapsed))
         if found is None:
             return
-        begun, seconds = progress.begun, state.stamp - progress.begun.stamp
+        started, seconds = progress.started, state.stamp - progress.started.stamp
         for name in CORRECTED:
             setattr(state, name, getattr(found, name))
-        if (
-            found.smoother is not begun.smoother and found.smoother is not None
-        ):  # begun anew, by another prior
+        if found.smoother is not started.smoother and found.smoother is not None:  # by another prior
             noise = process_variance(self.process_noise, seconds)
             state.smoother = found.smoother.inflated(noise, seconds)
-        if state.table is begun.table:
+        if state.table is started.table:
             state.table = found.table
-        if found.memory is not begun.memory:
-            wrong = begun.memory.last.keys() - found.memory.last.keys()
+        if found.memory is not started.memory:
+            wrong = started.memory.last.keys() - found.memory.last.keys()
             state.memory = state.memory.only(state.memory.last.keys() - wrong)
 
-    def _correct(self, begun: TrackState) -> Steps[TrackState]:
+    def _correct(self, started: TrackState) -> Steps[TrackState]:
         """Returns the state after its pose was corrected, in steps: by all contacts, present or remembered, with the
         smoother's pose as prior."""
-        state = _Next(begun)
+        state = _Next(started)
         touch, now, last, skin = state.fingertips, state.stamp, state.correction, state.skin
         touched, smoother, observed = touch.contacts, state.smoother, state.processed
-        assert touched is not None
-        assert smoother is not None
+        assert touched is not None and smoother is not None  # noqa: PT018
         smoother = smoother if state.table is None else state.table.smoother(smoother)
         contacts, remembered = state.memory.added(touch.fingers, touched, now)
         joints = None if observed is None else observed.joint_positions
@@ -393,11 +383,8 @@ class Follower:
         # a pressed array a search takes long, and vision adds little, so the start is then the last answer.
         estimate, searched_at = None, now
         others: Sequence[np.void] = ()
-        if (
-            last is not None
-            and touch.fingers == last.fingers
-            and not (state.seen_at > last.stamp and pressed is None)
-        ):
+        same = last is not None and touch.fingers == last.fingers
+        if last is not None and same and (state.observed_at <= last.stamp or pressed is not None):
             near, age = last.estimate, now - last.searched_at
             ambiguous = len(last.modes) > 1 and last.modes[1]["weight"] > HYPOTHESES.relevant
             search = age >= (FOLLOWER.recovery_period if ambiguous else FOLLOWER.search_period)

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight import checks
-from handsight.correction import Outside, PoseEstimate, Steps
+from handsight.correction import Outside, PoseEstimate
+from handsight.correction.problem import Steps
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
 

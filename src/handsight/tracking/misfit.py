@@ -33,8 +33,10 @@ from scipy.special import chdtri, fdtri
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import Outside, PoseEstimate, PosePrior, Steps, corrected, problem_of
+from handsight.correction import Outside, PoseEstimate, PosePrior
+from handsight.correction.correct import corrected, problem_of
 from handsight.correction.modes import chi2_limit, in_metres
+from handsight.correction.problem import Steps
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.tracking.hypotheses import log_evidence

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from handsight.correction import Steps
+from handsight.correction.problem import Steps
 from handsight.tracking.track_state import Progress, TrackState
 
 STEP_EVERY = 0.002
@@ -30,12 +30,12 @@ class Runner:
 
     def run(self, progress: Progress, count: int) -> tuple[Progress | None, TrackState | None]:
         """Returns a correction after `count` more steps; where it has ended, None and the state at its end."""
-        begun, done = progress.begun, progress.steps
+        started, done = progress.started, progress.steps
         kept = vars(self).pop(
             "_kept", None
         )  # at once, as copies of a tracker may be updated by several threads
-        if kept is None or kept[0].begun is not begun or kept[0].steps != done:
-            steps, count = self._begin(begun), done + count
+        if kept is None or kept[0].started is not started or kept[0].steps != done:
+            steps, count = self._begin(started), done + count
             done = 0
         else:
             steps = kept[1]
@@ -44,7 +44,7 @@ class Runner:
                 next(steps)
         except StopIteration as end:
             return None, end.value
-        after = Progress(begun, done + count)
+        after = Progress(started, done + count)
         self._kept = after, steps
         return after, None
 

@@ -17,7 +17,8 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.correction import PoseEstimate, PosePrior, Steps
+from handsight.correction import PoseEstimate, PosePrior
+from handsight.correction.problem import Steps
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.objects.resting import RestingPose, resting_poses

@@ -32,9 +32,9 @@ NO_POSE = "no pose yet: neither a start nor vision"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Progress:
-    """A `Progress` is a correction that has begun and not ended: it takes longer than one update may."""
+    """A `Progress` is a correction that has started and not ended: it takes longer than one update may."""
 
-    begun: "TrackState"
+    started: "TrackState"
     """The state after the observation by which it corrects."""
     steps: int = 0
     """How many of its steps were done."""
@@ -126,7 +126,7 @@ class TrackState:
     """How much smaller than their shapes links are."""
     measured_at: float = -math.inf
     """When something was last touched or detected by vision [s]."""
-    seen_at: float = -math.inf
+    observed_at: float = -math.inf
     """When vision last measured the pose [s]."""
     fits_at: float = -math.inf
     """When contacts last fitted the estimate; the first estimate counts as a fit [s]."""
