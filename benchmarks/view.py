@@ -122,7 +122,7 @@ def updates(seen: Tracked, count: int) -> list[str]:
     watched = 1e6 * (time.process_time() - began) / count
     began = time.process_time()
     for _ in range(count // 10):
-        pickle.dumps(PageUpdate(None, moment, None, None))
+        pickle.dumps(PageUpdate(None, moment, 0.0, None, None))
     sent = 1e7 * (time.process_time() - began) / count
     return [f"{unwatched:.1f}", f"{unwatched + watched:.1f}", f"{sent:.0f}", f"{idle:.2f}"]
 

@@ -19,6 +19,7 @@ HEAD = """\
 handsight is under Apache-2.0. What it asks for directly, and each one's licence as its own metadata says
 (`python docs/licences.py` writes this page):
 
+<!-- no figures: versions -->
 | package | asked for by | licence |
 |---|---|---|
 """

@@ -6,8 +6,9 @@ In README.md, CONTRIBUTING.md and docs/*.md
 * every Python file that a page mentions in code type exists, and in method.md every `module.name` of the sources;
 * a page's ```python blocks run, one after the other, in a folder of the page's own; HTML comments of Sybil's prepare
   what a reader has (`invisible-code-block: python`) or say what a machine may lack (`skip: next if(..., reason=...)`);
-* a ```bash run block is run there; of the other shell blocks each `handsight` line is a command that exists, with
-  options that exist;
+* a ```bash run block is run there, and a ```console block, each line after `$` by itself, with the output that follows
+  it (`...` is any text); of the other shell blocks each `handsight` line is a command that exists, with options that
+  exist;
 * ```json, ```yaml and ```xml blocks can be read, and a rig file among them is one.
 """
 
@@ -129,18 +130,34 @@ def wrong_command(words: list[str]) -> Iterator[str]:
     yield from (f"`{said}` has no option {option}" for option in options if option not in known)
 
 
-def run(example: Example) -> str | None:
-    """Runs a shell block with this Python's commands; what it said if it failed."""
+def bash(script: str) -> "subprocess.CompletedProcess[str]":
+    """Runs a script with this Python's commands."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(
-        ["bash", "-euo", "pipefail", "-c", str(example.parsed)],
+    return subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", script],
         env=os.environ | {"PATH": path, "TERM": "dumb"},
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
         timeout=SECONDS,
     )
+
+
+def run(example: Example) -> str | None:
+    """Runs a shell block; what it said if it failed."""
+    done = bash(str(example.parsed))
     return f"exit code {done.returncode}: {done.stderr}" if done.returncode else commands(example)
+
+
+def shown(example: Example) -> str | None:
+    """What is wrong with a block of commands and their outputs, which is what is printed to both channels."""
+    for block in re.split(r"^\$ ", str(example.parsed), flags=re.MULTILINE)[1:]:
+        command, _, expected = block.partition("\n")
+        printed = bash(f"exec 2>&1\n{command}").stdout
+        pattern = ".*".join(re.escape(part) for part in expected.strip().split("..."))
+        if not re.fullmatch(pattern, printed.strip(), re.DOTALL):
+            return f"$ {command}\nexpected:\n{expected}\ngot:\n{printed}"
+    return commands(example)
 
 
 def readable(example: Example) -> str | None:
@@ -177,7 +194,7 @@ def end(namespace: dict[str, Any]) -> None:
     namespace["_folder"].cleanup()
 
 
-shells = [CodeBlockParser(language, commands) for language in ("bash", "sh", "shell", "console")]
+shells = [CodeBlockParser(language, commands) for language in ("bash", "sh", "shell")]
 data = [CodeBlockParser(language, readable) for language in ("json", "yaml", "xml")]
 pytest_collect_file = Sybil(
     [
@@ -186,6 +203,7 @@ pytest_collect_file = Sybil(
         links,
         mentions,
         CodeBlockParser("bash run", run),
+        CodeBlockParser("console", shown),
         *shells,
         *data,
     ],

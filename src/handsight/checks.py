@@ -69,10 +69,10 @@ def positive(value: ArrayLike, name: str) -> float:
     return number
 
 
-def integer(value: object, name: str, most: int) -> int:
-    """Returns `value` as an integer from 0 to `most`; raises InvalidInput otherwise."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value <= most:
-        raise InvalidInput(f"{name}: expected a whole number from 0 to {most}, got {brief(value)}")
+def integer(value: object, name: str, most: int, least: int = 0) -> int:
+    """Returns `value` as an integer from `least` to `most`; raises InvalidInput otherwise."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
+        raise InvalidInput(f"{name}: expected a whole number from {least} to {most}, got {brief(value)}")
     return int(value)
 
 

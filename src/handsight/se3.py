@@ -225,6 +225,14 @@ def perpendicular(vectors: Array) -> Array:
     return np.asarray(side / np.linalg.norm(side, axis=-1, keepdims=True))
 
 
+def axes_along(first: Array, second: Array) -> Array:
+    """Returns axes (3, 3), the columns: a direction (3,), the part of a second one across it, and their product."""
+    x = first / np.linalg.norm(first)
+    y = second - (second @ x) * x
+    y = y / np.linalg.norm(y)
+    return np.column_stack([x, y, np.cross(x, y)])
+
+
 def directions(n: int) -> Array:
     """Returns n unit vectors (n, 3), evenly distributed over the sphere (a Fibonacci lattice)."""
     k = np.arange(n) + 0.5

@@ -115,13 +115,15 @@ def test_ctrl_c_keeps_what_was_answered_and_leaves_nobody_behind(tmp_path, worke
 
     problems, output = several(tmp_path / "p.jsonl", 100_000), tmp_path / "a.jsonl"
     command = begun(["correct", problems, "--output", output, "--workers", workers])
-    waited_for(lambda: output.exists() and output.stat().st_size > 10_000)
+    part = output.with_name("a.jsonl.part")
+    waited_for(lambda: part.exists() and part.stat().st_size > 10_000)
     children = psutil.Process(command.pid).children(recursive=True)
     assert len(workers_of(command)) == (0 if workers == 1 else workers)
     command.send_signal(signal.SIGINT)
     _, said = command.communicate(timeout=60)
     assert command.returncode == 130
     assert b"Traceback" not in said
+    assert not part.exists()
     answers = output.read_text().splitlines()
     stopped = int(re.search(rb"stopped after (\d+) answers; they are written", said)[1])
     assert 0 < stopped <= len(answers) < 100_000
@@ -157,7 +159,8 @@ def test_a_worker_that_is_killed_costs_no_line(tmp_path):
     # So many that it is not done by the time its workers are found.
     problems, output = several(tmp_path / "p.jsonl", 3000), tmp_path / "a.jsonl"
     command = begun(["correct", problems, "--output", output, "--workers", 2])
-    waited_for(lambda: output.exists() and output.stat().st_size > 10_000)
+    part = output.with_name("a.jsonl.part")
+    waited_for(lambda: part.exists() and part.stat().st_size > 10_000)
     workers = workers_of(command)
     assert len(workers) == 2
     for worker in workers:

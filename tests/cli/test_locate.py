@@ -433,7 +433,7 @@ def test_what_is_no_picture_is_said(asked, tmp_path, monkeypatch):
     for arguments, said in (
         (("locate", "empty", "--object", "a"), "empty: expected depth images, depth/*.png or *depth*.png, got none"),
         (("locate", "away.png", "--object", "a"), "away.png: cannot be read: No such file or directory"),
-        (("locate", "a.mcap"), "--rig: expected, got nothing, and there is neither a.rig.yaml nor rig.yaml beside a.mcap"),
+        (("locate", "a.mcap"), "--rig: expected a rig file, got nothing, and there is neither a.rig.yaml nor rig.yaml beside a.mcap"),
         (("locate", "a.png", "--object", "a", "-o", "a.png"), "a.png: the answers would overwrite what is read"),
     ):  # fmt: skip
         _, err = asked(*arguments, expect=2)

@@ -1,5 +1,7 @@
 """`handsight rig new`, as a user runs it: the first rig of a hand, guessed from its file and from a recording."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ import handsight as hs
 from cli.commands import called
 from handsight.hand.guess import finger_name, guess_hand
 from handsight.messages.match import match_topics
+from handsight.recording import open as opening
 
 LINK = """<link name="{name}"><visual><origin xyz="{at}"/><geometry><box size="{size}"/></geometry></visual></link>
 """
@@ -84,6 +87,53 @@ def test_the_rig_can_be_read_says_what_was_guessed_and_is_never_overwritten(
     assert called(monkeypatch, tmp_path, "rig", "new", hand, columns=200) != 0
     assert "two.rig.yaml: expected a new file, got one that exists" in capsys.readouterr().err
     assert (tmp_path / "two.rig.yaml").read_text() == text
+
+
+STATE, ARRAY = "tactile_msgs/msg/TactileState", "std_msgs/msg/UInt16MultiArray"
+
+
+@pytest.mark.parametrize(
+    ("types", "taxels", "field"),
+    [
+        ({"/xServTopic": "xela_server_ros2/msg/SensStream"}, 30, "sensors[sensor_pos=2].forces"),
+        ({"/touch": "inspire_hand_ros2/msg/InspireHandTouch"}, 9, "thumb.tip"),
+        ({"/index/taxels": STATE, "/thumb/taxels": STATE}, 16, "sensors[0].values"),
+        ({"/taxels": STATE}, 16, "sensors[name=thumb].values"),
+        ({"/tactile_1": ARRAY, "/tactile_2": ARRAY}, 16, "data"),
+        ({"/skin": ARRAY, "/counts": ARRAY}, 16, "data[16:32]"),
+    ],
+)
+def test_taxels_of_a_driver_are_at_the_ends_of_the_tips_until_they_are_measured(
+    hand, types, taxels, field, monkeypatch, tmp_path, capsys
+):
+    monkeypatch.setattr(
+        opening, "open_files", lambda path: [SimpleNamespace(topics=types, close=lambda: None)]
+    )
+    assert called(monkeypatch, tmp_path, "rig", "new", hand, "some.mcap", columns=200) == 0
+    rig = hs.Rig.from_file(tmp_path / "two.rig.yaml")
+    assert {name: len(surface.points) for name, surface in rig.skin.items()} == {
+        "index_tip": taxels,
+        "thumb_tip": taxels,
+    }
+    assert rig.topics.skin_fields["thumb_tip"] == field
+    assert set(rig.topics.skin.values()) == types.keys() - {"/counts"}
+    for name, surface in rig.skin.items():
+        tip = rig.fingers[name.removesuffix("_tip")]
+        assert surface.frame == tip.frame
+        end = tip.T_frame_surface[:3, 3] + tip.tip.radius * tip.T_frame_surface[:3, 2]
+        np.testing.assert_allclose(surface.points.mean(axis=0), end, atol=0.006)
+        assert (surface.normals @ tip.T_frame_surface[:3, 2] > 0.3).all()
+    assert called(monkeypatch, tmp_path, "rig", "check", "two.rig.yaml", columns=200) == 0
+    assert "skin thumb_tip" in capsys.readouterr().out
+
+
+def test_tactile_sensors_of_a_urdf_are_the_rig_s(hand, monkeypatch, tmp_path):
+    sensor = """<sensor name="pad"><parent link="hand"/><origin xyz="0 0 0.01" rpy="0 0 0"/>
+    <tactile><array rows="2" cols="3" spacing="0.004 0.004"/></tactile></sensor>"""
+    hand.write_text(hand.read_text().replace("</robot>", f"{sensor}</robot>"))
+    assert called(monkeypatch, tmp_path, "rig", "new", hand, columns=200) == 0
+    rig = hs.Rig.from_file(tmp_path / "two.rig.yaml")
+    assert (rig.skin["pad"].frame, len(rig.skin["pad"].points)) == ("hand", 6)
 
 
 def test_an_example_is_copied_as_it_is_and_an_unknown_one_is_refused(monkeypatch, tmp_path, capsys):

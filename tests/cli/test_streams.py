@@ -85,15 +85,15 @@ def test_a_full_device_and_one_without_an_end_are_errors_in_a_sentence(folder, l
     assert err.count("\n") == 1
 
 
-def test_a_file_that_cannot_grow_is_an_error_and_keeps_the_answers_until_then(folder):
+def test_a_file_that_cannot_grow_is_an_error_and_the_answers_until_then_have_another_name(folder):
     code, err = shell("handsight correct p.jsonl -o a.jsonl", folder, blocks=8)
     assert (code, err) == (74, "handsight: a.jsonl: cannot be written: File too large\n")
-    whole = (folder / "a.jsonl").read_text().splitlines()[:-1]
+    whole = (folder / "a.jsonl.part").read_text().splitlines()[:-1]
     assert whole
     assert all(list(json.loads(line)) == KEYS for line in whole)
     code, err = shell("handsight contact w.csv --fingertip sphere:8mm -o c.csv", folder, blocks=8)
     assert (code, err) == (74, "handsight: c.csv: cannot be written: File too large\n")
-    assert sorted(path.name for path in folder.iterdir()) == ["a.jsonl", "p.jsonl", "w.csv"]
+    assert sorted(path.name for path in folder.iterdir()) == ["a.jsonl.part", "p.jsonl", "w.csv"]
 
 
 def test_a_picture_that_cannot_grow_is_an_error_in_a_sentence(folder):
@@ -131,10 +131,12 @@ def test_the_input_is_never_written_over(folder, asked, link):
     before = problems.read_bytes(), wrenches.read_bytes()
     link(problems, folder / "other.jsonl")
     link(wrenches, folder / "other.csv")
+    link(problems, growing := folder / "a.jsonl.part")
     for arguments in (
         ("correct", problems, "-o", folder / "other.jsonl"),
         ("correct", folder / "other.jsonl", "-o", problems),
         ("correct", problems, "-o", folder / "a.jsonl", "--plot", folder / "other.jsonl"),
+        ("correct", growing, "-o", folder / "a.jsonl"),
         ("contact", wrenches, "-o", wrenches, *TIP),
         ("contact", wrenches, "-o", folder / "other.csv", *TIP),
     ):

@@ -121,7 +121,7 @@ def test_ctrl_c_ends_tracking_early_and_what_was_tracked_is_written(grasp, tmp_p
     ("arguments", "said"),
     [
         (("track", "can.mcap", "--object", "cna"), "--object: expected a name of can.rig.yaml or a mesh file, got 'cna'; the nearest valid one is 'can'"),
-        (("track", "away.mcap"), "--rig: expected, got nothing, and there is neither away.rig.yaml nor rig.yaml beside away.mcap"),
+        (("track", "away.mcap"), "--rig: expected a rig file, got nothing, and there is neither away.rig.yaml nor rig.yaml beside away.mcap"),
         (("simulate", "can", "--nuisance", "joint_ofset=1"), "--nuisance: expected none or NAME=VALUE, got 'joint_ofset=1'"),
         (("simulate", "can", "--output", "can.bag"), "can.bag: expected a name that ends in .mcap"),
     ],

@@ -3,8 +3,10 @@
 from tests.corpus import (
     arguments,
     caches,
+    commands,
     libraries,
     lines,
+    networks,
     object_files,
     observations,
     pictures,
@@ -17,8 +19,10 @@ from tests.corpus import (
 ROOMS = [
     arguments,
     caches,
+    commands,
     libraries,
     lines,
+    networks,
     object_files,
     observations,
     pictures,

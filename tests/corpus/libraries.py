@@ -15,6 +15,7 @@ from tests.corpus.door import Case, Door, check_pose, spoilt_bytes, spoilt_text,
 from tests.corpus.object_files import CORNERS, FACES
 
 HALF = [-1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+QUARTER = [0.0, -1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 PLY = ply_bytes(Shape(CORNERS, FACES), 1.0)
 INFO: dict[str, object] = {
     "1": {"diameter": 119.0, "size_x": 60.0, "size_y": 90.0, "size_z": 50.0, "symmetries_discrete": [HALF]},
@@ -92,12 +93,13 @@ def facts_spoilt(rng: random.Random) -> None:
     opened(text(INFO), json.dumps({"version": 1, "objects": objects}).encode())
 
 
-def read_from(data: bytes) -> Callable[[], None]:
-    """Returns a call that reads a library whose model's file has this content."""
+def read_from(data: bytes, turn: list[float] = HALF) -> Callable[[], None]:
+    """Returns a call that reads a library whose model's file has this content and whose model has this symmetry."""
 
     def read() -> None:
         with tempfile.TemporaryDirectory() as folder:
-            Path(folder, "models_info.json").write_bytes(text(INFO))
+            info = {"1": {**INFO["1"], "symmetries_discrete": [turn]}}  # type: ignore[dict-item]
+            Path(folder, "models_info.json").write_bytes(text(info))
             Path(folder, "obj_000001.ply").write_bytes(data)
             model = Library(folder).model("1")
             assert model.closed
@@ -171,6 +173,9 @@ CASES = [
     Case("a symmetry that a model lacks", added(lambda models: None, symmetries=Symmetries([([0, 0, 0], [0, 0, 1])])),
          "symmetries: expected turns that leave the surface in place, got one, which is 23"),
     Case("a BOP folder as it was", read_from(PLY), None),
+    Case("a BOP symmetry of a box that is 4 mm off, as of a scan", read_from(PLY, [*HALF[:3], 4.0, *HALF[4:]]), None),
+    Case("a BOP symmetry that the model lacks", read_from(PLY, QUARTER),
+         "obj_000001.ply: symmetries: expected turns that leave the surface in place, got one, which is 15.0 mm off"),
     Case("a model cut short", read_from(PLY[:-1]), "obj_000001.ply: expected 12 rows of 'face'"),
     *(
         Case(f"an object numbered {key!r:.20}", named(key), NUMBERS)

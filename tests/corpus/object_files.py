@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from handsight.objects import ObjectModel, read_shape
+from handsight import se3
+from handsight.objects import ObjectModel, Symmetries, about, read_shape
 from tests.corpus.door import Case, Door, spoilt_bytes, spoilt_text
 
 CORNERS = np.array([[x, y, z] for x in (-30.0, 30) for y in (-45.0, 45) for z in (-25.0, 25)])
@@ -146,12 +147,40 @@ def sided(name: str, file: str, data: bytes, closed: bool) -> Case:
     return Case(name, lambda: saved(file, data, partial(check_sides, closed=closed)), None)
 
 
+def turned(point: list[float], direction: list[float], order: int | None = None) -> None:
+    """Builds the box of a file with a declared turn of this order about a line, any turn if None [mm]."""
+    line = np.multiply(point, 1e-3), np.array(direction)
+    if order is None:
+        declared = Symmetries([line])
+    else:
+        unit = line[1] / max(float(np.linalg.norm(line[1])), 1e-300)
+        declared = Symmetries(rotations=[about(line[0], 2 * np.pi / order * unit)])
+    saved("a.stl", stl(), lambda path: check_turned(ObjectModel.from_file(path, 1e-3, symmetries=declared)))
+
+
+def check_turned(model: ObjectModel) -> None:
+    """Asserts that the declared turns of the box take nearly all of its corners next to others."""
+    for T in model.symmetries.rotations:
+        off = np.linalg.norm(se3.apply(T, model.vertices)[:, None] - model.vertices, axis=-1).min(axis=1)
+        assert np.median(off) < 0.01, f"{1e3 * off} mm"
+
+
+def turned_anyhow(rng: random.Random) -> None:
+    """Builds the box with a half turn, or of another order, about its own axis, or one beside it, or one askew."""
+    point = [rng.choice([0.0, 0.0, 2.0, 40.0]) for _ in range(3)]
+    direction = [*rng.choice(np.eye(3).tolist())]
+    direction[rng.randrange(3)] += rng.choice([0.0, 0.0, 0.02, 0.7])
+    turned(point, direction, rng.choice([None, 2, 2, 2, 2, 3, 4]))
+
+
 SIDE = b"f 1 2 4 3\n"
 """One side of the box, as OBJ."""
+MOVED = "symmetries: expected turns that leave the surface in place, got one, which is"
 BOM = b"\xef\xbb\xbf"
 DOORS = [
     Door("read_shape", lambda rng: saved(*spoilt(rng), check_shape), 400),
     Door("ObjectModel.from_file", lambda rng: saved(*spoilt(rng), check_object), 12),
+    Door("ObjectModel.from_file(symmetries=)", turned_anyhow, 40),
 ]
 CASES = [
     *(
@@ -194,6 +223,11 @@ CASES = [
     sided("an STL that rounds each corner anew", "a.stl", stl(off=1e-3), True),
     sided("an OBJ of a box without a side", "a.obj", OBJ.replace(SIDE, b""), False),
     sided("an OFF of one triangle", "a.off", b"OFF\n3 1 0\n0 0 0\n60 0 0\n0 60 0\n3 0 1 2\n", False),
+    Case("a half turn of a mesh", lambda: turned([0, 0, 0], [0, 0, 1], 2), None),
+    Case("a half turn of a mesh, 2 mm beside", lambda: turned([2, 0, 0], [0, 0, 1], 2), None),
+    Case("a half turn of a mesh, 10 mm beside", lambda: turned([10, 0, 0], [0, 0, 1], 2), MOVED),
+    Case("a quarter turn of a mesh", lambda: turned([0, 0, 0], [0, 0, 1], 4), MOVED),
+    Case("any turn of a mesh", lambda: turned([0, 0, 0], [0, 0, 1]), MOVED),
     Case("a folder for a file", no_file(os.mkdir), "a.stl: expected a file, got a folder"),
     Case("a pipe for a file", no_file(os.mkfifo), "a.stl: expected a file, got something else"),
     Case("a device for a file", no_file(lambda path: path.symlink_to("/dev/zero")), "a.stl: expected a file, got some"),

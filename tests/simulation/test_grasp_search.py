@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from handsight.errors import InvalidFile, InvalidObject
+from handsight.errors import InvalidFile, InvalidObject, NotWritten
 from handsight.simulation import Scenario, find_grasp, grasp_search, read_grasp, simulate, write_grasp
 from handsight.simulation.grasp_candidates import body_of, grasp_candidates
 from handsight.simulation.motion import CAN
@@ -165,6 +165,19 @@ def test_a_grasp_is_the_same_from_its_file(block, fitted, tmp_path):
     for name in ("T_palm_middle", "R_world_palm"):
         np.testing.assert_allclose(getattr(again, name), getattr(grasp, name), atol=1e-12)
     assert (again.opening, again.closed, again.height) == (grasp.opening, grasp.closed, grasp.height)
+
+
+def test_a_grasp_that_cannot_be_written_leaves_the_file_as_it_was(fitted, block, tmp_path):
+    resource = pytest.importorskip("resource")
+    path, before = tmp_path / "block.grasp.json", resource.getrlimit(resource.RLIMIT_FSIZE)
+    path.write_text("the last one")
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+    try:
+        with pytest.raises(NotWritten, match=r"block\.grasp\.json: cannot be written: File too large"):
+            write_grasp(grasp_search.GraspSearchResult(fitted[1], True, 1, "", ""), block, path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [each.read_text() for each in tmp_path.iterdir()] == ["the last one"]
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Any hand of a rig grasps in simulation: its scene, its sensors, its grasps, and what is said where there is none."""
 
+import itertools
 import json
 import math
 from dataclasses import replace
@@ -137,6 +138,15 @@ def test_fitted_postures_press_tips_on_the_object_from_opposite_sides(claw):
             assert np.linalg.norm(outside) > 0.01
 
 
+def test_the_corners_of_the_links_must_be_clear_of_the_object_too(claw):
+    surface = HandFit(claw, scene("box", rig=claw), body_of(convex_hull("box")[0]), 0)._surface
+    points = surface.points_palm(dict.fromkeys(surface.joints, 0.0))
+    corners = list(itertools.product((-0.05, 0.05), (-0.04, 0.04), (-0.01, 0.01)))  # of the palm
+    low = itertools.product((-0.007, 0.007), (-0.007, 0.007), (0.005, 0.045))  # of a finger's first link
+    corners += [(x - 0.045, y, z + 0.02) for x, y, z in low]
+    assert np.linalg.norm(points - np.array(corners)[:, None], axis=2).min(axis=1).max() < 1e-9
+
+
 @pytest.mark.slow
 def test_a_gripper_whose_jaws_slide_grasps_too(tmp_path):
     rig = written(tmp_path)
@@ -216,9 +226,14 @@ def test_an_object_of_the_library_is_simulated_by_its_name(tmp_path, monkeypatch
     monkeypatch.setenv("HANDSIGHT_LIBRARY", str(tmp_path / "library"))
     added = ("objects", "add", "bottle.stl", "--name", "flask")
     assert called(monkeypatch, tmp_path, *added) == 0
-    assert called(monkeypatch, tmp_path, "simulate", "flask", "--motion", "grasp", "--seed", "2") == 0
+    command = ("simulate", "flask", "--motion", "grasp", "--seed", "2")
+    assert called(monkeypatch, tmp_path, *command) == 0
     rig = hs.Rig.from_file(tmp_path / "flask-2.rig.yaml")
     assert rig.objects["flask"].name == "flask"
+    again = ("--grasp", "flask-2.grasp.json", "--nuisance", "object_scale=1.1")
+    assert called(monkeypatch, tmp_path, *command, *again) == 0
+    wider = hs.Rig.from_file(tmp_path / "flask-2.rig.yaml").objects["flask"].model()
+    np.testing.assert_allclose(wider.diameter, 1.1 * rig.objects["flask"].model().diameter, rtol=1e-3)
 
 
 @pytest.mark.slow

@@ -105,6 +105,14 @@ def test_overlapping_explanations_have_the_mean_and_the_covariance_of_their_mixt
     assert not ambiguity(BOX, both)
 
 
+def test_a_direction_of_which_nothing_is_known_leaves_the_joined_covariance_unbounded():
+    variances = np.array([1e-3, 1e-3, 1e-3, 0.1, 0.1, 3e3]) ** 2
+    one = PoseEstimate.from_gaussian(np.eye(4), np.diag(variances), np.zeros((0, 6)))
+    both = Alternatives.of(BOX, [(0.7, one), (0.3, one)]).added(BOX, one)
+    assert np.linalg.matrix_rank(both.information, tol=1e-6) == 5
+    assert both.covariance is None
+
+
 def test_distant_explanations_stay_hypotheses_and_the_answer_says_how_far_they_are_apart():
     covariance, T = np.diag([0.002**2] * 3 + [0.02**2] * 3), np.eye(4)
     far = se3.moved(T, np.array([0.04, 0, 0, 0, 0, 0]))

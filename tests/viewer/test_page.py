@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import inspect
+import math
 import sys
 import threading
 import time
@@ -16,6 +17,7 @@ from handsight import ObjectModel, se3
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.tracking import Tracker
 from handsight.viewer import NullViewer, Viewer, view
+from handsight.viewer.live_viewer import LiveViewerOptions
 from handsight.viewer.player import Player
 from tests.live.recorded import answered, live, poses, said
 from viewer.conftest import needs_viser
@@ -182,7 +184,7 @@ def test_a_link_and_the_keys_stop_at_a_time(page, tracked, watched):
         shown = page.last.stamp - tracked.timeline.begin
         link = f'href="?token={page.guard.token}&amp;t={shown:.2f}"'
         until(lambda: link in page.panel.status.content)
-        assert f"{shown:.2f} s ·" in page.panel.status.content
+        assert f">{shown:.2f} s</span> ·" in page.panel.status.content
         for key, time in (
             ("L", 0.6),
             ("J", 0.5),
@@ -327,6 +329,27 @@ def with_a_pipe(tracker, monkeypatch):
     viewer = Viewer(tracker)
     page.join()
     return viewer, theirs
+
+
+def test_title_and_plot_count_from_the_first_stamp_since_the_clock_was_set_back(tracked, monkeypatch):
+    monkeypatch.setattr("handsight.viewer.live_viewer.LIVE_VIEWER", LiveViewerOptions(note_period=0.0))
+    tracker = Tracker(tracked.rig, tracked.model)
+    viewer, theirs = with_a_pipe(tracker, monkeypatch)
+    first = tracked.observations[0].stamp
+    for begin in (first, first - 100.0):
+        for observation in tracked.observations[:20]:
+            given = dataclasses.replace(observation, stamp=observation.stamp - first + begin)
+            tracker.update(given)
+            viewer.update(given, tracker)
+        viewer._plotted = -math.inf
+        theirs.send(True)
+        frame = theirs.recv()
+        # A clock that was set back is believed from the second observation on.
+        assert 0 <= frame.origin - begin < 3 * (given.stamp - begin) / 20
+        assert frame.curves.times[0] == 0
+        assert frame.curves.times[-1] == frame.moment.stamp - frame.origin
+    theirs.close()
+    viewer.close()
 
 
 def test_a_frame_is_taken_only_when_the_page_asks_for_one(tracked, monkeypatch):

@@ -29,7 +29,11 @@ def correct(
     problems: Annotated[str, Argument(help="A .jsonl file, a .json file of one problem, or - for stdin.")],
     output: Annotated[
         Path | None,
-        Option("--output", "-o", help="File for the answers, one per line. Default: stdout."),
+        Option(
+            "--output",
+            "-o",
+            help="File for the answers, one per line; OUTPUT.part until they are complete. Default: stdout.",
+        ),
     ] = None,
     plot: Annotated[
         Path | None,
@@ -92,8 +96,9 @@ def correct(
     Each answer has the pose, its covariance and information, the residuals, the directions that are unobservable by
     touch, the outliers among the contacts, the conflicts (which evidence contradicts the rest), and other hypotheses. A
     wrong line is answered with `{"error": ...}` in its place, and the exit code is then 1; it is 2 if problems cannot
-    be read, and 74 if answers cannot be written. Lines are answered as they are read, so there may be any number of
-    them. A byte order mark at the beginning is ignored.
+    be read, and 74 if answers cannot be written: those until then are in OUTPUT.part, but a shell's `> FILE` is cut
+    under its own name. Lines are answered as they are read, so there may be any number of them. A byte order mark at
+    the beginning is ignored.
 
     ```
     handsight correct grasps.jsonl --output answers.jsonl --plot first.png
@@ -111,7 +116,6 @@ def correct(
     done = failed = 0
     first = list[tuple[bytes, str]]()  # lines and their answers, for the picture
     try:
-        terminal.check_plots(plot)
         if workers == 1 and cluster is None:
             announce_compiling()
         given = sys.stdin if problems == "-" else problems
@@ -119,6 +123,10 @@ def correct(
         check_not_overwritten(place, "the answers", given, "the problems")
         check_not_overwritten(plot, "the picture", given, "the problems")
         check_not_overwritten(plot, "the picture", place, "the answers")
+        if place is output:
+            check_not_overwritten(terminal.part_of(output), "the first answers", given, "the problems")
+        name = output if place is output else stream_name(place)
+        terminal.check_plots(plot)
         source = _open(problems)
         size = os.fstat(source.fileno()).st_size  # 0 for a pipe
         single, started, read = problems.endswith(".json"), time.monotonic(), 0
@@ -135,7 +143,7 @@ def correct(
                     terminal.warn(warning)
                 pairs = zip(lines, answers.texts, strict=True)
                 good = [pair for pair in pairs if not pair[1].startswith('{"error"')]
-                with write_errors(stream_name(sink)):
+                with write_errors(name):
                     sink.write("".join(f"{text}\n" for text in answers.texts))
                     # Counted before the flush: answers in the buffer are written even if Ctrl-C comes now.
                     done, failed = done + len(lines), failed + len(lines) - len(good)
@@ -181,8 +189,5 @@ def draw(answered: "Iterable[tuple[Problem, dict[str, Any]]]", plot: Path) -> No
     """Writes a picture of problems and their answers."""
     from handsight.viewer.correction_figures import CorrectionPanel, draw_corrections
 
-    panels = [
-        CorrectionPanel(problem.model, problem.contacts, problem.vision, answer)
-        for problem, answer in answered
-    ]
+    panels = [CorrectionPanel(of.model, of.contacts, of.vision, answer) for of, answer in answered]
     draw_corrections(panels, plot)

@@ -14,7 +14,7 @@ from typer import Argument, Option
 from handsight.cli import terminal
 from handsight.cli.options import DEPTH_CAMERAS, LibraryPlace, RigPath, find_models, find_rig
 from handsight.cli.terminal import announce_compiling
-from handsight.errors import HandsightError, InvalidInput
+from handsight.errors import HandsightError, InvalidInput, NotWritten
 from handsight.files import check_not_overwritten, stream_name, write_errors
 
 if TYPE_CHECKING:
@@ -63,8 +63,8 @@ def locate(
         Option(
             "--output",
             "-o",
-            help="File for the answers: a line of JSON for each image, or BOP results if its name ends in .csv. "
-            "Default: stdout.",
+            help="File for the answers: a line of JSON for each image, or BOP results if its name ends in .csv; "
+            "OUTPUT.part until they are complete. Default: stdout.",
         ),
     ] = None,
     plot: Annotated[
@@ -279,14 +279,14 @@ def _locate_each(
     unread, missed = list[str](), list[str]()  # messages about images
     as_table = output is None and sys.stdout.isatty()
     with (
-        terminal.output_stream(output) as sink,
         terminal.kept_going() as end,
+        terminal.output_stream(output) as sink,
         terminal.bar("locating") as move,
     ):
 
         def write(*lines: str) -> None:
             """Writes the lines of an answer at once."""
-            with write_errors(stream_name(sink)):
+            with write_errors(stream_name(sink) if sink is sys.stdout or output is None else output):
                 sink.writelines(f"{line}\n" for line in lines)
                 sink.flush()
 
@@ -328,7 +328,11 @@ def _locate_each(
     drawn = [draw(panels, plot)] if plot is not None and panels else []
     if more := unread[MAX_MESSAGES:]:
         unread[MAX_MESSAGES:] = [f"handsight: {len(more)} more images cannot be read"]
-    wrote = [] if output is None else [f"wrote {output}: found in {found} of {done} images"]
+    wrote = (
+        []
+        if output is None or isinstance(end.error, NotWritten)
+        else [f"wrote {output}: found in {found} of {done} images"]
+    )
     stopped = f"handsight: stopped after {done} images; what was found is kept"
     ended = [end.message or stopped] if end.exit_code else []
     for sentence in (*unread, *wrote, *missed[: MAX_MESSAGES if cells else 0], *ended, *drawn):
@@ -448,17 +452,12 @@ def _table_rows(row: "Row", *, several: bool) -> list[list[str]]:
             which = [f"{answer.name or 'none'}: {probability:.2f}"]
         elif several:
             which = [f"{each.model.name}: {each.found.probability:.2f}"]
-        rows.append([each.frame.name, *which, *_cells(each), milliseconds])
+        cells = ["not here", *[""] * 5]
+        if each.reason is None:
+            T, found = each.found.Ts_camera_object[0], each.found
+            shift, turn = (math.sqrt(found.covariances[0].diagonal()[k : k + 3].max()) for k in (0, 3))
+            cells = [", ".join(f"{1e3 * x:.1f}" for x in T[:3, 3]), f"{1e3 * shift:.1f}"]
+            cells += [f"{math.degrees(turn):.1f}", f"{each.explained:.0%}", f"{found.weights[0]:.2f}"]
+            cells.append(str(len(found.weights) - 1))
+        rows.append([each.frame.name, *which, *cells, milliseconds])
     return rows or [[row.frame.name, *which, "not here", *[""] * 5, milliseconds]]
-
-
-def _cells(row: "Located") -> list[str]:
-    """Returns the cells of a row of the table that are of the pose."""
-    if row.reason is not None:
-        return ["not here", *[""] * 5]
-    T, covariance = row.found.Ts_camera_object[0], row.found.covariances[0]
-    shift, turn = (math.sqrt(covariance.diagonal()[part].max()) for part in (slice(3), slice(3, 6)))
-    place = ", ".join(f"{1e3 * x:.1f}" for x in T[:3, 3])
-    sigmas = (f"{1e3 * shift:.1f}", f"{math.degrees(turn):.1f}")
-    weights = (f"{row.found.weights[0]:.2f}", str(len(row.found.weights) - 1))
-    return [place, *sigmas, f"{row.explained:.0%}", *weights]

@@ -141,7 +141,7 @@ def add(
 
 @objects_app.command()
 def verify(library: LibraryPlace = None) -> None:
-    """Read every model again, and print a sentence for each that is missing, damaged or changed.
+    """Read every model again, and print a sentence for each that is missing, damaged, changed or not as symmetric.
 
     The exit code is 1 if there is one.
 

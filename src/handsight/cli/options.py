@@ -116,7 +116,7 @@ class Run:
         found, path = find_rig(recording, rig)
         if name is None and len(found.objects) != 1:
             known = ", ".join(found.objects) or "none"
-            raise InvalidInput(f"--object: expected, got nothing; {path} has {known}")
+            raise InvalidInput(f"--object: expected one of the rig, got nothing; {path} has {known}")
         (model,) = find_models(() if name is None else (name,), found, path).values()
         others = find_models(alternatives, found, path).values() if alternatives else ()
         return cls(recording, found, model, settings, tuple(others))
@@ -149,7 +149,7 @@ def find_rig(recording: Path, rig: Path | None) -> "tuple[Rig, Path]":
     places = [rig] if rig else [path for path in (own, recording.with_name("rig.yaml")) if path.exists()]
     if not places:
         raise InvalidInput(
-            f"--rig: expected, got nothing, and there is neither {own.name} nor rig.yaml beside {recording}"
+            f"--rig: expected a rig file, got nothing, and there is neither {own.name} nor rig.yaml beside {recording}"
         )
     return Rig.from_file(places[0]), places[0]
 
@@ -178,7 +178,7 @@ def find_models(
             for name in wanted
         ]
     elif rig is not None:
-        raise InvalidInput(f"--object: expected, got nothing; {rig_path} has none")
+        raise InvalidInput(f"--object: expected one of the rig, got nothing; {rig_path} has none")
     else:
         message = "--object: expected a name of the library or a mesh file, got nothing"
         try:

@@ -1,13 +1,17 @@
 """`handsight rig new`: the first rig of a hand, guessed from its file and from a recording, or a copy of an example."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
 from handsight.cli.terminal import say
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import write_errors
+
+if TYPE_CHECKING:
+    from handsight.hand.guess import GuessedTip
 
 EXAMPLES = Path(__file__).parents[1] / "data" / "rigs"
 
@@ -25,9 +29,10 @@ def new(
     """Write the first rig of a hand, with a comment beside each key, to be checked and completed.
 
     The palm and the fingertips are guessed from the hand's file: fingers end in the last links that move, tips are
-    spheres that fit the ends of their meshes. Topics are matched by the types of their messages and by their names. All
-    that was guessed is printed, and at the head of the file. What no file says has to be filled in: each sensor's pose,
-    `reading` and noise, the camera's pose, the object. A file that exists is never overwritten.
+    spheres that fit the ends of their meshes. Topics are matched by the types of their messages and by their names;
+    those of taxels, and a URDF's tactile sensors, give `skin`. All that was guessed is printed, and at the head of the
+    file. What no file says has to be filled in: each sensor's pose, `reading` and noise, the camera's pose, the object.
+    A file that exists is never overwritten.
 
     ```
     handsight rig new my_hand.urdf grasp.mcap
@@ -66,7 +71,7 @@ def _guessed(file: Path, recording: Path | None) -> str:
     from handsight.contact import Sphere, WrenchCalibration
     from handsight.hand import Hand
     from handsight.hand.guess import guess_hand
-    from handsight.messages.match import match_topics
+    from handsight.messages.match import match_taxels, match_topics
     from handsight.recording.open import open_files
     from handsight.rig import Finger, MountedCamera, Rig, Topics, save
 
@@ -76,6 +81,7 @@ def _guessed(file: Path, recording: Path | None) -> str:
         types |= source.topics
         source.close()
     topics, used = match_topics(types, list(tips))
+    skin = _skin(file, tips, match_taxels(types, list(tips)))
     if recording is None:
         topics = Topics(wrenches={name: f"/{name}/wrench" for name in tips})
     unread = WrenchCalibration(*(np.zeros(3), np.zeros(3), 0.0, np.zeros(3)), reading="on_sensor")
@@ -102,8 +108,9 @@ def _guessed(file: Path, recording: Path | None) -> str:
         for name, tip in tips.items()
     ]
     lines += [f"topic {topic}: {what}" for topic, what in used.items()]
-    if others := sorted(types.keys() - used.keys()):
-        lines.append(f"not used (taxels? see docs/sensors.md): {', '.join(others)}")
+    lines += [f"skin {name}: of {entry.get('topic', 'a topic to fill in')}" for name, entry in skin.items()]
+    if others := sorted(types.keys() - used.keys() - {entry.get("topic") for entry in skin.values()}):
+        lines.append(f"not used: {', '.join(others)}")
     if topics.wrenches:
         lines.append(
             "to fill in: each sensor's pose, reading (on_sensor or on_tip), noise, bias and tip_mass"
@@ -111,6 +118,26 @@ def _guessed(file: Path, recording: Path | None) -> str:
     lines.append("to fill in: the camera's pose, and objects" if in_images else "to fill in: objects")
     for line in lines:
         say(line)
-    return "".join(f"# Guessed: {line}\n" for line in lines).replace(
-        "Guessed: to fill", "To fill"
-    ) + save.text(rig)
+    head = "".join(f"# Guessed: {line}\n" for line in lines).replace("Guessed: to fill", "To fill")
+    guess = "# Each at the end of its tip, z out of the skin, y along its columns: measure, count, see docs/sensors.md"
+    surfaces = [f"  {save.inline(name)}: {save.inline(entry)}" for name, entry in skin.items()]
+    return head + save.text(rig) + "".join(f"{line}\n" for line in [guess, "skin:", *surfaces] if surfaces)
+
+
+def _skin(
+    file: Path, tips: "Mapping[str, GuessedTip]", taxels: "Mapping[str, Mapping[str, object]]"
+) -> dict[str, dict[str, object]]:
+    """Returns the rig's entries of tactile surfaces: those of the hand's URDF, else one at the end of each tip."""
+    from handsight import se3
+    from handsight.rig.layouts import tactile_sensors
+
+    topic = {"topic": entry["topic"] for entry in taxels.values()}  # noqa: B035 - the last one
+    skin = {name: {"urdf": name, "threshold": 0.1, **topic} for name in tactile_sensors(file)}
+    for finger, entry in taxels.items() if not skin else ():
+        T, radius = tips[finger].T_link_surface, tips[finger].radius
+        end = {
+            "position": T[:3, 3] + radius * T[:3, 2],
+            "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3]),
+        }
+        skin[f"{finger}_tip"] = {"frame": tips[finger].link, "pose": end, **entry}
+    return skin

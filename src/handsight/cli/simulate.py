@@ -128,9 +128,9 @@ def simulate(
     handsight simulate box --nuisance message_loss=0.05 --nuisance vision_delay=0.2
     ```
     """
-    from handsight.files import write_errors
+    from handsight.files import text_file
     from handsight.rig import Rig
-    from handsight.simulation import Nuisances, Scenario, constant_errors, find_grasp, read_grasp, write_grasp
+    from handsight.simulation import Nuisances, Scenario, constant_errors, read_grasp
     from handsight.simulation.scene import scene
 
     announce_compiling()
@@ -139,28 +139,19 @@ def simulate(
     start = Nuisances.harsh(seed) if world == "harsh" else Nuisances()
     own = None if rig is None else Rig.from_file(rig)
     if own is not None and world == "usual":  # errors as the rig states them
-        start = dataclasses.replace(start, joint_offset=own.sigma_joint_offset, joint_noise=own.sigma_joint)
-        worst = {
-            of: max(getattr(f, f"sigma_{of}") for f in own.fingers.values()) for of in ("force", "torque")
-        }
-        start = dataclasses.replace(start, force_noise=worst["force"], torque_noise=worst["torque"])
-    chosen: dict[str, Any] = {"motion": motion, "depth_camera": depth_camera}  # Scenario refuses unknown ones
-    chosen |= {
-        "images": images,
-        "skin": skin,
-        "sensors": sensors,
-        "nuisances": nuisances(nuisance or [], start),
-        "rig": own,
-    }
+        fingers, of_joints = own.fingers.values(), {"joint_offset": own.sigma_joint_offset}
+        worst = {f"{of}_noise": max(getattr(f, f"sigma_{of}") for f in fingers) for of in ("force", "torque")}
+        start = dataclasses.replace(start, **of_joints, joint_noise=own.sigma_joint, **worst)
+    chosen: dict[str, Any] = {"motion": motion, "depth_camera": depth_camera, "sensors": sensors}
+    chosen |= {"nuisances": nuisances(nuisance or [], start), "images": images, "skin": skin, "rig": own}
     scenario = Scenario(object=object, seed=seed, **chosen)
-    if blind and images:
-        raise InvalidInput("--images: expected none with --blind, which has no camera, got some")
-    if blind and sensors != "wrench":
-        raise InvalidInput(
-            f"--sensors: expected wrench with --blind, whose finger has no other, got {sensors}"
-        )
-    if blind and own is not None:
-        raise InvalidInput("--rig: expected none with --blind, whose hand is the Shadow hand, got some")
+    for option, given, which in (
+        ("images", images, "has no camera"),
+        ("sensors", sensors != "wrench", "has force/torque sensors"),
+        ("rig", own is not None, "has the Shadow hand"),
+    ):
+        if blind and given:
+            raise InvalidInput(f"--{option}: expected none with --blind, which {which}, got some")
     path = output or Path(f"{Path(object).stem}-{seed}.mcap")
     if path.suffix.lower() != ".mcap":
         raise InvalidFile(f"{path}: expected a name that ends in .mcap")
@@ -168,37 +159,42 @@ def simulate(
         raise InvalidInput("--plot: expected --blind, whose search it shows")
     check_plots(plot)
     if grasp is None:
-        with bar("searching a grasp") as advance:
-            found = find_grasp(scenario, advance)
-        if own is not None and not found.succeeded:
-            raise NotFound(f"{object}: no grasp holds it; of {found.trials} tried: {found.failures}")
-        if found.trials:  # the grasp is not built in, but had to be searched for
-            beside = path.with_suffix(".grasp.json")
-            write_grasp(found, scenario.object, beside)
-            before = f" ({found.failures})" if found.failures else ""
-            end = "the last one holds" if found.succeeded else "none holds, this one did longest"
-            say(f"wrote {beside}: {found.hold}; of {found.trials} grasps tried {end}{before}")
-    used = (
-        found.grasp
-        if grasp is None
-        else read_grasp(grasp, scene(scenario.object, rig=own).joints if own else None)
-    )
+        used = search(scenario, path)
+    else:
+        used = read_grasp(grasp, scene(scenario.object, rig=own).joints if own else None)
     samples, dropped = record(scenario, path, used, blind=blind, plot=plot)
     size = f"{path.stat().st_size / 1e6:.1f} MB (synthetic)"
     say(f"wrote {path}: {samples} observations, {size}, and {rig_beside(path).name}")
     if world == "harsh":
         beside = path.with_suffix(".world.json")
         drawn = dataclasses.asdict(constant_errors(scenario.nuisances, seed))
-        content = {
-            "seed": seed,
-            "nuisances": dataclasses.asdict(scenario.nuisances),
-            "drawn": {name: value.tolist() for name, value in drawn.items()},
-        }
-        with write_errors(beside):
-            beside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        content = {"seed": seed, "nuisances": dataclasses.asdict(scenario.nuisances)}
+        content["drawn"] = {name: value.tolist() for name, value in drawn.items()}
+        with text_file(beside) as file:
+            file.write(json.dumps(content, indent=1) + "\n")
         say(f"wrote {beside}: what is wrong in this world, which the rig does not know")
     if dropped:
         say("the object has slipped out of the grasp; another --seed may hold it")
+
+
+def search(scenario: "Scenario", path: Path) -> "Grasp":
+    """Returns a grasp of the scenario's object; one that was searched for is written beside the recording `path`.
+
+    Raises NotFound where no grasp of a rig's own hand holds.
+    """
+    from handsight.simulation import find_grasp, write_grasp
+
+    with bar("searching a grasp") as advance:
+        found = find_grasp(scenario, advance)
+    if scenario.rig is not None and not found.succeeded:
+        raise NotFound(f"{scenario.object}: no grasp holds it; of {found.trials} tried: {found.failures}")
+    if found.trials:  # the grasp is not built in
+        beside = path.with_suffix(".grasp.json")
+        write_grasp(found, scenario.object, beside)
+        before = f" ({found.failures})" if found.failures else ""
+        end = "the last one holds" if found.succeeded else "none holds, this one did longest"
+        say(f"wrote {beside}: {found.hold}; of {found.trials} grasps tried {end}{before}")
+    return found.grasp
 
 
 def nuisances(settings: Iterable[str], start: "Nuisances | None" = None) -> "Nuisances":
@@ -329,7 +325,8 @@ def write_slips(writer: "McapFile", stamp: float, sample: "Sample", rig: "Rig") 
 
 def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     """Returns the object as the robot describes it, with the size error `object_scale`."""
-    from handsight.objects import ObjectSpec
+    from handsight.objects import Library, ObjectSpec
+    from handsight.objects.library.bop import METRES
     from handsight.simulation.robot import declared_weight
 
     mesh = Path(scenario.object)
@@ -348,6 +345,9 @@ def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     if spec.cylinder is not None:
         radius, height = spec.cylinder
         return dataclasses.replace(spec, cylinder=(k * radius, k * height))
-    if spec.name is not None and k != 1:
-        raise InvalidInput(f"--nuisance object_scale: expected 1 for an object of the library, got {k:g}")
+    if spec.name is not None and k != 1:  # its file, in BOP's millimetres
+        library = Library()
+        entry = library.entry(spec.name)
+        kept = spec.symmetries if entry.symmetries.trivial else "find"
+        spec = dataclasses.replace(spec, name=None, mesh=library.file(entry), scale=METRES, symmetries=kept)
     return dataclasses.replace(spec, scale=k * spec.scale)

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from handsight.errors import HandsightError, NotFound, NotWritten, printable
+from handsight.errors import HandsightError, InvalidInput, NotFound, NotWritten, printable
 from handsight.files import STREAMS, write_errors
 
 if TYPE_CHECKING:
@@ -71,11 +71,13 @@ def announce_compiling() -> None:
 
 
 def check_plots(plot: Path | None) -> None:
-    """Raises MissingExtra where a picture is wanted, but matplotlib is not installed."""
+    """Raises MissingExtra where a picture is wanted without matplotlib, and InvalidInput for a format that it lacks."""
     if plot is not None:
         from handsight.viewer.correction_figures import require_matplotlib
 
-        require_matplotlib()
+        known = require_matplotlib().Figure().canvas.get_supported_filetypes()
+        if plot.suffix[1:].lower() not in known:
+            raise InvalidInput(f"--plot: expected a name that ends in .png, .pdf or .svg, got {plot.name}")
 
 
 @contextlib.contextmanager
@@ -153,12 +155,31 @@ def print_out(*parts: "str | Table", **options: Any) -> None:
 
 @contextlib.contextmanager
 def output_stream(path: Path | None) -> Iterator[IO[str]]:
-    """Yields a new text file, or stdout where the path is None or `-`; raises NotWritten."""
+    """Yields a new text file, or stdout where the path is None or `-`; raises NotWritten.
+
+    The file is `part_of(path)` while it grows. It gets its name at the end, whatever the reason, unless it could not be
+    written: its last line may be cut.
+    """
     if path is None or str(path) == "-":
         yield sys.stdout
         return
-    with write_errors(path), open(path, "w", encoding="utf-8") as file:
-        yield file
+    growing, final, complete = part_of(path), Path(os.path.realpath(path)), True
+    with write_errors(path):
+        try:
+            with open(growing, "w", encoding="utf-8") as file:
+                yield file
+        except (OSError, NotWritten):
+            complete = False
+            raise
+        finally:
+            if complete and growing != final:
+                growing.replace(final)
+
+
+def part_of(path: Path) -> Path:
+    """Returns the name of a file while it grows: PATH.part; a pipe or a device has no other name."""
+    real = Path(os.path.realpath(path))
+    return real if real.exists() and not real.is_file() else real.with_name(f"{real.name}.part")
 
 
 @dataclass(slots=True)

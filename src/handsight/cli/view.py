@@ -2,7 +2,7 @@
 
 import contextlib
 import threading
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from typer import Option
@@ -12,9 +12,6 @@ from handsight.cli.options import Run, tracker_settings
 from handsight.cli.terminal import FAILED, say
 from handsight.cli.track import refusals
 from handsight.errors import HandsightError, InvalidInput
-
-if TYPE_CHECKING:
-    from handsight.viewer.page import Page
 
 
 def view(
@@ -41,9 +38,13 @@ def view(
     handsight view can.mcap
     ```
     """
+    from handsight.evaluation import Truths
     from handsight.messages import OwnTopic
     from handsight.recording.open import open_files
+    from handsight.tracking.replay import Tally
     from handsight.viewer.page import Page, require_viser
+    from handsight.viewer.player import Player
+    from handsight.viewer.timeline import Timeline, curves, follow
 
     require_viser()
     settings = tracker_settings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
@@ -58,33 +59,23 @@ def view(
                     raise InvalidInput(f"{recording}: {expected}, {came}")
         run = Run.of(recording, rig, object, settings)
         page = Page(run.rig, run.model, port=port, title=f"{run.model.name or 'object'} in {recording.name}")
-        with contextlib.closing(page):
+        with contextlib.closing(page), contextlib.ExitStack() as stack:
             taken = "" if page.port == port else f" ({port} is taken)"
             say(f"look at {page.address}{taken}; Ctrl-C ends")
-            _show(run, page)
-
-
-def _show(run: Run, page: "Page") -> None:
-    """Tracks a recording while its page plays it, then waits for Ctrl-C; exits with 1 where there is no pose."""
-    from handsight.evaluation import Truths
-    from handsight.tracking.replay import Tally
-    from handsight.viewer.player import Player
-    from handsight.viewer.timeline import Timeline, curves, follow
-
-    timeline, tally = Timeline(), Tally()
-    with run.opened() as (recording, tracker):
-        player = Player(page, timeline, lambda: curves(timeline.moments, run.model, Truths(recording.truth)))
-        with contextlib.closing(player):
+            timeline, tally = Timeline(), Tally()
+            opened, tracker = stack.enter_context(run.opened())
+            player = Player(page, timeline, lambda: curves(timeline.moments, run.model, Truths(opened.truth)))
+            stack.enter_context(contextlib.closing(player))
             player.start()
             try:
-                for _ in follow(recording.observations(), tracker, tally, timeline):
+                for _ in follow(opened.observations(), tracker, tally, timeline):
                     pass
             except HandsightError as error:
                 if not timeline.moments:
                     raise
                 say(f"handsight: {error}")
             player.finish()
-            for sentence in (*recording.report.sentences(), *refusals(tally)):
+            for sentence in (*opened.report.sentences(), *refusals(tally)):
                 say(sentence)
             if not timeline.moments:
                 say(f"no pose: {tracker.reason}")

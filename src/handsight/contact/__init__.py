@@ -21,28 +21,8 @@ from handsight.contact.tables import COLUMNS_HELP, convert
 from handsight.contact.taxels import SkinTouch, TactileSurface, TaxelArray
 
 __all__ = [
-    "COLUMNS_HELP",
-    "FINGERTIP_HELP",
-    "REASON_NAMES",
-    "Contact",
-    "ContactBatch",
-    "Contacts",
-    "Ellipsoid",
-    "Fingertip",
-    "Gel",
-    "NoContact",
-    "Pad",
-    "Reason",
-    "SkinTouch",
-    "Sphere",
-    "TactileSurface",
-    "TaxelArray",
-    "WrenchCalibration",
-    "calibrate_wrench",
-    "compensate",
-    "contact_from_wrench",
-    "contacts_from_wrenches",
-    "convert",
-    "parse_fingertip",
-    "unambiguous_cap",
-]
+    "COLUMNS_HELP", "FINGERTIP_HELP", "REASON_NAMES", "Contact", "ContactBatch", "Contacts", "Ellipsoid",
+    "Fingertip", "Gel", "NoContact", "Pad", "Reason", "SkinTouch", "Sphere", "TactileSurface", "TaxelArray",
+    "WrenchCalibration", "calibrate_wrench", "compensate", "contact_from_wrench", "contacts_from_wrenches",
+    "convert", "parse_fingertip", "unambiguous_cap",
+]  # fmt: skip

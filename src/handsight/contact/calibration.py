@@ -72,10 +72,9 @@ def calibrate_wrench(
 ) -> WrenchCalibration:
     """Returns bias, mass and centre of mass from readings in several orientations, by linear least squares.
 
-    `forces` [N], `torques` [N m] and `gravities` (the vector of gravity in the sensor's frame [m/s²]) are (n, 3)
-    each, the tip touching nothing. At least three orientations that do not share an axis are needed; six along ±x,
-    ±y, ±z are best. Raises InvalidInput for fewer, for orientations that are too similar, and for a mass that is not
-    above zero.
+    `forces` [N], `torques` [N m] and `gravities` (the vector of gravity in the sensor's frame [m/s²]) are (n, 3) each,
+    the tip touching nothing. At least three orientations that do not share an axis are needed; six along ±x, ±y, ±z are
+    best. Raises InvalidInput for fewer, for orientations that are too similar, and for a mass that is not above zero.
     """
     F, M = checks.load(forces, "forces", (None, 3)), checks.load(torques, "torques", (None, 3))
     G = checks.finite(gravities, "gravities", (None, 3))
@@ -93,25 +92,18 @@ def calibrate_wrench(
             raise InvalidInput(f"gravities[{i}]: expected a length of {least:g} to {most:g} m/s², got {came}")
     length = float(np.sqrt((lengths**2).mean()))
     g = sign * G / length
-    x_force, residual_force, condition_force = _fit(g[:, :, None], F, G)
+    (*bias_force, by_mass), residual_force, condition_force = _fit(g[:, :, None], F, G)
     x_torque, residual_torque, condition_torque = _fit(-se3.skew(g), M, G)
-    mass = float(x_force[3]) / length
+    mass = float(by_mass) / length
     if not mass > 0:
         raise InvalidInput(
             f"forces: expected readings that give a mass above 0, got {mass:.3g} kg; for "
             f"reading={reading!r} a tip at rest reads its weight {'along' if sign > 0 else 'against'} "
             f"gravity, else pass the other reading ({', '.join(get_args(Reading))})"
         )
-    return WrenchCalibration(
-        bias_force=x_force[:3],
-        bias_torque=x_torque[:3],
-        mass=mass,
-        center_of_mass=x_torque[3:] / (mass * length),
-        residual_force=residual_force,
-        residual_torque=residual_torque,
-        condition=max(condition_force, condition_torque),
-        reading=reading,
-    )
+    center, condition = x_torque[3:] / (mass * length), max(condition_force, condition_torque)
+    known = np.array(bias_force), x_torque[:3], mass, center
+    return WrenchCalibration(*known, residual_force, residual_torque, condition, reading)
 
 
 def compensate(
@@ -124,8 +116,7 @@ def compensate(
     """
     stack: tuple[int | None, ...] = (3,) if checks.ndim(forces) == 1 else (None, 3)
     if not isinstance(calibration, WrenchCalibration):
-        came = type(calibration).__name__
-        raise InvalidInput(f"calibration: expected a WrenchCalibration, got {came}")
+        raise InvalidInput(f"calibration: expected a WrenchCalibration, got {type(calibration).__name__}")
     F, M = checks.load(forces, "forces", stack), checks.load(torques, "torques", stack)
     G = checks.finite(gravities, "gravities", (3,) if checks.ndim(gravities) == 1 else stack)
     if np.abs(G).max(initial=0.0) > GRAVITY_RANGE[1]:
@@ -133,12 +124,9 @@ def compensate(
     if F.shape != M.shape or (G.ndim > 1 and G.shape != F.shape):
         shapes = f"{F.shape}, {M.shape}, {G.shape}"
         raise InvalidInput(f"forces, torques, gravities: expected one shape, got {shapes}")
-    sign = _sign(calibration.reading)
-    weight = calibration.mass * G
-    return (
-        sign * (F - calibration.bias_force) - weight,
-        sign * (M - calibration.bias_torque) - np.cross(calibration.center_of_mass, weight),
-    )
+    sign, weight = _sign(calibration.reading), calibration.mass * G
+    torque = sign * (M - calibration.bias_torque) - np.cross(calibration.center_of_mass, weight)
+    return sign * (F - calibration.bias_force) - weight, torque
 
 
 def _sign(reading: str) -> float:

@@ -18,16 +18,13 @@ ReasonName = Literal["free", "off_cap", "beyond_friction", "invalid"]
 class Reason(IntEnum):
     """A `Reason` is the result of sensing one wrench; its numbers are those in `ContactBatch.reasons`."""
 
-    CONTACT = 0
-    """The wrench is that of a contact."""
-    FREE = 1
-    """The force is weaker than the tip's `min_force`."""
+    CONTACT = 0  # the wrench is that of a contact
+    FREE = 1  # the force is weaker than the tip's `min_force`
     OFF_CAP = 2
     """No push within the cap has that wrench: it is a pull, a contact beside the cap, or its axis misses the tip."""
     BEYOND_FRICTION = 3
     """The wrench needs more friction than the tip's `max_friction`: there are two contacts, or a bias."""
-    INVALID = 4
-    """The reading contains NaN, infinity or more than any tip can bear."""
+    INVALID = 4  # the reading contains NaN, infinity or more than any tip can bear
 
 
 REASON_NAMES: tuple[Literal["contact"] | ReasonName, ...] = ("contact", *get_args(ReasonName))
@@ -62,15 +59,9 @@ class Contact:
     def moved(self, T_new_old: Array) -> "Contact":
         """Returns the same contact in another frame; `T_new_old` (4, 4) maps coordinates of this frame to it."""
         T = se3.check(T_new_old, "T_new_old")
-        R = T[:3, :3]
-        return Contact(
-            R @ self.point + T[:3, 3],
-            R @ self.normal,
-            R @ self.force,
-            self.force_normal,
-            self.torque,
-            symmetric(se3.rotate_covariance(R, self.covariance)),
-        )
+        R, covariance = T[:3, :3], symmetric(se3.rotate_covariance(T[:3, :3], self.covariance))
+        vectors = R @ self.point + T[:3, 3], R @ self.normal, R @ self.force
+        return Contact(*vectors, self.force_normal, self.torque, covariance)
 
 
 _new = object.__new__
@@ -111,16 +102,11 @@ class ContactBatch:
     only, so no row of them stands for a missing one.
     """
 
-    reasons: NDArray[np.int8]
-    """(n,) `Reason` of each wrench."""
-    rows: NDArray[np.intp]
-    """(k,) number of the wrench of each contact, ascending."""
-    records: NDArray[np.void]
-    """(k,) the contacts as records of point, normal, force, force_normal, torque."""
-    fingertip: Fingertip
-    """The tip that sensed the wrenches."""
-    sigmas: Array
-    """(6,) standard deviation per axis of a reading's force [N] and torque [N m]."""
+    reasons: NDArray[np.int8]  # (n,) `Reason` of each wrench
+    rows: NDArray[np.intp]  # (k,) number of the wrench of each contact, ascending
+    records: NDArray[np.void]  # (k,) the contacts as records of point, normal, force, force_normal, torque
+    fingertip: Fingertip  # the tip that sensed the wrenches
+    sigmas: Array  # (6,) standard deviation per axis of a reading's force [N] and torque [N m]
     _covariances: Array | None = field(default=None, init=False, repr=False)
 
     __repr__ = short_repr

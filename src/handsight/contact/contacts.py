@@ -87,7 +87,7 @@ class Contacts:
         covariance_palm = symmetric(B @ covariance_palm @ B.swapaxes(-1, -2))
         flags = _residual_flags(of_residual, normals, has_normal, covariance_palm)
         groups = _groups(group, shared_covariance, len(points))
-        _set_fields(self, points, normals, has_normal, covariance_palm, flags, *groups)
+        _filled(self, points, normals, has_normal, covariance_palm, flags, *groups)
 
     @classmethod
     def from_tips(
@@ -157,9 +157,8 @@ class Contacts:
                 by_error[:, :3, 3:] = -se3.skew(self.points_palm[own] - self.points_palm[own].mean(axis=0))
             by_error[:, 3:, 3:] = -se3.skew(self.normals_palm[own])
             covariance[own] += by_error @ shared @ by_error.swapaxes(1, 2)
-        return _unchecked(
-            self.points_palm, self.normals_palm, self.has_normal, symmetric(covariance), self.of_residual
-        )
+        places = self.points_palm, self.normals_palm, self.has_normal
+        return _unchecked(*places, symmetric(covariance), self.of_residual)
 
     def joined(self, other: Contacts) -> Contacts:
         """Returns these contacts followed by the other ones."""
@@ -183,13 +182,8 @@ class Contacts:
 
 NO_GROUP = np.empty((0, 6, 6))
 MOST_GROUPS = 1000
-_FIELDS = {
-    "point": "points_palm",
-    "normal": "normals_palm",
-    "has_normal": "has_normal",
-    "covariance": "covariance",
-    "of_residual": "of_residual",
-}
+_FIELDS = {"point": "points_palm", "normal": "normals_palm"}
+_FIELDS |= {name: name for name in ("has_normal", "covariance", "of_residual")}
 """Fields of a contact's record, and the arrays of `Contacts` that they come from."""
 _ARRAYS = (*_FIELDS.values(), "group", "shared_covariance")
 
@@ -208,12 +202,10 @@ def _no_groups(n: int) -> Indices:
 
 def _unchecked(*arrays: Any) -> Contacts:
     """Returns contacts of clean arrays, in the order of `_FIELDS`, and maybe their groups."""
-    contacts = object.__new__(Contacts)
-    _set_fields(contacts, *arrays)
-    return contacts
+    return _filled(object.__new__(Contacts), *arrays)
 
 
-def _set_fields(
+def _filled(
     contacts: Contacts,
     points: Array,
     normals: Array,
@@ -222,13 +214,14 @@ def _set_fields(
     of_residual: Mask,
     group: Indices | None = None,
     shared: Array = NO_GROUP,
-) -> None:
-    group = _no_groups(len(points)) if group is None else group
-    arrays = points, normals, has_normal, covariance, of_residual, group, shared
+) -> Contacts:
+    groups = _no_groups(len(points)) if group is None else group
+    arrays = points, normals, has_normal, covariance, of_residual, groups, shared
     for name, array in zip(_ARRAYS, arrays, strict=True):
         array.flags.writeable = False
         object.__setattr__(contacts, name, array)
     object.__setattr__(contacts, "_record", None)
+    return contacts
 
 
 def _residual_flags(value: ArrayLike, normals: Array, has_normal: Mask, covariance: Array) -> Mask:
@@ -248,10 +241,8 @@ def _residual_flags(value: ArrayLike, normals: Array, has_normal: Mask, covarian
     correlation = full / np.maximum(deviation[:, :, None] * deviation[:, None, :], 1e-300)
     exact = flags & (np.linalg.eigvalsh(correlation).min(axis=1) < 1e-9)  # less is rounding
     if exact.any():
-        i = int(np.flatnonzero(exact)[0])
-        raise InvalidInput(
-            f"covariance[{i}]: expected a residual's, uncertain in every direction, got one that is exact in some"
-        )
+        expected = "expected a residual's, uncertain in every direction"
+        raise InvalidInput(f"covariance[{exact.argmax()}]: {expected}, got one that is exact in some")
     return flags
 
 

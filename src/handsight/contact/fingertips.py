@@ -18,8 +18,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 
-SMALLEST, LARGEST = 1e-5, 0.2
-"""Range of a fingertip's semi-axes [m]; a length outside of it has another unit."""
+SMALLEST, LARGEST = 1e-5, 0.2  # range of a fingertip's semi-axes [m]; a length outside of it has another unit
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
@@ -112,8 +111,7 @@ class Sphere(Ellipsoid):
         object.__setattr__(self, "radius", length)
 
 
-Fingertip = Ellipsoid
-"""The type of every fingertip; all shapes are ellipsoids so far."""
+Fingertip = Ellipsoid  # the type of every fingertip; all shapes are ellipsoids so far
 
 
 def unambiguous_cap(fingertip: Fingertip) -> float:

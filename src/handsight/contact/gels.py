@@ -7,7 +7,6 @@ object's normal, which the slope of the indentation gives. The rest of a patch h
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -18,8 +17,7 @@ from handsight.checks import Array
 from handsight.contact.taxels import TactileSurface
 from handsight.errors import InvalidInput
 
-MOST_CELLS = 2048
-"""Cells of a gel at most; a larger image is averaged over blocks of pixels."""
+MOST_CELLS = 2048  # cells of a gel at most; a larger image is averaged over blocks of pixels
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -35,8 +33,7 @@ class Gel(TactileSurface):
     image: tuple[int, int] | None = None
     """Rows and columns of a reading's pixels, which are averaged over square blocks, one for each point, row by row;
     None: one number for each point."""
-    noise: float = 0.1
-    """Standard deviation of the indentation's scale, as a share of it."""
+    noise: float = 0.1  # standard deviation of the indentation's scale, as a share of it
     sigma_point: float = 5e-5
     sigma_normal: float | None = math.radians(3.0)
     """Standard deviation of a contact's normal [rad], in addition to that by noise."""
@@ -90,20 +87,14 @@ class Gel(TactileSurface):
 
     @staticmethod
     def _kernel() -> Callable[..., int]:
-        return _sense_gel()
+        from handsight._kernels.touch.gels import sense_gel
+
+        return sense_gel
 
 
 def block_of(rows: Any, columns: Any) -> int:
     """Returns the pixels along the side of a block, so that an image has at most `MOST_CELLS` blocks; raises
     InvalidInput."""
     for name, value in (("rows", rows), ("columns", columns)):
-        if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 1 <= value <= 10_000:
-            raise InvalidInput(f"{name}: expected a whole number from 1 to 10000, got {checks.brief(value)}")
+        checks.integer(value, name, 10_000, 1)
     return math.ceil(math.sqrt(rows * columns / MOST_CELLS))
-
-
-@cache
-def _sense_gel() -> Callable[..., int]:
-    from handsight._kernels.touch.gels import sense_gel
-
-    return sense_gel

@@ -18,10 +18,8 @@ from handsight.contact.contact import REASON_NAMES, Contact, ContactBatch, NoCon
 from handsight.contact.fingertips import Fingertip
 from handsight.errors import InvalidInput
 
-SIGMA_FORCE = 1e-2
-"""Default standard deviation of a force reading, per axis [N]."""
-SIGMA_TORQUE = 5e-5
-"""Default standard deviation of a torque reading, per axis [N m]."""
+SIGMA_FORCE = 1e-2  # default standard deviation of a force reading, per axis [N]
+SIGMA_TORQUE = 5e-5  # default standard deviation of a torque reading, per axis [N m]
 
 
 def contact_from_wrench(
@@ -34,11 +32,10 @@ def contact_from_wrench(
 ) -> Contact | NoContact:
     """Returns where and how the object touches the tip, in the tip's (surface's) frame, or a `NoContact`.
 
-    `force` (3,) [N] and `torque` (3,) [N m] are what the object exerts on the tip, bias and weight removed:
-    in the surface's frame about its centre, or, where the fingertip has a `T_surface_sensor`, in the sensor's
-    frame about the sensor's origin. The sigmas are one standard deviation per axis of the reading (a number,
-    or three, along the axes it comes in); the contact's covariance follows from them by the implicit function
-    theorem.
+    `force` (3,) [N] and `torque` (3,) [N m] are what the object exerts on the tip, bias and weight removed: in the
+    surface's frame about its centre, or, where the fingertip has a `T_surface_sensor`, in the sensor's frame about the
+    sensor's origin. The sigmas are one standard deviation per axis of the reading (a number, or three, along the axes
+    it comes in); the contact's covariance follows from them by the implicit function theorem.
 
     One contact per tip is assumed; two at once are at best recognised as `beyond_friction` or `off_cap`.
     Raises InvalidInput for NaN, infinity or a wrong shape. Source: eq. 7; Bicchi, Salisbury and Brock (1993).

@@ -32,8 +32,7 @@ Place = str | os.PathLike[str] | TextIO
 Format = Literal["csv", "jsonl"]
 Labels = dict[str, object]
 
-NUMBERS, LABELS = ("fx", "fy", "fz", "tx", "ty", "tz"), ("stamp", "finger")
-"""Columns of a CSV of wrenches."""
+NUMBERS, LABELS = ("fx", "fy", "fz", "tx", "ty", "tz"), ("stamp", "finger")  # columns of a CSV of wrenches
 COLUMNS = (
     *("reason", "x", "y", "z", "nx", "ny", "nz", "force_normal"),
     *("force_tangential_x", "force_tangential_y", "force_tangential_z", "torque"),
@@ -112,24 +111,21 @@ def _lines(file: TextIO, name: str) -> Iterator[str]:
 
 def _csv_rows(lines: Iterator[str], name: str) -> Iterator[tuple[Labels, list[float]]]:
     """Yields the labels and the six numbers of each row."""
-    reader, header = csv.reader(lines, strict=True), list[str]()
+    reader, known = csv.reader(lines, strict=True), (*LABELS, *NUMBERS)
+    rows = (cells for cells in reader if len(cells) > 1 or "".join(cells).strip())
     try:
-        for cells in reader:
+        header = [cell.strip().lower() for cell in next(rows, NUMBERS)]
+        where = f"{name}: line {reader.line_num}"
+        for column in header:
+            if column not in known:
+                expected, came = f"a header of {', '.join(known)}", f"column {column[:40]!r}"
+                raise InvalidFile(f"{where}: expected {expected}, got {came}")
+            if (times := header.count(column)) > 1:
+                raise InvalidFile(f"{where}: expected column {column} once, got it {times} times")
+        if missing := ", ".join(column for column in NUMBERS if column not in header):
+            raise InvalidFile(f"{where}: expected columns {', '.join(NUMBERS)}, missing {missing}")
+        for cells in rows:
             where = f"{name}: line {reader.line_num}"
-            if not "".join(cells).strip() and len(cells) < 2:
-                continue
-            if not header:
-                header = [cell.strip().lower() for cell in cells]
-                known = (*LABELS, *NUMBERS)
-                for column in header:
-                    if column not in known:
-                        expected, came = f"a header of {', '.join(known)}", f"column {column[:40]!r}"
-                        raise InvalidFile(f"{where}: expected {expected}, got {came}")
-                    if (times := header.count(column)) > 1:
-                        raise InvalidFile(f"{where}: expected column {column} once, got it {times} times")
-                if missing := ", ".join(column for column in NUMBERS if column not in header):
-                    raise InvalidFile(f"{where}: expected columns {', '.join(NUMBERS)}, missing {missing}")
-                continue
             if len(cells) != len(header):
                 raise InvalidFile(f"{where}: expected {len(header)} columns as the header, got {len(cells)}")
             row = dict(zip(header, cells, strict=True))

@@ -13,7 +13,6 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
@@ -43,8 +42,7 @@ MOST_TAXELS, FLAT = 4096, math.radians(3.0)
 class Grid(NamedTuple):
     """A `Grid` is the layout of a flat grid of taxels."""
 
-    T_frame_grid: Array
-    """(4, 4) pose of the grid in the body."""
+    T_frame_grid: Array  # (4, 4) pose of the grid in the body
     rows: int
     columns: int
 
@@ -122,37 +120,24 @@ class TactileSurface:
         sigma_normal = math.radians(4.0 if flat else 0.8) if self.sigma_normal is None else self.sigma_normal
         for name, sigma in (("sigma_point", self.sigma_point), ("sigma_mount", self.sigma_mount)):
             checks.sigma_point(sigma, name)
-        record, taxels = (
-            np.ones(1, dtype=SURFACE),
-            _records(points, self._axes(normals), distance, pitch),
-        )
-        for name in ("scale", "offset"):
-            value, shape = getattr(self, name), (self.components,)
-            record[name][0, : self.components] = checks.finite(
-                value, name, shape if checks.ndim(value) else ()
-            )
+        record, taxels = np.ones(1, dtype=SURFACE), _records(points, self._axes(normals), distance, pitch)
+        for name, value in (("scale", self.scale), ("offset", self.offset)):
+            shape = (self.components,) if checks.ndim(value) else ()
+            record[name][0, : self.components] = checks.finite(value, name, shape)
         if not record["scale"].all() or not 0 <= float(checks.finite(self.noise, "noise", ())) <= 1:
-            raise InvalidInput(
-                f"scale, noise: expected no 0, and a share up to 1, got {self.scale}, {self.noise}"
-            )
+            came = f"{self.scale}, {self.noise}"
+            raise InvalidInput(f"scale, noise: expected no 0, and a share up to 1, got {came}")
         # Two opposite sides may differ in height by the mount's error too, as soft skin gives way more where it is
         # pressed more; so the surface may also be turned.
         width = pitch + float(np.ptp(points @ taxels["axes"][0][:, :2], axis=0).min())
-        values: dict[str, Any] = {
-            "threshold": self.threshold,
-            "full_scale": np.inf if most is None else most,
-            "noise": self.noise,
-            "pitch": pitch if self.area is None else math.sqrt(checks.positive(self.area, "area")),
-            "variance_point": self.sigma_point**2,
-            "variance_normal": checks.sigma_angle(sigma_normal, "sigma_normal") ** 2,
-            "variance_mount": self.sigma_mount**2 * np.repeat([1.0, 4 / width**2], 3),
-            "flat": flat,
-        }
-        for name, value in values.items():
-            record[name] = value
-        values = {"points": points, "normals": normals, "pitch": pitch, "taxels": taxels, "record": record}
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        record["threshold"], record["full_scale"] = self.threshold, np.inf if most is None else most
+        record["pitch"] = pitch if self.area is None else math.sqrt(checks.positive(self.area, "area"))
+        record["variance_normal"] = checks.sigma_angle(sigma_normal, "sigma_normal") ** 2
+        record["variance_mount"] = self.sigma_mount**2 * np.repeat([1.0, 4 / width**2], 3)
+        record["noise"], record["variance_point"], record["flat"] = self.noise, self.sigma_point**2, flat
+        arrays = {"points": points, "normals": normals, "pitch": pitch, "taxels": taxels, "record": record}
+        for name, array in arrays.items():
+            object.__setattr__(self, name, array)
 
     def _axes(self, normals: Array) -> Array:
         """Returns (n, 3, 3) the taxels' axes, in columns; raises InvalidInput for an x along the normal."""
@@ -226,11 +211,8 @@ class TactileSurface:
         if np.shape(baseline) not in ((), self.shape):
             came = np.shape(baseline)
             raise InvalidInput(f"baseline: expected a number or {self._expected}, got shape {came}")
-        values, bases = (
-            self.reading(values),
-            np.broadcast_to(np.asarray(baseline, dtype=np.float64), self.shape),
-        )
-        return self.sensed(self.cells(values), self.cells(bases))
+        bases = np.broadcast_to(np.asarray(baseline, dtype=np.float64), self.shape)
+        return self.sensed(self.cells(self.reading(values)), self.cells(bases))
 
     def sensed(self, values: Array, baseline: Array) -> "SkinTouch":
         """Returns the same as `touch`, of a checked reading and baseline (n, components)."""
@@ -242,7 +224,9 @@ class TactileSurface:
 
     @staticmethod
     def _kernel() -> Callable[..., int]:
-        return _sense_taxels()
+        from handsight._kernels.touch.taxels import sense_taxels  # importing numba takes half a second
+
+        return sense_taxels
 
 
 def TaxelArray(**fields: Any) -> TactileSurface:
@@ -261,10 +245,7 @@ def checked_pitch(pitch: Any) -> float:
 def grid_places(rows: int, columns: int, pitch: float) -> Array:
     """Returns (rows, columns, 3) positions about the middle of a flat grid, in its frame [m]; raises InvalidInput."""
     for name, value in (("rows", rows), ("columns", columns)):
-        integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
-        if not integer or not 1 <= value <= MOST_TAXELS:
-            expected = f"expected a whole number from 1 to {MOST_TAXELS}"
-            raise InvalidInput(f"{name}: {expected}, got {checks.brief(value)}")
+        checks.integer(value, name, MOST_TAXELS, 1)
     if rows * columns > MOST_TAXELS:
         raise InvalidInput(f"rows: expected at most {MOST_TAXELS} taxels, got {rows * columns}")
     x, y = (checked_pitch(pitch) * (np.arange(count) - (count - 1) / 2) for count in (columns, rows))
@@ -272,10 +253,8 @@ def grid_places(rows: int, columns: int, pitch: float) -> Array:
 
 
 def _check_outward(points: Array, normals: Array, near: Mask) -> None:
-    """Raises InvalidInput where a normal is opposite to those of its neighbours, or where all point inward.
-
-    A surface whose normals point outward is the wider, the farther out it is; a palm may be a little hollow.
-    """
+    """Raises InvalidInput where a normal is opposite to those of its neighbours, or where all point inward. A surface
+    whose normals point outward is the wider, the farther out it is; a palm may be a little hollow."""
     wrong = np.flatnonzero((near @ normals * normals).sum(axis=1) < -0.5 * near.sum(axis=1).clip(min=1))
     arms, expected = points - points.mean(axis=0), "expected normals that point out of the link"
     if len(wrong):
@@ -435,11 +414,3 @@ def _farthest_points(places: Array, count: int) -> Indices:
         nearest = np.minimum(nearest, ((places - places[chosen[-1]]) ** 2).sum(axis=1))
         chosen.append(int(nearest.argmax()))
     return np.array(chosen)
-
-
-@cache
-def _sense_taxels() -> Callable[..., int]:
-    """Returns the kernel, imported with the first reading: importing numba takes half a second."""
-    from handsight._kernels.touch.taxels import sense_taxels
-
-    return sense_taxels

@@ -17,27 +17,7 @@ from handsight.forces.weigher import WEIGHER, ObjectWeight, Weigher, WeightSenso
 from handsight.forces.weight import Carried, Unknowns, Weighing, common_equations, weigh
 
 __all__ = [
-    "FRICTION",
-    "LINK_TAXELS",
-    "LOADS",
-    "SLIP",
-    "WEIGHER",
-    "Carried",
-    "LoadSensor",
-    "LoadSum",
-    "ObjectWeight",
-    "Slip",
-    "SlipDetector",
-    "Unknowns",
-    "Weigher",
-    "Weighing",
-    "WeightSensor",
-    "calibrate_sensors",
-    "common_equations",
-    "load_sensors",
-    "load_sum",
-    "moved_with_tips",
-    "read_in_air",
-    "slip_twist",
-    "weigh",
-]
+    "FRICTION", "LINK_TAXELS", "LOADS", "SLIP", "WEIGHER", "Carried", "LoadSensor", "LoadSum", "ObjectWeight", "Slip",
+    "SlipDetector", "Unknowns", "Weigher", "Weighing", "WeightSensor", "calibrate_sensors", "common_equations",
+    "load_sensors", "load_sum", "moved_with_tips", "read_in_air", "slip_twist", "weigh",
+]  # fmt: skip

@@ -57,34 +57,27 @@ FIRST = round(math.log(FRICTION.min_ratio) / FRICTION.bin_width)
 BINS = round(math.log(FRICTION.max_ratio) / FRICTION.bin_width) - FIRST + 1
 """Number of the first bin, and how many there are."""
 
-
 Vector = tuple[float, float, float, float]
 """A ratio vector: tangential force (3) and torque / e, both divided by the normal force."""
 
 
 class Friction:
-    """A `Friction` is an estimate of μ from what was declared, and from all loads so far.
-
-    `update` binds its attributes anew and changes none in place, so that a shallow copy evolves apart from it.
-    """
+    """A `Friction` is an estimate of μ from what was declared, and from all loads so far. `update` binds its attributes
+    anew and changes none in place, so that a shallow copy evolves apart from it."""
 
     def __init__(self, declared: float | None = None, sigma: float | None = None) -> None:
         """Starts without any load; `declared` is μ with its standard deviation, None where it is unknown."""
-        self.coefficient = declared
-        """μ; None before it was declared or there were enough turns."""
-        self.sigma = sigma
-        """Standard deviation of μ; None where μ is."""
+        self.coefficient = declared  # μ; None before it was declared or there were enough turns
+        self.sigma = sigma  # standard deviation of μ; None where μ is
         self._declared = None if declared is None or sigma is None else (declared, sigma)
         self._anchors: Mapping[str, Vector] = {}
         """By finger, the ratio vector from which the next turn is measured."""
         self._turns = np.zeros(BINS, dtype=np.int64)
         """(BINS,) number of turns in each bin of the logarithm of the ratio."""
-        self._error = 0
-        """Standard deviation of the ratios in bins."""
+        self._error = 0  # standard deviation of the ratios in bins
         self._heap: tuple[float, int] | None = None
         """Mean ratio of the highest heap, and its turns; None before there was one."""
-        self._kept_up: Mapping[str, float] = {}
-        """By finger, the highest ratio that it has kept up."""
+        self._kept_up: Mapping[str, float] = {}  # by finger, the highest ratio that it has kept up
 
     def update(
         self, vectors: Mapping[str, Vector], since: float, sliding: Collection[str] = (), error: float = 0.0
@@ -97,18 +90,15 @@ class Friction:
         self._error = round(error / FRICTION.bin_width)
         load = {name: math.hypot(*vector) for name, vector in vectors.items()}
         rise = 1 - math.exp(-min(since, FRICTION.keep_up) / FRICTION.keep_up)
-        higher = {name: ratio for name, ratio in load.items() if ratio > self._kept_up.get(name, 0.0)}
-        if higher:
-            was = {name: self._kept_up.get(name, 0.0) for name in higher}
-            risen = {name: was[name] + rise * (ratio - was[name]) for name, ratio in higher.items()}
+        kept = {name: self._kept_up.get(name, 0.0) for name in load}
+        risen = {name: was + rise * (load[name] - was) for name, was in kept.items() if load[name] > was}
+        if risen:
             self._kept_up = {**self._kept_up, **risen}
-        before = self._anchors
-        moved = {
-            name: vector
-            for name, vector in vectors.items()
-            if name not in before
-            or math.dist(vector, before[name]) > FRICTION.min_turn * math.hypot(*before[name])
-        }
+        before, moved = self._anchors, dict[str, Vector]()
+        for name, now in vectors.items():
+            anchor = before.get(name)
+            if anchor is None or math.dist(now, anchor) > FRICTION.min_turn * math.hypot(*anchor):
+                moved[name] = now
         if moved or len(before) > len(vectors):
             self._anchors = {name: moved.get(name) or before[name] for name in vectors}
         counted = list[tuple[float, int]]()
@@ -124,7 +114,7 @@ class Friction:
                 counted.append((load[name], FRICTION.sliding_turns))
         if counted:
             self._count(counted)
-        if higher or moved or sliding:
+        if risen or moved or sliding:
             self._estimate()
 
     @property

@@ -47,8 +47,7 @@ class LoadOptions(NamedTuple):
 
 
 LOADS = LoadOptions()
-LINK_TAXELS = "the taxels of {}"
-"""Name of the load sensor that a link's taxels are."""
+LINK_TAXELS = "the taxels of {}"  # name of the load sensor that a link's taxels are
 
 
 class LoadSensor(NamedTuple):
@@ -57,19 +56,13 @@ class LoadSensor(NamedTuple):
     Taxels have no bias, as the tracker has subtracted it, and nothing hangs on them.
     """
 
-    name: str
-    """Of its readings among an observation's wrenches: the finger's, or `LINK_TAXELS` with the link."""
-    frame: str
-    """The link."""
-    T_frame_sensor: Array
-    """(4, 4)"""
+    name: str  # of its readings among an observation's wrenches: the finger's, or `LINK_TAXELS` with the link
+    frame: str  # the link
+    T_frame_sensor: Array  # (4, 4)
     calibration: WrenchCalibration
-    sigma: Array
-    """(6,) noise of a reading [N, N m]."""
-    sigma_gain: float
-    """Constant relative error of the readings."""
-    full_scale: tuple[float, float] = (np.inf, np.inf)
-    """Largest force [N] and torque [N m] that it can read."""
+    sigma: Array  # (6,) noise of a reading [N, N m]
+    sigma_gain: float  # constant relative error of the readings
+    full_scale: tuple[float, float] = (np.inf, np.inf)  # largest force [N] and torque [N m] that it can read
     taxels: bool = False
 
     def readings(self, observations: Sequence[Observation]) -> Array:
@@ -98,11 +91,9 @@ def load_sensors(rig: Rig, names: Collection[str] = ()) -> tuple[LoadSensor, ...
             found.append(_of_taxels(finger.frame, own))
             continue
         T, T_sensor = finger.T_frame_surface, finger.tip.T_surface_sensor
-        T, sigma = (
-            T if T_sensor is None else T @ T_sensor,
-            [finger.sigma_force] * 3 + [finger.sigma_torque] * 3,
-        )
-        rest = np.array(sigma), finger.sigma_gain, finger.full_scale or (np.inf, np.inf)
+        T = T if T_sensor is None else T @ T_sensor
+        sigma = np.repeat([finger.sigma_force, finger.sigma_torque], 3)
+        rest = sigma, finger.sigma_gain, finger.full_scale or (np.inf, np.inf)
         found.append(LoadSensor(name, finger.frame, T, finger.calibration, *rest))
     return (*found, *(_of_taxels(frame, own) for frame, own in surfaces.items()))
 
@@ -117,10 +108,8 @@ def _of_taxels(frame: str, surfaces: Sequence[TactileSurface]) -> LoadSensor:
     noise = np.sqrt(LOADS.patch) * max(surface.threshold for surface in surfaces) / 6
     arm = np.sqrt(((points - middle) ** 2).sum(axis=1).mean())
     sigma, gain = noise * np.repeat([1.0, arm], 3), max(surface.noise for surface in surfaces)
-    nothing = WrenchCalibration(zero, zero, 1e-9, zero)
-    return LoadSensor(
-        LINK_TAXELS.format(frame), frame, se3.compose(np.eye(3), middle), nothing, sigma, gain, taxels=True
-    )
+    nothing, name = WrenchCalibration(zero, zero, 1e-9, zero), LINK_TAXELS.format(frame)
+    return LoadSensor(name, frame, se3.compose(np.eye(3), middle), nothing, sigma, gain, taxels=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,30 +119,19 @@ class LoadSum:
     It is along the palm's axes, about the palm's origin.
     """
 
-    stamp: float
-    """The middle of that time [s]."""
-    wrench: Array
-    """(6,) force [N] and torque [N m] of the object on the tips."""
-    gravity: Array
-    """(3,) gravity less the palm's acceleration [m/s²]: the weight of each kilogram."""
-    R_palm_world: Array
-    """(3, 3) rotation of the world in the palm."""
-    by_joint: Array
-    """(6, j) derivative of the wrench by the error of each joint."""
-    by_bias: Array
-    """(6, 6 t) derivative of the wrench by the force and torque of each sensor's bias."""
+    stamp: float  # the middle of that time [s]
+    wrench: Array  # (6,) force [N] and torque [N m] of the object on the tips
+    gravity: Array  # (3,) gravity less the palm's acceleration [m/s²]: the weight of each kilogram
+    R_palm_world: Array  # (3, 3) rotation of the world in the palm
+    by_joint: Array  # (6, j) derivative of the wrench by the error of each joint
+    by_bias: Array  # (6, 6 t) derivative of the wrench by the force and torque of each sensor's bias
     readings: Array
     """(6 t,) force [N] and torque [N m] that each sensor measures, with its tip's own weight, in its own axes."""
-    noise: Array
-    """(6, 6) covariance of the wrench due to errors that change from reading to reading."""
-    acceleration: float
-    """Root mean square of the palm's acceleration, per axis [m/s²]."""
-    turning: float
-    """Root mean square of the palm's angular acceleration, per axis [rad/s²]."""
-    Ts_palm_tip: Array
-    """(t, 4, 4) poses of the tips; of taxels, of their middles."""
-    forces: Array
-    """(t, 3) force of the object on each of them [N]."""
+    noise: Array  # (6, 6) covariance of the wrench due to errors that change from reading to reading
+    acceleration: float  # root mean square of the palm's acceleration, per axis [m/s²]
+    turning: float  # root mean square of the palm's angular acceleration, per axis [rad/s²]
+    Ts_palm_tip: Array  # (t, 4, 4) poses of the tips; of taxels, of their middles
+    forces: Array  # (t, 3) force of the object on each of them [N]
     touched: Mapping[int, tuple[Array, Array]]
     """By index of a tip that touches: the contact's point (3,) in the palm [m], and its normal (3,)."""
 
@@ -249,8 +227,7 @@ def accelerations(Ts_world_palm: Array, point_palm: Array, step: float) -> tuple
     if n < LOADS.min_instants or step <= 0:
         return np.zeros((n, 3)), np.zeros((n, 3))
     length = min(max(2 * round(LOADS.span / step / 2) + 1, LOADS.min_instants), n - 1 + n % 2)
-    R_middle = Ts_world_palm[n // 2, :3, :3]
-    turns = se3.rotation_log(Ts_world_palm[:, :3, :3] @ R_middle.T)
+    turns = se3.rotation_log(Ts_world_palm[:, :3, :3] @ Ts_world_palm[n // 2, :3, :3].T)
     rows = np.hstack([Ts_world_palm[:, :3, :3] @ point_palm + Ts_world_palm[:, :3, 3], turns])
     second = _second_derivative(n, length) @ rows / step**2
     return second[:, :3], second[:, 3:]
@@ -279,9 +256,7 @@ def _summed(
     J: Array,
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Returns the sum of mean loads (6,), its derivatives by joints and biases, the readings, and the forces (t, 3).
-
-    `gravity` is that of a `LoadSum`, and `J` (t, 6, j) the Jacobians at the sensors' origins.
-    """
+    `gravity` is that of a `LoadSum`, and `J` (t, 6, j) the Jacobians at the sensors' origins."""
     t = len(sensors)
     wrench, by_joint = np.zeros(6), np.zeros((6, J.shape[2]))
     by_bias, readings, forces = np.zeros((6, 6 * t)), np.zeros(6 * t), np.zeros((t, 3))

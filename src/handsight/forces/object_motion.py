@@ -13,8 +13,7 @@ from handsight.contact import Contacts
 from handsight.forces.friction import FRICTION
 from handsight.forces.loads import LoadSum
 
-LENGTH = 0.03
-"""A rotation by a radian counts as a translation by this length [m]."""
+LENGTH = 0.03  # a rotation by a radian counts as a translation by this length [m]
 
 
 def moved_with_tips(then: LoadSum, now: LoadSum) -> tuple[Array, Array] | None:

@@ -53,20 +53,15 @@ class SlipOptions(NamedTuple):
 
 SLIP = SlipOptions()
 
-
-Load = list[float]
-"""Tangential force (3), normal force, torque about the normal."""
+Load = list[float]  # tangential force (3), normal force, torque about the normal
 
 
 class _Limits(NamedTuple):
     """The `_Limits` of what measures a load."""
 
-    min_force: float
-    """Normal force above which its ratio counts [N]."""
-    sure_force: float
-    """The same above which friction is learnt from it [N]."""
-    noise: float
-    """Of its tangential load [N]."""
+    min_force: float  # normal force above which its ratio counts [N]
+    sure_force: float  # the same above which friction is learnt from it [N]
+    noise: float  # of its tangential load [N]
     gain: float
     """Relative error of its ratio; 0: of a six-axis sensor, which has the same gain at every place."""
 
@@ -74,12 +69,9 @@ class _Limits(NamedTuple):
     def of(cls, sensor: LoadSensor) -> "_Limits":
         """Returns those of a load sensor."""
         sigma = float(sensor.sigma[0])
-        return cls(
-            max(SLIP.min_force, SLIP.min_force_sigmas * sigma),
-            max(SLIP.sure_force, SLIP.sure_force_sigmas * sigma),
-            math.hypot(sigma, sensor.sigma[3] / FRICTION.torsion),
-            sensor.sigma_gain * sensor.taxels,
-        )
+        least, sure = SLIP.min_force_sigmas * sigma, SLIP.sure_force_sigmas * sigma
+        noise, gain = math.hypot(sigma, sensor.sigma[3] / FRICTION.torsion), sensor.sigma_gain * sensor.taxels
+        return cls(max(SLIP.min_force, least), max(SLIP.sure_force, sure), noise, gain)
 
     @property
     def factor(self) -> float:
@@ -91,10 +83,8 @@ class _Limits(NamedTuple):
 class _Ratios(NamedTuple):
     """A `_Ratios` is a finger's load on its limit surface, and the ratios of the last readings, without μ."""
 
-    tangential: float
-    """√(f_t² + (τ / e)²), averaged as far as its noise requires [N]."""
-    normal: float
-    """The same of f_n [N]."""
+    tangential: float  # √(f_t² + (τ / e)²), averaged as far as its noise requires [N]
+    normal: float  # the same of f_n [N]
     last: tuple[tuple[float, float, float], ...]
     """Ratios, stamps [s] and normal forces [N] of the last readings."""
 
@@ -118,18 +108,13 @@ class _Ratios(NamedTuple):
 class Slip:
     """A `Slip` says whether the object slips at one instant, and how near each finger is to slipping."""
 
-    slipping: bool = False
-    """Whether the object slips."""
+    slipping: bool = False  # whether the object slips
     ratios: Mapping[str, float] = field(default_factory=dict)
     """By finger that holds the object, its ratio; empty before friction is known."""
-    friction: float | None = None
-    """Coefficient of friction; None before it was learnt."""
-    began: float = -math.inf
-    """When the object began to slip, this time or the last [s]."""
-    ended: float = -math.inf
-    """When the last slip ended [s]."""
-    sigma_friction: float | None = None
-    """Standard deviation of that coefficient; None where it is unknown."""
+    friction: float | None = None  # coefficient of friction; None before it was learnt
+    began: float = -math.inf  # when the object began to slip, this time or the last [s]
+    ended: float = -math.inf  # when the last slip ended [s]
+    sigma_friction: float | None = None  # standard deviation of that coefficient; None where it is unknown
     unmeasured: tuple[str, ...] = ()
     """Fingers that touch, and taxels that are pressed, without a measurement of their force: of pressure alone, or at
     full scale. They are no evidence of a slip, and may hold the object while all others slip."""
@@ -153,12 +138,9 @@ class SlipDetector:
     """
 
     def __init__(self, rig: Rig, friction: tuple[float, float] | None = None) -> None:
-        """Starts without loads. `friction`: μ of the object and its standard deviation, None where it is unknown.
-
-        Where the rig's fingers declare theirs, μ is each finger's, joined with the object's.
-        """
-        self.now = Slip()
-        """The value after the last update."""
+        """Starts without loads. `friction`: μ of the object and its standard deviation, None where it is unknown. Where
+        the rig's fingers declare theirs, μ is each finger's, joined with the object's."""
+        self.now = Slip()  # the value after the last update
         self._relative, prior = declared_friction(rig, friction)
         """By finger, its μ relative to the common one."""
         self.friction = Friction(*prior)
@@ -167,17 +149,11 @@ class SlipDetector:
         skin = {LINK_TAXELS.format(surface.frame) for surface in rig.skin.values()}
         fingers = {finger.frame: name for name, finger in rig.fingers.items()}
         self._by_wrench = {sensor.name: _Limits.of(sensor) for sensor in load_sensors(rig, fingers.values())}
-        self._by_taxels = {
-            fingers.get(sensor.frame, sensor.name): _Limits.of(sensor)
-            for sensor in load_sensors(rig, skin)
-            if sensor.taxels
-        }
-        self._means: Mapping[str, Load] = {}
-        """By finger, the running mean of its load."""
-        self._rests: Mapping[str, Load] = {}
-        """The same over `SLIP.rest`, of those with an error of gain."""
-        self._ratios: Mapping[str, _Ratios] = {}
-        """By finger that touches, its last ratios."""
+        taxels = {fingers.get(each.frame, each.name): each for each in load_sensors(rig, skin) if each.taxels}
+        self._by_taxels = {name: _Limits.of(sensor) for name, sensor in taxels.items()}
+        self._means: Mapping[str, Load] = {}  # by finger, the running mean of its load
+        self._rests: Mapping[str, Load] = {}  # the same over `SLIP.rest`, of those with an error of gain
+        self._ratios: Mapping[str, _Ratios] = {}  # by finger that touches, its last ratios
 
     def update(
         self,
@@ -200,20 +176,16 @@ class SlipDetector:
         unmeasured = tuple([name for name, row in rows.items() if not math.isfinite(sum(row))])
         # A load without a normal force, or with NaN, has no ratio.
         usable = {name: row for name, row in rows.items() if row[3] > 0 and name not in unmeasured}
-        limits = {
-            name: (self._by_taxels if name in by_taxels or name not in self._by_wrench else self._by_wrench)[
-                name
-            ]
-            for name in usable
-        }
+        by_wrench = self._by_wrench.keys() - by_taxels
+        limits = {name: (self._by_wrench if name in by_wrench else self._by_taxels)[name] for name in usable}
         goes_on = since <= SLIP.max_gap
         self._means = _follow(self._means if goes_on else {}, usable, since / SLIP.time_constant)
         inexact = {name: row for name, row in usable.items() if limits[name].gain}
         self._rests = _follow(self._rests if goes_on else {}, inexact, since / SLIP.rest)
         mu = self.friction.coefficient
+        last = self._ratios if goes_on else {}
         self._ratios = {
-            name: _read(limits[name].noise, stamp, row, mu, self._ratios.get(name) if goes_on else None)
-            for name, row in usable.items()
+            name: _read(limits[name].noise, stamp, row, mu, last.get(name)) for name, row in usable.items()
         }
         sure = dict[str, Vector]()
         for name, (x, y, z, normal, torque) in self._means.items():
@@ -223,14 +195,10 @@ class SlipDetector:
         gain = max((limit.gain for limit in limits.values()), default=0.0)
         self.friction.update(sure, since if goes_on else 0.0, sliding, gain)
         mu, sigma = self.friction.coefficient, self.friction.sigma
-        ratios = {}
-        if mu is not None:
-            ratios = {
-                name: read.upper * limits[name].factor / (mu * self._relative.get(name, 1.0))
-                for name, read in self._ratios.items()
-                if self._means[name][3] > limits[name].min_force
-            }
-
+        ratios = dict[str, float]()
+        for name, read in self._ratios.items():
+            if mu is not None and self._means[name][3] > limits[name].min_force:
+                ratios[name] = read.upper * limits[name].factor / (mu * self._relative.get(name, 1.0))
         # Hysteresis, in the ratio and in time.
         was, least = self.now, min(ratios.values(), default=0.0)
         known = mu is not None and sigma is not None and sigma <= SLIP.max_sigma * mu
@@ -295,18 +263,12 @@ def declared_friction(
     A finger without one, and taxels, have the object's, or the mean of the others. Sigmas are combined as those of one
     measurement each of the logarithm of μ.
     """
-    fingers = {
-        name: (finger.friction, finger.sigma_friction)
-        for name, finger in rig.fingers.items()
-        if finger.friction is not None
-    }
-    known = list(fingers.values())
+    fingers = {name: each.friction for name, each in rig.fingers.items() if each.friction is not None}
+    if not fingers:
+        return {}, friction or ()
     # The fingers' common error, as of the object's surface, is that of one of them.
-    prior = friction
-    if known:
-        mu = math.exp(sum(math.log(value) for value, _ in known) / len(known))
-        prior = mu, mu * math.sqrt(sum((sigma / value) ** 2 for value, sigma in known) / len(known))
-        if friction is not None:
-            prior = joined([prior, friction])
-        return {name: value / mu for name, (value, _) in fingers.items()}, prior
-    return {}, prior or ()
+    mu = math.exp(sum(map(math.log, fingers.values())) / len(fingers))
+    squares = sum((rig.fingers[name].sigma_friction / value) ** 2 for name, value in fingers.items())
+    prior = mu, mu * math.sqrt(squares / len(fingers))
+    relative = {name: value / mu for name, value in fingers.items()}
+    return relative, prior if friction is None else joined([prior, friction])

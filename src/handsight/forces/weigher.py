@@ -44,24 +44,18 @@ class WeigherOptions(NamedTuple):
     creep: float = 5e-4  # standard deviation of the speed at which contacts creep [m/(N s)]
     object_creep: float = 1.5e-4
     """Sigma of the object's motion in addition to that of the tips and of creep, per axis after a second, where two or
-    more tips hold it [m]; it grows with the root of time.
-    """
+    more tips hold it [m]; it grows with the root of time."""
     loose_object_creep: float = 3e-3
     """The same where fewer tips hold it, because the others do not touch it or are at their limits of friction: boxes
-    of .3 to .5 kg move 3 to 6 mm in a second then, always the same way.
-    """
-    sigma_gravity: float = float(
-        np.deg2rad(1.0)
-    )  # error of gravity's direction in the world, about each axis [rad]
+    of .3 to .5 kg move 3 to 6 mm in a second then, always the same way."""
+    sigma_gravity: float = float(np.deg2rad(1.0))  # of its direction in the world, about each axis [rad]
     wrong_mass: float = 2.33
     """A mass that is farther off than so many sigmas contradicts the declared one: by chance in 2 %, whose share of the
-    sigmas is mostly that of the declared mass, so that more directions are not more chances.
-    """
+    sigmas is mostly that of the declared mass, so that more directions are not more chances."""
     right_mass: float = 1.64  # a declared mass stays contradicted until it is nearer (a level of 10 %)
     biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
     pull: float = 0.3  # cosine of forces with the way out of the grasp, below whose negative fingers pull
-    restart_after: float = 3.0
-    """How long loads may contradict the kept instants before these are dropped [s]."""
+    restart_after: float = 3.0  # how long loads may contradict the kept instants before these are dropped [s]
     trusted_directions: int = 3
     """After that, so many directions must fit before a weighing is trusted: with one direction any load fits."""
 
@@ -79,8 +73,7 @@ class Kept:
     """A `Kept` is an earlier instant, kept because gravity had another direction in the palm."""
 
     carried: Carried
-    direction: Array
-    """(3,) unit vector of gravity in the palm when this direction was first kept."""
+    direction: Array  # (3,) unit vector of gravity in the palm when this direction was first kept
 
 
 class Weigher:
@@ -96,14 +89,11 @@ class Weigher:
         """The last weighing; None before the first one since the object was grasped."""
         self.reason = "nothing is lifted"
         """Why there is no weighing, or why it is not trusted; empty where it is trusted."""
-        self.instants: tuple[Carried, ...] = ()
-        """The instants that it used, the last one at its end."""
-        self.assumed = ""
-        """What the rig does not have, and a trusted weighing still has to assume."""
+        self.instants: tuple[Carried, ...] = ()  # the instants that it used, the last one at its end
+        self.assumed = ""  # what the rig does not have, and a trusted weighing still has to assume
         self._names: frozenset[str] = frozenset()
         """Those of all readings that have come so far, by which the sensors are chosen."""
-        self.sensors = load_sensors(rig)
-        """The t load sensors."""
+        self.sensors = load_sensors(rig)  # the t load sensors
         self.tare = np.zeros((len(self.sensors), 6))
         """(t, 6) the biases, read while the tips touched nothing, in their sensors' frames [N, N m]."""
         self._lifted = False
@@ -111,8 +101,7 @@ class Weigher:
         self._kept: tuple[Kept, ...] = ()
         self._last: LoadSum | None = None
         self._fits_at = -np.inf
-        self._loose = False
-        """Whether the object could turn about one finger at any time since the last load."""
+        self._loose = False  # whether the object could turn about one finger at any time since the last load
         self._doubted = False
         """Whether the kept instants were dropped because loads contradicted them, and no weighing was trusted since."""
 
@@ -174,8 +163,12 @@ class Weigher:
         if np.linalg.norm(load.wrench[:3]) < WEIGHER.min_weight:
             self.reason = f"less than {WEIGHER.min_weight:g} N hangs on the fingertips"
             return False
-        if self._last is not None:
-            self._kept = _carried_on(self._kept, self._last, load, loose=self._loose)
+        if self._kept and self._last is not None:  # they are carried on as the object moves in the grip
+            motion = moved_with_tips(self._last, load)
+            T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
+            sigma = WEIGHER.loose_object_creep if self._loose or motion is None else WEIGHER.object_creep
+            sigma *= float(np.sqrt(max(load.stamp - self._last.stamp, 0.0)))
+            self._kept = tuple(replace(k, carried=k.carried.moved(T, creep, sigma)) for k in self._kept)
         self._last, self._loose = load, pivots
         self._weigh(load, joints[1])
         if load.acceleration <= WEIGHER.max_acceleration and load.turning <= WEIGHER.max_turning:
@@ -204,10 +197,8 @@ class Weigher:
 
     def _weigh(self, load: LoadSum, root: Array) -> None:
         """Weighs with the kept instants and a new one, and decides whether the result is trusted."""
-        direction = load.gravity / np.linalg.norm(load.gravity)
-        others = [
-            k.carried for k in self._kept if _angle(k.carried.load.gravity, direction) > WEIGHER.new_direction
-        ]
+        direction, others = load.gravity / np.linalg.norm(load.gravity), [kept.carried for kept in self._kept]
+        others = [each for each in others if _angle(each.load.gravity, direction) > WEIGHER.new_direction]
         self.instants = instants = (*others, Carried(load))
         # Calibration leaves biases that are about as large as a reading's noise.
         biases = np.concatenate([sensor.sigma for sensor in self.sensors])
@@ -216,8 +207,7 @@ class Weigher:
         before = self.weighing
         found = weigh(instants, replace(exactly, gains=gains), before)
         if before is None or before.directions != found.directions:
-            exact = weigh(instants, exactly, before)
-            self.assumed = "" if exact.consistent else ASSUMED
+            self.assumed = "" if weigh(instants, exactly, before).consistent else ASSUMED
         limit = WEIGHER.right_mass if self.reason.startswith(WEIGHS) else WEIGHER.wrong_mass
         self.reason = ""
         if found.mass < -WEIGHER.wrong_mass * found.sigma_mass:
@@ -237,9 +227,8 @@ class Weigher:
         if not self.reason and not found.consistent:
             self.reason = "the loads are not those of this weight alone: something else bears part of it"
         if not self.reason and self._doubted and len(instants) < WEIGHER.trusted_directions:
-            self.reason = (
-                f"loads have fitted no weight, and not one in {WEIGHER.trusted_directions} directions since"
-            )
+            few = WEIGHER.trusted_directions
+            self.reason = f"loads have fitted no weight, and not one in {few} directions since"
         self._doubted = self._doubted and bool(self.reason)
         self.weighing = found
         # Where only the declared mass contradicts them, the loads still fit those that were kept.
@@ -261,17 +250,6 @@ class Weigher:
             self._kept = (*self._kept[:near], new, *self._kept[near + 1 :])
 
 
-def _carried_on(kept: tuple[Kept, ...], last: LoadSum, load: LoadSum, *, loose: bool) -> tuple[Kept, ...]:
-    """Returns the kept instants after the object's motion in the grip between two loads."""
-    if not kept:
-        return kept
-    motion = moved_with_tips(last, load)
-    T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
-    sigma = WEIGHER.loose_object_creep if loose or motion is None else WEIGHER.object_creep
-    sigma *= float(np.sqrt(max(load.stamp - last.stamp, 0.0)))
-    return tuple(replace(each, carried=each.carried.moved(T, creep, sigma)) for each in kept)
-
-
 def _angle(gravity: Array, direction: Array) -> float:
     """Returns the angle between a vector and a unit vector [rad]."""
     return float(np.arctan2(np.linalg.norm(se3.skew(gravity) @ direction), gravity @ direction))
@@ -281,28 +259,20 @@ def _angle(gravity: Array, direction: Array) -> float:
 class ObjectWeight:
     """An `ObjectWeight` is the mass and the centre of mass of the object in the hand, from the fingertips' loads."""
 
-    mass: float
-    """[kg]"""
-    sigma_mass: float
-    """[kg]"""
-    center_object: Array
-    """(3,) the centre of mass in the object's frame [m]."""
-    covariance: Array
-    """(3, 3) of `center_object`, along the object's axes, with the pose's uncertainty [m²]."""
-    center_palm: Array
-    """(3,) the centre of mass in the palm [m]."""
-    covariance_palm: Array
-    """(3, 3) of `center_palm`, along the palm's axes [m²]."""
+    mass: float  # [kg]
+    sigma_mass: float  # [kg]
+    center_object: Array  # (3,) the centre of mass in the object's frame [m]
+    covariance: Array  # (3, 3) of `center_object`, along the object's axes, with the pose's uncertainty [m²]
+    center_palm: Array  # (3,) the centre of mass in the palm [m]
+    covariance_palm: Array  # (3, 3) of `center_palm`, along the palm's axes [m²]
     directions: int
     """The number of directions of gravity in which it was weighed; one leaves the centre's height along it unknown."""
-    reason: str
-    """Why the weight is not trusted; empty where it is trusted."""
+    reason: str  # why the weight is not trusted; empty where it is trusted
     biased: tuple[str, ...]
     """Fingers whose sensors have larger biases in the air than calibration leaves; these are subtracted."""
     assumed: str = ""
     """What the weighing has to assume, because the loads would not fit a weight if gains were exact: wrong gains, or a
-    small force that no sensor measures. Empty where they would.
-    """
+    small force that no sensor measures. Empty where they would."""
 
     def kept_by_symmetries(self, model: ObjectModel) -> tuple[Array, float]:
         """Returns the centre of mass (3,) that the object's symmetries allow, and its largest sigma [m]."""
@@ -320,8 +290,7 @@ class WeightSensor:
         mass, sigma_declared = model.mass, 0.03  # one standard deviation, as a share of the mass
         self.weigher = Weigher(rig, mass, sigma_declared * (mass or 0.0))
         self.model = model
-        self._used: Weighing | None = None
-        """The weighing that the last correction used."""
+        self._used: Weighing | None = None  # the weighing that the last correction used
 
     def copied(self) -> "WeightSensor":
         """Returns a copy that evolves apart from this one."""

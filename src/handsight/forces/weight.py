@@ -38,16 +38,14 @@ class WeightOptions(NamedTuple):
 
     sigma_reach: float = 0.15
     """Prior sigma of the centre of mass about the middle of the loads, per axis [m]: all that is known of its height
-    along gravity while gravity has had only one direction.
-    """
+    along gravity while gravity has had only one direction."""
     acceleration_share: float = 0.1
     """Sigma of an acceleration as a share of it: arms lag behind the poses that they report, and hands bend."""
     gyration: float = 0.05
     """Radius of gyration of objects: the torque of an angular acceleration is not subtracted, but is an error [m]."""
     passes: int = 2
     """The effect of gravity's direction on the torque depends on m c, which only the second pass knows."""
-    min_p: float = 0.003
-    """With a smaller p-value, something else bears a part of the load, or adds to it."""
+    min_p: float = 0.003  # with a smaller p-value, something else bears a part of the load, or adds to it
     min_p_fixed: float = 0.02
     """The same for a wrench that is fixed in the palm, such as that of an object which leans on a link of the hand."""
     unobservable: float = 1e-6
@@ -63,14 +61,10 @@ class Unknowns:
 
     joints: Array
     """(j, j) L, where L Lᵀ is the covariance of the joints' constant errors [rad], or [m] for prismatic joints."""
-    biases: Array
-    """(6 t,) sigmas of the force [N] and torque [N m] of each tip's bias."""
-    creep: float
-    """Sigma of the speed at which contacts creep [m/(N s)]."""
-    gravity: Array
-    """(3,) nominal gravity in the world [m/s²]."""
-    sigma_gravity: float
-    """Sigma of gravity's direction, about each axis [rad]."""
+    biases: Array  # (6 t,) sigmas of the force [N] and torque [N m] of each tip's bias
+    creep: float  # sigma of the speed at which contacts creep [m/(N s)]
+    gravity: Array  # (3,) nominal gravity in the world [m/s²]
+    sigma_gravity: float  # sigma of gravity's direction, about each axis [rad]
     gains: Array = field(default_factory=lambda: np.zeros(1))
     """(6 t,) sigmas of the relative errors of each tip's readings, one for each axis of its sensor; zero: none."""
 
@@ -82,29 +76,19 @@ class Weighing:
 
     mean: Array
     """(4 + j,) mass [kg], centre in the palm [m], and the joints' offsets: reading less true position [rad]."""
-    joint_covariance: Array
-    """(4 + j, 4 + j) of `mean`."""
-    chi2: float
-    """Sum of the squared whitened residuals."""
-    freedom: int
-    """Degrees of freedom of `chi2`."""
-    p_fixed: float
-    """p-value of the hypothesis that there is no wrench that is fixed in the palm."""
-    directions: int
-    """The number of directions of gravity in which it was weighed."""
+    joint_covariance: Array  # (4 + j, 4 + j) of `mean`
+    chi2: float  # sum of the squared whitened residuals
+    freedom: int  # degrees of freedom of `chi2`
+    p_fixed: float  # p-value of the hypothesis that there is no wrench that is fixed in the palm
+    directions: int  # the number of directions of gravity in which it was weighed
 
     def given_mass(self, mass: float, sigma: float) -> "Weighing":
         """Returns the weighing after an independent measurement of the mass [kg], such as a declared one."""
         H, off = np.eye(1, len(self.mean)), mass - self.mass
         step, covariance = kalman_update(self.joint_covariance, H, np.array([off]), np.array([[sigma**2]]))
-        chi2 = self.chi2 + off**2 / (self.joint_covariance[0, 0] + sigma**2)
-        return replace(
-            self,
-            mean=self.mean + step,
-            joint_covariance=covariance,
-            chi2=float(chi2),
-            freedom=self.freedom + 1,
-        )
+        chi2 = float(self.chi2 + off**2 / (self.joint_covariance[0, 0] + sigma**2))
+        mean, freedom = self.mean + step, self.freedom + 1
+        return replace(self, mean=mean, joint_covariance=covariance, chi2=chi2, freedom=freedom)
 
     @property
     def mass(self) -> float:
@@ -146,8 +130,7 @@ class Carried:
     """(4, 4) motion with the tips: a point of the object that was at p in the palm then is at T p now."""
     creep: Array = field(default_factory=lambda: np.zeros(6))
     """(6,) motion (v, ω) by creep, for each m/(N s): p has moved by v + ω × p in addition."""
-    sigma: float = 0.0
-    """Standard deviation of the rest of the motion, per axis [m]."""
+    sigma: float = 0.0  # standard deviation of the rest of the motion, per axis [m]
 
     def moved(self, T: Array, creep: Array, sigma: float) -> "Carried":
         """Returns the value after one more motion: T (4, 4) with the tips, creep (6,), sigma of the rest [m]."""
@@ -186,9 +169,8 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     by_center = -Cj.T @ H @ covariance @ D.T  # how the joints' errors follow those of (m, c)
     within = np.eye(Cj.shape[1]) - Cj.T @ Cj + Cj.T @ H @ covariance @ H.T @ Cj
     joints = unknowns.joints
-    joint = np.block(
-        [[D @ covariance @ D.T, by_center.T @ joints.T], [joints @ by_center, joints @ within @ joints.T]]
-    )
+    across, within = joints @ by_center, joints @ within @ joints.T
+    joint = np.block([[D @ covariance @ D.T, by_center.T @ joints.T], [across, within]])
     mean = np.concatenate([[mass], moment / mass, joints @ (Cj.T @ left)])
     return Weighing(mean, joint, chi2, len(rows) - 1, p_fixed, len(instants))
 
@@ -205,19 +187,15 @@ def common_equations(instants: Sequence[Carried], unknowns: Unknowns, found: Wei
     start, own = rows[:, 1:4] @ moment, rows[:, [*range(1, 8), *range(8 + j, 8 + j + len(unknowns.biases))]]
     own[:, :3] *= WEIGHT_FIT.sigma_reach * mass
     L = np.linalg.cholesky(np.eye(len(rows)) + own @ own.T)
-    left = rows[:, -7] - start - mass * rows[:, 0]
-    common = np.column_stack(
-        [rows[:, 0], rows[:, 8 : 8 + j], rows[:, 8 + j + len(unknowns.biases) : -7], left]
-    )
+    left, gains = rows[:, -7] - start - mass * rows[:, 0], rows[:, 8 + j + len(unknowns.biases) : -7]
+    common = np.column_stack([rows[:, 0], rows[:, 8 : 8 + j], gains, left])
     common = np.asarray(np.linalg.solve(L, common))
     return common[:, :-1].T @ common[:, :-1], -common[:, :-1].T @ common[:, -1]
 
 
 def score_test(columns: Array, residuals: Array, H: Array, covariance: Array) -> float:
-    """Returns the probability that columns (n, k), added to a linear problem, explain so much by chance (Rao 1948).
-
-    The problem has the rows H (n, m), the whitened residuals (n,), and the `covariance` (m, m) of its solution.
-    """
+    """Returns the probability that columns (n, k), added to a linear problem, explain so much by chance (Rao 1948). The
+    problem has the rows H (n, m), the whitened residuals (n,), and the `covariance` (m, m) of its solution."""
     score, normal_matrix = columns.T @ residuals, columns.T @ H
     values, vectors = np.linalg.eigh(columns.T @ columns - normal_matrix @ covariance @ normal_matrix.T)
     observable = values > WEIGHT_FIT.unobservable * values[-1]
@@ -233,8 +211,7 @@ def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) 
     load, g = instant.load, instant.load.gravity
     R, t = instant.T_now_then[:3, :3], instant.T_now_then[:3, 3]
     G = se3.skew(g)
-    moment_then = R.T @ (moment - mass * t)
-    lever = se3.skew(moment_then)
+    lever = se3.skew(R.T @ (moment - mass * t))
     tilted = -load.R_palm_world @ se3.skew(unknowns.gravity) * unknowns.sigma_gravity
     crept = mass * instant.creep[:3] + se3.skew(instant.creep[3:]) @ moment  # m d
     rows = np.zeros((6, 8))

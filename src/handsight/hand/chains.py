@@ -33,20 +33,14 @@ class JointKind(IntEnum):
 class Chains:
     """`Chains` say how some bodies move in a base frame with the joints between."""
 
-    joints: tuple[str, ...]
-    """Names of the j joints that move any of the bodies, in the file's order."""
-    starts: Indices
-    """(t + 1,) the joints from the base to body i are `steps[starts[i] : starts[i + 1]]`."""
-    steps: NDArray[np.void]
-    """(s,) joints of all chains, records CHAIN_JOINT."""
-    homes: Array
-    """(t, 4, 4) poses of the bodies in the base with all joints at zero."""
+    joints: tuple[str, ...]  # names of the j joints that move any of the bodies, in the file's order
+    starts: Indices  # (t + 1,) the joints from the base to body i are `steps[starts[i] : starts[i + 1]]`
+    steps: NDArray[np.void]  # (s,) joints of all chains, records CHAIN_JOINT
+    homes: Array  # (t, 4, 4) poses of the bodies in the base with all joints at zero
 
     def poses(self, joint_positions: Mapping[str, float]) -> tuple[Array, Array]:
         """Returns the poses (t, 4, 4) of the bodies in the base, and each joint's axis and a point on it (s, 2, 3) [m].
-
-        Raises an InvalidInput that names joints without a position, or with one that is not a finite number.
-        """
+        Raises an InvalidInput that names joints without a position, or with one that is not a finite number."""
         Ts, axes = np.empty_like(self.homes), np.empty((len(self.steps), 2, 3))
         try:
             values = np.array([joint_positions[name] for name in self.joints])
@@ -54,9 +48,8 @@ class Chains:
             _check_positions(joint_positions, self.joints)
             raise
         numeric = values.ndim == 1 and values.dtype.kind in "iuf"  # not strings
-        if not numeric or not chain.poses(
-            values.astype(float), self.starts, self.steps, self.homes, Ts, axes
-        ):
+        parts = self.starts, self.steps, self.homes
+        if not numeric or not chain.poses(values.astype(float), *parts, Ts, axes):
             _check_positions(joint_positions, self.joints)
             raise InvalidInput("joint_positions: expected a finite number for each joint")
         return Ts, axes
@@ -88,13 +81,10 @@ def _check_positions(joint_positions: object, joints: Iterable[str]) -> None:
 
 
 def build_chains(model: "MjModel", base: int, bodies: Sequence[int], file: str) -> Chains:
-    """Returns how `bodies` of a MuJoCo model move with respect to the body `base`.
-
-    Raises InvalidInput where a joint between them is neither hinge nor slide, or has no name.
-    """
-    Ts_world_body = se3.compose(
-        se3.rotation_from_quaternion(model.body_quat[:, [1, 2, 3, 0]]), model.body_pos
-    )
+    """Returns how `bodies` of a MuJoCo model move with respect to the body `base`. Raises InvalidInput where a joint
+    between them is neither hinge nor slide, or has no name."""
+    Rs = se3.rotation_from_quaternion(model.body_quat[:, [1, 2, 3, 0]])
+    Ts_world_body = se3.compose(Rs, model.body_pos)
     for body in range(1, model.nbody):  # with all joints at zero; parents come first
         Ts_world_body[body] = Ts_world_body[model.body_parentid[body]] @ Ts_world_body[body]
     Ts_base_body = se3.inverse(Ts_world_body[base]) @ Ts_world_body

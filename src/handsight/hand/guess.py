@@ -35,10 +35,8 @@ class GuessedTip:
     """A `GuessedTip` is a link that may be a fingertip, and the sphere at its end."""
 
     link: str
-    T_link_surface: Array
-    """(4, 4) pose of the sphere's centre, its +z out of the finger."""
-    radius: float
-    """Of the sphere [m]."""
+    T_link_surface: Array  # (4, 4) pose of the sphere's centre, its +z out of the finger
+    radius: float  # of the sphere [m]
 
 
 def guess_hand(path: Path) -> tuple[str, dict[str, GuessedTip]]:
@@ -51,21 +49,16 @@ def guess_hand(path: Path) -> tuple[str, dict[str, GuessedTip]]:
     moving = [body for body in range(1, model.nbody) if len(body_joints(model, body))]
     behind = {parent for body in moving for parent in ancestors(model, body)[1:]}
     ends = [body for body in moving if body not in behind]
-    shared = (
-        [body for body in ancestors(model, ends[0]) if all(body in ancestors(model, e) for e in ends)]
-        if ends
-        else []
-    )
+    shared = [body for end in ends[:1] for body in ancestors(model, end)]
+    shared = [body for body in shared if all(body in ancestors(model, end) for end in ends)]
     if len(ends) < 2 or not shared:
-        raise InvalidFile(
-            f"{path}: expected a hand of two fingers or more that hang on one link, got {len(ends)} fingers"
-        )
+        expected = "expected a hand of two fingers or more that hang on one link"
+        raise InvalidFile(f"{path}: {expected}, got {len(ends)} fingers")
     links = [str(model.body(body).name) for body in range(model.nbody)]
     tips, palm = dict[str, tuple[int, int]](), links[shared[0]]
     for end in ends:
-        fixed = [
-            b for b in range(end + 1, model.nbody) if end in ancestors(model, b) and "tip" in links[b].lower()
-        ]
+        named = [body for body in range(end + 1, model.nbody) if "tip" in links[body].lower()]
+        fixed = [body for body in named if end in ancestors(model, body)]
         chain = [links[body] for body in ancestors(model, end)[: ancestors(model, end).index(shared[0])]]
         tips[finger_name([links[b] for b in fixed[:1]] + chain, tips)] = end, (fixed or [end])[0]
     hand = Hand.from_file(path, palm=palm, tips={name: links[tip] for name, (_, tip) in tips.items()})
@@ -73,11 +66,8 @@ def guess_hand(path: Path) -> tuple[str, dict[str, GuessedTip]]:
     poses, meshes = hand.link_poses(zero), hand.link_meshes()
     found = dict[str, GuessedTip]()
     for name, (end, tip) in tips.items():
-        T_tip = se3.inverse(poses[links[tip]])
-        parts = [
-            se3.apply(T_tip @ poses[link], meshes[link].vertices)
-            for link in {links[end], links[tip]} & meshes.keys()
-        ]
+        T_tip, own = se3.inverse(poses[links[tip]]), {links[end], links[tip]} & meshes.keys()
+        parts = [se3.apply(T_tip @ poses[link], meshes[link].vertices) for link in own]
         anchor = (T_tip @ poses[links[end]])[:3, 3]
         found[name] = _tip(links[tip], np.concatenate([np.zeros((0, 3)), *parts]), anchor)
     return palm, found

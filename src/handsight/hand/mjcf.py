@@ -24,12 +24,9 @@ _UNUSED_ATTRIBUTES = frozenset(["material", "user", "meshdir", "assetdir", "text
 class Mjcf:
     """An `Mjcf` has the bodies, joints and shapes of a `<mujoco>`; raises InvalidFile for a model that is no robot."""
 
-    robot: Element
-    """The tree for MuJoCo."""
-    meshes: Meshes
-    """The mesh files that the tree names."""
-    missing: dict[str, str]
-    """Mesh files that do not exist, by the name of their mesh in `robot`."""
+    robot: Element  # the tree for MuJoCo
+    meshes: Meshes  # the mesh files that the tree names
+    missing: dict[str, str]  # mesh files that do not exist, by the name of their mesh in `robot`
 
     def __init__(self, root: Element, path: Path) -> None:
         self._folder, self._included = path.parent, {path.resolve()}

@@ -19,8 +19,7 @@ from handsight.files import read_bytes
 class Element:
     """An `Element` is one element of an XML file, with its children and its place in the file."""
 
-    tag: str
-    """Name, with the namespace before it as `{...}` where it has one."""
+    tag: str  # name, with the namespace before it as `{...}` where it has one
     attributes: dict[str, str]
     file: str
     line: int
@@ -103,10 +102,8 @@ def check_depth(depth: int, file: str) -> None:
 
 
 def to_text(root: Element) -> tuple[str, list[Element]]:
-    """Returns the text of a tree, one element a line, and the element of each line.
-
-    Raises InvalidFile for a number that is not finite, as MuJoCo would only print a warning about it.
-    """
+    """Returns the text of a tree, one element a line, and the element of each line. Raises InvalidFile for a number
+    that is not finite, as MuJoCo would only print a warning about it."""
     lines, elements = list[str](), list[Element]()
     texts = ("name", "class", "childclass", "mesh", "file", "filename", "link", "prefix", "model")
 
@@ -131,8 +128,7 @@ class Meshes:
     """`Meshes` are mesh files under unique names: MuJoCo would take two files of one name in two folders for one."""
 
     def __init__(self) -> None:
-        self.contents: dict[str, bytes] = {}
-        """Contents of the files by the name that a description is to use."""
+        self.contents: dict[str, bytes] = {}  # contents of the files by the name that a description is to use
         self._names: dict[tuple[Path, str], str] = {}
 
     def add(self, path: Path, content: bytes, variant: str = "") -> str:

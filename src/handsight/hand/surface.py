@@ -30,22 +30,17 @@ class ShapeKind(IntEnum):
 class LinkMesh(NamedTuple):
     """A `LinkMesh` is the surface of one link."""
 
-    vertices: Array
-    """(k, 3) vertices in the link's axes [m]."""
-    faces: Indices
-    """(m, 3) numbers of vertices, counterclockwise from outside."""
+    vertices: Array  # (k, 3) vertices in the link's axes [m]
+    faces: Indices  # (m, 3) numbers of vertices, counterclockwise from outside
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class OnLinks:
     """`OnLinks` are points each of which moves with one link of a hand."""
 
-    bodies: tuple[str, ...]
-    """Names of the b links that have any."""
-    body_of: Indices
-    """(k,) places in `bodies` of the points' links."""
-    chains: Chains
-    """How `bodies` move in the palm."""
+    bodies: tuple[str, ...]  # names of the b links that have any
+    body_of: Indices  # (k,) places in `bodies` of the points' links
+    chains: Chains  # how `bodies` move in the palm
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -57,10 +52,8 @@ class OnLinks:
 class HandShape(OnLinks):
     """A `HandShape` has triangles each of which moves with one link of a hand."""
 
-    vertices_body: Array
-    """(k, 3) vertices in the axes of their link [m]."""
-    faces: Indices
-    """(m, 3) numbers of vertices, counterclockwise from outside."""
+    vertices_body: Array  # (k, 3) vertices in the axes of their link [m]
+    faces: Indices  # (m, 3) numbers of vertices, counterclockwise from outside
 
     @property
     def meshes(self) -> dict[str, LinkMesh]:
@@ -82,12 +75,9 @@ class HandShape(OnLinks):
 class HandSurface(OnLinks):
     """A `HandSurface` has points on links of a hand; no object can be deeper in the hand than these points."""
 
-    points_body: Array
-    """(k, 3) points in the axes of their link [m], inside the surface by the given depth."""
-    normals: Array
-    """(k, 3) unit outward normals in the axes of their link."""
-    middles: Array
-    """(b, 3) centroid of each link's points, in its axes [m]."""
+    points_body: Array  # (k, 3) points in the axes of their link [m], inside the surface by the given depth
+    normals: Array  # (k, 3) unit outward normals in the axes of their link
+    middles: Array  # (b, 3) centroid of each link's points, in its axes [m]
 
     def points_palm(self, joint_positions: Mapping[str, float]) -> Array:
         """Returns the points (k, 3) in the palm [m]; raises InvalidInput as `Hand.Ts_palm_tip` does."""
@@ -106,10 +96,8 @@ class HandSurface(OnLinks):
 
 
 def sample_evenly(triangles: list[Array], count: int, seed: int) -> tuple[Indices, Array, Array]:
-    """Returns samples as `sample_by_area` does, with the points of each link as even as possible.
-
-    They are chosen from eight times as many; above 1000 points `sample_by_area` is even enough.
-    """
+    """Returns samples as `sample_by_area` does, with the points of each link as even as possible. They are chosen from
+    eight times as many; above 1000 points `sample_by_area` is even enough."""
     few = sample_by_area(triangles, count, seed)
     if count > 1000:
         return few
@@ -123,10 +111,8 @@ def sample_evenly(triangles: list[Array], count: int, seed: int) -> tuple[Indice
 
 
 def choose_evenly(points: Array, count: int) -> Indices:
-    """Returns `count` numbers of points (n, 3), count ≤ n, each the most central of those nearest to it.
-
-    Farthest-point sampling gives the cells; its own points are on edges, the most central ones of the cells are not.
-    """
+    """Returns `count` numbers of points (n, 3), count ≤ n, each the most central of those nearest to it. Farthest-point
+    sampling gives the cells; its own points are on edges, the most central ones of the cells are not."""
     place, nearest, owner = 0, np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
     for k in range(count):
         offsets = points - points[place]
@@ -166,10 +152,8 @@ def sample_by_area(triangles: list[Array], count: int, seed: int) -> tuple[Indic
 
 
 def body_triangles(model: "MjModel", body: int, *, visual: bool = False) -> Array:
-    """Returns the triangles (f, 3, 3) of a body's collision shapes, or else of all, in its axes [m].
-
-    With `visual` its visual shapes, which collide with nothing in most files, or else all.
-    """
+    """Returns the triangles (f, 3, 3) of a body's collision shapes, or else of all, in its axes [m]. With `visual` its
+    visual shapes, which collide with nothing in most files, or else all."""
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     shapes = [g for g in range(first, first + count) if model.geom_type[g] in list(ShapeKind)]
     preferred = [g for g in shapes if bool(model.geom_contype[g] or model.geom_conaffinity[g]) != visual]

@@ -19,10 +19,8 @@ MIN_MASS, MIN_INERTIA = 1e-6, 1e-9
 class Urdf:
     """A `Urdf` has the links, joints and shapes of a `<robot>`; raises InvalidFile for what it does not understand."""
 
-    robot: Element
-    """The tree for MuJoCo."""
-    meshes: Meshes
-    """The mesh files that the tree names."""
+    robot: Element  # the tree for MuJoCo
+    meshes: Meshes  # the mesh files that the tree names
     missing: dict[str, list[str]]
     """Names of mesh files that do not exist or cannot be read, by the kind of shape (`visual`, `collision`)."""
 
@@ -98,8 +96,7 @@ class Urdf:
             geometry = shape.find("geometry")
             if geometry is None or not geometry.children:
                 continue
-            mesh = geometry.find("mesh")
-            if mesh is not None:
+            if mesh := geometry.find("mesh"):
                 name = self._mesh_name(mesh)
                 if name is None:
                     self.missing[kind].append(mesh.get("filename"))

@@ -140,14 +140,10 @@ class WrenchSensor:
     """A `WrenchSensor` checks the readings of one finger's sensor: is it stuck, or at full scale?"""
 
     reading: tuple[float, ...] = ()
-    changed: float = -float("inf")
-    """When the reading last changed [s]."""
-    repeated: int = 0
-    """Number of messages in a row with the same reading."""
-    stuck: int = 0
-    """Number of messages that were rejected as stuck."""
-    saturated: int = 0
-    """Number of messages that were rejected at full scale."""
+    changed: float = -float("inf")  # when the reading last changed [s]
+    repeated: int = 0  # number of messages in a row with the same reading
+    stuck: int = 0  # number of messages that were rejected as stuck
+    saturated: int = 0  # number of messages that were rejected at full scale
 
     def read(
         self,
@@ -156,11 +152,8 @@ class WrenchSensor:
         full_scale: tuple[float, float] | None,
         sensors: Iterable["WrenchSensor"],
     ) -> str | None:
-        """Returns why the sensor's next wrench (6,) cannot be used; None: it can.
-
-        `full_scale`: the largest force [N] and torque [N m] that the sensor can measure; None: unknown. `sensors`:
-        those of all fingers.
-        """
+        """Returns why the sensor's next wrench (6,) cannot be used; None: it can. `full_scale`: the largest force [N]
+        and torque [N m] that the sensor can measure; None: unknown. `sensors`: those of all fingers."""
         reading = tuple(wrench.tolist())
         if reading != self.reading:
             self.reading, self.changed, self.repeated = reading, stamp, 0

@@ -43,8 +43,7 @@ class Clocks:
     def __init__(self) -> None:
         self._known = set[str]()
         self._joint_offsets: deque[float] = deque(maxlen=15)
-        self._joints_at = -float("inf")
-        """Log time of the last joint states [s]."""
+        self._joints_at = -float("inf")  # log time of the last joint states [s]
         self._waiting: deque[Measurement] | None = deque()
         self._waiting_bytes = 0
         self._first_joints: Measurement | None = None
@@ -227,11 +226,8 @@ class ReorderBuffer:
     def _pop(self, edge: float) -> list[Measurement]:
         """Returns the measurements up to the edge [s], and more if too many wait; of repeated ones, the first."""
         found, waiting = list[Measurement](), self._waiting
-        while waiting and (
-            waiting[0][0] <= edge
-            or len(waiting) > CLOCKS.max_waiting
-            or self._bytes > CLOCKS.max_waiting_bytes
-        ):
+        most = CLOCKS.max_waiting_bytes
+        while waiting and (waiting[0][0] <= edge or len(waiting) > CLOCKS.max_waiting or self._bytes > most):
             self._released, _, measurement = heapq.heappop(waiting)
             self._bytes -= measurement.size
             if measurement.topic.role != "tf":
@@ -277,11 +273,9 @@ class PromptBuffer(ReorderBuffer):
 
     def _edge(self) -> float:
         while self._pending:
-            stamp, until = self._pending[0]
-            if self.now < until and any(
-                newest + half < stamp <= newest + CLOCKS.max_silence
-                for newest, half in self._reached.values()
-            ):
+            (stamp, until), reached = self._pending[0], self._reached.values()
+            due = (newest + half < stamp <= newest + CLOCKS.max_silence for newest, half in reached)
+            if self.now < until and any(due):
                 break
             self.complete = max(self.complete, stamp)
             self._pending.popleft()

@@ -26,26 +26,21 @@ if TYPE_CHECKING:
 
 IDL = "=" * 80 + "\nIDL: "
 """What is before each definition in IDL, as recorders of ROS 2 write them one after the other."""
-MAX_DEFINITION = 1 << 16
-"""Length of the longest definition of a type that is read [characters]."""
+MAX_DEFINITION = 1 << 16  # length of the longest definition of a type that is read [characters]
 
 
 @dataclass(slots=True, eq=False)
 class Measurement:
     """A `Measurement` is the content of one message, or of one transform of /tf."""
 
-    topic: TopicReport
-    """The report in which the message is counted."""
-    stamp: float
-    """The message's own stamp; after `Clocks`, in the clock of the joint states [s]."""
-    log_time: float
-    """When it was recorded or received [s]."""
+    topic: TopicReport  # the report in which the message is counted
+    stamp: float  # the message's own stamp; after `Clocks`, in the clock of the joint states [s]
+    log_time: float  # when it was recorded or received [s]
     value: Any
     """By the topic's role. joints: positions by name. wrench: (6,). contact: `ContactMeasurement` or None. skin: the
     readings. vision: `PoseMeasurement`. truth: (4, 4). color, depth, mask: image. detections: `Detection2D`s.
     info: `Camera`. tf: parent, child, `T_parent_child` (4, 4)."""
-    part: str = ""
-    """The finger of a wrench or a contact, or the tactile surface."""
+    part: str = ""  # the finger of a wrench or a contact, or the tactile surface
     restarts: bool = False
     """Whether it is the first measurement of all, or the first after the clock of the joint states was set back."""
 
@@ -71,10 +66,9 @@ def decode(
     value: object
     try:
         if not topic.accepts(raw):
-            undefined = ", whose definition did not come: source its package" if topic.any_defined else ""
-            raise MessageRejected(
-                f"expected {' or '.join(topic.expected)}, got {raw.type or 'no type'}{undefined}"
-            )
+            came = raw.type or "no type"
+            came += ", whose definition did not come: source its package" if topic.any_defined else ""
+            raise MessageRejected(f"expected {' or '.join(topic.expected)}, got {came}")
         if role in ("tf", "tf_static"):
             return _transforms(raw, topic, reader)
         if reader and role == "wrench" and (wrench := reader.wrench(raw.data)):
@@ -90,9 +84,7 @@ def decode(
             if role == "contact":
                 found = contacts(message, topic.tips, frames["palm"])
                 topic.messages += len(found)
-                stamp = stamp or max(
-                    (_seconds(each) for each in getattr(message, "contacts", ())), default=0.0
-                )
+                stamp = stamp or max(map(_seconds, getattr(message, "contacts", ())), default=0.0)
                 return [Measurement(topic, stamp, raw.log_time, each, finger) for finger, each in found]
             value = READERS[role](message, topic, frames)
         topic.messages += 1
@@ -113,23 +105,20 @@ def _surfaces(raw: RawMessage, message: RosMessage, topic: TopicReport, stamp: f
             found.append(Measurement(topic, stamp or own, raw.log_time, values, source.name))
         except (MessageRejected, InvalidInput) as error:
             path = f"{source.field}: " if source.field and not str(error).startswith("field ") else ""
-            topic.reject(
-                MessageRejected(f"skin {source.name}: {path}{error}", nan=getattr(error, "nan", False))
-            )
+            reason, nan = f"skin {source.name}: {path}{error}", getattr(error, "nan", False)
+            topic.reject(MessageRejected(reason, nan=nan))
     return found
 
 
 def _transforms(raw: RawMessage, topic: TopicReport, reader: FastReader | None) -> list[Measurement]:
     """Returns the transforms of a TFMessage; one that cannot be used is rejected, and the others are returned."""
-    transforms = reader.transforms(raw.data) if reader else None
-    if not transforms:
-        transforms = [
-            StampedTransform(
-                _seconds(each), each.header.frame_id, each.child_frame_id, (*_xyz(p), *_xyz(q), q.w)
-            )
-            for each in _deserialized(raw).transforms
-            for p, q in [(each.transform.translation, each.transform.rotation)]
-        ]
+    transforms = (reader.transforms(raw.data) if reader else None) or []
+    for each in () if transforms else _deserialized(raw).transforms:
+        p, q = each.transform.translation, each.transform.rotation
+        numbers = (*_xyz(p), *_xyz(q), q.w)
+        transforms.append(
+            StampedTransform(_seconds(each), each.header.frame_id, each.child_frame_id, numbers)
+        )
     found = list[Measurement]()
     for each in transforms:
         topic.messages += 1
@@ -148,25 +137,16 @@ def _deserialized(raw: RawMessage) -> RosMessage:
     # The shortest message is a count. There may be many empty ones, and errors of rosbags are slow.
     if len(raw.data) < (1 if raw.type in definitions.SINGLE else 4):
         raise MessageRejected(expected)
-    store = _store_of(raw)
-    reason = ""
+    store, reason = typestore(raw.encoding), ""
+    if raw.definition and (raw.type in definitions.DEFINITIONS or raw.type not in store.types):
+        store = _defined(raw.encoding, raw.type, raw.definition)  # its own, if it is no type of ROS itself
     for layout in KINDS[raw.encoding] if raw.type == RosType.DETECTIONS else (kind,):
         try:
             message: RosMessage = getattr(store, f"deserialize_{raw.encoding}")(raw.data, layout)
             return message
-        except (
-            Exception
-        ) as error:  # code that rosbags generates raises anything: the bytes are no such message
+        except Exception as error:  # rosbags' generated code raises anything: the bytes are no such message
             reason = reason or str(error)[:80]
     raise MessageRejected(f"{expected} ({reason})")
-
-
-def _store_of(raw: RawMessage) -> "Typestore":
-    """Returns types with that of a message: as its own definition says, if it is no type of ROS itself."""
-    store = typestore(raw.encoding)
-    if raw.definition and (raw.type in definitions.DEFINITIONS or raw.type not in store.types):
-        return _defined(raw.encoding, raw.type, raw.definition)
-    return store
 
 
 @lru_cache(64)
@@ -184,9 +164,8 @@ def _defined(encoding: str, kind: str, definition: str) -> "Typestore":
             types = typesys.get_types_from_msg(definition, kind)
         store.register({name: each for name, each in types.items() if name not in store.types})
     except Exception as error:  # a parser that raises anything: the text is no definition
-        raise MessageRejected(
-            f"expected a definition of {kind}, got one that is none ({str(error)[:80]})"
-        ) from None
+        came = f"one that is none ({str(error)[:80]})"
+        raise MessageRejected(f"expected a definition of {kind}, got {came}") from None
     return store
 
 
@@ -256,10 +235,8 @@ def _wrench(values: Sequence[float]) -> Array:
 
 
 def _rigid_transform(*numbers: float) -> Array:
-    """Returns a pose (4, 4) from x, y, z [m] and a quaternion's x, y, z, w.
-
-    Plain floats, because NumPy takes ten times as long for one pose.
-    """
+    """Returns a pose (4, 4) from x, y, z [m] and a quaternion's x, y, z, w. Plain floats, because NumPy takes ten times
+    as long for one pose."""
     px, py, pz, x, y, z, w = numbers
     length = hypot(x, y, z, w)
     if not isfinite(length + abs(px) + abs(py) + abs(pz)):
@@ -269,14 +246,12 @@ def _rigid_transform(*numbers: float) -> Array:
     if length < 1e-6:
         raise MessageRejected("expected an orientation, got a quaternion of length 0")
     x, y, z, w = x / length, y / length, z / length, w / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), px],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x), py],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y), pz],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), px],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x), py],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y), pz],
+        [0.0, 0.0, 0.0, 1.0],
+    ])  # fmt: skip
 
 
 def _pose(message: RosMessage, topic: TopicReport, frames: Mapping[str, str]) -> PoseMeasurement | Array:

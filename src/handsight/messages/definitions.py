@@ -39,16 +39,12 @@ DEFINITIONS = {
     + "int16[112] palm\nfloat32 total_contact\nuint8 fingers_in_contact\nbool stable_contact",
 }
 """Definitions by name; live messages bring none, but over ROS 1."""
-CONTACTS = SHADOW, TACTILE, f"{TACTILE}s", ITS
-"""Types that say where a fingertip is touched."""
+CONTACTS = SHADOW, TACTILE, f"{TACTILE}s", ITS  # types that say where a fingertip is touched
 NUMBERS = "Float32", "Float64", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32"
 SINGLE = tuple(f"std_msgs/msg/{number}" for number in ("Bool", *NUMBERS))
 PLAIN_TAXELS = (
     *(f"std_msgs/msg/{number}MultiArray" for number in NUMBERS),
-    *SINGLE,
-    "sensor_msgs/msg/Image",
-    "sensor_msgs/msg/ChannelFloat32",
-    "tactile_msgs/msg/TactileState",
+    *(*SINGLE, "sensor_msgs/msg/Image", "sensor_msgs/msg/ChannelFloat32", "tactile_msgs/msg/TactileState"),
 )
 """Types with readings of taxels that are found without a path into the message; of a TactileState by the name."""
 TAXELS = (

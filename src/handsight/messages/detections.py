@@ -5,8 +5,7 @@ from math import cos, hypot, isfinite, sin
 from handsight.messages.topics import MessageRejected, RosMessage
 from handsight.observation import Detection2D
 
-MAX_DETECTIONS = 1000
-"""Detections of a message that are used."""
+MAX_DETECTIONS = 1000  # detections of a message that are used
 
 
 def _layout(package: str, hypothesis: str, center: str, last: str) -> dict[str, str]:
@@ -21,20 +20,14 @@ def _layout(package: str, hypothesis: str, center: str, last: str) -> dict[str, 
 
 
 _FLAT, _IMAGE = "geometry_msgs/Pose2D", "sensor_msgs/Image source_img"
+_SCORED, _TRACKED = "vision_msgs/ObjectHypothesis", "bool is_tracking\nstring tracking_id"
 DEFINITIONS = {
     "cdr": {
         "vision_msgs/msg/Point2D": "float64 x\nfloat64 y",
         "vision_msgs/msg/Pose2D": "vision_msgs/Point2D position\nfloat64 theta",
         "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score",
-        **_layout(
-            "vision_msgs", "vision_msgs/ObjectHypothesis hypothesis", "vision_msgs/Pose2D", "string id"
-        ),
-        **_layout(
-            "vision_msgs_foxy",
-            "string id\nfloat64 score",
-            _FLAT,
-            f"{_IMAGE}\nbool is_tracking\nstring tracking_id",
-        ),
+        **_layout("vision_msgs", f"{_SCORED} hypothesis", "vision_msgs/Pose2D", "string id"),
+        **_layout("vision_msgs_foxy", "string id\nfloat64 score", _FLAT, f"{_IMAGE}\n{_TRACKED}"),
     },
     "ros1": _layout("vision_msgs", "int64 id\nfloat64 score", _FLAT, _IMAGE),
 }
@@ -48,10 +41,8 @@ KINDS = {
 
 
 def detections(message: RosMessage) -> tuple[Detection2D, ...]:
-    """Returns the detections of a Detection2DArray: one for each hypothesis of what is in a box.
-
-    A turned box is replaced by the upright one around it. Raises MessageRejected, InvalidInput.
-    """
+    """Returns the detections of a Detection2DArray: one for each hypothesis of what is in a box. A turned box is
+    replaced by the upright one around it. Raises MessageRejected, InvalidInput."""
     found = list[Detection2D]()
     for k, each in enumerate(message.detections[:MAX_DETECTIONS]):
         center = getattr(each.bbox.center, "position", each.bbox.center)
@@ -66,11 +57,9 @@ def detections(message: RosMessage) -> tuple[Detection2D, ...]:
         for result in each.results:
             hypothesis = getattr(result, "hypothesis", result)
             label = hypothesis.class_id if hypothesis is not result else hypothesis.id
-            if not 0 <= hypothesis.score <= 1:
-                raise MessageRejected(
-                    f"detection {k}: expected a score from 0 to 1, got {hypothesis.score:g}"
-                )
-            found.append(Detection2D(str(label), max(float(hypothesis.score), 1e-6), box))
+            if not 0 <= (score := float(hypothesis.score)) <= 1:
+                raise MessageRejected(f"detection {k}: expected a score from 0 to 1, got {score:g}")
+            found.append(Detection2D(str(label), max(score, 1e-6), box))
         if not len(each.results):
             found.append(Detection2D("", None, box))
     return tuple(found)

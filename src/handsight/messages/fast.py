@@ -19,8 +19,7 @@ class StampedTransform(NamedTuple):
     stamp: float
     parent: str
     child: str
-    numbers: Sequence[float]
-    """x, y, z [m], then the quaternion's x, y, z, w."""
+    numbers: Sequence[float]  # x, y, z [m], then the quaternion's x, y, z, w
 
 
 class FastReader:

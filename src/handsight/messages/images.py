@@ -54,8 +54,7 @@ def depth(message: RosMessage) -> Depth:
 
 def labels(message: RosMessage) -> NDArray[np.integer]:
     """Returns the numbers (h, w) of an Image that says of each pixel which object it is of, 0: of none."""
-    found = values(message, ("mono8", "8UC1", "mono16", "16UC1", "32SC1"))[..., 0]
-    return found.astype(np.int32)
+    return values(message, ("mono8", "8UC1", "mono16", "16UC1", "32SC1"))[..., 0].astype(np.int32)
 
 
 def values(message: RosMessage, expected: tuple[str, ...]) -> NDArray[np.generic]:
@@ -67,9 +66,8 @@ def values(message: RosMessage, expected: tuple[str, ...]) -> NDArray[np.generic
     h, w, step = int(message.height), int(message.width), int(message.step)
     row = w * channels * dtype.itemsize
     if h == 0 or w == 0 or step < row or len(message.data) < step * (h - 1) + row:
-        raise MessageRejected(
-            f"expected {h} rows of {step} bytes for {w} x {h} {message.encoding}, got {len(message.data)} bytes"
-        )
+        rows = f"{h} rows of {step} bytes for {w} x {h} {message.encoding}"
+        raise MessageRejected(f"expected {rows}, got {len(message.data)} bytes")
     strides = step, channels * dtype.itemsize, dtype.itemsize
     return np.ascontiguousarray(np.ndarray((h, w, channels), dtype, message.data, strides=strides))
 
@@ -86,9 +84,8 @@ def camera(message: RosMessage) -> Camera:
         raise MessageRejected(f"expected intrinsics within {limit:g} pixels, got {most:g}")
     # The message's intrinsics and size are those of the complete sensor.
     roi, size = message.roi, [int(message.width), int(message.height)]
-    for axis, (first, side, binned) in enumerate(
-        ((roi.x_offset, roi.width, message.binning_x), (roi.y_offset, roi.height, message.binning_y))
-    ):
+    x, y = (roi.x_offset, roi.width, message.binning_x), (roi.y_offset, roi.height, message.binning_y)
+    for axis, (first, side, binned) in enumerate((x, y)):
         by = max(int(binned), 1)
         # Pixel centres are at whole numbers, so the image begins at -½.
         K[axis, axis], K[axis, 2] = K[axis, axis] / by, (K[axis, 2] - first + 0.5) / by - 0.5

@@ -19,28 +19,21 @@ T = TypeVar("T", TopicReport, "Report")
 class Report:
     """A `Report` counts the messages that have come on the topics of a rig."""
 
-    joint_states: str
-    """The topic whose stamps are the clock."""
-    topics: dict[str, TopicReport] = field(default_factory=dict)
-    """The topics of the rig that exist, by name."""
-    others: dict[str, str] = field(default_factory=dict)
-    """The types of all other topics, by name."""
+    joint_states: str  # the topic whose stamps are the clock
+    topics: dict[str, TopicReport] = field(default_factory=dict)  # the topics of the rig that exist, by name
+    others: dict[str, str] = field(default_factory=dict)  # the types of all other topics, by name
     observations: int = 0
-    placed: int = 0
-    """Number of observations that have `T_world_palm`."""
+    placed: int = 0  # number of observations that have `T_world_palm`
     without: Counter[str] = field(default_factory=Counter)
     """Number of observations without a wrench or a contact message, by finger."""
     without_skin: Counter[str] = field(default_factory=Counter)
     """Number of observations without readings, by tactile array."""
-    fingers: dict[str, str] = field(default_factory=dict)
-    """What is wrong with a sensor, by finger."""
+    fingers: dict[str, str] = field(default_factory=dict)  # what is wrong with a sensor, by finger
     backwards: tuple[int, float, float] | None = None
     """How often the clock of the joint states was set back, the largest step back [s], and the stamp before the first
     one [s]; None: it never was."""
-    units: Units | None = None
-    """Finds values that seem to be in a wrong unit."""
-    ended: bool = False
-    """Whether all messages have come."""
+    units: Units | None = None  # finds values that seem to be in a wrong unit
+    ended: bool = False  # whether all messages have come
 
     def copied(self) -> "Report":
         """Returns a copy that does not change any more."""
@@ -70,26 +63,21 @@ class Report:
             messages += topic.sentences()
         joints = self.topics.get(self.joint_states)
         if joints is not None and joints.gaps:
-            messages.append(
-                f"{joints.name}: {joints.gaps} gaps of more than {TOPICS.max_gap} s, the longest {joints.gap:.3f} s"
-            )
+            longer = f"of more than {TOPICS.max_gap} s, the longest {joints.gap:.3f} s"
+            messages.append(f"{joints.name}: {joints.gaps} gaps {longer}")
         of = f"of {self.observations} observations"
         fingers, arrays = self.without.items(), self.without_skin.items()
         messages += shortened(f"finger {name}: no wrench in {count} {of}" for name, count in fingers)
         messages += shortened(f"skin {name}: no reading in {count} {of}" for name, count in arrays)
         others = sorted(name for name, kind in self.others.items() if kind == RosType.WRENCH)
-        return [printable(each) for each in messages] + shortened(
-            f"{name}: wrenches of no finger of the rig; not used" for name in others
-        )
+        unused = shortened(f"{name}: wrenches of no finger of the rig; not used" for name in others)
+        return [printable(each) for each in messages] + unused
 
 
 def _counted(now: T, before: T) -> T:
     """Returns a report with all its numbers counted after an earlier one."""
-    changes: dict[str, Any] = {
-        each.name: getattr(now, each.name) - getattr(before, each.name)
-        for each in fields(now)
-        if type(getattr(now, each.name)) in (int, Counter)
-    }
+    counts = [each.name for each in fields(now) if type(getattr(now, each.name)) in (int, Counter)]
+    changes: dict[str, Any] = {name: getattr(now, name) - getattr(before, name) for name in counts}
     return replace(now, **changes)
 
 
@@ -102,10 +90,8 @@ def shortened(sentences: Iterable[str]) -> list[str]:
 
 
 def missing(rig: Rig, report: Report, frames: set[str], joint_names: set[str]) -> list[str]:
-    """Returns a sentence for each topic, frame and joint of the rig that is missing.
-
-    `frames`, `joint_names`: all that have come.
-    """
+    """Returns a sentence for each topic, frame and joint of the rig that is missing. `frames`, `joint_names`: all that
+    have come."""
     topics, lacking = rig.topics, list[str]()
     calibrated = rig.camera is not None and rig.camera.intrinsics is not None
     by_tf = rig.world_from == "tf" and topics.tf is not None

@@ -26,8 +26,7 @@ class Readings:
     low: Array
     high: Array
     count: int = 0
-    some: list[Array] = field(default_factory=list)
-    """Readings at equal steps of their number."""
+    some: list[Array] = field(default_factory=list)  # readings at equal steps of their number
     step: int = 1
 
     def put(self, values: Array) -> None:
@@ -105,14 +104,11 @@ class SensorFaults:
                 continue
             if name not in self.touched:
                 rises = f"a touched taxel rises by {surface.threshold:g}, and the largest rise was"
-                found.append(
-                    f"skin {name}: never touched; {rises} {rise_of(surface, read):.3g} (threshold, scale?)"
-                )
+                most = f"{rise_of(surface, read):.3g} (threshold, scale?)"
+                found.append(f"skin {name}: never touched; {rises} {most}")
             low, high = normals_of(surface, np.array([read.low, read.high]))
-            for marked, why in (
-                (low == high, "never change: dead?"),
-                (np.isnan(low), "never have a number (NaN)"),
-            ):
+            dead, unknown = (low == high, "never change: dead?"), (np.isnan(low), "never have a number (NaN)")
+            for marked, why in (dead, unknown):
                 if marked.any() and marked.mean() < 0.5:
                     numbers = ", ".join(map(str, np.flatnonzero(marked)[:12]))
                     more = " and others" if marked.sum() > 12 else ""
@@ -129,9 +125,8 @@ class SensorFaults:
 def rise_of(surface: TactileSurface, read: Readings) -> float:
     """Returns by how much a taxel reads more along its normal than it does most of the time, scaled."""
     scale = surface.record["scale"][0, surface.components - 1]
-    normal, end = (
-        normals_of(surface, np.array(each)) for each in (read.some, [read.high if scale > 0 else read.low])
-    )
+    ends = [read.high if scale > 0 else read.low]
+    normal, end = (normals_of(surface, np.array(each)) for each in (read.some, ends))
     known = np.isfinite(normal).any(axis=0)
     return float(np.max(scale * (end[0, known] - np.nanmedian(normal[:, known], axis=0)), initial=0.0))
 

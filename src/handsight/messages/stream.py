@@ -36,15 +36,12 @@ class ObservationStream:
         order: Callable[[Report], ReorderBuffer] = ReorderBuffer,
     ) -> None:
         """`topics`: types of topics that are known in advance, by name; others are added with their first message.
-
-        `report`: an empty report to fill. `order`: creates the buffer that puts measurements in order.
-        """
+        `report`: an empty report to fill. `order`: creates the buffer that puts measurements in order."""
         self._rig, self.topics, known = rig, rig_topics(rig), topics or {}
         """The topics of the rig, by name; messages on other topics are ignored."""
         self.report = Report(rig.topics.joint_states) if report is None else report
         """The counts of the messages until now, and what is wrong with them."""
-        self.intrinsics: Camera | None = None
-        """The camera of the last CameraInfo; None: none has come."""
+        self.intrinsics: Camera | None = None  # the camera of the last CameraInfo; None: none has come
         for name, topic in self.topics.items():
             if name in known:
                 topic.type = known[name]

@@ -32,9 +32,8 @@ def readings(message: RosMessage, source: TaxelSource) -> tuple[Array, float]:
     if len(sizes) > 1 and sizes not in (source.shape, (math.prod(source.shape[:-1]), source.shape[-1])):
         raise MessageRejected(f"{expected}, got {' x '.join(map(str, sizes))}")
     if not found.size:
-        raise MessageRejected(
-            f"{expected}, got none, as drivers send them without a calibration of the sensor"
-        )
+        why = "as drivers send them without a calibration of the sensor"
+        raise MessageRejected(f"{expected}, got none, {why}")
     if found.size != np.prod(source.shape):
         raise MessageRejected(f"{expected}, got {found.size} numbers")
     found = np.where(np.isfinite(found), found, np.nan).reshape(source.shape)
@@ -50,9 +49,8 @@ def _numbers(value: Any) -> tuple[Array, tuple[int, ...]]:
         return pixels.astype(np.float64), pixels.shape
     sizes: tuple[int, ...] = ()
     if hasattr(value, "layout"):
-        sizes = tuple(
-            int(each.size) for each in value.layout.dim if each.size != 1 or len(value.layout.dim) < 3
-        )
+        sides = [int(each.size) for each in value.layout.dim]
+        sizes = tuple(side for side in sides if side != 1 or len(sides) < 3)
         value = value.data[int(value.layout.data_offset) :]
     elif hasattr(value, "data") and not hasattr(value, "point_step"):  # one number
         value = value.data
@@ -71,10 +69,8 @@ def _numbers(value: Any) -> tuple[Array, tuple[int, ...]]:
 
 
 def _at(message: object, field: str) -> tuple[Any, float]:
-    """Returns what a path leads to in a message, and the last `time` on its way [s], 0 without one.
-
-    Raises InvalidInput that names the step which leads nowhere.
-    """
+    """Returns what a path leads to in a message, and the last `time` on its way [s], 0 without one. Raises InvalidInput
+    that names the step which leads nowhere."""
     value, time = message, 0.0
     for step in steps(field):
         try:
@@ -113,9 +109,8 @@ def _field(value: Any, name: str) -> Any:
     """Returns a field of a decoded message; raises InvalidInput where it has none of that name."""
     names = [each.name for each in fields(value) if each.name[0] != "_"] if is_dataclass(value) else []
     if name not in names:
-        raise InvalidInput(
-            f"expected a field of the message ({', '.join(names[:20]) or 'none here'}), got {name}"
-        )
+        known = ", ".join(names[:20]) or "none here"
+        raise InvalidInput(f"expected a field of the message ({known}), got {name}")
     return getattr(value, name)
 
 
@@ -133,9 +128,8 @@ def _columns(cloud: Any, names: list[str]) -> Array:
     for column, each in zip(found.T, (known[name] for name in names), strict=True):
         number = np.dtype(order + NUMBERS.get(each.datatype, "f4"))
         if each.offset + number.itemsize > step or each.datatype not in NUMBERS:
-            raise InvalidInput(
-                f"expected a number within the {step} bytes of a point, got {each.name} at {each.offset}"
-            )
+            came = f"{each.name} at {each.offset}"
+            raise InvalidInput(f"expected a number within the {step} bytes of a point, got {came}")
         shape, strides = (height, width), (row, step)
         column[:] = np.ndarray(shape, number, data, each.offset, strides).ravel() if found.size else 0.0
     return found

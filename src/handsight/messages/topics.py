@@ -9,20 +9,9 @@ from handsight.messages.definitions import CONTACTS, PLAIN_TAXELS, SHADOW, TAXEL
 from handsight.rig import Rig
 
 Role = Literal[
-    "joints",
-    "wrench",
-    "contact",
-    "skin",
-    "vision",
-    "truth",
-    "color",
-    "depth",
-    "detections",
-    "mask",
-    "tf",
-    "tf_static",
+    "joints", "wrench", "contact", "skin", "vision", "truth", "color", "depth", "detections", "mask", "tf", "tf_static",
     "info",
-]
+]  # fmt: skip
 
 
 class RosType:
@@ -79,24 +68,18 @@ class RosMessage(Protocol):
 class TaxelSource(NamedTuple):
     """A `TaxelSource` says where a tactile surface's readings are in a message."""
 
-    name: str
-    """The surface's."""
-    field: str
-    """Path into the message; empty: the message is nothing but the readings."""
-    shape: tuple[int, ...]
-    """Of its readings, such as rows and columns."""
+    name: str  # the surface's
+    field: str  # path into the message; empty: the message is nothing but the readings
+    shape: tuple[int, ...]  # of its readings, such as rows and columns
 
 
 class RawMessage(NamedTuple):
     """A `RawMessage` is one serialised message of a file or of a running robot."""
 
     topic: str
-    type: str
-    """As ROS 2 writes it: `package/msg/Name`."""
-    encoding: str
-    """`cdr` of ROS 2 or `ros1`; anything else is rejected."""
-    log_time: float
-    """When it was recorded or received [s]."""
+    type: str  # as ROS 2 writes it: `package/msg/Name`
+    encoding: str  # `cdr` of ROS 2 or `ros1`; anything else is rejected
+    log_time: float  # when it was recorded or received [s]
     data: bytes
     definition: str = ""
     """The definition of its type, as the recording or the publisher gives it; empty: not given."""
@@ -119,46 +102,30 @@ class TopicReport:
     """
 
     name: str
-    role: Role
-    """What the rig uses the topic for."""
-    expected: tuple[str, ...]
-    """The types that its messages may have."""
-    finger: str = ""
-    """The finger of a wrench."""
+    role: Role  # what the rig uses the topic for
+    expected: tuple[str, ...]  # the types that its messages may have
+    finger: str = ""  # the finger of a wrench
     tips: dict[str, str] = field(default_factory=dict)
     """The body to which the fingertip of a contact is fixed, by finger."""
-    surfaces: tuple[TaxelSource, ...] = ()
-    """Where the readings of tactile surfaces are in a message."""
+    surfaces: tuple[TaxelSource, ...] = ()  # where the readings of tactile surfaces are in a message
     type: str = ""
     messages: int = 0
     used: int = 0
     """Used in order of stamp; if several come between two joint states, the observation has the newest."""
-    duplicated: int = 0
-    """Left out, as an earlier message of the same publisher had the same stamp."""
-    nan: int = 0
-    """Left out, as they have NaN or infinity."""
-    late: int = 0
-    """Left out, as they came too late to be put in order of stamp."""
-    bad: int = 0
-    """Left out, as they cannot be used as one of the expected types."""
-    stale: int = 0
-    """Left out, as they were too old when the next joint states came."""
-    stuck: int = 0
-    """Left out, as their sensor is stuck or at full scale."""
-    reasons: Counter[str] = field(default_factory=Counter)
-    """Number of `nan` and `bad` messages, by reason."""
-    last: float | None = None
-    """Stamp of the last used message, in the clock of the joint states [s]."""
-    gap: float = 0.0
-    """Longest time between two used messages [s]."""
-    gaps: int = 0
-    """Number of times between two used messages above `TopicOptions.max_gap`."""
+    duplicated: int = 0  # left out, as an earlier message of the same publisher had the same stamp
+    nan: int = 0  # left out, as they have NaN or infinity
+    late: int = 0  # left out, as they came too late to be put in order of stamp
+    bad: int = 0  # left out, as they cannot be used as one of the expected types
+    stale: int = 0  # left out, as they were too old when the next joint states came
+    stuck: int = 0  # left out, as their sensor is stuck or at full scale
+    reasons: Counter[str] = field(default_factory=Counter)  # number of `nan` and `bad` messages, by reason
+    last: float | None = None  # stamp of the last used message, in the clock of the joint states [s]
+    gap: float = 0.0  # longest time between two used messages [s]
+    gaps: int = 0  # number of times between two used messages above `TopicOptions.max_gap`
     difference: float = 0.0
     """Its offset minus that of the joint states [s]; offset: median of log time minus stamp over the first second."""
-    shifted: bool = False
-    """Whether the difference was added to its stamps, because they are of another clock."""
-    unstamped: bool = False
-    """Whether its stamps are all 0, so that log times are used instead."""
+    shifted: bool = False  # whether the difference was added to its stamps, because they are of another clock
+    unstamped: bool = False  # whether its stamps are all 0, so that log times are used instead
 
     def accepts(self, raw: RawMessage) -> bool:
         """Returns whether a message is of a type that is expected here, or has a path into it and its definition."""

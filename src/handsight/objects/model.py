@@ -24,6 +24,7 @@ from handsight.objects.record import ModelRecord, model_record
 from handsight.objects.surface import SURFACE, ObjectWarning, Triangles
 from handsight.objects.symmetry import Symmetries, check_kept, kept_center, nearest
 
+NONE = Symmetries()
 USUAL_SIGMA = 2e-3
 """Standard deviation per axis of a centre of mass that is given without one [m]."""
 
@@ -70,20 +71,20 @@ class ObjectModel(Geometry):
             raise InvalidInput(f"size: expected 3 numbers above 0, got {checks.brief(sides)}")
         _check_range(sides, "size")
         geometry, own = primitives.box(sides)
-        return cls._from(geometry, "box", symmetries or own)
+        return cls._from(geometry, "box", symmetries, own)
 
     @classmethod
     def cylinder(cls, radius: float, height: float, *, symmetries: Symmetries | None = None) -> Self:
         """Returns a cylinder centred at the origin, axis z, `radius` and `height` [m]; raises InvalidInput."""
         radius, height = _checked_length(radius, "radius"), _checked_length(height, "height")
         geometry, own = primitives.cylinder(radius, height)
-        return cls._from(geometry, "cylinder", symmetries or own)
+        return cls._from(geometry, "cylinder", symmetries, own)
 
     @classmethod
     def sphere(cls, radius: float, *, symmetries: Symmetries | None = None) -> Self:
         """Returns a ball centred at the origin, `radius` [m]; raises InvalidInput."""
         geometry, own = primitives.sphere(_checked_length(radius, "radius"))
-        return cls._from(geometry, "sphere", symmetries or own)
+        return cls._from(geometry, "sphere", symmetries, own)
 
     @classmethod
     def from_mesh(
@@ -96,7 +97,7 @@ class ObjectModel(Geometry):
         """
         mesh = _checked_mesh(vertices, faces)
         name = cache.key("mesh", mesh.vertices, mesh.faces)
-        return cls._from(cache.remembered(name, lambda: _of_mesh(mesh)), "", symmetries or Symmetries())
+        return cls._from(cache.remembered(name, lambda: _of_mesh(mesh)), "", symmetries)
 
     @classmethod
     def from_points(
@@ -110,7 +111,7 @@ class ObjectModel(Geometry):
         places, directions = _checked_points(points, normals)
         name = cache.key("cloud", places, np.empty((0, 3)) if directions is None else directions)
         geometry = cache.remembered(name, lambda: _of_points(places, directions))
-        return cls._from(geometry, "", symmetries or Symmetries())
+        return cls._from(geometry, "", symmetries)
 
     @classmethod
     def from_file(
@@ -145,7 +146,7 @@ class ObjectModel(Geometry):
 
         # The file's name is part of the key: remarks begin with it, and its extension selects the reader.
         name = cache.key(f"file {scale!r} {file.name}", np.frombuffer(data, dtype=np.uint8))
-        return cls._from(cache.remembered(name, build), file.stem, symmetries or Symmetries())
+        return cls._from(cache.remembered(name, build), file.stem, symmetries)
 
     @classmethod
     def from_library(cls, name: str, library: str | os.PathLike[str] | None = None) -> ObjectModel:
@@ -160,13 +161,15 @@ class ObjectModel(Geometry):
         return Library(library).model(name)
 
     @classmethod
-    def _from(cls, geometry: Geometry, name: str, symmetries: Symmetries) -> Self:
-        """Returns a model with that geometry, and issues the geometry's remarks as warnings."""
+    def _from(
+        cls, geometry: Geometry, name: str, declared: Symmetries | None, own: Symmetries = NONE
+    ) -> Self:
+        """Returns a model with the declared symmetries, else its own, and issues the geometry's remarks as warnings."""
         parts = {part.name: getattr(geometry, part.name) for part in dataclasses.fields(geometry)}
-        model = cls(**parts, name=name, symmetries=symmetries)
+        model = cls(**parts, name=name, symmetries=own)
         for remark in geometry.remarks:
             warnings.warn(remark, ObjectWarning, stacklevel=3)
-        return model
+        return model if declared is None else model.with_symmetries(declared)
 
     def sample(self, n: int, seed: int = 0) -> tuple[Array, Array]:
         """Returns n random surface points (n, 3) [m], uniform over the area, and their outward normals (n, 3)."""
@@ -202,7 +205,10 @@ class ObjectModel(Geometry):
         return out.reshape(np.shape(T))
 
     def with_symmetries(self, symmetries: Symmetries) -> Self:
-        """Returns the same object with these symmetries declared; raises InvalidInput where they move its surface."""
+        """Returns the same object with these symmetries declared; raises InvalidInput where they move its surface.
+
+        They move it where more than 2 % of its points end farther from it than 4 % of the diameter.
+        """
         # At the top of the file this would be a circular import: the search for symmetries needs models.
         from handsight.objects.symmetry_search import check_symmetries
 

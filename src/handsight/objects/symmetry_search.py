@@ -103,15 +103,22 @@ def declared_symmetries(model: ObjectModel, words: Sequence[str]) -> Symmetries:
 
 
 def check_symmetries(
-    model: ObjectModel, symmetries: Symmetries, name: str = "symmetries", came: str = "one"
+    model: ObjectModel,
+    symmetries: Symmetries,
+    name: str = "symmetries",
+    came: str = "one",
+    tolerance: float = SEARCH.declared_tolerance,
 ) -> None:
-    """Raises InvalidInput, which begins with `name`, where symmetries move the object's surface; `came` names them."""
+    """Raises InvalidInput, which begins with `name`, where symmetries move the object's surface; `came` names them.
+
+    `tolerance`: how far a turn may move a point off the surface [diameters].
+    """
     if symmetries.trivial:
         return
     points, angles = model.sample(SEARCH.declared_samples)[0], 2 * np.pi * np.arange(1, 12) / 12
     turns = [about(point, angle * axis) for point, axis in symmetries.axes for angle in angles]
     off = max(_distance(model, points, T) for T in (*symmetries.rotations[1:], *turns))
-    if off > SEARCH.declared_tolerance * model.diameter:
+    if off > tolerance * model.diameter:
         expected = "expected turns that leave the surface in place"
         raise InvalidInput(f"{name}: {expected}, got {came}, which is {1e3 * off:.1f} mm off")
 
@@ -213,7 +220,7 @@ class _Search:
             square = [a.direction for a in axes if a.order % order == 0]
             pairs = [(a, b) for a in square for b in square if abs(a @ b) < 0.1]
             if pairs and sum(a.order % 3 == 0 for a in axes) > 1:
-                frame = _frame(*pairs[0])
+                frame = se3.axes_along(*pairs[0]).T
                 diagonal = 2 * np.pi / 3 / np.sqrt(3) * frame.sum(axis=0)
                 candidates.append(np.vstack([2 * np.pi / order * frame, diagonal]))
         for main in axes:  # dihedral: an axis with half turns across it
@@ -221,17 +228,10 @@ class _Search:
                 a.direction for a in axes if a.order % 2 == 0 and abs(a.direction @ main.direction) < 0.1
             ]
             if across:
-                frame = _frame(main.direction, across[0])
+                frame = se3.axes_along(main.direction, across[0]).T
                 candidates.append(np.stack([2 * np.pi / main.order * frame[0], np.pi * frame[1]]))
         for vectors in (*candidates, cyclic[None]):
             found = Symmetries(rotations=about(center, vectors))
             if all(self.worst(T) < 1.2 * self.limit for T in found.rotations):
                 return found
         return Symmetries()
-
-
-def _frame(x: Array, near_y: Array) -> Array:
-    """Returns (3, 3) orthonormal rows: the first is x, the second near y."""
-    y = near_y - (near_y @ x) * x
-    y = y / np.linalg.norm(y)
-    return np.stack([x, y, np.cross(x, y)])

@@ -16,8 +16,8 @@ MAX_REASONS = 3
 """Reasons that are listed why none of several objects was found."""
 MAX_HYPOTHESES, MIN_WEIGHT = 3, 0.01
 """Hypotheses of an object that are written, and the weight above which the others than the best are."""
-FAR = 3.0
-"""A median depth beyond which an object that was not found may be in an image of another unit [m]."""
+FAR, IMPROBABLE = 3.0, 0.005
+"""Median depth [m] beyond which, and probability below which, an object not found may be in another unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -42,7 +42,7 @@ class Located:
             return reason
         median = float(np.median(known))
         hint = "; in tenths of millimetres? then --depth-scale 0.0001" if median > FAR else ""
-        if not hint and "probability of 0.00" in reason:  # as of everything at another scale
+        if not hint and self.found.probability < IMPROBABLE:  # as everything is at another scale
             hint = "; if that is not the distance of the scene, set --depth-scale"
         return f"{reason} (median depth {median:.2f} m{hint})"
 

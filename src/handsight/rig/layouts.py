@@ -166,13 +166,18 @@ def _fitted_normals(points: Array) -> Array:
     return np.asarray(normals * np.sign((normals * (points - solution[:3])).sum(axis=1))[:, None])
 
 
+def tactile_sensors(file: str | Path) -> dict[str, Element]:
+    """Returns each `<sensor>` with a `<tactile>` of a hand's URDF by its name; raises InvalidFile."""
+    root = read_xml(find_file(file))
+    return {each.get("name"): each for each in root.all("sensor") if each.find("tactile") is not None}
+
+
 def from_urdf(name: str, hand: Hand) -> Layout:
     """Returns the layout of `<sensor name><tactile>` in a hand's URDF; raises InvalidInput.
 
     An `<array>` is read row by row; of a list each `<taxel>` has the number `idx`. Source: urdf_tactile.
     """
-    root = read_xml(find_file(hand.file))
-    found = {each.get("name"): each for each in root.all("sensor") if each.find("tactile") is not None}
+    found = tactile_sensors(hand.file)
     if name not in found:
         raise InvalidInput(f"urdf: unknown tactile sensor {name!r}{checks.suggestion(name, found)}")
     sensor, tactile, parent = found[name], found[name].find("tactile"), found[name].find("parent")

@@ -44,8 +44,7 @@ def text(rig: Rig, tables: Mapping[str, str] | None = None) -> str:
         "version": form.VERSION,
         "hand": _values(form.HandForm, rig, file=_file_name(rig.hand.file), palm=rig.hand.palm),
         "fingers": {
-            name: _finger(finger) if _has_sensor(name, rig) else _finger(finger) | {"sensor": None}
-            for name, finger in rig.fingers.items()
+            name: _finger(finger, sensed=name in rig.topics.wrenches) for name, finger in rig.fingers.items()
         },
         "skin": {name: _surface(name, rig, (tables or {}).get(name)) for name in rig.skin},
         "camera": None if rig.camera is None else _camera(rig.camera),
@@ -61,15 +60,15 @@ def text(rig: Rig, tables: Mapping[str, str] | None = None) -> str:
 
 def pose_text(T: Array) -> str:
     """Returns a pose (4, 4) as the rig file has it."""
-    return _inline(_pose(T))
+    return inline(_pose(T))
 
 
 def sensor_text(finger: Finger) -> list[str]:
     """Returns what a calibration finds of a finger's sensor, as the rig file's lines below `sensor`."""
     sensor = _finger(finger)["sensor"]
-    lines = (f"{name}: {_inline(sensor[name])}" for name in ("noise", "bias", "tip_mass", "tip_center"))
+    lines = (f"{name}: {inline(sensor[name])}" for name in ("noise", "bias", "tip_mass", "tip_center"))
     return [
-        re.sub(r"\d+\.\d+(e-\d+)?", lambda number: _inline(float(f"{float(number[0]):.4g}")), line)
+        re.sub(r"\d+\.\d+(e-\d+)?", lambda number: inline(float(f"{float(number[0]):.4g}")), line)
         for line in lines
     ]
 
@@ -105,13 +104,8 @@ def _table(surface: TactileSurface) -> Array:
     return np.column_stack([surface.points, axes[:, :, 2], axes[:, :, 0]])
 
 
-def _has_sensor(name: str, rig: Rig) -> bool:
-    """Returns whether a finger has a force/torque sensor: a topic, or a calibration."""
-    known = rig.fingers[name].calibration
-    return name in rig.topics.wrenches or bool(known.mass or known.bias_force.any())
-
-
-def _finger(finger: Finger) -> Values:
+def _finger(finger: Finger, sensed: bool = True) -> Values:
+    """Returns the values of a finger; its sensor's only where it is `sensed`, or calibrated."""
     known, tip = finger.calibration, finger.tip
     T_surface_sensor = np.eye(4) if tip.T_surface_sensor is None else tip.T_surface_sensor
     size = {"sphere": tip.radius} if isinstance(tip, Sphere) else {"ellipsoid": tip.semi_axes}
@@ -126,7 +120,8 @@ def _finger(finger: Finger) -> Values:
         tip_center=known.center_of_mass,
     )
     shape = _values(form.TipForm, tip, **size)
-    given: dict[str, Any] = {"surface": _pose(finger.T_frame_surface), "tip": shape, "sensor": sensor}
+    given: dict[str, Any] = {"surface": _pose(finger.T_frame_surface), "tip": shape}
+    given["sensor"] = sensor if sensed or known.mass or known.bias_force.any() else None
     if finger.friction is None:
         given["sigma_friction"] = None
     return _values(form.FingerForm, finger, **given)
@@ -175,7 +170,7 @@ def _section(values: Mapping[str, Any], kind: object, comments: bool = True) -> 
         key = declared.get(name)
         inner = key.kind if key else get_args(kind)[1]
         comment = f"   # {key.comment}" if key and key.comment and comments else ""
-        name = name if key else _inline(name)
+        name = name if key else inline(name)
         if value is None or (isinstance(value, Mapping) and all(part is None for part in value.values())):
             continue
         if get_origin(inner) is dict or (isinstance(inner, type) and issubclass(inner, Section)):
@@ -183,18 +178,18 @@ def _section(values: Mapping[str, Any], kind: object, comments: bool = True) -> 
             lines = _section(value, inner, comments and (key is not None or i == 0))
             yield from (f"  {line}" for line in lines)
         else:
-            yield f"{name}: {value if get_origin(inner) is Literal else _inline(value)}{comment}"
+            yield f"{name}: {value if get_origin(inner) is Literal else inline(value)}{comment}"
 
 
-def _inline(value: object) -> str:
+def inline(value: object) -> str:
     """Returns a value in one line; of a mapping, the entries that are not None."""
     if isinstance(value, Mapping):
-        parts = (f"{name}: {_inline(part)}" for name, part in value.items() if part is not None)
+        parts = (f"{name}: {inline(part)}" for name, part in value.items() if part is not None)
         return "{" + ", ".join(parts) + "}"
     if isinstance(value, str):  # YAML's double-quoted text is JSON's
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Iterable):
-        return "[" + ", ".join(map(_inline, value)) + "]"
+        return "[" + ", ".join(map(inline, value)) + "]"
     if isinstance(value, int):
         return str(value)
     number = f"{float(value):.12g}" if value else "0.0"  # type: ignore[arg-type]

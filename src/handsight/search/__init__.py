@@ -7,17 +7,6 @@ from handsight.search.sweep_choice import best_sweep, candidates, expected_infor
 from handsight.search.touch import Sweep, Touch, cast, with_symmetries_of_touch
 
 __all__ = [
-    "Area",
-    "Belief",
-    "Sweep",
-    "Touch",
-    "best_sweep",
-    "candidates",
-    "cast",
-    "expected_information",
-    "open_text",
-    "resting",
-    "symmetry_text",
-    "touch_text",
-    "with_symmetries_of_touch",
-]
+    "Area", "Belief", "Sweep", "Touch", "best_sweep", "candidates", "cast", "expected_information", "open_text",
+    "resting", "symmetry_text", "touch_text", "with_symmetries_of_touch",
+]  # fmt: skip

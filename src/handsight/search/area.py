@@ -15,8 +15,7 @@ from handsight.rig import Table
 from handsight.search.touch import Sweep
 
 MAX_STABLE_POSES = 24
-SAME_STABLE_POSE = float(np.deg2rad(20.0))
-"""Two stable poses whose tilts differ by less count as one [rad]."""
+SAME_STABLE_POSE = float(np.deg2rad(20.0))  # two stable poses whose tilts differ by less count as one [rad]
 
 
 @renamed_members(holds="contains", middles="center_heights", tops="top_heights")

@@ -75,14 +75,11 @@ class Mode:
 
     pose_world_object: GaussianPose
     """Their mean and covariance, with the errors of the table's height and tilt."""
-    probability: float
-    """The mode's share of all particles."""
+    probability: float  # the mode's share of all particles
     certainty: float
     """Probability that the object is within 8 mm and 8° of the mode's pose: the share of all particles that are."""
-    sigma_position: float
-    """Standard deviation of the object's middle in the table's plane [m]."""
-    sigma_yaw: float
-    """Standard deviation of the rotation about the vertical, modulo symmetry [rad]."""
+    sigma_position: float  # standard deviation of the object's middle in the table's plane [m]
+    sigma_yaw: float  # standard deviation of the rotation about the vertical, modulo symmetry [rad]
 
     @property
     def is_certain(self) -> bool:
@@ -211,11 +208,9 @@ class Belief:
         off2 = ((offsets - mean) ** 2).reshape(-1, 2, 3).sum(axis=2)
         off2 += [table.sigma_height**2, 2 * table.sigma_tilt**2]
         near = (off2 < np.square([CERTAINTY.position, CERTAINTY.rotation])).all(axis=1)
-        deviations = np.sqrt(np.diag(covariance))
-        pose, n = at_center.at_point(-model.center_object), len(self.placements)
-        return Mode(
-            pose, len(Ts) / n, float(near.sum()) / n, float(np.hypot(*deviations[:2])), float(deviations[5])
-        )
+        (sigma_x, sigma_y, *_, sigma_yaw), n = np.sqrt(np.diag(covariance)), len(self.placements)
+        pose, certainty = at_center.at_point(-model.center_object), float(near.sum()) / n
+        return Mode(pose, len(Ts) / n, certainty, float(np.hypot(sigma_x, sigma_y)), float(sigma_yaw))
 
 
 def placements_about(
@@ -293,9 +288,7 @@ def contact_log_likelihoods(
 
 def free_log_likelihood(model: ObjectModel, touches: Sequence[Touch], Ts_world_object: Array) -> Array:
     """Returns (n,) the log likelihood at each pose (n, 4, 4) of the free parts of all sweeps, where tips met nothing.
-
-    All positions of a sweep have one error in common, so each sweep counts once, by its deepest penetration.
-    """
+    All positions of a sweep have one error in common, so each sweep counts once, by its deepest penetration."""
     log_likelihood = np.zeros(len(Ts_world_object))
     if not model.closed:
         return log_likelihood

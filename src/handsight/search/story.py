@@ -6,8 +6,7 @@ from handsight.correction.modes import pose_distances
 from handsight.objects import ObjectModel
 from handsight.search.belief import CERTAINTY, Belief
 
-MIN_PROBABILITY = 0.05
-"""Less likely modes are not named."""
+MIN_PROBABILITY = 0.05  # less likely modes are not named
 
 
 def touch_text(belief: Belief) -> str:

@@ -92,7 +92,6 @@ def best_sweep(belief: Belief, heights: ArrayLike, radius: float) -> Sweep:
     `heights` are the heights above the table at which the hand can move the tip's middle [m], `radius` is the tip's
     radius [m]. Raises InvalidInput.
     """
-    rng = np.random.default_rng((belief.seed, len(belief.touches), 1))
-    sweeps = candidates(belief, heights, rng)
+    sweeps = candidates(belief, heights, np.random.default_rng((belief.seed, len(belief.touches), 1)))
     information = expected_information(belief, sweeps, checks.positive(radius, "radius"))
     return shortened(belief, sweeps[int(np.argmax(information))], radius)

@@ -83,10 +83,8 @@ def with_symmetries_of_touch(model: ObjectModel, sigma: float) -> ObjectModel:
 
 
 def tip_center(contact_world: Contacts, radius: float) -> Array:
-    """Returns the middle (3,) of a ball of `radius` [m] that touches the object at a contact.
-
-    It is outside the object, where the distance and its gradient change smoothly, even near an edge of the surface.
-    """
+    """Returns the middle (3,) of a ball of `radius` [m] that touches the object at a contact. It is outside the object,
+    where the distance and its gradient change smoothly, even near an edge of the surface."""
     return np.asarray(contact_world.points_palm[0] + radius * contact_world.normals_palm[0])
 
 

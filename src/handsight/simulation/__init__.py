@@ -18,42 +18,15 @@ from handsight.simulation.touch_search import (
 )
 
 __all__ = [
-    "MOTION",
-    "PROBE",
-    "SCENARIO",
-    "TOUCH_SEARCH",
-    "ConstantErrors",
-    "Grasp",
-    "GraspSearchResult",
-    "Nuisances",
-    "Probe",
-    "Profile",
-    "Sample",
-    "Scenario",
-    "TipContact",
-    "add_depth_noise",
-    "camera_facing",
-    "constant_errors",
-    "find_grasp",
-    "model_of",
-    "read_grasp",
-    "render",
-    "rig_of",
-    "simulate",
-    "simulate_each",
-    "simulate_touch_search",
-    "start_search",
-    "touch_search_rig",
-    "true_camera",
-    "write_grasp",
-]
+    "MOTION", "PROBE", "SCENARIO", "TOUCH_SEARCH", "ConstantErrors", "Grasp", "GraspSearchResult", "Nuisances", "Probe",
+    "Profile", "Sample", "Scenario", "TipContact", "add_depth_noise", "camera_facing", "constant_errors", "find_grasp",
+    "model_of", "read_grasp", "render", "rig_of", "simulate", "simulate_each", "simulate_touch_search", "start_search",
+    "touch_search_rig", "true_camera", "write_grasp",
+]  # fmt: skip
 
-__getattr__ = renamed(
-    __name__,
-    {
-        "Found": "handsight.simulation.GraspSearchResult",
-        "blind_rig": "handsight.simulation.touch_search_rig",
-        "looking": "handsight.simulation.camera_facing",
-        "simulate_blind": "handsight.simulation.simulate_touch_search",
-    },
-)
+__getattr__ = renamed(__name__, {
+    "Found": "handsight.simulation.GraspSearchResult",
+    "blind_rig": "handsight.simulation.touch_search_rig",
+    "looking": "handsight.simulation.camera_facing",
+    "simulate_blind": "handsight.simulation.simulate_touch_search",
+})  # fmt: skip

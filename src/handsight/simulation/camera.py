@@ -17,13 +17,8 @@ from handsight.vision import DepthNoise
 
 TARGET = np.array([0.0, 0.02, 0.07])
 """The point that the camera faces, and about which its calibration is turned, in the world [m]."""
-INTRINSICS = np.array(
-    [
-        [SCENE.focal_length, 0, (IMAGE_SIZE[0] - 1) / 2],
-        [0, SCENE.focal_length, (IMAGE_SIZE[1] - 1) / 2],
-        [0, 0, 1.0],
-    ]
-)
+INTRINSICS = np.diag([SCENE.focal_length, SCENE.focal_length, 1.0])
+INTRINSICS[:2, 2] = (np.array(IMAGE_SIZE) - 1) / 2
 """The camera matrix (3, 3) [pixels]; the centres of pixels have integer coordinates."""
 EDGE = 0.02
 """How much nearer a surface at less than 1 m must be for depth to be lost beside it [m]; at z > 1 m it is `EDGE` z², as
@@ -41,15 +36,12 @@ def camera_facing(eye: ArrayLike, at: ArrayLike) -> Array:
     return se3.compose(np.column_stack([x, np.cross(z, x), z]), origin)
 
 
-CALIBRATED_CAMERA = camera_facing([-0.45, 0.50, 0.60], TARGET)
-"""T_world_camera (4, 4) of the robot's rig."""
+CALIBRATED_CAMERA = camera_facing([-0.45, 0.50, 0.60], TARGET)  # T_world_camera (4, 4) of the robot's rig
 
 
 def calibration_error(nuisances: Nuisances, seed: int) -> Array:
-    """Returns T_measured_true (4, 4) in the world: it maps true poses to where the wrong calibration places them.
-
-    It is a constant rotation about `TARGET` and a constant shift, drawn by the seed.
-    """
+    """Returns T_measured_true (4, 4) in the world: it maps true poses to where the wrong calibration places them. It is
+    a constant rotation about `TARGET` and a constant shift, drawn by the seed."""
     draw = np.random.default_rng((seed, 4)).normal(size=6)
     # The mean length of a Gaussian in the plane is √(π/2) of its sigma.
     plane = nuisances.camera_position / np.sqrt(np.pi / 2)

@@ -50,18 +50,12 @@ GRASP = GraspOptions()
 class Body:
     """A `Body` is the convex hull of an object in some pose, reduced to few faces."""
 
-    vertices: Array
-    """(k, 3) [m]."""
-    normals: Array
-    """(m, 3) outward, of its faces."""
-    offsets: Array
-    """(m,): inside, normals @ p < offsets [m]."""
-    areas: Array
-    """(m,) of the faces [m²]."""
-    mass: Array
-    """(3,) the centre of mass [m]."""
-    middle: Array
-    """(3,) the middle of the bounds in the object's own frame [m]."""
+    vertices: Array  # (k, 3) [m]
+    normals: Array  # (m, 3) outward, of its faces
+    offsets: Array  # (m,): inside, normals @ p < offsets [m]
+    areas: Array  # (m,) of the faces [m²]
+    mass: Array  # (3,) the centre of mass [m]
+    middle: Array  # (3,) the middle of the bounds in the object's own frame [m]
 
     def turned(self, R: Array) -> "Body":
         """Returns the body turned by R (3, 3) and standing on the table, its middle above the origin."""
@@ -76,18 +70,12 @@ class Body:
 class Hold:
     """A `Hold` is where fingertips are to press on a resting object, in the world; the grip's axis is x."""
 
-    R_world_object: Array
-    """(3, 3) rotation of the object at rest."""
-    body: Body
-    """The object as it rests there."""
-    points: Mapping[str, Array]
-    """(3,) by finger [m]."""
-    normals: Mapping[str, Array]
-    """(3,) outward normals of the object there."""
-    roll: float
-    """Of the hand about x [rad]."""
-    merit: float
-    """Its rank: about 1 for the best, without a lower bound."""
+    R_world_object: Array  # (3, 3) rotation of the object at rest
+    body: Body  # the object as it rests there
+    points: Mapping[str, Array]  # (3,) by finger [m]
+    normals: Mapping[str, Array]  # (3,) outward normals of the object there
+    roll: float  # of the hand about x [rad]
+    merit: float  # its rank: about 1 for the best, without a lower bound
     kin: tuple[int, float, float]
     """Number of its resting pose, roll and offset: candidates that share all three tend to fail together."""
 
@@ -107,11 +95,18 @@ def body_of(vertices: Array) -> Body:
     return Body(kept, hull.equations[:, :3], -hull.equations[:, 3], areas, mass, middle)
 
 
+def least_rotation(first: Array, second: Array) -> Array:
+    """Returns the least rotation (3, 3) that turns one direction (3,) to another, both of any length."""
+    a, b = first / np.linalg.norm(first), second / np.linalg.norm(second)
+    axis = np.cross(a, b)
+    sine = float(np.linalg.norm(axis))
+    axis = np.cross(se3.perpendicular(a), a) if sine < 1e-9 else axis / sine
+    return se3.rotation_exp(np.arctan2(sine, a @ b) * axis)
+
+
 def rests(body: Body) -> list[Array]:
     """Returns rotations Rs_world_object (3, 3) in which the body rests: as in its file, on its largest sides, on end.
-
-    It rests on a side if its centre of mass, projected to the side's plane, is inside all other faces.
-    """
+    It rests on a side if its centre of mass, projected to the side's plane, is inside all other faces."""
     found = [np.eye(3)]
     heights = body.offsets - body.normals @ body.mass
     sizes = (body.normals @ body.normals.T > GRASP.flat_cosine) @ body.areas
@@ -119,13 +114,7 @@ def rests(body: Body) -> list[Array]:
         down = body.normals[i]
         stands = (body.normals @ (body.mass + heights[i] * down) - body.offsets).max() < GRASP.stable_margin
         if stands and all(-down @ R[2] < GRASP.same_side_cosine for R in found):
-            # The least rotation that brings that side down.
-            axis = np.cross(down, [0.0, 0, -1])
-            sine = np.linalg.norm(axis)
-            if sine < 1e-9:
-                found.append(np.eye(3) if down[2] < 0 else np.diag([1.0, -1, -1]))
-            else:
-                found.append(se3.rotation_exp(np.arctan2(sine, -down[2]) * axis / sine))
+            found.append(least_rotation(down, np.array([0.0, 0, -1])))
     if len(found) > GRASP.max_rests:
         end = max(found[GRASP.max_rests - 1 :], key=lambda R: float(np.ptp(body.vertices @ R[2])))
         found = [*found[: GRASP.max_rests - 1], end]
@@ -238,10 +227,8 @@ def _holds_along_x(body: Body, R: Array, order: int) -> Iterator[Hold]:
 
 
 def _exits(body: Body, starts: Array, sense: float) -> tuple[Array, Array]:
-    """Returns points (n, 3) where lines along ±x from `starts` (n, 3) leave the body, and the normals (n, 3) there.
-
-    A line that starts outside has NaN.
-    """
+    """Returns points (n, 3) where lines along ±x from `starts` (n, 3) leave the body, and the normals (n, 3) there. A
+    line that starts outside has NaN."""
     rate = sense * body.normals[:, 0]
     ahead = rate > 1e-9
     below = body.offsets[None] - starts @ body.normals.T

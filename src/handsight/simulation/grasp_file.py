@@ -8,16 +8,14 @@ import numpy as np
 
 from handsight import checks, se3
 from handsight.errors import InvalidFile, InvalidInput
-from handsight.files import read_bytes, write_errors
+from handsight.files import read_bytes, text_file
 from handsight.simulation.grasp_search import GraspSearchResult
 from handsight.simulation.motion import Grasp
 
 
 class _GraspFile(msgspec.Struct, forbid_unknown_fields=True):
-    """A `_GraspFile` has the fields of the file: lengths in metres, angles in radians, quaternions x, y, z, w.
-
-    The first five are for people.
-    """
+    """A `_GraspFile` has the fields of the file: lengths in metres, angles in radians, quaternions x, y, z, w. The
+    first five are for people."""
 
     object: str
     hold: str
@@ -26,16 +24,11 @@ class _GraspFile(msgspec.Struct, forbid_unknown_fields=True):
     failures: str
     position_palm: tuple[float, float, float]
     """The middle of the object's bounds, when the fingers begin to close."""
-    quaternion_xyzw_palm: tuple[float, float, float, float]
-    """The rotation of the object in the palm."""
-    height: float
-    """Of that middle above the table."""
-    quaternion_xyzw_world: tuple[float, float, float, float]
-    """The rotation of the palm in the world."""
-    opening: dict[str, float]
-    """Targets of the joints' servos at first; 0 for those not named."""
-    closed: dict[str, float]
-    """Their targets at the end."""
+    quaternion_xyzw_palm: tuple[float, float, float, float]  # the rotation of the object in the palm
+    height: float  # of that middle above the table
+    quaternion_xyzw_world: tuple[float, float, float, float]  # the rotation of the palm in the world
+    opening: dict[str, float]  # targets of the joints' servos at first; 0 for those not named
+    closed: dict[str, float]  # their targets at the end
 
 
 def write_grasp(found: GraspSearchResult, object: str, path: Path) -> None:
@@ -54,8 +47,8 @@ def write_grasp(found: GraspSearchResult, object: str, path: Path) -> None:
         opening=dict(grasp.opening),
         closed=dict(grasp.closed),
     )
-    with write_errors(path):
-        path.write_bytes(msgspec.json.format(msgspec.json.encode(form), indent=1) + b"\n")
+    with text_file(path) as file:
+        file.write(msgspec.json.format(msgspec.json.encode(form), indent=1).decode() + "\n")
 
 
 def read_grasp(path: Path, joints: Collection[str] | None = None) -> Grasp:

@@ -6,6 +6,7 @@ clear of object and table. Nothing is known of the hand but its file and its rig
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -14,8 +15,9 @@ from scipy.optimize import least_squares
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.hand.surface import body_triangles
 from handsight.rig import Rig
-from handsight.simulation.grasp_candidates import GRASP, Body, forces, rests
+from handsight.simulation.grasp_candidates import GRASP, Body, forces, least_rotation, rests
 from handsight.simulation.hand_in_world import servo_name
 from handsight.simulation.motion import Grasp
 from handsight.simulation.posture import POSTURE
@@ -30,7 +32,8 @@ class FitOptions(NamedTuple):
     drawn: int = 60  # random starts, of which the best is fitted
     steps: int = 40  # of a fit
     soft: float = 0.003  # width over which neighbouring faces share their normals [m]
-    points: int = 250  # of the links, that must be clear of object and table
+    points: int = 250  # on the links, that must be clear of object and table
+    corners: int = 26  # directions in which the farthest point of each link must be clear, too
     max_left: float = 2.0  # force that may remain unbalanced [N]
     max_lacking: float = 0.5  # mean share of the tips' forces that the balance does not allow
 
@@ -47,7 +50,13 @@ class HandFit:
         self._parts = [rig.fingers[name] for name in self._fingers]
         self._rests = rests(body)[: GRASP.max_rests]
         self._body = body
-        self._surface = rig.hand.surface(FIT.points, without={part.frame for part in self._parts})
+        spread, corners = rig.hand.surface(FIT.points, without={part.frame for part in self._parts}), []
+        for name in spread.bodies:  # a box touches by its corners first, between which few points are
+            vertices = body_triangles(scene.model, scene.model.body(f"hand/{name}").id).reshape(-1, 3)
+            corners.append(vertices[np.unique((vertices @ se3.directions(FIT.corners).T).argmax(axis=0))])
+        points = np.vstack([spread.points_body, *corners])
+        owners = [*spread.body_of, *(k for k, each in enumerate(corners) for _ in each)]
+        self._surface = replace(spread, points_body=points, body_of=np.array(owners, dtype=np.int64))
         self._names = tuple(dict.fromkeys((*rig.hand.moving, *self._surface.joints)))
         limits = dict(zip(rig.hand.joint_names, np.clip(rig.hand.limits, -1.5, 1.5), strict=True))
         self._low, self._high = np.array([limits[name] for name in self._names]).T
@@ -94,7 +103,7 @@ class HandFit:
             away = links.mean(axis=0) - grip if len(links) else -grip
             turn, rise, roll = self._rng.uniform((0, 0, -np.pi), (2 * np.pi, np.pi / 2, np.pi))
             goal = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
-            R0 = se3.rotation_exp(roll * goal) @ _between(away, goal)
+            R0 = se3.rotation_exp(roll * goal) @ least_rotation(away, goal)
             middle = self._stand.mass + self._rng.uniform(-0.2, 0.2, 3) * np.ptp(self._stand.vertices, axis=0)
             x = np.concatenate([middle - R0 @ grip, np.zeros(3), q])
             cost = float(np.square(self._residuals(x, used, R0, q)).sum())
@@ -198,11 +207,3 @@ class HandFit:
         lacking = np.minimum(self._clearance(x, used, R0) - POSTURE.link_clearance, 0.0) / 0.003
         parts = [0.1 * (x[6:] - q), (distances - away) / 0.001, np.maximum(below, 0) / 0.003, lacking]
         return np.concatenate(parts if away else [*parts, 4 * pressing.sum(axis=0), 4 * torque])
-
-
-def _between(first: Array, second: Array) -> Array:
-    """Returns the least rotation (3, 3) that turns one direction to another."""
-    a, b = first / np.linalg.norm(first), second / np.linalg.norm(second)
-    axis = np.cross(a, b)
-    sine = float(np.linalg.norm(axis))
-    return se3.rotation_exp(np.arctan2(sine, a @ b) * axis / max(sine, 1e-12))

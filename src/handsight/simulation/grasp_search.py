@@ -12,7 +12,7 @@ import numpy as np
 from handsight._deprecated import renamed_members
 from handsight.errors import InvalidObject, NotFound
 from handsight.rig import Rig
-from handsight.simulation.grasp_candidates import Body, Hold, body_of, grasp_candidates
+from handsight.simulation.grasp_candidates import Body, body_of, grasp_candidates
 from handsight.simulation.grasp_fit import HandFit
 from handsight.simulation.motion import BOX, CAN, LEGS, MOTION, POWER_CAN, Grasp
 from handsight.simulation.posture import Posture
@@ -47,12 +47,9 @@ class GraspSearchResult:
     grasp: Grasp
     succeeded: bool
     """Whether a trial held it through the whole manipulation; else this is the grasp that held it longest."""
-    trials: int
-    """How many grasps were simulated."""
-    hold: str
-    """Which fingers hold it, and from which side the hand comes."""
-    failures: str
-    """How often each kind of failure occurred; empty where nothing failed."""
+    trials: int  # how many grasps were simulated
+    hold: str  # which fingers hold it, and from which side the hand comes
+    failures: str  # how often each kind of failure occurred; empty where nothing failed
 
 
 def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = None) -> GraspSearchResult:
@@ -73,9 +70,8 @@ def find_grasp(scenario: Scenario, progress: Callable[[float], None] | None = No
     else:
         fit = HandFit(scenario.rig, built, body, int(scenario.seed))
         candidates, opening = fit.grasps(), f"fingertips open to {1000 * fit.opening:.0f} mm; "
-    failures: Counter[str] = Counter()
+    failures, trials = Counter[str](), 0
     best: tuple[float, Grasp | None, str] = (-1.0, None, "")
-    trials = 0
     for fitted, (grasp, reason, name) in enumerate(islice(candidates, GRASP_SEARCH.max_fitted)):
         if progress is not None:
             progress(max(fitted / GRASP_SEARCH.max_fitted, trials / GRASP_SEARCH.max_trials))
@@ -105,27 +101,19 @@ def grasp_for(name: str, seed: int, *, skin: bool = False, rig: Rig | None = Non
 
 def _shadow_grasps(built: SimulatedScene, body: Body) -> Iterator[tuple[Grasp | None, str, str]]:
     """Yields the Shadow hand's grasps and their names, and the reason where there is none; see `HandFit.grasps`."""
-    for hold in _in_turn(grasp_candidates(body)):
+    left, failed = grasp_candidates(body), Counter[tuple[int, float, float]]()
+    while left:  # each that was yielded before has failed, and lowers the merit of those of its `kin`
+        hold = max(left, key=lambda each: each.merit - GRASP_SEARCH.failure_penalty * failed[each.kin])
+        left.remove(hold)
+        failed[hold.kin] += 1
         fingers = ", ".join(finger for finger in hold.points if finger != "th")
         side = ("the side", "obliquely above", "above")[round(hold.roll / (np.pi / 4))]
         yield *Posture(built, hold).grasp(), f"thumb against {fingers}, from {side}"
 
 
-def _in_turn(found: list[Hold]) -> Iterator[Hold]:
-    """Yields holds, best first; each one yielded before has failed, and lowers the merit of holds of its `kin`."""
-    left, failed = list(found), Counter[tuple[int, float, float]]()
-    while left:
-        best = max(left, key=lambda hold: hold.merit - GRASP_SEARCH.failure_penalty * failed[hold.kin])
-        left.remove(best)
-        failed[best.kin] += 1
-        yield best
-
-
 def _trial(scenario: Scenario, grasp: Grasp, pressing: str) -> tuple[float, str]:
-    """Returns how long a grasp holds the object [s], and why no longer; the reason is empty if it holds to the end.
-
-    The finger `pressing` and another must touch the object nearly all the time.
-    """
+    """Returns how long a grasp holds the object [s], and why no longer; the reason is empty if it holds to the end. The
+    finger `pressing` and another must touch the object nearly all the time."""
     try:
         world = World(scenario, grasp)
     except InvalidObject:

@@ -33,8 +33,7 @@ class PullOptions(NamedTuple):
     max_travel: float = 0.02  # largest draw of that distance [m]
     normal_share: float = 0.03
     """Variance of the pull's direction across all tips, relative to that along all of them: it pulls along the surfaces
-    of the tips, not off them.
-    """
+    of the tips, not off them."""
 
 
 PULL = PullOptions()
@@ -45,26 +44,19 @@ class Payload:
     """A `Payload` is the scene with the scenario's mass and centre of mass, and the constant loads on its object."""
 
     scene: SimulatedScene
-    force_palm: Array
-    """(3,) on the object, which no sensor measures [N]."""
-    point_object: Array
-    """(3,) where that force acts [m]."""
-    support: float
-    """Upward force in the world by which something else bears the object [N]."""
-    base_object: Array
-    """(3,) where the support acts [m]."""
+    force_palm: Array  # (3,) on the object, which no sensor measures [N]
+    point_object: Array  # (3,) where that force acts [m]
+    support: float  # upward force in the world by which something else bears the object [N]
+    base_object: Array  # (3,) where the support acts [m]
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Payload":
         """Returns the payload drawn by the scenario's seed; raises as `scene` does."""
         n, rng = scenario.nuisances, np.random.default_rng((int(scenario.seed), 10))
         off, force = rng.normal(size=3), rng.normal(size=3)
+        errors = tip_errors(n, int(scenario.seed), scenario.fingers)
         touch: dict[str, Any] = {"friction": float(n.friction), "pyramidal": bool(n.pyramidal_friction)}
-        touch |= {
-            "softness": float(n.contact_softness),
-            "tip_errors": tip_errors(n, int(scenario.seed), scenario.fingers),
-        }
-        touch["rig"] = scenario.rig
+        touch |= {"softness": float(n.contact_softness), "tip_errors": errors, "rig": scenario.rig}
         usual = scene(scenario.object, **touch)
         low, high = usual.bounds_object
         point = (low + high) / 2 + rng.uniform(-0.5, 0.5, 3) * (high - low)
@@ -113,10 +105,8 @@ class Pull:
         self._profile, self._slipped = scenario.motion, 0.0
 
     def wrench(self, time: float, slip_speed: float, speed: float) -> Array:
-        """Returns force [N] and torque [N m], (6,) along the palm's axes, for the simulator's next step.
-
-        `slip_speed` is how fast the object slips along the tips, `speed` how fast it moves at all [m/s].
-        """
+        """Returns force [N] and torque [N m], (6,) along the palm's axes, for the simulator's next step. `slip_speed`
+        is how fast the object slips along the tips, `speed` how fast it moves at all [m/s]."""
         since = time - PULL.begin
         self._slipped += slip_speed / SCENARIO.steps_per_second
         if not 0 <= since <= PULL.duration or self._slipped > self._max_travel:

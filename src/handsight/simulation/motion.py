@@ -38,20 +38,15 @@ class Grasp:
     """(4, 4) when the fingers begin to close; `middle` is the middle of the object's bounds, with the object's axes."""
     opening: Mapping[str, float]
     """Servo targets of the open hand by joint [rad]; 0 for joints that are not named."""
-    closed: Mapping[str, float]
-    """Servo targets of the closed hand by joint [rad]."""
-    height: float
-    """Height of `middle` above the table [m]."""
+    closed: Mapping[str, float]  # servo targets of the closed hand by joint [rad]
+    height: float  # height of `middle` above the table [m]
     R_world_palm: Array = field(default_factory=lambda: np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]]))
     """(3, 3) when the fingers begin to close; by default fingers point along x, the palm faces y, the thumb is up."""
 
 
 def _joints(**of_finger: Mapping[int, float]) -> dict[str, float]:
-    return {
-        f"robot0:{finger}J{number}": angle
-        for finger, angles in of_finger.items()
-        for number, angle in angles.items()
-    }
+    joints = {f"{finger}J{k}": angle for finger, angles in of_finger.items() for k, angle in angles.items()}
+    return {f"robot0:{joint}": angle for joint, angle in joints.items()}
 
 
 _UPRIGHT = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
@@ -101,11 +96,9 @@ def perturbed(grasp: Grasp, rng: np.random.Generator) -> Grasp:
     shift = rng.uniform(-MOTION.max_shift, MOTION.max_shift, 3)
     turn = rng.uniform(-MOTION.max_rotation, MOTION.max_rotation, 3)
     aim = rng.uniform(-MOTION.max_aim, MOTION.max_aim, len(grasp.closed))
-    return replace(
-        grasp,
-        T_palm_middle=se3.moved(grasp.T_palm_middle, np.concatenate([shift, turn])),
-        closed={joint: angle + a for (joint, angle), a in zip(grasp.closed.items(), aim, strict=True)},
-    )
+    closed = {joint: angle + a for (joint, angle), a in zip(grasp.closed.items(), aim, strict=True)}
+    T_palm_middle = se3.moved(grasp.T_palm_middle, np.concatenate([shift, turn]))
+    return replace(grasp, T_palm_middle=T_palm_middle, closed=closed)
 
 
 LEGS = np.array(
@@ -124,16 +117,14 @@ LEGS = np.array(
 )
 """(10, 6) legs of a manipulation, once the object is in the hand [s, m, rad]; a mere grasp has only the first."""
 LEGS[:, 4:] = np.deg2rad(LEGS[:, 4:])
-PULLED = np.array(
-    [
-        (0.5, 0.00, 0.00, 0.00, 0, 0),
-        (1.0, 0.00, 0.00, 0.08, 0, 0),
-        (0.5, 0.00, 0.00, 0.08, 0, 0),
-        (3.5, 0.00, 0.00, 0.08, 0, 0),
-        (1.2, 0.00, 0.00, 0.08, 0, np.deg2rad(20)),
-        (0.8, 0.00, 0.00, 0.08, 0, np.deg2rad(20)),
-    ]
-)
+PULLED = np.array([
+    (0.5, 0.00, 0.00, 0.00, 0, 0),
+    (1.0, 0.00, 0.00, 0.08, 0, 0),
+    (0.5, 0.00, 0.00, 0.08, 0, 0),
+    (3.5, 0.00, 0.00, 0.08, 0, 0),
+    (1.2, 0.00, 0.00, 0.08, 0, np.deg2rad(20)),
+    (0.8, 0.00, 0.00, 0.08, 0, np.deg2rad(20)),
+])  # fmt: skip
 """(6, 6) legs of a motion in which the object is pulled: during the fourth."""
 WEIGH_LEGS = np.array(
     [  # the last column: tilt about the horizontal across the forearm [deg]

@@ -22,8 +22,7 @@ from handsight.simulation.simulate import Sensors
 from handsight.simulation.world import World, rows
 from handsight.tracking import FingertipSensors
 
-FINGER = "ff"
-"""The stretched finger."""
+FINGER = "ff"  # the stretched finger
 
 
 class ProbeOptions(NamedTuple):
@@ -31,8 +30,7 @@ class ProbeOptions(NamedTuple):
 
     reach: float = 0.06
     """How far the tip's middle may be below the object's top [m]: the lowest knuckle of the fist is 71 mm above it. The
-    finger's first link, 31 mm above it and 1 mm wider than the tip, trails by its lean.
-    """
+    finger's first link, 31 mm above it and 1 mm wider than the tip, trails by its lean."""
     levels: int = 4  # heights of sweeps that are compared
     radius: float = 0.009  # of the tip's sides [m]
     sigma_relative: float = 0.0005  # of the tip's height at one place relative to that at another [m]
@@ -56,8 +54,7 @@ class ProbeOptions(NamedTuple):
     table_start: float = 0.05  # height above the expected table at which the tip starts to search for it [m]
     table_unevenness: float = 0.015
     """Largest difference of height on a table tilted by a degree [m]. A lower contact is one of the finger's side with
-    the table's edge.
-    """
+    the table's edge."""
     start_height: float = 0.5  # of the palm at first above the object's middle [m]
 
 
@@ -96,8 +93,7 @@ class Probe(World):
         certain = replace(scenario.nuisances, message_loss=0.0)
         self._sensors = Sensors(replace(scenario, nuisances=certain), self)
         self._sensors.T_world_scene = T_world_table @ self._sensors.T_world_scene
-        self.top = float(np.ptp(corners[:, 2]))
-        """Height of the object above the table [m]."""
+        self.top = float(np.ptp(corners[:, 2]))  # height of the object above the table [m]
         self._on_table = False
         self._recording, self.recorded = recording, list[Sample]()
         self._every = round(SCENARIO.steps_per_second / scenario.rate)
@@ -126,8 +122,7 @@ class Probe(World):
         """
         found = []
         for x, y in np.atleast_2d(places):
-            R = self._turned(np.array([1.0, 0.0, 0.0]))
-            begin = self._palm(R, np.array([x, y, PROBE.table_start]))
+            begin = self._palm(self._turned(np.eye(3)[0]), np.array([x, y, PROBE.table_start]))
             self._travel(begin)
             down = _distances(2 * PROBE.table_start)[:, None] * [0.0, 0.0, -1.0]
             for sample in self._along(_shifted(begin, down)):
@@ -139,16 +134,15 @@ class Probe(World):
                     found.append([*T[:2, 3], low])
                     break
         if not found:
-            raise InvalidInput(
-                f"places: expected some over the table, touched nothing at any of {len(np.atleast_2d(places))}"
-            )
+            came = f"touched nothing at any of {len(np.atleast_2d(places))}"
+            raise InvalidInput(f"places: expected some over the table, {came}")
         points = np.array(found)
         points = points[np.abs(points[:, 2] - np.median(points[:, 2])) < PROBE.table_unevenness]
         # The slopes are near 0, by the table's prior. An error that all touches share moves the height only.
         prior = PROBE.sigma_relative / Nuisances().table_tilt
         rows = np.vstack([np.insert(points[:, :2], 0, 1, axis=1), prior * np.eye(3)[1:]])
         height, *slopes = np.linalg.lstsq(rows, np.append(points[:, 2], [0.0, 0.0]), rcond=None)[0]
-        R_world_table = _frame(np.array([1.0, 0.0, slopes[0]]), np.array([0.0, 1.0, slopes[1]]))
+        R_world_table = se3.axes_along(np.array([1.0, 0.0, slopes[0]]), np.array([0.0, 1.0, slopes[1]]))
         return float(height * R_world_table[2, 2]), R_world_table
 
     def touch(self, sweep: Sweep) -> Touch:
@@ -186,10 +180,8 @@ class Probe(World):
         return sensed.contacts.select([k]).moved(_palm_and_joints(observation)[0])
 
     def _along(self, Ts_world_palm: Array, *, needed: bool = True) -> Iterator[Sample]:
-        """Yields samples while the palm moves through poses (n, 4, 4), two milliseconds from one to the next.
-
-        Unless they are `needed` or recorded it yields none, for a sample takes longer than the simulation.
-        """
+        """Yields samples while the palm moves through poses (n, 4, 4), two milliseconds from one to the next. Unless
+        they are `needed` or recorded it yields none, for a sample takes longer than the simulation."""
         arm = rows(se3.inverse(self._sensors.T_world_scene) @ Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
         for i, T in enumerate(Ts_world_palm):
             self._arm, self._T_world_palm = arm[i : i + 1], T
@@ -225,7 +217,7 @@ class Probe(World):
         """Returns R_world_palm (3, 3) with the finger down, its tip and the palm's front in a direction."""
         finger, front = self._T_palm_finger[:3, 2], np.array([0.0, -1.0, 0.0])
         down = np.sin(PROBE.lean) * direction_world - np.cos(PROBE.lean) * np.array([0.0, 0.0, 1.0])
-        return _frame(down, direction_world) @ _frame(finger, front).T
+        return se3.axes_along(down, direction_world) @ se3.axes_along(finger, front).T
 
     def _palm(self, R_world_palm: Array, middle_world: Array) -> Array:
         """Returns T_world_palm (4, 4) with the middle of the finger's tip at a point (3,) [m]."""
@@ -247,14 +239,6 @@ def _palm_and_joints(observation: Observation) -> tuple[Array, Mapping[str, floa
     if observation.T_world_palm is None or observation.joint_positions is None:
         raise InvalidInput("observation: expected joint positions and a T_world_palm, got none")
     return observation.T_world_palm, observation.joint_positions
-
-
-def _frame(first: Array, second: Array) -> Array:
-    """Returns axes (3, 3): the first direction, the part of the second across it, and their cross product."""
-    x = first / np.linalg.norm(first)
-    y = second - (second @ x) * x
-    y /= np.linalg.norm(y)
-    return np.column_stack([x, y, np.cross(x, y)])
 
 
 def _distances(length: float) -> Array:

@@ -20,8 +20,7 @@ from handsight.vision.pixels import Color
 if TYPE_CHECKING:
     from mujoco.gl_context import GLContext
 
-Rgba = tuple[float, float, float, float]
-"""Red, green, blue and opacity, each 0 to 1."""
+Rgba = tuple[float, float, float, float]  # red, green, blue and opacity, each 0 to 1
 
 
 class Renderer:
@@ -69,11 +68,8 @@ class Renderer:
             if not show_object and drawn.objtype == self._mujoco.mjtObj.mjOBJ_GEOM and drawn.objid == geom:
                 drawn.rgba[3] = 0.0
         if ghost is not None:
-            (T_palm_object, rgba), model, palm = (
-                ghost,
-                self._scene.model,
-                self._data.body(self._scene.hand.palm),
-            )
+            (T_palm_object, rgba), model = ghost, self._scene.model
+            palm = self._data.body(self._scene.hand.palm)
             T_world_palm = se3.compose(palm.xmat.reshape(3, 3), palm.xpos)
             # MuJoCo moves a mesh's frame to its principal axes of inertia.
             quaternion_xyzw = np.roll(model.geom_quat[geom], -1)
@@ -99,9 +95,8 @@ class Renderer:
         camera = data.camera("camera")
         # OpenGL looks along -z, y up.
         camera.xpos[:], camera.xmat[:] = T_world_camera[:3, 3], (T_world_camera[:3, :3] * [1, -1, -1]).ravel()
-        self._mujoco.mjv_updateScene(
-            model, data, self._option, None, self._camera, self._mujoco.mjtCatBit.mjCAT_ALL.value, self._drawn
-        )
+        every = self._mujoco.mjtCatBit.mjCAT_ALL.value
+        self._mujoco.mjv_updateScene(model, data, self._option, None, self._camera, every, self._drawn)
 
     def _pixels(self, *, finer: int = 1) -> tuple[Color, Depth]:
         """Returns colour (h, w, 3) and the depth buffer (h, w), of `finer` times the image's size."""
@@ -127,8 +122,7 @@ def render(
 
     `ghost` is T_palm_object (4, 4) of a second object, drawn in `color` (red, green, blue, opacity, 0 to 1); the true
     one is drawn if `show_object`. `T_world_camera` (4, 4) is the pose of the camera's optical frame in the rig's world;
-    None: the pose of the robot's own camera. Raises InvalidInput; MissingExtra where nothing can
-    draw.
+    None: the pose of the robot's own camera. Raises InvalidInput; MissingExtra where nothing can draw.
     """
     built = scene(scenario.object, rig=scenario.rig)
     if sample.configuration.shape != (built.model.nq,):
@@ -140,10 +134,8 @@ def render(
 
 
 def _context() -> "GLContext":
-    """Returns an OpenGL context without a screen, of the kind that $MUJOCO_GL names, else EGL, else OSMesa.
-
-    Raises MissingExtra with the reasons why there is none.
-    """
+    """Returns an OpenGL context without a screen, of the kind that $MUJOCO_GL names, else EGL, else OSMesa. Raises
+    MissingExtra with the reasons why there is none."""
     named = os.environ.get("MUJOCO_GL", "").strip().lower()
     kinds = (named,) if named in ("egl", "osmesa") else ("egl", "osmesa")
     platform, reasons = os.environ.get("PYOPENGL_PLATFORM"), []

@@ -25,9 +25,7 @@ def rig_of(scenario: Scenario) -> Rig:
     without mujoco or gymnasium-robotics.
     """
     usual, wrenches = Nuisances(), scenario.sensors == "wrench"
-    if (
-        scenario.rig is not None
-    ):  # hand, sensors and their topics are its own, all else is the simulated scene's
+    if scenario.rig is not None:  # hand, sensors, their topics are its own, all else is the simulated scene's
         own, around = scenario.rig, rig_of(replace(scenario, rig=None))
         known = own.topics
         topics_used = replace(around.topics, joint_states=known.joint_states, wrenches=known.wrenches)
@@ -36,12 +34,11 @@ def rig_of(scenario: Scenario) -> Rig:
             frames=around.frames, topics=topics_used, objects=around.objects,
         )  # fmt: skip
     skin_topics, skin_fields = topics(scenario.sensors, scenario.skin)
+    declared: Any = {"center_of_mass": "homogeneous", "sigma_center_of_mass": 1e-3}
+    unloaded = scene.UNLOADED if wrenches else [None] * len(scene.FINGERS)
     return Rig(
         hand=_hand(),
-        fingers={
-            finger: _finger(finger, unloaded if wrenches else None)
-            for finger, unloaded in zip(scene.FINGERS, scene.UNLOADED, strict=True)
-        },
+        fingers={finger: _finger(finger, zero) for finger, zero in zip(scene.FINGERS, unloaded, strict=True)},
         sigma_joint_offset=usual.joint_offset,
         sigma_joint=usual.joint_noise,
         camera=MountedCamera(
@@ -70,10 +67,8 @@ def rig_of(scenario: Scenario) -> Rig:
         ),
         skin=surfaces(scenario.sensors, scenario.skin),
         objects={
-            "can": ObjectSpec(
-                cylinder=scene.CAN_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3
-            ),
-            "box": ObjectSpec(box=scene.BOX_SIZE, center_of_mass="homogeneous", sigma_center_of_mass=1e-3),
+            "can": ObjectSpec(cylinder=scene.CAN_SIZE, **declared),
+            "box": ObjectSpec(box=scene.BOX_SIZE, **declared),
         },
     )
 
@@ -109,7 +104,7 @@ def model_of(scenario: Scenario) -> ObjectModel:
         points, normals = model.sample(scan_points, 7)
         rng = np.random.default_rng((seed, 8))
         noisy = points + n.object_scan * rng.normal(size=points.shape)
-        model = ObjectModel.from_points(noisy, normals, symmetries=model.symmetries)
+        model = replace(ObjectModel.from_points(noisy, normals), symmetries=model.symmetries)
     if n.declared_mass > 0:
         mass, sigma = declared_weight(n)
         model = model.with_weight(mass=mass, center_of_mass=center, sigma_center_of_mass=sigma)
@@ -136,14 +131,8 @@ def _finger(name: str, unloaded: Array | None) -> Finger:
     center = np.array([0.0, 0.0, center_z])
     sensor: dict[str, Any] = {}
     if unloaded is not None:
-        sensor["calibration"] = WrenchCalibration(
-            bias_force=unloaded[:3],
-            bias_torque=unloaded[3:],
-            mass=scene.SCENE.tip_mass,
-            center_of_mass=center,
-            reading="on_tip",
-        )
-        sensor["full_scale"] = (50.0, 0.5)
+        known = unloaded[:3], unloaded[3:], scene.SCENE.tip_mass, center
+        sensor = {"calibration": WrenchCalibration(*known, reading="on_tip"), "full_scale": (50.0, 0.5)}
     T_surface_sensor = se3.compose(np.eye(3), -center)
     tip = Ellipsoid(semi_axes, -semi_axes[2] / 2, max_friction=1.2, T_surface_sensor=T_surface_sensor)
     return Finger(

@@ -267,20 +267,15 @@ class Scenario:
 
     def __post_init__(self) -> None:
         meshes, name = (".stl", ".obj", ".ply", ".off"), self.object
-        if not isinstance(name, str) or (
-            name not in ("can", "box") and Path(name).suffix.lower() not in meshes and not _in_library(name)
-        ):
+        suffix = Path(name).suffix.lower() if isinstance(name, str) else ""
+        if not isinstance(name, str) or not (name in ("can", "box") or suffix in meshes or _in_library(name)):
             expected = f"expected can, box, a mesh file ({', '.join(meshes)}) or an object of the library"
             raise InvalidInput(f"object: {expected}, got {name!r:.80}")
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
             raise InvalidInput(f"seed: expected a whole number of at least 0, got {self.seed!r:.60}")
-        for name, kinds in (
-            ("motion", get_args(Motion)),
-            ("sensors", get_args(SensorKind)),
-            ("depth_camera", get_args(DepthCamera)),
-        ):
-            if (value := getattr(self, name)) not in kinds:
-                raise InvalidInput(f"{name}: expected one of {', '.join(kinds)}, got {value!r:.80}")
+        for name, kind in {"motion": Motion, "sensors": SensorKind, "depth_camera": DepthCamera}.items():
+            if (value := getattr(self, name)) not in get_args(kind):
+                raise InvalidInput(f"{name}: expected one of {', '.join(get_args(kind))}, got {value!r:.80}")
         if not isinstance(self.nuisances, Nuisances):
             raise InvalidInput(f"nuisances: expected Nuisances, got {type(self.nuisances).__name__}")
         for name in ("images", "skin"):
@@ -316,18 +311,13 @@ class TipContact:
     """A `TipContact` is a contact of a fingertip in the simulator: ground truth for tests, unknown to the robot."""
 
     finger: str
-    point_palm: Array
-    """(3,) on the tip's surface [m]."""
-    force_palm: Array
-    """(3,) of the other body on the tip [N]."""
-    other: str
-    """The geom that touches the tip: `object`, `table`, or one of the hand's."""
-    normal_palm: Array
-    """(3,) unit; the direction in which the other body pushes the tip."""
+    point_palm: Array  # (3,) on the tip's surface [m]
+    force_palm: Array  # (3,) of the other body on the tip [N]
+    other: str  # the geom that touches the tip: `object`, `table`, or one of the hand's
+    normal_palm: Array  # (3,) unit; the direction in which the other body pushes the tip
     velocity_palm: Array
     """(6,) twist of the other body relative to the tip: velocity of its point there [m/s], angular velocity [rad/s]."""
-    torque: float = 0.0
-    """Of the other body on the tip, about the normal [N m]."""
+    torque: float = 0.0  # of the other body on the tip, about the normal [N m]
 
     @property
     def speed(self) -> float:
@@ -342,20 +332,16 @@ class Sample:
     """A `Sample` is one instant: the robot's observation, and the truth."""
 
     observation: Observation
-    T_palm_object: Array
-    """(4, 4) true."""
-    T_world_object: Array
-    """(4, 4) true."""
-    contacts_truth: tuple[TipContact, ...]
-    """All contacts of fingertips."""
+    T_palm_object: Array  # (4, 4) true
+    T_world_object: Array  # (4, 4) true
+    contacts_truth: tuple[TipContact, ...]  # all contacts of fingertips
     phase: Phase
     """`touch`: a finger searches for the object, which stands free; `close`: the fingers close and the object is held
     in place; `hold`: the object is free and the palm is still; `move`: the palm moves; `pull`: the palm is still and
     the object is pulled."""
     dropped: bool
     """Whether the object has left the grasp: by more than 3 cm or half a radian in the palm since it became free."""
-    configuration: Array
-    """The simulator's generalized positions, for `render`."""
+    configuration: Array  # the simulator's generalized positions, for `render`
 
     @property
     def forces_object(self) -> Mapping[str, float]:

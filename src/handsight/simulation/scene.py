@@ -26,11 +26,9 @@ if TYPE_CHECKING:
     from mujoco import MjSpec
 
 
-HAND_FILE = "envs/assets/hand/reach.xml"
-"""Within gymnasium-robotics; its only scene without an object."""
+HAND_FILE = "envs/assets/hand/reach.xml"  # within gymnasium-robotics; its only scene without an object
 PALM = "robot0:palm"
-PALM_GEOM = "robot0:C_palm0"
-"""The geom that a tactile array of the palm covers."""
+PALM_GEOM = "robot0:C_palm0"  # the geom that a tactile array of the palm covers
 T_MOUNT_PALM = se3.compose(np.eye(3), np.array([0.0, 0.01, 0.29]))
 """(4, 4) of the palm in the hand's mount, with the wrist straight."""
 FINGERS = ("ff", "mf", "rf", "lf", "th")
@@ -47,57 +45,43 @@ class SceneOptions(NamedTuple):
     """Factor by which a picture for people is drawn larger, each way, before it is averaged."""
     table_collision_bit: int = 2
     """Collision bit of object and fingertips: nothing else collides with the table. A random draw may lower the palm's
-    edge some millimetres into the table, where a collision would bend the wrist.
-    """
+    edge some millimetres into the table, where a collision would bend the wrist."""
     hidden_group: int = 5  # group of the geoms that are not drawn
 
 
 SCENE = SceneOptions()
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
-UNLOADED = np.array(
-    [
-        [0.21, -0.34, 0.12, 0.0021, -0.0013, 0.0008],
-        [-0.15, 0.08, 0.43, -0.0009, 0.0017, -0.0011],
-        [0.32, 0.17, -0.26, 0.0014, 0.0006, 0.0019],
-        [-0.28, 0.24, 0.19, -0.0018, -0.0022, 0.0005],
-        [0.09, -0.19, -0.37, 0.0007, 0.0012, -0.0016],
-    ]
-)
+UNLOADED = np.array([
+    [0.21, -0.34, 0.12, 0.0021, -0.0013, 0.0008],
+    [-0.15, 0.08, 0.43, -0.0009, 0.0017, -0.0011],
+    [0.32, 0.17, -0.26, 0.0014, 0.0006, 0.0019],
+    [-0.28, 0.24, 0.19, -0.0018, -0.0022, 0.0005],
+    [0.09, -0.19, -0.37, 0.0007, 0.0012, -0.0016],
+])  # fmt: skip
 """(5, 6) readings of the fingers' sensors without load [N, N m]; the rig's calibration has the same."""
 CAN_SIZE, BOX_SIZE = (0.033, 0.122), (0.060, 0.090, 0.140)
 """Radius and height of the can; sides of the box [m]."""
-TABLE = ((-0.075, 0.6), (-0.45, 0.45), (-0.03, 0.0))
-"""First and last coordinate along x, y, z [m]."""
-IMAGE_SIZE = (640, 480)
-"""Width and height of the camera's images, a Kinect's [pixels]."""
+TABLE = ((-0.075, 0.6), (-0.45, 0.45), (-0.03, 0.0))  # first and last coordinate along x, y, z [m]
+IMAGE_SIZE = (640, 480)  # width and height of the camera's images, a Kinect's [pixels]
 
 
 def stiffness(softness: float) -> dict[str, list[float]]:
-    """Returns the contact stiffness, for `contact_softness`.
-
-    With MuJoCo's defaults tips sink in by 0.5 mm, which moves sensed points by 0.2 mm; with contacts much stiffer than
-    the usual ones the hand drops objects.
-    """
+    """Returns the contact stiffness, for `contact_softness`. With MuJoCo's defaults tips sink in by 0.5 mm, which moves
+    sensed points by 0.2 mm; with contacts much stiffer than the usual ones the hand drops objects."""
     k = 1 + softness
     return {"solref": [0.01 * k, 1.0], "solimp": [1 - 0.05 * k, 1 - 0.01 * k, 0.001, 0.5, 2.0]}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedScene:
-    """A `SimulatedScene` is a compiled scene, the same for all draws of one object.
+    """A `SimulatedScene` is a compiled scene, the same for all draws of one object. Its bodies are PALM, `object`, and
+    one that ends in `_tip` for each finger."""
 
-    Its bodies are PALM, `object`, and one that ends in `_tip` for each finger.
-    """
-
-    model: Any
-    """mujoco.MjModel, never changed after this."""
-    joints: dict[str, int]
-    """Places of the hand's joints in qpos, by name."""
-    tips: dict[int, str]
-    """Names of fingers by their tip's geom."""
-    bounds_object: Array
-    """(2, 3) in the object's frame [m]."""
+    model: Any  # mujoco.MjModel, never changed after this
+    joints: dict[str, int]  # places of the hand's joints in qpos, by name
+    tips: dict[int, str]  # names of fingers by their tip's geom
+    bounds_object: Array  # (2, 3) in the object's frame [m]
     hand: HandInWorld
 
 
@@ -189,11 +173,8 @@ def _shadow_hand(mujoco: ModuleType) -> tuple["MjSpec", HandInWorld]:
         spec.geom(f"robot0:V_{finger}distal").group = SCENE.hidden_group
         T_link_sensor = se3.compose(np.eye(3), np.array([0.0, 0.0, SCENE.sensor_z]))
         center = np.array([0.0, 0.0, center_z])
-        T_sensor_surface = se3.compose(np.eye(3), center)
-        link = f"robot0:{finger}distal"
-        tips[finger] = TipInWorld(
-            link, T_link_sensor, T_sensor_surface, semi_axes, SCENE.tip_mass, center, unloaded, 1.0
-        )
+        link, placed = f"robot0:{finger}distal", (T_link_sensor, se3.compose(np.eye(3), center))
+        tips[finger] = TipInWorld(link, *placed, semi_axes, SCENE.tip_mass, center, unloaded, 1.0)
     mount = spec.body("robot0:hand mount")
     mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # else its Euler angles override the quaternion
     # Tips that are no neighbours never meet.
@@ -272,9 +253,8 @@ def _add_table_and_camera(mujoco: ModuleType, spec: "MjSpec") -> None:
         contype=0, conaffinity=SCENE.table_collision_bit, friction=[0.4, 0.005, 0.0001], priority=1,
         rgba=[0.85, 0.76, 0.64, 1], **stiffness(0.0),
     )  # fmt: skip
-    spec.worldbody.add_camera(
-        name="camera", fovy=float(np.rad2deg(2 * np.arctan(IMAGE_SIZE[1] / 2 / SCENE.focal_length)))
-    )
+    fovy = float(np.rad2deg(2 * np.arctan(IMAGE_SIZE[1] / 2 / SCENE.focal_length)))
+    spec.worldbody.add_camera(name="camera", fovy=fovy)
     # All lights together are less than full, or white parts would lose their shape.
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.25] * 3, [0.15] * 3
     if spec.light("light0") is not None:  # of the Shadow hand's file

@@ -26,10 +26,8 @@ from handsight.vision.depth_noise import PRESETS
 
 
 class Sensors:
-    """`Sensors` measure joints, wrenches, vision and taxels in a world, with the errors of its scenario.
-
-    Constant errors are drawn at the start, noise at every sample.
-    """
+    """`Sensors` measure joints, wrenches, vision and taxels in a world, with the errors of its scenario. Constant
+    errors are drawn at the start, noise at every sample."""
 
     def __init__(self, scenario: Scenario, world: World) -> None:
         """Draws by the scenario's seed; each sensor has its own random stream, which no other's settings change."""
@@ -42,8 +40,7 @@ class Sensors:
         self._T_camera_world = true_camera(scenario)
         self._drift = np.zeros(6)  # of vision, in sigmas
         self._loads: Array | None = None
-        self.lost = False
-        """Whether the last observation's joint state was lost, and with it the observation."""
+        self.lost = False  # whether the last observation's joint state was lost, and with it the observation
         self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + round(n.vision_delay * scenario.rate))
         self._renderer = Renderer(world.scene) if scenario.images else None
         self._depth_noise = PRESETS[scenario.depth_camera].times(n.depth_noise)
@@ -64,8 +61,7 @@ class Sensors:
         """Returns the observation at the current instant; the world must have been refreshed."""
         self._past.append((self.T_world_scene @ self.world.pose("object"), self.world.data.qpos.copy()))
         T_world_object, configuration = self._past[0]  # as old as the delay, or the oldest there is
-        n, color, depth, vision = self.nuisances, None, None, None
-        hand = self.world.scene.hand
+        n, color, depth, vision, hand = self.nuisances, None, None, None, self.world.scene.hand
         lost, no_vision, no_image, *no_wrench = self._losses.random(3 + len(hand.tips)) < n.message_loss
         self.lost = bool(lost)
         T_camera_world = self._T_camera_world @ self._drifted()
@@ -84,9 +80,8 @@ class Sensors:
         joints = joints + n.joint_noise * self._noise.normal(size=len(joints))
         errors = self._constant.bias + self._constant.drift * self.world.time
         errors = errors + _errors(n.force_noise, n.torque_noise, self._noise, len(hand.tips))
-        loads = self._constant.gains * [
-            of.sign * self.world.reading(finger) for finger, of in hand.tips.items()
-        ]
+        true = [of.sign * self.world.reading(finger) for finger, of in hand.tips.items()]
+        loads = self._constant.gains * true
         play = np.repeat([n.force_backlash, n.torque_backlash], 3)
         self._loads = np.clip(loads if self._loads is None else self._loads, loads - play, loads + play)
         wrenches = zip(hand.tips, self._loads + errors, no_wrench, strict=True)
@@ -104,16 +99,9 @@ class Sensors:
 
     def sample(self) -> Sample:
         """Returns the observation and the truth at the current instant; the world must have been refreshed."""
-        world = self.world
-        return Sample(
-            observation=self.observe(),
-            T_palm_object=world.T_palm_object(),
-            T_world_object=self.T_world_scene @ world.pose("object"),
-            contacts_truth=world.tip_contacts(),
-            phase=world.phase,
-            dropped=world.dropped(),
-            configuration=world.data.qpos.copy(),
-        )
+        world, observation = self.world, self.observe()
+        truth = world.T_palm_object(), self.T_world_scene @ world.pose("object"), world.tip_contacts()
+        return Sample(observation, *truth, world.phase, world.dropped(), world.data.qpos.copy())
 
     def _drifted(self) -> Array:
         """Returns the wandering part of vision's error at this observation, a motion (4, 4) in the world."""
@@ -241,10 +229,8 @@ def simulate_each(
     for k, variant in enumerate(variants):
         if not variant.shares_world(scenario.nuisances):
             raise InvalidInput(f"variants[{k}]: expected the world of the scenario's nuisances, got another")
-    world = World(
-        scenario,
-        grasp or grasp_for(scenario.object, int(scenario.seed), skin=scenario.skin, rig=scenario.rig),
-    )
+    known = {"skin": scenario.skin, "rig": scenario.rig}
+    world = World(scenario, grasp or grasp_for(scenario.object, int(scenario.seed), **known))
     sensors = [Sensors(replace(scenario, nuisances=variant), world) for variant in variants]
     yield from samples(scenario, world, sensors, progress)
 
@@ -268,9 +254,8 @@ def samples(
                 continue
             world.refresh()
             if world.thrown():
-                raise InvalidObject(
-                    f"object: the simulator threw it away after {world.time:.1f} s, not the hand"
-                )
+                when = f"after {world.time:.1f} s"
+                raise InvalidObject(f"object: the simulator threw it away {when}, not the hand")
             found = ((each.sample(), each.lost) for each in sensors)
             yield tuple(None if lost else sample for sample, lost in found)
             if progress is not None:

@@ -23,8 +23,7 @@ class SkinOptions(NamedTuple):
     foam: float = 1e7  # stiffness of a skin of 5 mm of foam [N/m per m²]
     rubber: float = 6e7
     """Stiffness of 1.5 mm of soft rubber, as on the simulated hand [N/m per m²]. The hand is hard in the physics
-    engine, so a softer skin would contradict the object's pose.
-    """
+    engine, so a softer skin would contradict the object's pose."""
     springs: int = 3  # of a taxel of a flat array, each way
     tip_springs: int = 3000  # of a fingertip, evenly distributed
     cell: float = 0.85  # distance from a taxel to the springs that it measures, in pitches
@@ -38,13 +37,7 @@ SKIN = SkinOptions()
 T_PALM_GRID = np.array([[1.0, 0, 0, 0.011], [0, 0, -1, -0.0111], [0, 1, 0, 0.045], [0, 0, 0, 1]])
 """On the face of the palm's collision box that is towards -y."""
 PALM_SKIN = TactileSurface.grid(
-    frame=PALM,
-    T_frame_grid=T_PALM_GRID,
-    rows=20,
-    columns=15,
-    pitch=0.004,
-    threshold=0.015,
-    full_scale=5.0,
+    frame=PALM, T_frame_grid=T_PALM_GRID, rows=20, columns=15, pitch=0.004, threshold=0.015, full_scale=5.0
 )
 """The array of 60 x 80 mm on the simulated palm: its x is towards the thumb, its y towards the fingers."""
 
@@ -53,10 +46,8 @@ PALM_SKIN = TactileSurface.grid(
 class Solid:
     """A `Solid` is a convex body, described by the planes of its faces."""
 
-    normals: Array
-    """(k, 3) outward."""
-    offsets: Array
-    """(k,) distances of the planes from the origin along their normals [m]."""
+    normals: Array  # (k, 3) outward
+    offsets: Array  # (k,) distances of the planes from the origin along their normals [m]
 
     @classmethod
     def cylinder(cls, radius: float, height: float) -> "Solid":
@@ -82,10 +73,8 @@ class Solid:
         return cls.hull(convex_hull(name)[0])
 
     def distances(self, points: Array, direction: Array) -> Array:
-        """Returns the distances (n,) from points (n, 3) along a unit direction to the body's nearer surface [m].
-
-        They are infinite where the line misses the body, and negative where that surface is behind the point.
-        """
+        """Returns the distances (n,) from points (n, 3) along a unit direction to the body's nearer surface [m]. They
+        are infinite where the line misses the body, and negative where that surface is behind the point."""
         rate, left = self.normals @ direction, self.offsets - points @ self.normals.T
         with np.errstate(divide="ignore", invalid="ignore"):
             at = left / rate
@@ -115,37 +104,27 @@ def spring_forces(gaps: Array, force: float, stiffness: Array | float) -> Array:
 class ElasticSkin:
     """An `ElasticSkin` is a bed of springs on a link, each below one of its taxels or below none."""
 
-    points: Array
-    """(m, 3) ends of the unloaded springs in the link [m]."""
-    normals: Array
-    """(m, 3) outward."""
-    areas: Array
-    """(m,) that each represents [m²]."""
-    taxels: Indices
-    """(m,) the taxel that measures each spring; the number of taxels where none does."""
-    places: Array
-    """(n, 3) of the taxels in the link [m]."""
+    points: Array  # (m, 3) ends of the unloaded springs in the link [m]
+    normals: Array  # (m, 3) outward
+    areas: Array  # (m,) that each represents [m²]
+    taxels: Indices  # (m,) the taxel that measures each spring; the number of taxels where none does
+    places: Array  # (n, 3) of the taxels in the link [m]
 
     @classmethod
     def flat(cls, array: TactileSurface) -> "ElasticSkin":
         """Returns the skin of a flat grid of taxels, with springs below these alone."""
         fine = array.pitch / SKIN.springs
         steps = fine * (np.arange(SKIN.springs) - (SKIN.springs - 1) / 2)
-        within = np.stack([*np.meshgrid(steps, steps), np.zeros((SKIN.springs, SKIN.springs))], 2).reshape(
-            -1, 3
-        )
-        n, each = len(array.points), len(within)
-        axes = array.taxels["axes"]
+        within = np.stack(np.meshgrid(steps, steps, 0.0), axis=-1).reshape(-1, 3)
+        n, each, axes = len(array.points), len(within), array.taxels["axes"]
         points = array.points[:, None] + within @ axes.swapaxes(1, 2)
         normals, taxels = np.repeat(axes[:, :, 2], each, axis=0), np.repeat(np.arange(n), each)
         return cls(points.reshape(-1, 3), normals, np.full(n * each, fine**2), taxels, array.points)
 
     @classmethod
     def ellipsoid(cls, semi_axes: Array, T_link_tip: Array, places: Array, reach: Array) -> "ElasticSkin":
-        """Returns the skin all over a fingertip, an ellipsoid (3,) [m] with that pose (4, 4).
-
-        `places` (n, 3) are its taxels in the link, `reach` (n,) how far each one's cell extends at most [m].
-        """
+        """Returns the skin all over a fingertip, an ellipsoid (3,) [m] with that pose (4, 4). `places` (n, 3) are its
+        taxels in the link, `reach` (n,) how far each one's cell extends at most [m]."""
         unit = se3.directions(SKIN.tip_springs)
         out = unit / semi_axes
         length = np.linalg.norm(out, axis=1)

@@ -24,11 +24,9 @@ from handsight.simulation.world import World
 class Pad(NamedTuple):
     """A `Pad` is a group of taxels on a fingertip."""
 
-    name: str
-    """Behind the finger's; empty for a tip's only one."""
+    name: str  # behind the finger's; empty for a tip's only one
     number: int
-    pitch: float
-    """[m]"""
+    pitch: float  # [m]
     up: float
     """Height of its middle above the ellipsoid's, in parts of the semi-axis along the finger; 1: at its end."""
 
@@ -37,13 +35,10 @@ class Product(NamedTuple):
     """A `Product` is a maker's kind of tactile sensor."""
 
     pads: tuple[Pad, ...] = ()
-    palm: tuple[int, int, float] = (20, 15, 0.004)
-    """Rows, columns and pitch [m] of the array on the palm."""
+    palm: tuple[int, int, float] = (20, 15, 0.004)  # rows, columns and pitch [m] of the array on the palm
     components: int = 3
-    rate: float = 1000.0
-    """Readings per second, at most one an observation."""
-    newtons: float = 0.0
-    """Force of one count of a reading [N]; 0: readings are in newtons."""
+    rate: float = 1000.0  # readings per second, at most one an observation
+    newtons: float = 0.0  # force of one count of a reading [N]; 0: readings are in newtons
 
 
 PRODUCTS: dict[SensorKind, Product] = {
@@ -51,17 +46,13 @@ PRODUCTS: dict[SensorKind, Product] = {
     "xela": Product((Pad("", 30, 0.0047, 0.45),), (4, 6, 0.0047)),
     "paxini": Product((Pad("", 116, 0.0028, 0.45),), (7, 11, 0.0042)),
     "inspire": Product(
-        (Pad("_tip", 9, 0.0028, 1.0), Pad("_pad", 80, 0.0023, 0.15)),
-        (8, 14, 0.0042),
-        components=1,
-        rate=50.0,
-        newtons=0.001,
+        (Pad("_tip", 9, 0.0028, 1.0), Pad("_pad", 80, 0.0023, 0.15)), (8, 14, 0.0042),
+        components=1, rate=50.0, newtons=0.001,
     ),
-}
+}  # fmt: skip
 """XELA: uSkin's curved fingertip, and one module of the palm's. PaXini: as many points as PX-6AX DP-S2716-Core and
 CP-M3025-Core have. Inspire: RH56DFTP; a finger's nail is not simulated. Pitches but XELA's are assumed."""
-FULL_SCALE, COUNTS = 5.0, 4095
-"""Of a three-axis taxel [N]; the largest count."""
+FULL_SCALE, COUNTS = 5.0, 4095  # of a three-axis taxel [N]; the largest count
 PADS = {"th": np.array([-0.8, 0.6, 0.0])}
 """The direction across the finger in which a tip's taxels face, where that is not -y: the thumb's, to the fingers."""
 T_FEWER = se3.compose(np.eye(3), np.array([-0.004, 0.009, 0.0]))
@@ -69,8 +60,7 @@ T_FEWER = se3.compose(np.eye(3), np.array([-0.004, 0.009, 0.0]))
 INSPIRE_FINGERS = {"lf": "little", "rf": "ring", "mf": "middle", "ff": "index", "th": "thumb"}
 XELA, INSPIRE = "xela_server_ros2/msg/SensStream", "inspire_hand_ros2/msg/InspireHandTouch"
 XELA_TOPIC, INSPIRE_TOPIC = "/xServTopic", "/inspire_hand/touch"
-RAW = 30000, 1000
-"""A raw reading of XELA's without load, and counts per newton."""
+RAW = 30000, 1000  # a raw reading of XELA's without load, and counts per newton
 
 
 @lru_cache(maxsize=8)
@@ -161,8 +151,7 @@ class TaxelSensors:
 
     def readings(self, world: World) -> dict[str, Array]:
         """Returns the readings of all surfaces, by name, in their shape and in the driver's unit."""
-        true = self.forces(world)
-        return {name: self.read(name, true[name]) for name in self.surfaces}
+        return {name: self.read(name, forces) for name, forces in self.forces(world).items()}
 
     def forces(self, world: World) -> dict[str, Array]:
         """Returns the true forces (n, 3) on the taxels in their links, by surface [N].
@@ -254,16 +243,11 @@ def messages(
             most = float(max(tip.max(), pad.max()))
             touching += most > 100
             middle = np.zeros(9 if name == "th" else 0, np.int16)
+            total, count = float(tip.sum() + pad.sum()), int((tip > 100).sum() + (pad > 100).sum())
             fields[finger] = Message(
-                name=finger,
-                tip=tip,
-                nail=np.zeros(96, np.int16),
-                pad=pad,
-                middle_section=middle,
-                total_pressure=float(tip.sum() + pad.sum()),
-                max_pressure=most,
-                contact_count=int((tip > 100).sum() + (pad > 100).sum()),
-            )
+                name=finger, tip=tip, nail=np.zeros(96, np.int16), pad=pad, middle_section=middle,
+                total_pressure=total, max_pressure=most, contact_count=count,
+            )  # fmt: skip
         total = float(sum(each.sum() for each in regions.values()))
         state = {"total_contact": total, "fingers_in_contact": touching, "stable_contact": touching > 1}
         yield INSPIRE_TOPIC, INSPIRE, fields | {"palm": regions.get("palm", np.zeros(112, np.int16))} | state
@@ -272,11 +256,5 @@ def messages(
             rows = values.reshape(-1, 3).astype(np.float32)
             channels = {name: rows.ravel(), f"{name}_resultant": rows.sum(axis=0)}
             sensors = [Message(name=key, values=each) for key, each in channels.items()]
-            yield (
-                f"/{name}/taxels",
-                "tactile_msgs/msg/TactileState",
-                {
-                    "header": header(stamp),
-                    "sensors": sensors,
-                },
-            )
+            fields = {"header": header(stamp), "sensors": sensors}
+            yield f"/{name}/taxels", "tactile_msgs/msg/TactileState", fields

@@ -26,9 +26,7 @@ class TouchSearchOptions(NamedTuple):
     """`TouchSearchOptions` configure the search for an object on a table by touch."""
 
     area_side: float = 0.3  # of the square that contains the object [m]
-    sigma_table_height: float = (
-        0.0015  # of the table after it is touched: an error of the finger's joints [m]
-    )
+    sigma_table_height: float = 0.0015  # of the table after it is touched: the error of a finger's joints [m]
     sigma_table_tilt: float = float(np.deg2rad(0.5))  # of the object on it, after the table is touched [rad]
     max_touches: int = 12  # before the search gives up
     pause: float = 0.5  # from the search to the open hand beside the object, which is not simulated [s]
@@ -68,11 +66,8 @@ def start_search(
     T_world_table = se3.compose(se3.rotation_exp(np.array([0.0, 0.0, turn])), np.array([x, y, 0.0]))
     probe = Probe(scenario, R, T_world_table, recording=recording)
     height, R_world_table = probe.measure_table(TABLE_PROBES)
-    table = Table(
-        height=height,
-        sigma_height=TOUCH_SEARCH.sigma_table_height,
-        sigma_tilt=TOUCH_SEARCH.sigma_table_tilt,
-    )
+    sigma_height, sigma_tilt = TOUCH_SEARCH.sigma_table_height, TOUCH_SEARCH.sigma_table_tilt
+    table = Table(height=height, sigma_height=sigma_height, sigma_tilt=sigma_tilt)
     area = Area(np.full(2, -half), np.full(2, half), table, R[None], R_world_table)
     return probe, Belief(with_symmetries_of_touch(model, PROBE.sigma), area, seed)
 

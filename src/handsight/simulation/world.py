@@ -36,10 +36,8 @@ class World:
     """A `World` is one random draw of a scenario, which `step` simulates onward."""
 
     def __init__(self, scenario: Scenario, grasp: Grasp) -> None:
-        """Begins at time 0: the hand is open and still, the object stands on the table, held in place.
-
-        Raises InvalidObject where hand and object overlap.
-        """
+        """Begins at time 0: the hand is open and still, the object stands on the table, held in place. Raises
+        InvalidObject where hand and object overlap."""
         self._mujoco = mujoco_module()
         self._load = Payload.of(scenario)
         self.scene = self._load.scene

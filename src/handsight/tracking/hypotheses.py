@@ -77,7 +77,7 @@ class Alternatives:
         covariance = self.share * estimate.bounded_covariance + self.spread
         information = known.T @ np.linalg.inv(known @ covariance @ known.T) @ known
         T, complete = se3.moved(estimate.T_palm_object, self.mean), estimate.covariance is not None
-        best = estimate.with_gaussian(T, covariance if complete else None, information)
+        best = estimate.with_gaussian(T, covariance if complete and len(known) == 6 else None, information)
         best.answer["weight"] *= likeliest
         return with_others(model, best, (*own, *self.others))
 

@@ -30,8 +30,7 @@ class CorrectionPanel(NamedTuple):
     model: ObjectModel
     contacts: Contacts
     vision: PosePrior | None
-    answer: dict[str, Any]
-    """In the form of the answers of `handsight correct`."""
+    answer: dict[str, Any]  # in the form of the answers of `handsight correct`
 
 
 def require_matplotlib() -> ModuleType:
@@ -62,9 +61,8 @@ def save(figure: "Figure", path: Path) -> None:
     HandsightError."""
     legends = [axes.get_legend_handles_labels() for axes in figure.axes]
     labelled = {label: handle for legend in legends for handle, label in zip(*legend, strict=True)}
-    figure.legend(
-        labelled.values(), labelled, loc="outside lower center", ncols=min(len(labelled), 7), frameon=False
-    )
+    below: Any = {"loc": "outside lower center", "ncols": min(len(labelled), 7), "frameon": False}
+    figure.legend(labelled.values(), labelled, **below)
     with write_errors(path):
         try:
             figure.savefig(path, dpi=130)

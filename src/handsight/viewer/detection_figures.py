@@ -22,7 +22,6 @@ from handsight.viewer.shapes import creases, grey, silhouette
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-
 COLORS = "#ffb300", "#00b8d4", "#e91e63", "#7cb342", "#8e5cd9", "#ff7043", "#26a69a", "#5c6bc0"
 """Of the objects in a picture, one after another."""
 BEST, HAND = COLORS[0], np.array([0.15, 0.55, 1.0])
@@ -85,11 +84,8 @@ def _draw(left: "Axes", right: "Axes", row: Located | LocatedAll) -> None:
         styles = [(BEST, "-", "best pose"), ("#00b8d4", "--", "second")]
     else:
         poses = [(one, one.found.Ts_camera_object[0]) for one in each]
-        colors = [COLORS[k % len(COLORS)] for k in range(len(each))]
-        styles = [
-            (color, "-", f"{one.model.name} {one.found.probability:.2f}")
-            for color, one in zip(colors, each, strict=True)
-        ]
+        names = [f"{one.model.name} {one.found.probability:.2f}" for one in each]
+        styles = [(COLORS[k % len(COLORS)], "-", name) for k, name in enumerate(names)]
     for color, style, label in styles[: len(poses)]:
         left.plot([], [], color=color, linestyle=style, lw=2.5, label=label)
     if frame.hand is not None and frame.hand.any():
@@ -110,9 +106,8 @@ def _draw(left: "Axes", right: "Axes", row: Located | LocatedAll) -> None:
     _residual(right, frame, drawn)
     if isinstance(row, Located):
         x, y, z = ((1e3 * row.found.Ts_camera_object[0, :3, 3]).round() + 0.0).tolist()  # no -0
-        place = (
-            f"{row.model.name or 'object'} at {x:.0f}, {y:.0f}, {z:.0f} mm, weight {row.found.weights[0]:.2f}"
-        )
+        place = f"{row.model.name or 'object'} at {x:.0f}, {y:.0f}, {z:.0f} mm"
+        place += f", weight {row.found.weights[0]:.2f}"
     else:
         place = f"{len(each)} object{'s' * (len(each) > 1)}"
     left.set_title(f"{frame.name}: {place}{scores}", fontsize=11)

@@ -15,11 +15,9 @@ if TYPE_CHECKING:
 
     Answer = Callable[[ServerConnection, Request], Response | None]
 
-
 LOCAL = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d+)?")
 """Hosts by which a browser asks this machine, at any port, as a tunnel has its own."""
-CLOSE_TIMEOUT = 0.1
-"""Given to a browser to answer that the page ends [s]."""
+CLOSE_TIMEOUT = 0.1  # given to a browser to answer that the page ends [s]
 
 
 class Guard:
@@ -29,9 +27,8 @@ class Guard:
     def __init__(self, opened: Callable[[dict[str, list[str]]], None]) -> None:
         """`opened` is called with the fields of the URL by which a browser opens the page."""
         self.token = secrets.token_urlsafe(16)
-        self._cookie = (
-            f"handsight-{secrets.token_hex(4)}={self.token}"  # a name for each page: cookies ignore ports
-        )
+        # A name for each page, as cookies ignore ports.
+        self._cookie = f"handsight-{secrets.token_hex(4)}={self.token}"
         self._opened = opened
 
     @contextlib.contextmanager

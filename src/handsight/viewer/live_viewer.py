@@ -57,15 +57,8 @@ def view(tracker: Tracker, *, port: int = PAGE.port, say: Callable[[str], None] 
 class NullViewer:
     """A `NullViewer` has the methods of a `Viewer` and does nothing, for a program that is to show nothing."""
 
-    @property
-    def address(self) -> str:
-        """Empty."""
-        return ""
-
-    @property
-    def watched(self) -> bool:
-        """Always false."""
-        return False
+    address = ""  # address of the page for a browser; empty: there is no page
+    watched = False  # whether a browser is open on the page
 
     def update(self, observation: Observation, tracker: Tracker) -> None:
         """Does nothing."""
@@ -97,28 +90,16 @@ class Viewer(NullViewer):
         if isinstance(answer, HandsightError):
             self._end_process()
             raise answer
-        self._address = answer
-        self._watched = self._closed = False
+        self.address, self._closed = answer, False
         self._newest: tuple[Tracker, Moment | None] | None = None
         """The tracker to be shown, and its moment if a browser is open."""
         self._shot: viewer_process.Shot | None = None
-        self._sent: tuple[object, object] = None, None
-        """The newest and the shot that the page has."""
+        self._sent: tuple[object, object] = None, None  # the newest and the shot that the page has
         self._past = deque[tuple[float, float, State, Slip]](maxlen=LIVE_VIEWER.max_notes)
-        """Stamp [s], sigma [m], state and slip of the last minute."""
-        self._noted = self._plotted = -math.inf
+        """Stamp [s], sigma [m], state and slip of the last minute, since `_origin`, when the clock was set back."""
+        self._noted = self._plotted = self._origin = -math.inf
         self._thread = threading.Thread(target=self._run, name="handsight viewer", daemon=True)
         self._thread.start()
-
-    @property
-    def address(self) -> str:
-        """Address of the page for a browser."""
-        return self._address
-
-    @property
-    def watched(self) -> bool:
-        """Whether a browser is open on the page."""
-        return self._watched
 
     def update(self, observation: Observation, tracker: Tracker) -> None:
         """Shows a tracker's estimate after an observation that it has just processed.
@@ -131,12 +112,15 @@ class Viewer(NullViewer):
         now = time.monotonic()
         if now - self._noted >= LIVE_VIEWER.note_period:
             self._noted = now
+            if not self._past or tracker.stamp < self._past[-1][0]:
+                self._origin = tracker.stamp
+                self._past.clear()
             self._past.append((tracker.stamp, tracker.sigma, tracker.state, tracker.slip))
         if observation.color is not None or observation.depth is not None:
             camera_from_palm = tracker.vision.camera_from_palm
             self._shot = viewer_process.Shot(observation, camera_from_palm, tracker.T_world_palm)
-        self._newest = tracker, Moment.now(tracker) if self._watched else None
-        if self._watched:
+        self._newest = tracker, Moment.now(tracker) if self.watched else None
+        if self.watched:
             self._changed.set()
 
     def close(self) -> None:
@@ -149,14 +133,13 @@ class Viewer(NullViewer):
 
     def _end_process(self) -> None:
         """Waits until the page's process ends, and kills it if that takes too long."""
-        process = self._process
-        if process is None:
+        if self._process is None:
             return
         try:
-            process.wait(LIVE_VIEWER.end_timeout)
+            self._process.wait(LIVE_VIEWER.end_timeout)
         except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+            self._process.kill()
+            self._process.wait()
 
     def _send(self, message: object) -> None:
         """Sends a message to the page, if it is still there."""
@@ -167,8 +150,8 @@ class Viewer(NullViewer):
         """Sends what the page does not show yet each time that it asks for a frame, until the page is gone."""
         with contextlib.suppress(EOFError, OSError):
             while True:
-                self._watched = self._pipe.recv()
-                while self._watched and not self._closed:
+                self.watched = self._pipe.recv()
+                while self.watched and not self._closed:
                     self._changed.wait(LIVE_VIEWER.idle_pause)
                     self._changed.clear()
                     newest, shot = self._newest, self._shot
@@ -179,19 +162,18 @@ class Viewer(NullViewer):
                     begins = None if self._shown == shown else self._shown
                     moment = moment or Moment.now(tracker)  # while no browser was open, none was computed
                     new_shot, self._sent = None if shot is self._sent[1] else shot, (newest, shot)
-                    self._send(viewer_process.PageUpdate(begins, moment, new_shot, self._curves()))
+                    curves = self._curves()
+                    self._send(viewer_process.PageUpdate(begins, moment, self._origin, new_shot, curves))
                     break
-        self._watched = False
+        self.watched = False
 
     def _curves(self) -> Curves | None:
-        """Returns the curves of the last minute, since the clock was last set back; None if they were just plotted."""
+        """Returns the curves of the last minute; None if they were just plotted."""
         now = time.monotonic()
         if now - self._plotted < LIVE_VIEWER.curve_period:
             return None
         self._plotted = now
-        notes = list(self._past)
-        stamps = np.array([note[0] for note in notes])
-        begin = int(np.flatnonzero(np.diff(stamps, prepend=math.inf) < 0)[-1]) if len(stamps) else 0
-        known, times = notes[begin:], stamps[begin:] - stamps[-1]
-        slips = [(a - stamps[-1], b - stamps[-1]) for a, b in slips_of(note[::3] for note in known)]
-        return Curves(times, in_mm([note[1] for note in known]), None, [note[2] for note in known], slips)
+        notes, origin = list(self._past), self._origin
+        slips = [(first - origin, last - origin) for first, last in slips_of(note[::3] for note in notes)]
+        times, sigmas = np.array([note[0] for note in notes]) - origin, in_mm([note[1] for note in notes])
+        return Curves(times, sigmas, None, [note[2] for note in notes], slips)

@@ -19,49 +19,35 @@ from handsight.tracking.replay import Step
 from handsight.tracking.skin import NOTHING, SkinContacts
 from handsight.viewer.picture import Picture
 
-VISION_FOR = 1.0
-"""How long the last measurement of vision is shown [s]."""
-LIKELY = 0.02
-"""Smallest probability of another mode that is shown."""
+VISION_FOR = 1.0  # how long the last measurement of vision is shown [s]
+LIKELY = 0.02  # smallest probability of another mode that is shown
 
 
 class Measured(NamedTuple):
     """A `Measured` is the last pose that vision measured."""
 
-    stamp: float
-    """[s]"""
-    T_palm_object: Array
-    """(4, 4), vision's bias included."""
+    stamp: float  # [s]
+    T_palm_object: Array  # (4, 4), vision's bias included
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Moment:
     """A `Moment` is an estimate and the observation after which it was computed."""
 
-    stamp: float
-    """[s]"""
+    stamp: float  # [s]
     state: State
-    reason: str
-    """Why the state is no better; empty while tracking."""
-    estimate: PoseEstimate | None
-    """None: nothing is known of the object yet."""
+    reason: str  # why the state is no better; empty while tracking
+    estimate: PoseEstimate | None  # none: nothing is known of the object yet
     sigma: float
     """Largest standard deviation of the position of the object's middle [m]; infinite before there is an estimate."""
     fingertips: FingertipContacts
-    T_world_palm: Array | None
-    """(4, 4)."""
-    joint_positions: Mapping[str, float] | None
-    """By name [rad]."""
-    wrenches: Mapping[str, Array] = field(default_factory=dict)
-    """The sensors' readings by finger [N, N m]."""
-    vision: Measured | None = None
-    """None where vision has measured nothing for `VISION_FOR`."""
-    picture: Picture | None = None
-    """The last image; None before the first."""
-    slip: Slip = field(default_factory=Slip)
-    """Whether the object slips, and how near to slipping it is."""
-    skin: SkinContacts = NOTHING
-    """Contacts of tactile arrays."""
+    T_world_palm: Array | None  # (4, 4)
+    joint_positions: Mapping[str, float] | None  # by name [rad]
+    wrenches: Mapping[str, Array] = field(default_factory=dict)  # the sensors' readings by finger [N, N m]
+    vision: Measured | None = None  # None where vision has measured nothing for `VISION_FOR`
+    picture: Picture | None = None  # the last image; None before the first
+    slip: Slip = field(default_factory=Slip)  # whether the object slips, and how near to slipping it is
+    skin: SkinContacts = NOTHING  # contacts of tactile arrays
 
     @classmethod
     def now(cls, tracker: Tracker) -> "Moment":
@@ -110,16 +96,14 @@ class Moment:
         T_world_palm = np.eye(4) if self.T_world_palm is None else self.T_world_palm
         gravity = np.zeros(3) if self.T_world_palm is None else rig.gravity
         found = {}
-        for name in self.fingertips.fingers:
-            if name in self.wrenches:
-                finger, reading = rig.fingers[name], np.asarray(self.wrenches[name])
-                T_palm_sensor = Ts[name] @ finger.T_frame_surface
-                if finger.tip.T_surface_sensor is not None:
-                    T_palm_sensor = T_palm_sensor @ finger.tip.T_surface_sensor
-                R = T_palm_sensor[:3, :3]
-                gravity_sensor = R.T @ T_world_palm[:3, :3].T @ gravity
-                force, _ = compensate(reading[:3], reading[3:], gravity_sensor, finger.calibration)
-                found[name] = R @ force
+        for name in (finger for finger in self.fingertips.fingers if finger in self.wrenches):
+            finger, reading = rig.fingers[name], np.asarray(self.wrenches[name])
+            R = Ts[name][:3, :3] @ finger.T_frame_surface[:3, :3]
+            if finger.tip.T_surface_sensor is not None:
+                R = R @ finger.tip.T_surface_sensor[:3, :3]
+            gravity_sensor = R.T @ T_world_palm[:3, :3].T @ gravity
+            force, _ = compensate(reading[:3], reading[3:], gravity_sensor, finger.calibration)
+            found[name] = R @ force
         return found
 
     @property

@@ -57,9 +57,9 @@ class Page:
         viser = require_viser()
         if not 1 <= port <= PAGE.max_port:  # viser would wait for ever
             raise InvalidInput(f"port: expected a number from 1 to {PAGE.max_port}, got {port}")
-        self.on_open: Callable[[dict[str, list[str]]], None] = lambda _: None
-        """Called with the fields of the URL when a browser opens the page."""
-        self.guard = Guard(lambda fields: self.on_open(fields))
+        self.on_open: Callable[[dict[str, list[str]]], None] | None = None
+        """Called with the fields of the URL when a browser opens the page; None: moments have no addresses."""
+        self.guard = Guard(lambda fields: None if self.on_open is None else self.on_open(fields))
         # What is no message of a browser ends its connection, and needs no traceback.
         logging.getLogger("websockets").setLevel(logging.CRITICAL)
         try:
@@ -68,8 +68,7 @@ class Page:
                 self.server = viser.ViserServer(host=PAGE.host, port=port, label="handsight", verbose=False)
         except OSError as error:
             raise HandsightError(f"port: expected one that is free from {port} on, got {error}") from None
-        self.port: int = self.server.get_port()
-        """The port at which the page is served."""
+        self.port: int = self.server.get_port()  # the port at which the page is served
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
             self.begin(rig, model, title)
@@ -78,14 +77,13 @@ class Page:
     def begin(self, rig: Rig, model: ObjectModel, title: str) -> None:
         """Clears the page, to show another hand or another object."""
         self._rig, self._model = rig, model
-        self.origin: float | None = None
-        """Stamp from which the page counts time [s], where it shows a recording; links to moments are by it."""
+        self.origin = 0.0
+        """Stamp from which the page counts time, in the title, the plot and links [s]."""
         self._lock = threading.Lock()  # both the player and the panel's checkboxes draw
         self._aimed = False
         self._drawn: tuple[Picture | None, float, dict[Color, Array]] = None, 0.0, {}
         """The image on the page, the stamp of its moment [s], and T_camera_object (4, 4) of each outline by colour."""
-        self.last: Moment | None = None
-        """The moment that is shown."""
+        self.last: Moment | None = None  # the moment that is shown
         with self.server.atomic():
             self.server.scene.reset()
             self.server.gui.reset()
@@ -109,11 +107,10 @@ class Page:
             self._aim(moment)
             forces = moment.forces(self._rig)
             self.scene.draw(moment, forces)
-            when = f"{moment.stamp:.2f} s"
-            if self.origin is not None:
-                time = f"{moment.stamp - self.origin:.2f}"
-                link = f'<a href="?token={self.guard.token}&amp;t={time}">link to it</a>'
-                when = f"{time} s · {link}"
+            time = f"{moment.stamp - self.origin:.2f}"
+            when = f'<span title="stamp {moment.stamp:.6f} s">{time} s</span>'
+            if self.on_open is not None:
+                when += f' · <a href="?token={self.guard.token}&amp;t={time}">link to it</a>'
             self.panel.draw(moment, forces, when)
             self._draw_picture(moment)
             self.last = moment
@@ -125,9 +122,8 @@ class Page:
 
     def redraw(self) -> None:
         """Shows the same moment again, after a person has chosen other layers."""
-        last = self.last
-        if last is not None:
-            self.draw(last)
+        if self.last is not None:
+            self.draw(self.last)
 
     def close(self) -> None:
         """Ends the server; browsers keep what they show."""
@@ -139,17 +135,14 @@ class Page:
         shown, estimate = moment.picture, moment.estimate
         if shown is None:
             return
-        vision = None if moment.vision is None else moment.vision.T_palm_object
-        poses = {
-            # Vision's pose was brought into the palm by the calibrated camera; the same brings it back.
-            "vision": (shown.T_camera_palm_calibrated, vision),
-            "object": (shown.T_camera_palm, None if estimate is None else estimate.T_palm_object),
-        }
-        outlines = {
-            LAYERS[name][1]: T_camera_palm @ T
-            for name, (T_camera_palm, T) in poses.items()
-            if T is not None and T_camera_palm is not None and self.scene.layers[name]
-        }
+        outlines = {}
+        # Vision's pose was brought into the palm by the calibrated camera; the same brings it back.
+        for name, known, T_camera_palm in (
+            ("vision", moment.vision, shown.T_camera_palm_calibrated),
+            ("object", estimate, shown.T_camera_palm),
+        ):
+            if known is not None and T_camera_palm is not None and self.scene.layers[name]:
+                outlines[LAYERS[name][1]] = T_camera_palm @ known.T_palm_object
         before, stamp, drawn = self._drawn
         if shown is before and outlines.keys() == drawn.keys():
             moved = max((np.abs(T - drawn[color]).max() for color, T in outlines.items()), default=0.0)

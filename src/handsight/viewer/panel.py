@@ -19,7 +19,6 @@ from handsight.vision.pixels import Color
 if TYPE_CHECKING:
     from viser import GuiApi, GuiCheckboxHandle
 
-
 STATES: dict[State, str] = {"tracking": "#2e7d32", "uncertain": "#c77800", "lost": "#b71c1c"}
 NOW, SLIP = "#111111", "#6a1b9a"
 CONTROLS = 10
@@ -110,14 +109,10 @@ class Panel:
             self.curves.remove()
         series = [self._uplot.Series(label=label, stroke=color, width=2) for _, label, color in lines]
         dot = self._uplot.Series_Points(show=True, size=11, fill=NOW, stroke=NOW)
-        self.curves = self._gui.add_uplot(
-            data,
-            (self._uplot.Series(label="time [s]"), *series, self._uplot.Series(label="now", points=dot)),
-            scales={"x": self._uplot.Scale(time=False), "y": self._uplot.Scale(distr=3)},
-            height=200,
-            padding=(12, 16, 0, 0),
-            order=30,
-        )
+        shown = (self._uplot.Series(label="time [s]"), *series, self._uplot.Series(label="now", points=dot))
+        scales = {"x": self._uplot.Scale(time=False), "y": self._uplot.Scale(distr=3)}
+        size = {"height": 200, "padding": (12, 16, 0, 0)}
+        self.curves = self._gui.add_uplot(data, shown, scales=scales, **size, order=30)
 
 
 def _strip(curves: Curves, now: float) -> str:
@@ -126,11 +121,8 @@ def _strip(curves: Curves, now: float) -> str:
     begin, end = curves.times[0], curves.times[-1]
     changes = [k for k, state in enumerate(curves.states) if k == 0 or state != curves.states[k - 1]]
     changes = changes[:: max(1, -(-len(changes) // most))]
-    ends = [*(curves.times[k] for k in changes[1:]), end]
-    spans = [
-        f"{STATES[curves.states[k]]} {share(curves.times[k], begin, end)} {share(until, begin, end)}"
-        for k, until in zip(changes, ends, strict=True)
-    ]
+    ends = [share(time, begin, end) for time in (*(curves.times[k] for k in changes), end)]
+    spans = [f"{STATES[curves.states[k]]} {ends[i]} {ends[i + 1]}" for i, k in enumerate(changes)]
     names = " ".join(f'<span style="color:{color}">&#9632; {name}</span>' for name, color in STATES.items())
     slips = [slip for slip in curves.slips if slip[1] >= begin][-most:]
     marks = "".join(

@@ -39,14 +39,11 @@ PICTURE = PictureOptions()
 class Picture:
     """A `Picture` is an image of the rig's camera."""
 
-    camera: Camera | None
-    """The camera of these pixels; None where it is not known."""
+    camera: Camera | None  # the camera of these pixels; None where it is not known
     image: Color | bytes
     """Colour (h, w, 3), or depth in grey, the nearer the lighter; or either as a JPEG file."""
-    points_palm: NDArray[np.floating]
-    """(n, 3) [m]; none where the camera's pose is not known."""
-    colors: Color
-    """(n, 3) of the points."""
+    points_palm: NDArray[np.floating]  # (n, 3) [m]; none where the camera's pose is not known
+    colors: Color  # (n, 3) of the points
     T_camera_palm: Array | None
     """(4, 4) as measured from images of the hand, else as calibrated; None where neither is known."""
     T_camera_palm_calibrated: Array | None
@@ -131,10 +128,8 @@ def picture(
 
 
 def palm_in_camera(rig: Rig, from_palm: CameraFromPalm, T_world_palm: Array | None) -> Array | None:
-    """Returns T_camera_palm (4, 4) as measured from images of the hand, else as the camera was calibrated.
-
-    None where the rig has no camera, or has one in the world in which the palm's pose is not known.
-    """
+    """Returns T_camera_palm (4, 4) as measured from images of the hand, else as the camera was calibrated. None where
+    the rig has no camera, or has one in the world in which the palm's pose is not known."""
     mounted = rig.camera
     if mounted is None:
         return None

@@ -14,8 +14,7 @@ from handsight.viewer.correction_figures import require_matplotlib, save
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PIXELS, FAR = 1000, 3.0
-"""Width and height of a view; distance from which it is drawn [m]."""
+PIXELS, FAR = 1000, 3.0  # width and height of a view; distance from which it is drawn [m]
 NORMAL, AXIS, SMALL, BEHIND = 0.004, 0.03, 0.012, 0.0015
 """Length of a normal, of the palm's and the camera's axes, and of the others'; a taxel that is farther behind the
 hand's surface is drawn hollow [m]."""
@@ -40,24 +39,18 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
     cameras = [] if rig.camera is None or rig.camera.on == "world" else [rig.camera.T_mount_camera]
     taxels = {name: (Ts[each.frame], each) for name, each in rig.skin.items() if each.frame in Ts}
     corners, triangles = np.concatenate(vertices), np.concatenate(faces)
-    all_points = np.concatenate(
-        [corners, AXIS * np.eye(3), *(T[None, :3, 3] for T in (*Ts.values(), *cameras))]
-    )
-    all_points = np.concatenate(
-        [all_points, *(np.array([T[:3, 3], T[:3, 3] + AXIS * T[:3, 2]]) for T in tips)]
-    )
+    places = [T[:3, 3] for T in (*Ts.values(), *cameras, *tips)] + [T[:3, 3] + AXIS * T[:3, 2] for T in tips]
+    all_points = np.concatenate([corners, AXIS * np.eye(3), places])
     up = np.median([T[:3, 2] for T in tips], axis=0)
     thin = np.linalg.svd(all_points - all_points.mean(axis=0), full_matrices=False)[2][2]
     out = sum(((T[:3, :3] @ each.normals.T).sum(axis=1) for T, each in taxels.values()), 1e-3 * thin)
-    figure, places = plt.subplots(1, 2, figsize=(13, 7), layout="constrained")
+    figure, both = plt.subplots(1, 2, figsize=(13, 7), layout="constrained")
     sides = (out, "from the taxels' side" if taxels else "from above"), (np.cross(up, out), "from beside")
-    for axes, (toward, title) in zip(places, sides, strict=True):
+    for axes, (toward, title) in zip(both, sides, strict=True):
         view = _View(toward, up, all_points)
         view.draw_hand(axes, corners, triangles, np.array([T[:3, 3] for T in Ts.values()]))
         view.draw_tips(axes, rig, tips)
         view.draw_axes(axes, Ts[hand.palm], AXIS, "palm ")
-        for T in tips:
-            view.draw_arrow(axes, T)
         for T in sensors:
             view.draw_axes(axes, T, SMALL)
         for T in cameras:
@@ -105,21 +98,21 @@ class _View:
         corners = corners_camera[faces]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         light = np.abs(across[:, 2]) / np.linalg.norm(across, axis=1).clip(min=1e-15)
-        self.depth, shades = self.camera.draw(
-            corners_camera, faces, (255 * (0.45 + 0.5 * light)).astype(np.int64)
-        )
-        axes.imshow(
-            np.where(shades < 0, 255, shades), cmap="gray", vmin=0, vmax=255, interpolation="bilinear"
-        )
+        grey = (255 * (0.45 + 0.5 * light)).astype(np.int64)
+        self.depth, shades = self.camera.draw(corners_camera, faces, grey)
+        shades = np.where(shades < 0, 255, shades)
+        axes.imshow(shades, cmap="gray", vmin=0, vmax=255, interpolation="bilinear")
 
     def draw_tips(self, axes: "Axes", rig: Rig, Ts_palm_tip: list[Array]) -> None:
-        """Draws the three great circles of each tip's shape."""
+        """Draws the three great circles of each tip's shape, and where it points: from its centre along its z."""
         for i, (finger, T) in enumerate(zip(rig.fingers.values(), Ts_palm_tip, strict=True)):
             for k in range(3):
                 ring = np.zeros((len(RING), 3))
                 ring[:, k], ring[:, (k + 1) % 3] = np.cos(RING), np.sin(RING)
                 pixels = self.project(se3.apply(T, ring * finger.tip.semi_axes))
                 axes.plot(*pixels.T, color="#c2185b", lw=0.7, alpha=0.7, label=None if i + k else "fingertip")
+            start, end = self.project(np.array([T[:3, 3], T[:3, 3] + AXIS * T[:3, 2]]))
+            axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": "#c2185b", "lw": 1.3})
 
     def draw_axes(self, axes: "Axes", T: Array, length: float, label: str = "") -> None:
         """Draws a frame with axes of a length [m]; with a label at their ends, if there is one."""
@@ -128,11 +121,6 @@ class _View:
             axes.plot(*ends.T, color=color, lw=2.2 if label else 1.2)
             if label:
                 axes.annotate(f"{label}{name}", ends[1], color=color, fontsize=8)
-
-    def draw_arrow(self, axes: "Axes", T: Array) -> None:
-        """Draws where a tip points: from its centre along its z."""
-        start, end = self.project(np.array([T[:3, 3], T[:3, 3] + AXIS * T[:3, 2]]))
-        axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": "#c2185b", "lw": 1.3})
 
     def draw_taxels(self, axes: "Axes", points: Array, normals: Array, color: Any, label: str) -> None:
         """Draws taxels with their normals; hollow where the hand hides them."""

@@ -17,7 +17,6 @@ from handsight.viewer.shapes import direction_line, ellipsoid, middle
 if TYPE_CHECKING:
     from viser import SceneApi, SceneNodeHandle
 
-
 Color = tuple[int, int, int]
 HAND: Color = (176, 182, 194)
 
@@ -66,8 +65,7 @@ class MomentScene:
     def __init__(self, scene: "SceneApi", rig: Rig, model: ObjectModel) -> None:
         """Adds all nodes to viser's `scene`, invisible."""
         self._scene, self._rig, self._model = scene, rig, model
-        self.layers = dict.fromkeys(LAYERS, True)
-        """Which layers are to be shown."""
+        self.layers = dict.fromkeys(LAYERS, True)  # which layers are to be shown
         style = {"color": HAND, "opacity": STYLE.hand_opacity, "visible": False}
         self.links = {
             name: scene.add_mesh_simple(f"/hand/{name.replace('/', '_')}", *mesh, **style)
@@ -95,16 +93,10 @@ class MomentScene:
         self.world = scene.add_frame("/world", show_axes=False, visible=False)
         """Axes of the world at the palm's origin: gravity and grid are in it, and turn with it."""
         down, dark = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, -STYLE.gravity_length]]]), LAYERS["frame"][1]
-        scene.add_arrows(
-            "/world/gravity", down, dark, shaft_radius=0.001, head_radius=0.003, head_length=0.01
-        )
-        cells = {
-            "width": 0.8,
-            "height": 0.8,
-            "cell_size": STYLE.grid_cell,
-            "section_size": 4 * STYLE.grid_cell,
-        }
-        scene.add_grid("/world/grid", **cells, position=(0.0, 0.0, -STYLE.grid_depth))
+        sizes = {"shaft_radius": 0.001, "head_radius": 0.003, "head_length": 0.01}
+        scene.add_arrows("/world/gravity", down, dark, **sizes)
+        cells = {"cell_size": STYLE.grid_cell, "section_size": 4 * STYLE.grid_cell}
+        scene.add_grid("/world/grid", width=0.8, height=0.8, **cells, position=(0, 0, -STYLE.grid_depth))
         grey = LAYERS["depth"][1]
         self.depth = scene.add_point_cloud("/depth", np.zeros((1, 3)), (grey,), point_size=0.0012, **gone)
 

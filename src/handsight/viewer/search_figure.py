@@ -14,8 +14,7 @@ from handsight.viewer.correction_figures import require_matplotlib, save
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SHOWN = 60
-"""Particles whose outlines are drawn."""
+SHOWN = 60  # particles whose outlines are drawn
 PINK, BLUE, GREY = "#c2185b", "#1565c0", "0.55"
 
 

@@ -92,5 +92,4 @@ def ellipsoid(estimate: PoseEstimate, model: ObjectModel) -> tuple[Array, Array]
     values, axes = np.linalg.eigh(point_uncertainty(estimate, model, model.center_object)[0])
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     semi_axes = SHAPES.sigmas_95 * np.sqrt(values.clip(min=0.0))
-    center = middle(model, estimate.T_palm_object)
-    return se3.compose(axes, center), semi_axes.clip(max=model.diameter)
+    return se3.compose(axes, middle(model, estimate.T_palm_object)), semi_axes.clip(max=model.diameter)

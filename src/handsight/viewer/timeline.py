@@ -93,16 +93,12 @@ def follow(
 class Curves(NamedTuple):
     """`Curves` are uncertainty, error and state over time."""
 
-    times: Array
-    """(n,) ascending, since a recording's beginning or until now [s]."""
-    sigmas: Array
-    """(n,) of the position [mm], NaN where nothing is known."""
+    times: Array  # (n,) ascending, since the page's origin [s]
+    sigmas: Array  # (n,) of the position [mm], NaN where nothing is known
     errors: Array | None
     """(n,) of the object's middle [mm], NaN where the truth is not known; None where it never is."""
-    states: Sequence[State]
-    """n states of the track."""
-    slips: Sequence[tuple[float, float]] = ()
-    """Begin and end of each time that the object slipped [s]."""
+    states: Sequence[State]  # n states of the track
+    slips: Sequence[tuple[float, float]] = ()  # begin and end of each time that the object slipped [s]
 
 
 def curves(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Curves:
@@ -133,9 +129,7 @@ def curves(moments: Sequence[Moment], model: ObjectModel, truths: Truths) -> Cur
 
 def in_mm(sigmas: Sequence[float]) -> Array:
     """Returns standard deviations (n,) in millimetres of those in metres; NaN for infinite ones."""
-    found = 1e3 * np.array(sigmas)
-    found[~np.isfinite(found)] = np.nan
-    return found
+    return np.where(np.isfinite(sigmas), 1e3 * np.array(sigmas), np.nan)
 
 
 def slips_of(slips: Iterable[tuple[float, Slip]]) -> list[tuple[float, float]]:

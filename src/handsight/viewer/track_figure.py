@@ -42,11 +42,10 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
         axes[k].grid(alpha=0.3)
         axes[k].set_ylabel(f"{axis} [cm]")
     # Where the object is turned, another of its sides faces down, and the base's centre jumps.
+    turned = "another side faces down: the base is its middle"
     for jump in times[1:][(np.abs(np.diff(bases, axis=0)) > 1e-6).any(axis=1)]:
         for each in axes[:3]:
-            each.axvline(
-                jump, color="0.4", ls=":", lw=1, label="another side faces down: the base is its middle"
-            )
+            each.axvline(jump, color="0.4", ls=":", lw=1, label=turned)
     # A strip in the colours of the states; a state lasts until the next stamp.
     colors = {"tracking": "#2e7d32", "uncertain": "#e0a100", "lost": "#b71c1c"}
     edges = np.array([step.stamp for step in (*steps, steps[-1])]) - steps[0].stamp

@@ -38,13 +38,11 @@ class Shot(NamedTuple):
 class PageUpdate(NamedTuple):
     """A `PageUpdate` is one frame for the page to draw."""
 
-    begins: tuple[Rig, ObjectModel] | None
-    """The rig and the object, if they have changed; else None."""
+    begins: tuple[Rig, ObjectModel] | None  # the rig and the object, if they have changed; else None
     moment: Moment
-    shot: Shot | None
-    """The newest image, if there is a new one; else None."""
-    curves: Curves | None
-    """The curves, if they have changed; else None."""
+    origin: float  # stamp from which the page counts time [s]
+    shot: Shot | None  # the newest image, if there is a new one; else None
+    curves: Curves | None  # the curves, if they have changed; else None
 
 
 def begin() -> tuple[Connection, "subprocess.Popen[bytes] | None"]:
@@ -107,7 +105,8 @@ def _draw(page: Page, rig: Rig, pipe: "Connection[Any, Any]") -> None:
             (rig, model), last = frame.begins, None
             page.begin(rig, model, model.name)
         last = frame.moment.after(last, None if frame.shot is None else picture(rig, *frame.shot))
+        page.origin = frame.origin
         page.draw(last)
         if frame.curves is not None:
-            page.draw_curves(frame.curves, 0.0)
+            page.draw_curves(frame.curves, last.stamp - frame.origin)
         time.sleep(max(0.0, TIMELINE.frame - (time.monotonic() - began)))

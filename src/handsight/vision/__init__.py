@@ -15,47 +15,20 @@ from handsight.vision.pixels import read_camera, read_color, read_depth
 from handsight.vision.registration import register_color
 
 __all__ = [
-    "PRESETS",
-    "STEREO",
-    "STRUCTURED_LIGHT",
-    "TIME_OF_FLIGHT",
-    "DepthNoise",
-    "DepthTracker",
-    "FirstPoseSource",
-    "HandAppearance",
-    "JudgedStarts",
-    "ObjectDetection",
-    "ObjectInstance",
-    "PalmDetection",
-    "PalmNotFound",
-    "PlacedHand",
-    "Recognition",
-    "SceneDetection",
-    "Sighting",
-    "depth_points",
-    "detect_palm",
-    "follow_palm",
-    "hand_mask",
-    "locate",
-    "locate_all",
-    "locate_detected",
-    "read_camera",
-    "read_color",
-    "read_depth",
-    "recognise",
+    "PRESETS", "STEREO", "STRUCTURED_LIGHT", "TIME_OF_FLIGHT", "DepthNoise", "DepthTracker", "FirstPoseSource",
+    "HandAppearance", "JudgedStarts", "ObjectDetection", "ObjectInstance", "PalmDetection", "PalmNotFound",
+    "PlacedHand", "Recognition", "SceneDetection", "Sighting", "depth_points", "detect_palm", "follow_palm",
+    "hand_mask", "locate", "locate_all", "locate_detected", "read_camera", "read_color", "read_depth", "recognise",
     "register_color",
-]
+]  # fmt: skip
 
-__getattr__ = renamed(
-    __name__,
-    {
-        "Found": "handsight.vision.ObjectDetection",
-        "HandLook": "handsight.vision.HandAppearance",
-        "HandNotSeen": "handsight.vision.PalmNotFound",
-        "Drawn": "handsight.camera.DrawnTriangles",
-        "PinholeCamera": "handsight.camera.Camera",
-        "SeenHand": "handsight.vision.PalmDetection",
-        "followed_hand": "handsight.vision.follow_palm",
-        "seen_hand": "handsight.vision.detect_palm",
-    },
-)
+__getattr__ = renamed(__name__, {
+    "Found": "handsight.vision.ObjectDetection",
+    "HandLook": "handsight.vision.HandAppearance",
+    "HandNotSeen": "handsight.vision.PalmNotFound",
+    "Drawn": "handsight.camera.DrawnTriangles",
+    "PinholeCamera": "handsight.camera.Camera",
+    "SeenHand": "handsight.vision.PalmDetection",
+    "followed_hand": "handsight.vision.follow_palm",
+    "seen_hand": "handsight.vision.detect_palm",
+})  # fmt: skip

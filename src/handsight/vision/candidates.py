@@ -16,12 +16,9 @@ from handsight.objects import ObjectModel
 from handsight.vision.depth_noise import DepthNoise
 
 Candidates = NDArray[np.void]
-NOTHING_KNOWN = np.zeros((6, 6))
-"""The information of a pose without prior knowledge."""
+NOTHING_KNOWN = np.zeros((6, 6))  # the information of a pose without prior knowledge
 UNKNOWN = 0.5, 0.9
 """Sigma along a direction that no point observes, of a shift and of radius times a turn [diameters]."""
-
-
 MODEL_ERROR = 1e-3
 """Sigma by which an object that was made is off from its model, of a shift and of radius times a turn [m]."""
 
@@ -71,14 +68,8 @@ def pose_covariances(
     Of DEPTH_POINT (n,) those within a candidate's bound count, with the errors of `noise`. The error of the model and
     that of whole pixels are added.
     """
-    unknown = UNKNOWN[0] * model.diameter, UNKNOWN[1] * model.diameter
-    errors = depth_errors(
-        camera,
-        noise,
-        center_depths(model, candidates),
-        unknown,
-        float(np.hypot(model.sigma_point, MODEL_ERROR)),
-    )
+    unknown, z = (UNKNOWN[0] * model.diameter, UNKNOWN[1] * model.diameter), center_depths(model, candidates)
+    errors = depth_errors(camera, noise, z, unknown, float(np.hypot(model.sigma_point, MODEL_ERROR)))
     errors["normal"] = model.sigma_normal**2 / 2
     informed, covariances = np.empty((len(candidates), 2, 6, 6)), np.empty((len(candidates), 6, 6))
     depth_term.pose_covariances(*model.record[:2], points, errors, candidates, informed, covariances)

@@ -15,8 +15,7 @@ from handsight.rig.rig import DepthCamera
 
 SIZES = ("step", "lateral", "smooth", "offset")
 SHARES = ("correlated", "edges", "dropouts")
-LARGEST = 100.0
-"""No number of a camera's errors is larger, in its unit."""
+LARGEST = 100.0  # no number of a camera's errors is larger, in its unit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,50 +89,27 @@ class DepthNoise:
 
 
 STRUCTURED_LIGHT = DepthNoise(
-    axial=(0.0, 0.0, 2.85e-3 * (0.35**2 + 0.25**2 + 1 / 12) ** 0.5),
-    step=2.85e-3,
-    correlated=0.35**2 / (0.35**2 + 0.25**2),
-    correlation=5.0,
-    lateral=0.5,
-    smooth=1.5e-3,
-    offset=1e-3,
-    edges=0.6,
-    dropouts=0.005,
-    nearest=0.4,
-    farthest=4.0,
-)
+    axial=(0.0, 0.0, 2.85e-3 * (0.35**2 + 0.25**2 + 1 / 12) ** 0.5), step=2.85e-3,
+    correlated=0.35**2 / (0.35**2 + 0.25**2), correlation=5.0, lateral=0.5, smooth=1.5e-3, offset=1e-3,
+    edges=0.6, dropouts=0.005, nearest=0.4, farthest=4.0,
+)  # fmt: skip
 """A Kinect: disparity in eighths of a pixel, 2.85 mm at 1 m (Barron and Malik, CVPR 2013; Handa and others, ICRA 2014),
 with noise of .35 of a step over 5 pixels and .25 white. That is 1.5 mm z², as Khoshelham and Oude Elberink (Sensors
 2012) measured. Nguyen, Izadi and Lovell (3DIMPVT 2012) measured 1.2 + 1.9 (z - .4)² mm about planes fitted to the
 image, which include the smooth bias: both together are within a third of that from .65 to 1.4 m, and less nearer."""
 
 TIME_OF_FLIGHT = dataclasses.replace(
-    STRUCTURED_LIGHT,
-    axial=(1.5e-3, -0.5e-3, 0.3e-3),
-    step=0.0,
-    correlated=0.5,
-    correlation=3.0,
-    smooth=2e-3,
-    offset=4e-3,
-    nearest=0.5,
-    farthest=4.5,
-)
+    STRUCTURED_LIGHT, axial=(1.5e-3, -0.5e-3, 0.3e-3), step=0.0, correlated=0.5, correlation=3.0, smooth=2e-3,
+    offset=4e-3, nearest=0.5, farthest=4.5,
+)  # fmt: skip
 """A Kinect v2: 1.5 - 0.5 z + 0.3 z² mm (Fankhauser and others, ICAR 2015, facing the camera). Its successor's distances
 are off by up to 11 mm (Tölgyessy and others, Sensors 2021). The smooth part is assumed, the edges are those of
 STRUCTURED_LIGHT, and light that comes by way of other surfaces is not modelled."""
 
 STEREO = dataclasses.replace(
-    STRUCTURED_LIGHT,
-    axial=(0.0, 0.0, 0.08 / (425 * 0.05)),
-    step=1 / 32 / (425 * 0.05),
-    correlated=0.8,
-    correlation=8.0,
-    smooth=3e-3,
-    edge_width=3,
-    dropouts=0.01,
-    nearest=0.28,
-    farthest=6.0,
-)
+    STRUCTURED_LIGHT, axial=(0.0, 0.0, 0.08 / (425 * 0.05)), step=1 / 32 / (425 * 0.05), correlated=0.8,
+    correlation=8.0, smooth=3e-3, edge_width=3, dropouts=0.01, nearest=0.28, farthest=6.0,
+)  # fmt: skip
 """An active stereo camera as the RealSense D435: .08 pixels of disparity, z² · .08 px / (f B), at f = 425 px and
 B = 5 cm, in steps of 1/32 pixel. The correlation (by the matched window), the bias and the edges are assumed."""
 

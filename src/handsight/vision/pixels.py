@@ -171,32 +171,20 @@ def _check_rows(png: bytes) -> None:
     width, height, bits, kind, *_, interlaced = struct.unpack(">IIBBBBB", png[16:29])
     bits *= {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}[kind]
     # Of Adam7's passes: first column and row, and the steps to the next ones.
-    passes = (
-        (0, 0, 8, 8),
-        (4, 0, 8, 8),
-        (0, 4, 4, 8),
-        (2, 0, 4, 4),
-        (0, 2, 2, 4),
-        (1, 0, 2, 2),
-        (0, 1, 1, 2),
-    )
-    sizes = [
-        (-(-(width - x) // dx), -(-(height - y) // dy))
-        for x, y, dx, dy in (passes if interlaced else ((0, 0, 1, 1),))
-    ]
-    expected = sum(
-        rows * (1 + -(-columns * bits // 8)) for columns, rows in sizes if columns > 0 and rows > 0
-    )
-    at, packed = 8, bytearray()
+    adam7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
+    expected, at, packed = 0, 8, bytearray()
+    for x, y, dx, dy in adam7 if interlaced else ((0, 0, 1, 1),):
+        columns, rows = -(-(width - x) // dx), -(-(height - y) // dy)
+        if columns > 0 and rows > 0:
+            expected += rows * (1 + -(-columns * bits // 8))
     while at + 8 <= len(png) and png[at + 4 : at + 8] != b"IEND":
         (length,) = struct.unpack(">I", png[at : at + 4])
         packed += png[at + 8 : at + 8 + length] if png[at + 4 : at + 8] == b"IDAT" else b""
         at += 12 + length
     came = len(zlib.decompressobj().decompress(packed, expected))
     if came < expected:
-        raise InvalidInput(
-            f"expected a complete PNG, got {came} bytes of pixels where it declares {expected}"
-        )
+        bytes_of = f"{came} bytes of pixels where it declares {expected}"
+        raise InvalidInput(f"expected a complete PNG, got {bytes_of}")
 
 
 def _of_size(image: NDArray[Pixel], camera: Camera | None) -> NDArray[Pixel]:

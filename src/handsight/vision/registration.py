@@ -19,8 +19,7 @@ class Registered(NamedTuple):
 
     color: Color
     """(h, w, 3) red, green, blue of each depth pixel; 0 where it is not visible to the colour camera."""
-    visible: Mask
-    """(h, w) whether it is."""
+    visible: Mask  # (h, w) whether it is
 
 
 def register_color(
@@ -50,8 +49,6 @@ def register_color(
     columns, rows = np.rint(np.nan_to_num(pixels, nan=-1)).astype(np.int64).T
     visible = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     columns, rows = columns.clip(0, width - 1), rows.clip(0, height - 1)
-    visible &= (
-        placed[:, 2] < surface[rows, columns] + 0.01
-    )  # a centimetre behind the nearest surface it is hidden
+    visible &= placed[:, 2] < surface[rows, columns] + 0.01  # what is a centimetre behind a surface is hidden
     found = np.where(visible[:, None], image[rows, columns], np.uint8(0))
     return Registered(found.reshape(*known.shape, 3), visible.reshape(known.shape))

@@ -54,10 +54,8 @@ def inform(
             du = points[n, 0] / points[n, 2] - points[m, 0] / points[m, 2]
             dv = points[n, 1] / points[n, 2] - points[m, 1] / points[m, 2]
             distance2 = du * du + dv * dv
-            covariance = pairs * (
-                error.shared * np.exp(-distance2 * error.shared_decay)
-                + error.smooth * np.exp(-distance2 * error.smooth_decay)
-            )
+            shared_noise = error.shared * np.exp(-distance2 * error.shared_decay)
+            covariance = pairs * (shared_noise + error.smooth * np.exp(-distance2 * error.smooth_decay))
             for i in range(6):
                 shared[i] += covariance * pulls[m, i]
         for i in range(6):

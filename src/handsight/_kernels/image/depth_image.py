@@ -16,8 +16,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 
 HALF_WINDOW, MIN_NEIGHBOURS = 4, 15
 """Half the side of the window for a normal [pixels], and how many of its pixels must be on the surface."""
-OPEN = -4
-"""Label of a pixel whose segment has no number yet."""
+OPEN = -4  # label of a pixel whose segment has no number yet
 
 
 @inner
@@ -59,10 +58,7 @@ def sort_pixels(rays: Any, image: Any, table: Any, known: Any, labels: Any) -> N
 @entry
 def label_parts(depth: Any, labels: Any, least: int, sizes: Any) -> int:
     """Numbers the segments of `OPEN` pixels in `labels` (h, w) from 0 on, fills in their sizes, and returns their
-    number.
-
-    Segments of less than `least` pixels become `OUT`.
-    """
+    number. Segments of less than `least` pixels become `OUT`."""
     height, width = depth.shape
     part, count = np.empty((height * width, 2), np.int64), 0
     for row in range(height):
@@ -91,10 +87,7 @@ def label_parts(depth: Any, labels: Any, least: int, sizes: Any) -> int:
 @entry
 def spread(rays: Any, depth: Any, order: Any, spacing: float, chosen: Any) -> int:
     """Fills in the first of the pixels `order` (n,), by row and column in one, in each cube of space so wide [m], and
-    returns how many there are.
-
-    The cubes are found in a hash table with four slots for each that may be filled.
-    """
+    returns how many there are. The cubes are found in a hash table with four slots for each that may be filled."""
     width, free = depth.shape[1], np.iinfo(np.int64).min
     size = 1
     while size < 4 * len(chosen):
@@ -190,10 +183,9 @@ def _gathered(surface: Any, image: Any, window: Any, at: Any, found: Any) -> int
                 continue
             P = point_at(rays, depth, v, u)
             way = sub(P, center)
-            if (
-                dot(way, way) < reach2
-                and abs(field_at(nodes, coarse, apply_inverse(pose, P))[0]) < here.within
-            ):
+            if not dot(way, way) < reach2:
+                continue
+            if abs(field_at(nodes, coarse, apply_inverse(pose, P))[0]) < here.within:
                 found[count] = v * depth.shape[1] + u
                 count += 1
     return count

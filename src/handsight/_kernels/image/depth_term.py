@@ -34,14 +34,10 @@ from handsight._kernels.records import NO_PRIOR, PRIOR_TERM, SHEET, VISION_PRIOR
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.levenberg import IMAGE_DAMPING, damped_step, retract
 
-MIN_COSINE = 0.3
-"""The least cosine of a point's normal with the surface's."""
-MAX_WALL = 0.05
-"""A wall that is thinner than this has points on both of its sides [diameters]."""
-MAX_SHIFT, MAX_TURN = 0.15, 0.5
-"""The most that one step moves the object [diameters, rad]."""
-COMPARED = 100
-"""Points whose errors are compared with each other's, to stand for all."""
+MIN_COSINE = 0.3  # the least cosine of a point's normal with the surface's
+MAX_WALL = 0.05  # a wall that is thinner than this has points on both of its sides [diameters]
+MAX_SHIFT, MAX_TURN = 0.15, 0.5  # the most that one step moves the object [diameters, rad]
+COMPARED = 100  # points whose errors are compared with each other's, to stand for all
 
 
 @inner

@@ -18,8 +18,7 @@ from handsight._kernels.math.vec3 import Vec3, apply, apply_inverse, dot, mul, n
 from handsight._kernels.mesh.field import field_at
 from handsight._kernels.runtime.compilation import entry, inner
 
-BESIDE = 0.06
-"""Distance from the surface up to which points beside it are compared with it [diameters]."""
+BESIDE = 0.06  # distance from the surface up to which points beside it are compared with it [diameters]
 INSIDE = 2.0
 """From the outline to the visible surface that they are compared with, where one pose is followed [pixels]."""
 

@@ -45,10 +45,8 @@ def observed_at(camera: Any, depth: Any, P: Vec3) -> tuple[int, int, float]:
 
 @entry
 def cells_of(camera: Any, rays: Any, depth: Any, corner: Any, cells: Any) -> None:
-    """Fills in `cells` (h, w, 4): depth [m] and normal along the rays `corner[:2] + corner[2] · (column, row)`.
-
-    The depth is 0 where there is none, -1 out of the image; the normal is 0 where there is none.
-    """
+    """Fills in `cells` (h, w, 4): depth [m] and normal along the rays `corner[:2] + corner[2] · (column, row)`. The
+    depth is 0 where there is none, -1 out of the image; the normal is 0 where there is none."""
     for i in range(cells.shape[0]):
         for j in range(cells.shape[1]):
             cell, ray = cells[i, j], (corner[0] + corner[2] * j, corner[1] + corner[2] * i, 1.0)

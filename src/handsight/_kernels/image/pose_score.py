@@ -28,8 +28,7 @@ class ScoreWeights(NamedTuple):
 
 
 POSE_SCORE = ScoreWeights(passed=2.0, hidden=0.3, unexplained=1.0, min_expected=30.0)
-NOT_ASKED = np.empty((0, 0, 2))
-"""In place of an array in which `score_all` says what hides each sample."""
+NOT_ASKED = np.empty((0, 0, 2))  # in place of an array in which `score_all` says what hides each sample
 MIN_FACING = 0.12
 """Least cosine between a sample's normal and the direction to the camera for the sample to be visible."""
 

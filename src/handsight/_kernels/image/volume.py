@@ -22,9 +22,7 @@ CLEAR = 3.0
 @inner
 def _depth_between(depth: Any, u: float, v: float) -> float:
     """Returns the depth [m] at a place between four pixels; 0 where they are not of one surface, or one has no depth.
-
-    One over the depth is interpolated: on a plane it is linear in the image.
-    """
+    One over the depth is interpolated: on a plane it is linear in the image."""
     column, row = int(u), int(v)
     if u < 0 or v < 0 or column + 1 >= depth.shape[1] or row + 1 >= depth.shape[0]:
         return 0.0
@@ -59,11 +57,8 @@ def _see(voxel: Any, depth: Any, pixel: tuple[float, float], node: Vec3, bound: 
 
 @entry
 def fuse(camera: Any, depth: Any, to_camera: Any, bound: float, voxels: Any) -> None:
-    """Adds a depth image (h, w) [m], 0 where there is none, to VOXEL (nx, ny, nz).
-
-    `to_camera` (3, 4): from a node's index in the grid to the camera [m]; `bound`: the largest distance to the surface
-    that is kept [m].
-    """
+    """Adds a depth image (h, w) [m], 0 where there is none, to VOXEL (nx, ny, nz). `to_camera` (3, 4): from a node's
+    index in the grid to the camera [m]; `bound`: the largest distance to the surface that is kept [m]."""
     (height, width), pose = depth.shape, transform_of(to_camera)
     for i in range(voxels.shape[0]):
         for j in range(voxels.shape[1]):

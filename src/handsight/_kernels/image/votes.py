@@ -17,8 +17,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 DISTANCES, ANGLES, SPINS = 20, 13, 30
 """Steps in which a pair's distance, its angles and a spin are counted; right angles are in the middle of a step."""
 CELLS = DISTANCES * ANGLES**3
-PEAKS = 4
-"""Poses that each reference point votes for."""
+PEAKS = 4  # poses that each reference point votes for
 POINT_BITS = 16
 """A pair of the model is one whole number: its first point, and in this many bits below it the spin."""
 TURN = 1 << POINT_BITS

@@ -55,10 +55,8 @@ def field_at(nodes: Any, field: Any, place: Vec3) -> Values:
 
 @inner
 def _sheet(nodes: Any, field: Any, place: Vec3) -> Values:
-    """Returns what a grid does, after nodes with no surface between them and the nearest one got that one's sign.
-
-    For every grid this would take a fifth more time.
-    """
+    """Returns what a grid does, after nodes with no surface between them and the nearest one got that one's sign. For
+    every grid this would take a fifth more time."""
     first, past, beyond = _cell(field, place)
     step_x, step_y, own = field.shape[1] * field.shape[2], field.shape[2], local(NODES)
     x, y, z = 2 if past[0] > 0.5 else 1, 2 if past[1] > 0.5 else 1, 2 if past[2] > 0.5 else 1

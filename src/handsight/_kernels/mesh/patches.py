@@ -12,22 +12,19 @@ import numpy as np
 from handsight._kernels.math.vec3 import Vec3, add, dot, norm, scale, sub, vector
 from handsight._kernels.runtime.compilation import entry, inner
 
-PATCH = np.dtype(
-    [
-        ("point", "f8", (3,)),
-        ("normal", "f8", (3,)),
-        ("along", "f8", (2, 3)),
-        ("bends", "f8", (3,)),
-        ("bend", "f8"),  # H
-        ("covariance", "f8", (6, 6)),  # of height, slopes and bends
-        ("spread", "f8"),  # variance of the residuals: their squares over the degrees of freedom [m²]
-        ("window", "f8"),  # radius of the widest window that it was fitted in [m]
-        ("fits", "i8"),  # how many windows it was fitted in
-        ("ended", "i8"),  # whether a wider window is not of one surface any more
-        ("trust", "f8"),  # its weight among others, beside that by its distance
-    ],
-    align=True,
-)
+PATCH = np.dtype([
+    ("point", "f8", (3,)),
+    ("normal", "f8", (3,)),
+    ("along", "f8", (2, 3)),
+    ("bends", "f8", (3,)),
+    ("bend", "f8"),  # H
+    ("covariance", "f8", (6, 6)),  # of height, slopes and bends
+    ("spread", "f8"),  # variance of the residuals: their squares over the degrees of freedom [m²]
+    ("window", "f8"),  # radius of the widest window that it was fitted in [m]
+    ("fits", "i8"),  # how many windows it was fitted in
+    ("ended", "i8"),  # whether a wider window is not of one surface any more
+    ("trust", "f8"),  # its weight among others, beside that by its distance
+], align=True)  # fmt: skip
 
 
 @inner

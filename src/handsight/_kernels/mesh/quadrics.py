@@ -30,37 +30,27 @@ class QuadricOptions(NamedTuple):
 
 QUADRICS = QuadricOptions()
 
-LEVEL = np.dtype(
-    [
-        ("place", "i8"),  # number of this window size, from the smallest
-        ("window", "f8"),  # radius [m]
-        (
-            "origin",
-            "f8",
-            (3,),
-        ),  # of the grid whose cells sort the points; a cell is as wide as the window's radius
-        ("shape", "i8", (3,)),  # of that grid
-        ("variance", "f8"),  # of a point's noise [m²]
-        ("together", "f8"),  # how many points share one noise
-        ("tolerance", "f8"),  # squared residual that the shape itself has in any window [m²]
-        ("bend", "f8"),  # standard deviation of curvatures before anything is measured [1/m]
-        ("free", "i8"),  # whether every window counts and no point is left out
-    ],
-    align=True,
-)
-ROOM = np.dtype(
-    [
-        ("many", "f8"),  # effective number of points
-        ("matrix", "f8", (6, 6)),
-        ("factor", "f8", (6, 6)),
-        ("right", "f8", (6,)),
-        ("solution", "f8", (6,)),
-        ("x", "f8", (6,)),
-        ("powers", "f8", (6,)),
-        ("tensor", "f8", (6,)),
-    ],
-    align=True,
-)
+LEVEL = np.dtype([
+    ("place", "i8"),  # number of this window size, from the smallest
+    ("window", "f8"),  # radius [m]
+    ("origin", "f8", (3,)),  # of the grid that sorts the points, a cell of it as wide as that radius
+    ("shape", "i8", (3,)),  # of that grid
+    ("variance", "f8"),  # of a point's noise [m²]
+    ("together", "f8"),  # how many points share one noise
+    ("tolerance", "f8"),  # squared residual that the shape itself has in any window [m²]
+    ("bend", "f8"),  # standard deviation of curvatures before anything is measured [1/m]
+    ("free", "i8"),  # whether every window counts and no point is left out
+], align=True)  # fmt: skip
+ROOM = np.dtype([
+    ("many", "f8"),  # effective number of points
+    ("matrix", "f8", (6, 6)),
+    ("factor", "f8", (6, 6)),
+    ("right", "f8", (6,)),
+    ("solution", "f8", (6,)),
+    ("x", "f8", (6,)),
+    ("powers", "f8", (6,)),
+    ("tensor", "f8", (6,)),
+], align=True)  # fmt: skip
 WINDOW_VALUES = 16
 """Numbers of a fit in one window: point (3), normal (3), tensor of second derivatives (6), variances (3), spread."""
 
@@ -258,11 +248,8 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
         if patch.fits > 0 and not level.free:
             excess = QUADRICS.max_excess * np.sqrt(2 * level.together / room.many)
             expected = level.variance * (1 + excess) + level.tolerance
-            if (
-                left_out > QUADRICS.max_left_out
-                or trial.spread > expected
-                or _has_drifted(trial, earlier[k], level.place, room.tensor)
-            ):
+            wide = left_out > QUADRICS.max_left_out or trial.spread > expected
+            if wide or _has_drifted(trial, earlier[k], level.place, room.tensor):
                 patch.ended = 1
                 continue
         patches[k] = trial

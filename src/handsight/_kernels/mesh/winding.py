@@ -21,11 +21,8 @@ def _near(elements: Any, first: int, last: int, p: Vec3) -> float:
         way = sub(vector(centers[t]), p)
         gap = norm(way)
         if len(corners) and gap < FAR_TRIANGLE * reach[t]:
-            a, b, c = (
-                sub(vector(corners[t, 0]), p),
-                sub(vector(corners[t, 1]), p),
-                sub(vector(corners[t, 2]), p),
-            )
+            a, b = sub(vector(corners[t, 0]), p), sub(vector(corners[t, 1]), p)
+            c = sub(vector(corners[t, 2]), p)
             la, lb, lc = norm(a), norm(b), norm(c)
             size = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
             total += 2 * np.arctan2(dot(a, cross(b, c)), size)

@@ -128,10 +128,8 @@ def contacts_to_palm(
 def put_patches(
     numbers: Any, patches: Any, fingers: Any, Ts_palm_tip: Any, by_error: Any, contacts: Any
 ) -> None:
-    """Writes `patches` (k) PATCH of taxels to the `contacts` (n) PALM_CONTACT of the tips `numbers` (k).
-
-    `by_error` (n, 6, j): as in `contacts_to_palm`. A contact that the tip's wrench gave keeps its load.
-    """
+    """Writes `patches` (k) PATCH of taxels to the `contacts` (n) PALM_CONTACT of the tips `numbers` (k). `by_error` (n,
+    6, j): as in `contacts_to_palm`. A contact that the tip's wrench gave keeps its load."""
     for k in range(len(numbers)):
         patch, contact, i = patches[k], contacts[numbers[k]], numbers[k]
         contact.point[:], contact.normal[:] = patch.point, patch.normal

@@ -28,11 +28,8 @@ GEL = GelOptions()
 def sense_gel(
     readings: Any, baseline: Any, surface: Any, taxels: Any, rise: Any, states: Any, patches: Any
 ) -> int:
-    """Returns the number of contacts, which are written to `patches`, records PATCH.
-
-    The arguments are those of `sense_taxels`, the readings indentations [m]. Several contacts of one patch of touched
-    places follow each other.
-    """
+    """Returns the number of contacts, which are written to `patches`, records PATCH. The arguments are those of
+    `sense_taxels`, the readings indentations [m]. Several contacts of one patch of touched places follow each other."""
     record, n, count, number = surface[0], len(taxels), 0, 0
     state, label, members = states[0], states[1], np.empty(n, dtype=np.int64)
     label[:], state[n], rise[n] = -1, UNKNOWN, 0.0

@@ -30,8 +30,7 @@ from handsight._kernels.touch.sensing_steps import (
     wrench_to_contact,
 )
 
-LANES = 32
-"""Wrenches of a block."""
+LANES = 32  # wrenches of a block
 
 
 class Columns(NamedTuple):
@@ -134,10 +133,8 @@ def _pair(six: Any) -> Vec6:
 
 @entry
 def covariances(contacts: Any, tip: Any, sigmas: Any, out: Any) -> None:
-    """Writes the covariances `out` (k, 6, 6) of point [m] and normal of contacts (k,) TIP_CONTACT.
-
-    `tip` (1,) FINGERTIP; `sigmas` (6): standard deviations of a reading [N, N m].
-    """
+    """Writes the covariances `out` (k, 6, 6) of point [m] and normal of contacts (k,) TIP_CONTACT. `tip` (1,)
+    FINGERTIP; `sigmas` (6): standard deviations of a reading [N, N m]."""
     # Columns of a block: two factors of six, then point, normal force and local torque.
     fingertip, noise, out = unpack_fingertip(tip[0]), _pair(sigmas), out.reshape(-1)
     n, w = len(contacts), np.ones(17 * LANES)
@@ -174,10 +171,8 @@ def uncertain_contact(load: Vec6, tip: Fingertip, sigmas: Vec6, covariance: Any)
 
 @entry
 def sense_one(load: Any, tip: Any, sigmas: Any, vectors: Any, covariance: Any) -> Any:
-    """Returns reason, normal force [N] and local torque [N m] of one wrench, `load`: force and torque (6).
-
-    For a contact, `vectors` (3, 3), its point, normal and force, and the `covariance` (6, 6) are written.
-    """
+    """Returns reason, normal force [N] and local torque [N m] of one wrench, `load`: force and torque (6). For a
+    contact, `vectors` (3, 3), its point, normal and force, and the `covariance` (6, 6) are written."""
     answer = uncertain_contact(_pair(load), unpack_fingertip(tip[0]), _pair(sigmas), covariance)
     reason, point, normal, force, force_normal, twist = answer
     store(point, vectors[0])

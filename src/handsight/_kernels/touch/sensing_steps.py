@@ -56,19 +56,14 @@ class Fingertip(NamedTuple):
     """A `Fingertip` has the numbers of a record FINGERTIP, and constants computed from them."""
 
     semi_axes: Vec3
-    W: Vec3
-    """Reciprocals of the semi-axes: the diagonal of W."""
-    by_moment: Vec3
-    """The diagonal of |W| W⁻¹, by which torques are multiplied."""
-    volume: float
-    """1 / |W|."""
+    W: Vec3  # reciprocals of the semi-axes: the diagonal of W
+    by_moment: Vec3  # the diagonal of |W| W⁻¹, by which torques are multiplied
+    volume: float  # 1 / |W|
     cap: float
     friction_squared: float
     min_force_squared: float
-    R: Mat33
-    """Rotation of the sensor in the surface's frame."""
-    origin: Vec3
-    """Position of the sensor in the surface's frame [m]."""
+    R: Mat33  # rotation of the sensor in the surface's frame
+    origin: Vec3  # position of the sensor in the surface's frame [m]
 
 
 @lane
@@ -77,17 +72,10 @@ def unpack_fingertip(record: Any) -> Fingertip:
     axes = vector(record.semi_axes)
     W = 1.0 / axes[0], 1.0 / axes[1], 1.0 / axes[2]
     product = W[0] * W[1] * W[2]
-    return Fingertip(
-        axes,
-        W,
-        (product / W[0], product / W[1], product / W[2]),
-        1.0 / product,
-        record.cap,
-        record.max_friction * record.max_friction,
-        record.min_force * record.min_force,
-        matrix(record.R_surface_sensor),
-        vector(record.origin_surface),
-    )
+    by_moment, R = (product / W[0], product / W[1], product / W[2]), matrix(record.R_surface_sensor)
+    friction2, force2 = record.max_friction * record.max_friction, record.min_force * record.min_force
+    origin = vector(record.origin_surface)
+    return Fingertip(axes, W, by_moment, 1.0 / product, record.cap, friction2, force2, R, origin)
 
 
 @lane

@@ -2,67 +2,41 @@
 
 import numpy as np
 
-NEAR, WIDE = 8, 24
-"""Most neighbours of a taxel that touch it, and most of those up to two taxels away."""
-TAXEL = np.dtype(
-    [
-        ("point", float, 3),  # in the link [m]
-        ("axes", float, (3, 3)),  # columns: the taxel's x and y, and the outward normal
-        ("bend", float, (3, 3)),  # change of the normal by that of the point [1/m]
-        (
-            "edge",
-            float,
-            3,
-        ),  # mean unit vector to its neighbours: 0 amid them, of length 1 where they are on one side
-        ("near", np.int64, NEAR),  # neighbours; the number of taxels where there are fewer
-        ("wide", np.int64, WIDE),  # those up to two taxels away
-        ("beside", np.int64, 4),  # the neighbour towards -x, +x, -y, +y
-    ]
-)
+NEAR, WIDE = 8, 24  # most neighbours of a taxel that touch it, and most of those up to two taxels away
+TAXEL = np.dtype([
+    ("point", float, 3),  # in the link [m]
+    ("axes", float, (3, 3)),  # columns: the taxel's x and y, and the outward normal
+    ("bend", float, (3, 3)),  # change of the normal by that of the point [1/m]
+    ("edge", float, 3),  # mean unit vector to its neighbours: 0 amid them, of length 1 on one side of them
+    ("near", np.int64, NEAR),  # neighbours; the number of taxels where there are fewer
+    ("wide", np.int64, WIDE),  # those up to two taxels away
+    ("beside", np.int64, 4),  # the neighbour towards -x, +x, -y, +y
+])  # fmt: skip
 """One taxel of a surface."""
-SURFACE = np.dtype(
-    [
-        *((name, float, 3) for name in ("scale", "offset")),
-        *(
-            (name, float)
-            for name in ("threshold", "full_scale", "noise", "variance_point", "variance_normal")
-        ),
-        ("pitch", float),  # side of a taxel [m]
-        ("variance_mount", float, 6),  # of the common error, shift [m²] and turn [rad²]
-        ("flat", bool),  # whether all normals are parallel
-    ]
-)
+SURFACE = np.dtype([
+    *(("scale", float, 3), ("offset", float, 3), ("threshold", float), ("full_scale", float)),
+    *(("noise", float), ("variance_point", float), ("variance_normal", float)),
+    ("pitch", float),  # side of a taxel [m]
+    ("variance_mount", float, 6),  # of the common error, shift [m²] and turn [rad²]
+    ("flat", bool),  # whether all normals are parallel
+])  # fmt: skip
 """What all taxels of a surface have in common; the names are those of `handsight.contact.TactileSurface`."""
-PATCH = np.dtype(
-    [
-        *(
-            (name, float, 3) for name in ("point", "normal", "force")
-        ),  # as those of a `handsight.contact.Contact`
-        ("covariance", float, (6, 6)),
-        (
-            "torque",
-            float,
-        ),  # NaN, as the force is, unless the surface has three components, none at its full scale
-        ("wrench", float, 6),  # the force, and its torque about the link's origin [N m]
-        ("total", float),  # sum of the readings along the normals
-        (
-            "contacts",
-            float,
-        ),  # of a surface whose contacts have so much in common that they count as one, their number
-        ("flat", bool),
-    ]
-)
+PATCH = np.dtype([
+    *((name, float, 3) for name in ("point", "normal", "force")),  # as a `handsight.contact.Contact` has
+    ("covariance", float, (6, 6)),
+    ("torque", float),  # NaN, as the force is, unless there are three components, none at its full scale
+    ("wrench", float, 6),  # the force, and its torque about the link's origin [N m]
+    ("total", float),  # sum of the readings along the normals
+    ("contacts", float),  # the number of contacts that have so much in common that they count as one
+    ("flat", bool),
+])  # fmt: skip
 """Taxels that touch each other, and the contact at their centre of pressure, in the link."""
-WATCHED = np.dtype(
-    [
-        *(
-            (name, float, 3) for name in ("mean", "first", "last")
-        ),  # readings at rest, the first of these, the last one
-        ("varied", bool),  # whether it has changed at rest
-        ("still", np.int64),  # readings since its last change
-        ("fault", np.int64),  # number in `FAULTS`
-    ]
-)
+WATCHED = np.dtype([
+    *((name, float, 3) for name in ("mean", "first", "last")),  # reading at rest, at first, and last
+    ("varied", bool),  # whether it has changed at rest
+    ("still", np.int64),  # readings since its last change
+    ("fault", np.int64),  # number in `FAULTS`
+])  # fmt: skip
 """What one taxel has read over time."""
 FAULTS = ("", "dead", "stuck", "at full scale", "drifting")
 _, DEAD, STUCK, FULL, DRIFTING = range(5)

@@ -23,9 +23,7 @@ from handsight._kernels.touch.taxel_records import (
 class TaxelOptions(NamedTuple):
     """`TaxelOptions` are the constants of patches, fitted to simulated tips (`tests/tip_scenes.py`), and of faults."""
 
-    flat: float = math.cos(
-        math.radians(3.0)
-    )  # of the angle between the normals of a flat patch and their mean
+    flat: float = math.cos(math.radians(3.0))  # of the angle of a flat patch's normals with their mean
     filled: float = 0.5  # sigma of the reading that a dead taxel is given, as a share of it
     steeper: float = 0.35
     """The reading of a dead taxel is above the mean of its neighbours by this share of what that is above the mean of
@@ -101,10 +99,8 @@ def sense_taxels(
                         j, steps = taxels[j].beside[side], steps + 1
                     ends += touched[j]
                 state[i] = UNKNOWN if ends == 2 else state[i]
-            if state[i] == FAR and (
-                record.flat or (_sum(touched, taxels[i].wide) and not _sum(touched, near))
-            ):
-                state[i] = UNTOUCHED
+            beside = record.flat or (_sum(touched, taxels[i].wide) > 0 and not _sum(touched, near))
+            state[i] = UNTOUCHED if state[i] == FAR and beside else state[i]
     return _find_patches(record, taxels, touched, rise, states, patches)
 
 
@@ -119,10 +115,8 @@ def _sum(values: Any, numbers: Any) -> float:
 
 @inner
 def _find_patches(record: Any, taxels: Any, touched: Any, rise: Any, states: Any, patches: Any) -> int:
-    """Returns the number of patches: connected touched taxels, dead ones between them, and all around them.
-
-    What reads less than the threshold bears a part of the force, too. A dead taxel reads about as its neighbours do.
-    """
+    """Returns the number of patches: connected touched taxels, dead ones between them, and all around them. What reads
+    less than the threshold bears a part of the force, too. A dead taxel reads about as its neighbours do."""
     n, count, last, state, label = len(taxels), 0, rise.shape[1] - 1, states[0], states[1]
     filled, members, known = np.zeros(n + 1, dtype=np.bool_), np.empty(n, dtype=np.int64), state != UNKNOWN
     for i in range(n):

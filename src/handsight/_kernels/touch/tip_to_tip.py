@@ -35,8 +35,7 @@ class TipToTip(NamedTuple):
     """Factor of a gap in the argument of `erfc` [1/m], by which `max_gap` is 1.645 of its standard deviations."""
     variance_point: float = 0.002**2
     """Added variance of a contact's point where two contacts are taken for one [m²]."""
-    variance_normal: float = math.radians(12.0) ** 2
-    """The same of its normal [rad²]."""
+    variance_normal: float = math.radians(12.0) ** 2  # the same of its normal [rad²]
     mean_load: float = 0.4
     """Mean load of one tip on another, as a share of the smaller of both tips' loads; it is from 0 to twice that.
     Simulated tips press each other less than the object."""

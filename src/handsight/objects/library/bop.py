@@ -19,6 +19,9 @@ METRES = 1e-3
 TOLERANCE = 0.01
 """Rotation matrices are meant to be equal if their entries differ by less, and shifts if they differ by less than this
 part of the diameter, because files have few digits."""
+SURFACE_TOLERANCE = 0.1
+"""How far a symmetry may move a point off the surface [diameters]: BOP searches symmetries with this tolerance (Hodaň
+et al. 2020), so that details do not break them. Ones of the YCB scans are up to 0.054 off, false ones mostly more."""
 
 Vector = tuple[float, float, float]
 Matrix = tuple[

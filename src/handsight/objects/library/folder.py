@@ -39,7 +39,6 @@ from handsight.objects.library.documents import (
 )
 from handsight.objects.model import ObjectModel
 from handsight.objects.symmetry import Symmetries
-from handsight.objects.symmetry_search import check_symmetries
 
 LOCK_SECONDS = 60.0
 """How long a writer waits for another [s]; an add holds the lock while it writes three small files."""
@@ -74,7 +73,6 @@ def new_object(
         raise InvalidInput(
             f"{path.name}: expected an object for a hand, got one of {doubts[0]} (force adds it)"
         )
-    check_symmetries(model, model.symmetries)
     if path.suffix.lower() == ".ply" and scale == METRES:
         data = content(path)
     else:

@@ -16,7 +16,7 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import HandsightError, InvalidFile, InvalidInput
 from handsight.objects.files import read_shape
-from handsight.objects.library.bop import METRES
+from handsight.objects.library.bop import METRES, SURFACE_TOLERANCE
 from handsight.objects.library.documents import Entry, Facts, NoLibrary, entries
 from handsight.objects.library.folder import Folder, check_inside, new_object
 from handsight.objects.library.remote import Remote, without_password
@@ -24,6 +24,7 @@ from handsight.objects.model import ObjectModel
 from handsight.objects.spec import ObjectSpec
 from handsight.objects.surface import diameter
 from handsight.objects.symmetry import Symmetries
+from handsight.objects.symmetry_search import check_symmetries
 
 
 def default_place() -> str:
@@ -72,11 +73,14 @@ class Library:
     def model(self, name: str) -> ObjectModel:
         """Returns the object with that name, its symmetries and its weight; raises the errors of `entry` and `file`."""
         entry = self.entry(name)
-        model = ObjectModel.from_file(self.file(entry), scale=METRES, symmetries=entry.symmetries)
+        model = ObjectModel.from_file(self.file(entry), scale=METRES)
+        model = replace(model, name=entry.name, symmetries=entry.symmetries)
+        where = f"{entry.place}: {entry.file}: symmetries"
+        check_symmetries(model, model.symmetries, where, tolerance=SURFACE_TOLERANCE)
         if facts := entry.facts:
             keys = ("mass", "center_of_mass", "sigma_center_of_mass")
             model = model.with_weight(**{key: getattr(facts, key) for key in keys})
-        return replace(model, name=entry.name)
+        return model
 
     def wrong(self, entries: Iterable[Entry]) -> Iterator[str]:
         """Reads the files of these objects, and yields a sentence for each object with a fault."""
@@ -90,7 +94,8 @@ class Library:
                         expected = f"expected the diameter {declared:.4g} mm"
                         where = f"{entry.place}: {entry.file}"
                         raise InvalidFile(f"{where}: {expected}, got {measured:.4g}: another unit?")
-                _ = entry.symmetries
+                if not entry.symmetries.trivial:
+                    self.model(str(entry.number))
             except HandsightError as error:
                 yield str(error)
 

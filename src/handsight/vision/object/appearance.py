@@ -18,8 +18,7 @@ from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, distinct, 
 
 SAMPLES, FEW = 2400, 600
 """Surface points by which a pose is scored, and by which many are compared; the model's own 256 vote."""
-DIRECTIONS = 800
-"""Directions from which it is computed which of them are visible."""
+DIRECTIONS = 800  # directions from which it is computed which of them are visible
 
 
 class TurnsOptions(NamedTuple):
@@ -42,14 +41,10 @@ drawn are visible [diameters]."""
 class Sides(NamedTuple):
     """`Sides` are points of an object's surface, and which of them are visible from where."""
 
-    samples: Array
-    """(2, m, 3) points and normals."""
-    directions: Array
-    """(k, 3) unit, from the object's centre."""
-    visible: NDArray[np.uint8]
-    """(k, m / 8) which points are visible along each, in bits, the lowest first."""
-    area: float
-    """The area that each point stands for [m²]."""
+    samples: Array  # (2, m, 3) points and normals
+    directions: Array  # (k, 3) unit, from the object's centre
+    visible: NDArray[np.uint8]  # (k, m / 8) which points are visible along each, in bits, the lowest first
+    area: float  # the area that each point stands for [m²]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +53,9 @@ class Appearance:
 
     pairs: tuple[NDArray[np.int32], NDArray[np.int32]]
     """Where the pairs of each cell begin, and the pairs: first point and spin of each in one number."""
-    voters: Array
-    """(2, 256, 3) points and normals of the pairs."""
-    sides: Sides
-    """By which a pose is scored."""
-    few_sides: Sides
-    """By which many poses are compared."""
+    voters: Array  # (2, 256, 3) points and normals of the pairs
+    sides: Sides  # by which a pose is scored
+    few_sides: Sides  # by which many poses are compared
     turns: Array
     """(t, 4, 4) motions of the object that bring most of its surface onto itself, without its symmetries."""
 
@@ -80,9 +72,10 @@ def appearance_of(model: ObjectModel) -> Appearance:
         area *= 2
     directions = se3.directions(DIRECTIONS)
     name = cache.key("visible 2", samples, directions, model.vertices, model.faces)
-    packed = cache.remembered_numbers(
+    bits = cache.remembered_numbers(
         "bits", name, np.uint8, lambda: visible_sets(model, samples, directions).reshape(-1)
-    ).reshape(DIRECTIONS, -1)
+    )
+    packed = bits.reshape(DIRECTIONS, -1)
     sides = Sides(samples, directions, packed, area)
     few = Sides(samples[:, :FEW].copy(), directions, packed[:, : FEW // 8].copy(), area * (SAMPLES // FEW))
     count, diameter = voters.shape[1], model.diameter
@@ -108,10 +101,8 @@ def appearance_of(model: ObjectModel) -> Appearance:
 
 
 def visible_sets(model: ObjectModel, samples: Array, directions: Array) -> NDArray[np.uint8]:
-    """Returns (k, m / 8) which of the samples (2, m, 3) are visible along each direction (k, 3), in bits.
-
-    The object is drawn from a few diameters off, which is as far as cameras are.
-    """
+    """Returns (k, m / 8) which of the samples (2, m, 3) are visible along each direction (k, 3), in bits. The object is
+    drawn from a few diameters off, which is as far as cameras are."""
     surface, center, away = model.surface, model.center_object, AWAY * model.diameter
     vertices, faces = surface.vertices, surface.faces
     if isinstance(surface, Cloud):  # a triangle for each point

@@ -5,7 +5,7 @@ as it moved before. What the image does not show of a pose stays as expected, wi
 handle is hidden fits at any turn, and only its covariance says so.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -70,18 +70,13 @@ HIDDEN = "hardly anything of it is seen"
 class Sighting:
     """A `Sighting` is the estimate of a tracked object's pose after one depth image."""
 
-    stamp: float
-    """Of the image [s]."""
-    T_camera_object: Array | None
-    """(4, 4); None: lost."""
+    stamp: float  # of the image [s]
+    T_camera_object: Array | None  # (4, 4); None: lost
     covariance: Array | None
     """(6, 6) of (δp [m], δθ [rad]) of the object's origin along the camera's axes; None: lost."""
-    state: State
-    """`tracking`; `uncertain`: the pose fits, but others may fit as well; `lost`: no pose fits."""
-    reason: str
-    """Why it is not `tracking`; empty if it is."""
-    candidate: NDArray[np.void]
-    """CANDIDATE (1,): the pose that was tried, and how well the image supports it."""
+    state: State  # `tracking`; `uncertain`: the pose fits, but others may fit as well; `lost`: no pose fits
+    reason: str  # why it is not `tracking`; empty if it is
+    candidate: NDArray[np.void]  # CANDIDATE (1,): the pose that was tried, and how well the image supports it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,22 +97,19 @@ class _Belief:
 
     stamp: float
     pose_camera_object: GaussianPose
-    velocity: Array
-    """(6,) of the object's centre [m/s, rad/s]."""
     T_camera_palm: Array | None
-    lost: bool
     independent: Array
     """(6, 6) covariance if the errors of images were independent, by which they are weighed."""
     T_at_rest: Array
     """(4, 4) T_camera_object if it has not moved since the last image, or only with the palm that grips it."""
-    shared: Array
+    observed: float  # stamp of the last image that showed enough of it [s]
+    lost: bool
+    velocity: Array = field(default_factory=lambda: np.zeros(6))  # (6,) of the object's centre [m/s, rad/s]
+    shared: Array = field(default_factory=lambda: np.zeros((6, 6)))
     """(6, 6) derivative of the pose by errors of unit variance that all images share."""
-    changed: Array
+    changed: Array = field(default_factory=lambda: np.zeros((6, 6)))
     """(6, 6) part of both covariances that is due to a change of motion since the last image."""
-    observed: float
-    """Stamp of the last image that showed enough of it [s]."""
-    odds: float = 0.0
-    """Log odds that the pose is right, by all images."""
+    odds: float = 0.0  # log odds that the pose is right, by all images
 
 
 class DepthTracker:
@@ -221,42 +213,29 @@ class DepthTracker:
             T = at_rest = T_new_old @ pose.T_a_b
             drift = DEPTH_TRACKER.drift_in_palm
             turn = np.kron(np.eye(2), T_new_old[:3, :3])
-            covariance, independent, shared = (
-                turn @ pose.covariance @ turn.T,
-                turn @ last.independent @ turn.T,
-                turn @ last.shared,
-            )
+            covariance, independent = (turn @ each @ turn.T for each in (covariance, independent))
+            shared = turn @ shared
         else:
             T_camera_center = se3.moved(pose.T_a_b @ self._T_object_center, velocity * dt)
             T, at_rest = T_camera_center @ se3.inverse(self._T_object_center), pose.T_a_b
         # An object that is not observed may go on with one velocity: after a time t it is off by t sigma.
         grown = dt * (dt + 2 * max(last.stamp - last.observed, 0.0))
-        much, little = (
-            self._covariance_of_origin(T, np.repeat([grown * sigma**2 for sigma in sigmas], 3))
-            for sigmas in (drift, DEPTH_TRACKER.drift_in_palm)
+        sigmas = drift, DEPTH_TRACKER.drift_in_palm
+        much, little = (self._covariance_of_origin(T, np.repeat(grown * np.square(s), 3)) for s in sigmas)
+        T, at_rest, odds = (T, at_rest, last.odds) if hint is None else (hint, hint, 0.0)
+        pose, independent = GaussianPose(T, covariance + much), independent + much
+        found = _Belief(
+            image.stamp, pose, image.T_camera_palm, independent, at_rest, last.observed, last.lost
         )
-        known = not last.lost and hint is None
-        return _Belief(
-            image.stamp,
-            GaussianPose(T if hint is None else hint, covariance + much),
-            velocity,
-            image.T_camera_palm,
-            last.lost,
-            independent + much,
-            at_rest if hint is None else hint,
-            shared,
-            much - little if known else np.zeros((6, 6)),
-            last.observed,
-            last.odds if hint is None else 0.0,
-        )
+        changed = much - little if not last.lost and hint is None else found.changed
+        return replace(found, velocity=velocity, shared=shared, changed=changed, odds=odds)
 
     def _refined(self, image: _Image, predicted: _Belief) -> RefinedPose:
         """Returns what an image says near where the object is expected."""
         pose = GaussianPose(predicted.pose_camera_object.T_a_b, predicted.independent - predicted.changed)
         known = np.asarray(np.linalg.inv(pose.at_point(self.model.center_object).covariance))
-        return self._refiner.at(
-            pose.T_a_b, known, image.depth, image.hand, image.table, T_at_rest=predicted.T_at_rest
-        )
+        shown = image.depth, image.hand, image.table
+        return self._refiner.at(pose.T_a_b, known, *shown, T_at_rest=predicted.T_at_rest)
 
     def _weighed(self, predicted: _Belief, refined: RefinedPose) -> _Belief:
         """Returns the belief with the log odds that an image adds to it."""
@@ -328,15 +307,8 @@ class DepthTracker:
         elif 0 < predicted.stamp - last.stamp <= DEPTH_TRACKER.max_gap:
             before, now = (T @ self._T_object_center for T in (last.pose_camera_object.T_a_b, pose.T_a_b))
             velocity = se3.difference(now, before) / (predicted.stamp - last.stamp)
-        return replace(
-            predicted,
-            pose_camera_object=pose,
-            velocity=velocity,
-            lost=False,
-            observed=predicted.stamp,
-            independent=independent,
-            shared=shared,
-        )
+        known = replace(predicted, pose_camera_object=pose, independent=independent, shared=shared)
+        return replace(known, velocity=velocity, lost=False, observed=predicted.stamp)
 
     def _gain(self, T_camera_object: Array, P: Array, R: Array) -> Array:
         """Returns the gain (6, 6) of a measurement of the object's origin with covariance R, before which it is P.
@@ -359,20 +331,9 @@ class DepthTracker:
         """Returns the belief that the object is about there, and as good as unknown."""
         D = self.model.diameter
         variance = np.repeat([(UNKNOWN[0] * D) ** 2, (UNKNOWN[1] * D / self.model.radius) ** 2], 3)
-        pose = GaussianPose(T_camera_object, self._covariance_of_origin(T_camera_object, variance))
-        zeros = np.zeros((6, 6))
-        return _Belief(
-            image.stamp,
-            pose,
-            np.zeros(6),
-            image.T_camera_palm,
-            lost,
-            pose.covariance,
-            T_camera_object,
-            zeros,
-            zeros,
-            image.stamp,
-        )
+        C, palm = self._covariance_of_origin(T_camera_object, variance), image.T_camera_palm
+        pose = GaussianPose(T_camera_object, C)
+        return _Belief(image.stamp, pose, palm, C, T_camera_object, image.stamp, lost)
 
     def _covariance_of_origin(self, T_camera_object: Array, variance: Array) -> Array:
         """Returns the covariance (6, 6) of the object's origin that a variance (6,) of its centre makes."""

@@ -1,7 +1,7 @@
 """An object's first pose from a depth image, without a guess."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,8 +45,7 @@ class FirstPoseOptions(NamedTuple):
     bound: float = 0.006  # depth within this of the surface is explained [m]
     bound_sigmas: float = 4.0  # or within so many sigmas of the depth, where that is more
     max_bound: float = 0.5  # beyond which depth tells no shape from another: it is too far away [diameters]
-    place: float = 0.25
-    """Poses whose centres are nearer to each other are of one place [diameters]."""
+    place: float = 0.25  # poses whose centres are nearer to each other are of one place [diameters]
     score_weight: float = 1.5  # of the score in the logarithm of a mode's weight among those of its place
     passed: float = 2.0  # cost of a pixel that the camera sees past, against one that such a mode explains
     step: float = 0.3  # between poses of one place that may be one unobserved motion [diameters]
@@ -66,8 +65,7 @@ POINTS, KEPT, AT_PLACE = (0.3, 0.5, 1.0, 1.0), (24, 12, 8, 8), (2, 2, 3, 6)
 """Share of the observed points by which each stage moves them, candidates that go on, and of one place at most."""
 BESIDE = (150, 300, 600, 1200)
 """Pixels around each candidate that show whether the surface goes on beyond its outline."""
-TURNED = 3
-"""Before this stage the best candidates are also turned to where the surface is nearly the same."""
+TURNED = 3  # before this stage the best candidates are also turned to where the surface is nearly the same
 
 EVIDENCE = -3.71, 8.82, -2.23, -6.47, -8.38
 """The weights of the columns of `evidence_of` in the log odds that the object is there (`experiments/sight_fit.py`)."""
@@ -112,10 +110,10 @@ class ObjectDetection:
     """Of the poses that were given: are they right? None: none was."""
 
     @classmethod
-    def nowhere(cls, reason: str, starts: JudgedStarts | None = None) -> "ObjectDetection":
-        """Returns a detection without poses."""
-        none, candidates = np.zeros(0), np.zeros(0, dtype=CANDIDATE)
-        return cls(none.reshape(0, 4, 4), none.reshape(0, 6, 6), none, candidates, 0.0, reason, starts)
+    def nowhere(cls, reason: str, starts: JudgedStarts | None = None, probability: float = 0.0) -> Self:
+        """Returns a detection without poses, with the probability of the likeliest that was rejected."""
+        none, T, covariance = np.zeros(0), np.zeros((0, 4, 4)), np.zeros((0, 6, 6))
+        return cls(T, covariance, none, np.zeros(0, dtype=CANDIDATE), probability, reason, starts)
 
 
 def first_pose(
@@ -202,9 +200,7 @@ def slid(
     model: ObjectModel, scene: Scene, observed: NDArray[np.void], candidate: Candidates, noise: DepthNoise
 ) -> Candidates:
     """Returns CANDIDATE (1,) where the image supports it best along the direction that DEPTH_POINT (n,) observe least.
-
-    Points on walls do not tell where the walls end: pixels do that see past them, and those that are explained.
-    """
+    Points on walls do not tell where the walls end: pixels do that see past them, and those that are explained."""
     T, center = poses_of(candidate)[0], model.center_object
     covariance = pose_covariances(model, scene.camera, observed, candidate, noise)[0]
     units = np.repeat([1.0, model.radius], 3)  # radius times a turn is a shift

@@ -17,8 +17,7 @@ from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose import ObjectDetection
 from handsight.vision.object.locate import Start, locate, search_mask
 
-MAX_DETECTIONS = 8
-"""Detections of an object in an image that are searched, those with the highest scores."""
+MAX_DETECTIONS = 8  # detections of an object in an image that are searched, those with the highest scores
 
 
 class FirstPoseSource(Protocol):

@@ -16,26 +16,13 @@ from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
-from handsight.vision.candidates import (
-    NOTHING_KNOWN,
-    Candidates,
-    candidates_at,
-    poses_of,
-    surface_distances,
-)
+from handsight.vision.candidates import NOTHING_KNOWN, Candidates, candidates_at, poses_of, surface_distances
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
-from handsight.vision.object.first_pose import (
-    JudgedStarts,
-    ObjectDetection,
-    first_pose,
-    log_odds,
-    logit,
-)
+from handsight.vision.object.first_pose import JudgedStarts, ObjectDetection, first_pose, log_odds, logit
 from handsight.vision.object.pose_refiner import PoseRefiner
 from handsight.vision.object.region import REGION, Scene, scene_of
 
-Box = Sequence[float] | Array
-"""u0, v0, u1, v1: the first column and row, and the last, all included [pixels]."""
+Box = Sequence[float] | Array  # u0, v0, u1, v1: the first column and row, and the last, all included [pixels]
 Start = GaussianPose | Sequence[GaussianPose] | ArrayLike
 """Poses of the object in the camera: (4, 4), (k, 4, 4), or with their covariances."""
 
@@ -105,11 +92,11 @@ def locate(
         found = replace(found, starts=_judged(model, given, refined, found, prior))
     if found.probability >= LOCATE.min_probability:
         return found
-    name, probability = model.name or "the object", f"with a probability of {found.probability:.2f} only"
-    reason = f"the likeliest pose of {name} is right {probability}"
-    if not len(found.candidates):
-        reason = "no surface there is large enough to tell its shape"
-    return ObjectDetection.nowhere(reason + _too_near(model, scene, wanted, hand, noise), found.starts)
+    name = model.name or "the object"
+    doubt = f"the likeliest pose of {name} is right with a probability of {found.probability:.2f} only"
+    reason = doubt if len(found.candidates) else "no surface there is large enough to tell its shape"
+    reason += _too_near(model, scene, wanted, hand, noise)
+    return ObjectDetection.nowhere(reason, found.starts, found.probability)
 
 
 def _too_near(
@@ -127,14 +114,10 @@ def _too_near(
 class Recognition:
     """A `Recognition` says which object a depth image shows, and where."""
 
-    scores: dict[str, float]
-    """Probability of each name, the likeliest first."""
-    none: float
-    """Probability that it is none of them; with the scores it sums to 1."""
-    found: dict[str, ObjectDetection]
-    """Where each would be, in the same order."""
-    reason: str | None = None
-    """Why it is none."""
+    scores: dict[str, float]  # probability of each name, the likeliest first
+    none: float  # probability that it is none of them; with the scores it sums to 1
+    found: dict[str, ObjectDetection]  # where each would be, in the same order
+    reason: str | None = None  # why it is none
 
     @property
     def name(self) -> str | None:
@@ -278,9 +261,7 @@ def _checked_starts(start: Start) -> list[GaussianPose]:
 
 def _refined(model: ObjectModel, scene: Scene, given: list[GaussianPose], noise: DepthNoise) -> Candidates:
     """Returns CANDIDATE (2k,): the given poses, then these moved to the points near them that are no table's or hand's.
-
-    Both, because a neighbour's points may draw a pose away from where it was right.
-    """
+    Both, because a neighbour's points may draw a pose away from where it was right."""
     refiner, Ts = PoseRefiner(model, scene.camera, noise), list[Array]()
     for pose in given:
         known = NOTHING_KNOWN

@@ -291,7 +291,12 @@ class _Pool:
             if n not in self.distances:
                 model = self.models[self.names[n]]
                 self.distances[n] = distances_in(self.scene, model, self.candidates[n : n + 1])
-        return owners(self.scene, [self.distances[n] for n in chosen])
+        nearest = np.full(self.scene.depth.shape, np.inf, dtype=np.float32)
+        owner = np.full(nearest.shape, -1, dtype=np.int32)
+        for k, (box, distance) in enumerate(self.distances[n] for n in chosen):
+            near = distance < nearest[box]
+            nearest[box][near], owner[box][near] = distance[near], k
+        return owner
 
     def searched(self, chosen: list[int], k: int, owner: Pixels) -> _Search:
         """Returns the search for the k-th of the chosen candidates without the pixels (h, w) of the others."""
@@ -327,10 +332,8 @@ class _Pool:
         return odds
 
     def present(self, limits: Mapping[str, int], chosen: list[int]) -> list[int]:
-        """Returns those of the candidates that are likely enough, given the others.
-
-        One by one the least likely is left out, or a likelier one of another object is put in a candidate's place.
-        """
+        """Returns those of the candidates that are likely enough, given the others. One by one the least likely is left
+        out, or a likelier one of another object is put in a candidate's place."""
         chosen, banned = list(chosen), list[int]()
         # Where nothing else is, an object is there if `locate` finds it.
         for each in self.searches:
@@ -343,13 +346,8 @@ class _Pool:
             owner = self.owners(chosen)
             odds = [self.odds(limits, chosen, k, owner) for k in range(len(chosen))]
             own = np.array([one[n] for one, n in zip(odds, chosen, strict=True)])
-            better = [
-                (value - own[k], k, n)
-                for k, one in enumerate(odds)
-                for n, value in one.items()
-                if value > own[k] and n not in tried and n not in banned
-            ]
-            if better:
+            free = [(k, n) for k, one in enumerate(odds) for n in one if n not in tried and n not in banned]
+            if better := [(odds[k][n] - own[k], k, n) for k, n in free if odds[k][n] > own[k]]:
                 _, k, chosen[k] = max(better)
                 tried.add(chosen[k])
                 continue
@@ -406,13 +404,3 @@ def distances_in(scene: Scene, model: ObjectModel, candidate: Candidates) -> Dis
     distance = np.full(inside.shape, np.inf, dtype=np.float32)
     distance[inside] = surface_distances(model, points, bound, candidate)[0]
     return box, distance
-
-
-def owners(scene: Scene, bodies: Sequence[Distances]) -> Pixels:
-    """Returns which of the bodies explains each pixel (h, w): the one with the nearest surface; -1: none."""
-    nearest = np.full(scene.depth.shape, np.inf, dtype=np.float32)
-    owner = np.full(nearest.shape, -1, dtype=np.int32)
-    for k, (box, distance) in enumerate(bodies):
-        near = distance < nearest[box]
-        nearest[box][near], owner[box][near] = distance[near], k
-    return owner

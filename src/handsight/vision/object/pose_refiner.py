@@ -44,10 +44,8 @@ class RefinedPose(NamedTuple):
     """A `RefinedPose` is the pose that depth alone gives."""
 
     pose_camera_object: GaussianPose
-    candidate: Candidates
-    """CANDIDATE (1,)"""
-    points: int
-    """Points near the surface."""
+    candidate: Candidates  # CANDIDATE (1,)
+    points: int  # points near the surface
 
 
 class PoseRefiner:
@@ -82,18 +80,14 @@ class PoseRefiner:
         self._take(T_expected, depth, hand, table)
         z = center_depths(self.model, candidates_at(T_expected[None]))
         bound = float(explained_within(self.noise, z)[0])
-        best = None
-        for within, stages in (2 * bound, NEAR_STAGES), (REFINER.within * self.model.diameter, STAGES):
-            if stages is NEAR_STAGES and T_at_rest is None:
-                continue
-            other = T_at_rest if stages is NEAR_STAGES else None
-            found = self._moved(T_expected, known, within, stages, other)
-            if best is None or support(found[0]) > support(best[0]):
-                best = found
-            if support_share(found[0]) > REFINER.good:
-                break
-        assert best is not None
-        candidate, points = best
+        wide = REFINER.within * self.model.diameter
+        if T_at_rest is None:
+            candidate, points = self._moved(T_expected, known, wide, STAGES, None)
+        else:
+            candidate, points = best = self._moved(T_expected, known, 2 * bound, NEAR_STAGES, T_at_rest)
+            if not support_share(candidate) > REFINER.good:
+                found = self._moved(T_expected, known, wide, STAGES, None)
+                candidate, points = found if support(found[0]) > support(candidate) else best
         some = np.ascontiguousarray(points[:: max(len(points) // REFINER.covariance_points, 1)])
         covariance = pose_covariances(self.model, self.camera, some, candidate, self.noise)[0]
         return RefinedPose(GaussianPose(poses_of(candidate)[0], covariance), candidate, len(points))
@@ -102,9 +96,7 @@ class PoseRefiner:
         self, T_expected: Array, known: Array, within: float, stages: NDArray[np.void], other: Array | None
     ) -> tuple[Candidates, NDArray[np.void]]:
         """Returns CANDIDATE (1,), scored, and the points of the window within so far of it [m], to which it was moved.
-
-        It is the other pose (4, 4) if the image supports that better.
-        """
+        It is the other pose (4, 4) if the image supports that better."""
         candidates = candidates_at(np.stack([T_expected] if other is None else [T_expected, other]))
         record = self.model.record[:2]
         image, z = (self.camera.rays, self._depth, self._labels), center_depths(self.model, candidates)
@@ -133,9 +125,8 @@ class PoseRefiner:
         low, high = np.fmin.reduce(pixels), np.fmax.reduce(pixels)
         focal, box = self.camera.matrix[0, 0], (slice(0, 0), slice(0, 0))
         if not np.isnan(low[0]):  # NaN where it is out of the image
-            margin = 1 + REFINER.margin * self.model.diameter * focal / max(
-                points[:, 2].min(), REFINER.margin
-            )
+            nearest = max(points[:, 2].min(), REFINER.margin)
+            margin = 1 + REFINER.margin * self.model.diameter * focal / nearest
             ends = np.stack([low - margin, high + margin + 1]).clip(0, self.camera.size)
             (left, top), (right, bottom) = ends.astype(int).tolist()
             box = slice(top, bottom), slice(left, right)

@@ -34,12 +34,9 @@ class Scene:
     """A `Scene` is a depth image, with the segments of it that may be the object."""
 
     camera: Camera
-    depth: Depth
-    """(h, w) [m]; 0 where there is none."""
-    labels: NDArray[np.int32]
-    """(h, w) number of the segment, `TABLE`, `HAND`, or `OUT`."""
-    sizes: Array
-    """(p,) pixels of each segment."""
+    depth: Depth  # (h, w) [m]; 0 where there is none
+    labels: NDArray[np.int32]  # (h, w) number of the segment, `TABLE`, `HAND`, or `OUT`
+    sizes: Array  # (p,) pixels of each segment
 
     @property
     def reason(self) -> str:
@@ -49,9 +46,7 @@ class Scene:
 
     def without(self, excluded: Mask) -> "Scene":
         """Returns the scene with some pixels (h, w) excluded as the hand's are: what is behind them is hidden by them.
-
-        What is left is divided into segments again.
-        """
+        What is left is divided into segments again."""
         labels = np.where(self.labels >= 0, np.int32(depth_image.OPEN), self.labels)
         labels[excluded & (self.labels >= 0)] = HAND
         sizes = np.empty(labels.size // REGION.min_segment + 1)
@@ -103,10 +98,8 @@ def check_metres(depth: Depth) -> None:
 
 
 def table_plane(camera: Camera, depth: Depth, wanted: Mask, *, extent: float) -> Array | None:
-    """Returns the plane (4,) that most of the wanted pixels (h, w) lie on, by random sample consensus.
-
-    It is `n·P + offset = 0` with n towards the camera; None where no plane is wider than `extent` [m].
-    """
+    """Returns the plane (4,) that most of the wanted pixels (h, w) lie on, by random sample consensus. It is `n·P +
+    offset = 0` with n towards the camera; None where no plane is wider than `extent` [m]."""
     pixels = np.flatnonzero(wanted & (depth > 0) & (depth < np.inf))
     if len(pixels) < 500:
         return None

@@ -43,8 +43,7 @@ class HandAppearance:
     """Points (m, 3) and outward normals (m, 3) in the axes of their link, and the link of each, in random order."""
     coarse: tuple[Array, Indices, Indices]
     """Vertices (k, 3) in the axes of their link, the link of each, and faces (f, 3)."""
-    point_area: float
-    """What each point stands for [m²]."""
+    point_area: float  # what each point stands for [m²]
 
     @classmethod
     def of(cls, hand: Hand) -> "HandAppearance":
@@ -84,14 +83,10 @@ class PlacedHand:
     """A `PlacedHand` is a hand in the palm's axes, with its joints at certain positions."""
 
     appearance: HandAppearance
-    skin: Array
-    """(2, m, 3) points [m] and outward normals."""
-    vertices: Array
-    """(k, 3) of the coarse triangles [m]."""
-    axes: Array
-    """Of the joints, as `Chains.poses` has them."""
-    sigma_joint: float
-    """Constant error of each joint [rad, for slides m]."""
+    skin: Array  # (2, m, 3) points [m] and outward normals
+    vertices: Array  # (k, 3) of the coarse triangles [m]
+    axes: Array  # of the joints, as `Chains.poses` has them
+    sigma_joint: float  # constant error of each joint [rad, for slides m]
 
     @cached_property
     def middle(self) -> Array:

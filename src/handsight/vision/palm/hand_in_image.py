@@ -44,9 +44,7 @@ class HandInImage:
         follow: bool = False,
     ) -> PalmDetection | PalmNotFound | None:
         """Returns the palm as `detect_palm` does, with sigmas of its predicted pose [m, rad]; None where `placed` is.
-
-        `follow`: the palm was found there in the last image, and is searched only if it no longer fits there.
-        """
+        `follow`: the palm was found there in the last image, and is searched only if it no longer fits there."""
         hand = self.placed(joint_positions)
         if hand is None:
             return None
@@ -61,8 +59,7 @@ class HandInImage:
         joints = joint_positions or {}
         if self._appearance is None or not joints.keys() >= set(self._shape.joints):
             return None
-        vertices = self._shape.vertices_palm(joints)
-        return hand_mask(camera, depth, vertices, self._shape.faces, T_camera_palm)
+        return hand_mask(camera, depth, self._shape.vertices_palm(joints), self._shape.faces, T_camera_palm)
 
 
 def hand_mask(

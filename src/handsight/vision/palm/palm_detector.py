@@ -88,14 +88,11 @@ class PalmNotFound:
 class PalmDetection:
     """A `PalmDetection` is the pose of the palm in one depth image."""
 
-    T_camera_palm: Array
-    """(4, 4)"""
-    covariance: Array
-    """(6, 6) of (δp [m], δθ [rad]) along the camera's axes."""
+    T_camera_palm: Array  # (4, 4)
+    covariance: Array  # (6, 6) of (δp [m], δθ [rad]) along the camera's axes
     fit: float
     """Of the pixels that the hand should fill, the share that it explains; hidden ones are not explained."""
-    candidate: NDArray[np.void]
-    """(1,) CANDIDATE: what the image says of it, in pixels."""
+    candidate: NDArray[np.void]  # (1,) CANDIDATE: what the image says of it, in pixels
 
 
 def detect_palm(
@@ -115,12 +112,9 @@ def detect_palm(
     """
     T = se3.check(T_camera_palm, "T_camera_palm")
     camera.check_size(depth, "depth")
-    sigmas = (
-        checks.positive(sigma_position, "sigma_position"),
-        checks.positive(sigma_rotation, "sigma_rotation"),
-    )
-    belief = Belief(hand, T, sigmas)
-    picture = picture_of(camera, depth, hand, T, sigmas[0])
+    sigma = checks.positive(sigma_position, "sigma_position")
+    belief = Belief(hand, T, (sigma, checks.positive(sigma_rotation, "sigma_rotation")))
+    picture = picture_of(camera, depth, hand, T, sigma)
     if picture is None:
         return PalmNotFound("outside")
     visible = hand.visible_from(camera, T)
@@ -219,9 +213,8 @@ def _covariance(
 ) -> Array:
     """Returns (6, 6) of CANDIDATE (1,) by (δp, δθ) of the palm along the camera's axes.
 
-    rows (k,): the visible points; bound: Tukey's [m]. The errors of points are those of `noise`. Those of whole
-    pixels are added, and those of constant errors of the joints, to first order: a weighted fit follows a joint that is
-    off.
+    rows (k,): the visible points; bound: Tukey's [m]. The errors of points are those of `noise`. Those of whole pixels
+    are added, and those of constant errors of the joints, to first order: a weighted fit follows a joint that is off.
     """
     T, hand, camera, compared = poses_of(candidate)[0], picture.hand, picture.camera, 150
     skin, fitted = np.ascontiguousarray(hand.skin[:, rows]), np.empty((len(rows), 8))

@@ -46,10 +46,8 @@ class Picture:
     hand: PlacedHand
     camera: Camera
     depth: Depth
-    cells: NDArray[np.float32]
-    """(m, m, 4) as `palm_scan.cells_of` fills them in."""
-    corner: Array
-    """(3,) ray of the first cell, and step from cell to cell."""
+    cells: NDArray[np.float32]  # (m, m, 4) as `palm_scan.cells_of` fills them in
+    corner: Array  # (3,) ray of the first cell, and step from cell to cell
 
     @property
     def arrays(self) -> tuple[Depth, NDArray[np.float32], NDArray[np.float32], Array]:

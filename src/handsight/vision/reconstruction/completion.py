@@ -53,14 +53,10 @@ COMPLETION = CompletionOptions()
 class ReconstructedModel:
     """A `ReconstructedModel` is an object's surface as points, measured and guessed."""
 
-    points: Array
-    """(n, 3) [m]."""
-    normals: Array
-    """(n, 3) unit, outward."""
-    measured: Mask
-    """(n,) whether views showed the point; else it is guessed."""
-    guesses: tuple[str, ...]
-    """What was guessed, in a few words each."""
+    points: Array  # (n, 3) [m]
+    normals: Array  # (n, 3) unit, outward
+    measured: Mask  # (n,) whether views showed the point; else it is guessed
+    guesses: tuple[str, ...]  # what was guessed, in a few words each
 
     @property
     def sigmas(self) -> Array:
@@ -97,8 +93,7 @@ def parts_of(surface: SurfacePoints, volume: Volume) -> Iterator[SurfacePoints]:
 
 def share_observed(surface: SurfacePoints, volume: Volume) -> float:
     """Returns at most which share of an object's closed surface is measured: the rest of its convex hull, where it is
-    not free space, was not observed. More than that may be hidden behind it.
-    """
+    not free space, was not observed. More than that may be hidden behind it."""
     points, normals, cell = *surface, volume.grid.cell
     try:
         hull = ConvexHull(points)

@@ -56,8 +56,7 @@ class Grip:
     """A `Grip` is what was fused while the hand did not move on the object."""
 
     reconstruction: Reconstruction
-    tips_object: Array
-    """(k, 3) fingertips that hold the object, in its frame [m]."""
+    tips_object: Array  # (k, 3) fingertips that hold the object, in its frame [m]
     surface: SurfacePoints | None = None
     """What the fingers hold, as of `views` views; None where there is nothing."""
     views: int = 0
@@ -91,8 +90,7 @@ class InHandReconstruction:
     def __init__(self, camera: Camera) -> None:
         self._camera, self.grips = camera, list[Grip]()
         self._last: Grip | None = None
-        self.forgotten = 0
-        """Number of views in grips that were too short, such as while fingers closed."""
+        self.forgotten = 0  # number of views in grips that were too short, such as while fingers closed
 
     @property
     def views(self) -> int:
@@ -119,8 +117,7 @@ class InHandReconstruction:
 
     def merged(self) -> tuple[Volume, SurfacePoints, list[str]]:
         """Returns the volume of all grips, in the frame of the one with most views, what the fingers hold in it, and
-        sentences that say which grips are in it. Raises InvalidInput where nothing is held.
-        """
+        sentences that say which grips are in it. Raises InvalidInput where nothing is held."""
         grips = sorted(self.grips, key=lambda grip: -grip.volume.views)
         grips = [each for each in grips if each.volume.views >= GRIP.min_views] or grips[:1]
         found = [(grip, *in_fingers(grip.volume, grip.tips_object)) for grip in grips]
@@ -197,9 +194,7 @@ def registered(
     model: Grip, surface: SurfacePoints, other: Grip, own: SurfacePoints
 ) -> tuple[Array, Array, Array]:
     """Returns the transforms (k, 4, 4) of one grip's frame into another's that fit best, their cost, whether they fit.
-
-    `surface` and `own` are what the fingers hold in each.
-    """
+    `surface` and `own` are what the fingers hold in each."""
     rng, volume = np.random.default_rng(0), model.volume
     some = rng.permutation(len(own.points))[: GRIP.points]
     points = np.zeros(len(some), dtype=DEPTH_POINT)

@@ -43,8 +43,7 @@ STAGES = np.array([(0, 1.0, 0.5, 6, 1), (1, 1.0, 0.6, 8, 1)], dtype=STAGE)
 class View:
     """A `View` is a depth image of the object."""
 
-    depth: Depth
-    """(h, w) along the optical axis [m]; 0 or NaN where there is none, or where it is the hand's."""
+    depth: Depth  # (h, w) along the optical axis [m]; 0 or NaN where there is none, or where it is the hand's
     T_camera_object: Array
     """(4, 4) as far as it is known; the object's frame is any that moves with the object."""
     tips_object: Array | None = None
@@ -127,10 +126,8 @@ class Reconstruction:
         return View(view.depth, T) if (off < RECONSTRUCTION.near * self.volume.bound).sum() > enough else None
 
     def placed(self, points: NDArray[np.void], T: Array) -> tuple[Array, NDArray[np.void]]:
-        """Returns the pose near T_camera_object (4, 4) at which DEPTH_POINT (n,) lie on the surface so far.
-
-        And those of the points that were in places that have been observed.
-        """
+        """Returns the pose near T_camera_object (4, 4) at which DEPTH_POINT (n,) lie on the surface so far. And those
+        of the points that were in places that have been observed."""
         surface = self.surface()
         for stage, volume, known in zip(STAGES, (self._coarse, self.volume), surface.known, strict=True):
             # Places that no view has observed yet would be pulled onto known surfaces.

@@ -36,10 +36,8 @@ IN_HAND_BOUNDS = SEGMENTATION.max_extent / 2 * np.array([[-1.0, -1, -1], [1, 1, 
 
 
 def on_table(camera: Camera, depth: Depth) -> tuple[Array, Array] | None:
-    """Returns T_camera_object (4, 4) and bounds (2, 3) [m] of what stands on a table nearest to the image's middle.
-
-    Its frame has z up from the table, and the origin on it. None where there is no table, or nothing on it.
-    """
+    """Returns T_camera_object (4, 4) and bounds (2, 3) [m] of what stands on a table nearest to the image's middle. Its
+    frame has z up from the table, and the origin on it. None where there is no table, or nothing on it."""
     plane = table_plane(camera, depth, np.ones(depth.shape, dtype=bool), extent=SEGMENTATION.min_table)
     if plane is None:
         return None
@@ -65,10 +63,8 @@ def on_table(camera: Camera, depth: Depth) -> tuple[Array, Array] | None:
 
 
 def without_table(camera: Camera, depth: Depth) -> Depth:
-    """Returns a depth image (h, w) [m] in which what lies on or behind its widest plane is far away.
-
-    What a hand holds is in front of it. Planes that are no wider than an object may be its own.
-    """
+    """Returns a depth image (h, w) [m] in which what lies on or behind its widest plane is far away. What a hand holds
+    is in front of it. Planes that are no wider than an object may be its own."""
     plane = table_plane(camera, depth, depth > 0, extent=SEGMENTATION.max_extent)
     if plane is None:
         return depth
@@ -97,10 +93,8 @@ class InHandView:
     def without_hand(
         self, camera: Camera, depth: Depth, joint_positions: Mapping[str, float], T_camera_palm: Array
     ) -> Depth:
-        """Returns a depth image (h, w) [m] with 0 for all points as near to the hand as the errors of its joints.
-
-        Those of the object that the hand touches are among them: a piece of a finger in a model is worse than a hole.
-        """
+        """Returns a depth image (h, w) [m] with 0 for all points as near to the hand as the errors of its joints. Those
+        of the object that the hand touches are among them: a piece of a finger in a model is worse than a hole."""
         Ts, axes = self._chains.poses(joint_positions)
         skin = transform_points(self._points, self._bodies, Ts)
         moves = np.linalg.norm(self._chains.jacobians(skin, self._bodies, axes)[:, :3], axis=(1, 2))

@@ -12,19 +12,15 @@ from handsight.camera import Camera, Depth
 from handsight.checks import Array, Indices, Mask
 from handsight.objects.fields import Grid, GridField
 
-BOUND = 3.0
-"""Distances to the surface are kept up to this [cells]."""
-MIN_VIEWS = 2
-"""Views that must agree on a node: one alone may be noise."""
+BOUND = 3.0  # distances to the surface are kept up to this [cells]
+MIN_VIEWS = 2  # views that must agree on a node: one alone may be noise
 
 
 class SurfacePoints(NamedTuple):
     """`SurfacePoints` are points of a surface, about a cell apart."""
 
-    points: Array
-    """(n, 3) [m]."""
-    normals: Array
-    """(n, 3) unit, outward."""
+    points: Array  # (n, 3) [m]
+    normals: Array  # (n, 3) unit, outward
 
 
 class Volume:
@@ -59,11 +55,8 @@ class Volume:
         to_other = T_other_self[:3, :3] * (self.grid.cell / other.grid.cell)
         first = (se3.apply(T_other_self, self.grid.origin[None])[0] - other.grid.origin) / other.grid.cell
         for name, order in (("sum", 1), ("weight", 1), ("views", 0), ("passed", 0)):
-            values, at = (
-                np.ascontiguousarray(other.voxels[name]),
-                {"output_shape": self.grid.shape, "order": order},
-            )
-            self.voxels[name] += affine_transform(values, to_other, first, mode="constant", **at)
+            values = np.ascontiguousarray(other.voxels[name])
+            self.voxels[name] += affine_transform(values, to_other, first, self.grid.shape, order=order)
         self.views += other.views
 
     def known(self, least: int = MIN_VIEWS) -> Mask:
