@@ -8,7 +8,7 @@ from handsight import se3
 from handsight._kernels.runtime.threads import alone
 from handsight.correction import outliers, solve, starts
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import Budget, Problem, TwoPhase, poses_of
+from handsight.correction.problem import Budget, Problem, TwoPhase, finished, poses_of
 from oracles import fields
 from scenes import BOX_NORMALS, BOX_POINTS, NOISE, box, can, grasp, off, on_can_side, random_scene
 
@@ -144,10 +144,10 @@ def test_a_longer_budget_finds_nothing_worse(monkeypatch):
     for units in range(1, 8):
         clock = iter(range(1000))
         monkeypatch.setattr("handsight.correction.problem.time.perf_counter", lambda clock=clock: next(clock))
-        found = outliers.solve_robustly(given, TwoPhase(), Budget(ends=units))
+        found = finished(outliers.solve_robustly(given, TwoPhase(), Budget(ends=units)))
         costs.append(found.cost)
     monkeypatch.undo()
-    best = outliers.solve_robustly(given, TwoPhase(), Budget()).cost
+    best = finished(outliers.solve_robustly(given, TwoPhase(), Budget())).cost
     assert np.all(np.diff(costs) <= 1e-9)
     assert costs[-1] == pytest.approx(best)
     assert solve.solve(given, starts.from_prior(vision, 1)[None], everyone).cost >= costs[0] - 1e-9

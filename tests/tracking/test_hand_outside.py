@@ -9,6 +9,8 @@ from scipy.stats import norm
 import handsight as hs
 import scenes
 from handsight import se3
+from handsight.correction.correct import corrected, problem_of
+from handsight.correction.problem import finished
 from handsight.hand import Hand
 from handsight.rig import Rig
 from handsight.tracking import Tracker
@@ -45,9 +47,10 @@ def reconciled(hand, contacts, vision, margins=None):
     outside = hand.at(JOINTS, margins or LinkMargins())
 
     def solve(points):
-        return hs.correct_pose(scenes.box(), contacts, vision=vision, outside=points)
+        return corrected(*problem_of(scenes.box(), contacts, vision, points))
 
-    return solve(outside), *hand.reconciled(solve(outside), outside, solve)
+    first = finished(solve(outside))
+    return first, *finished(hand.reconciled(first, outside, solve))
 
 
 @pytest.mark.parametrize("larger", [0.0, 0.002, 0.01])

@@ -8,7 +8,7 @@ import pytest
 
 from handsight.errors import InvalidInput
 from handsight.observation import check_observation
-from handsight.tracking import Tracker
+from handsight.tracking import Tracker, runner
 
 EVERY = 17
 
@@ -31,6 +31,12 @@ def said(tracker):
 def same(one, other):
     np.testing.assert_array_equal(numbers(one), numbers(other))
     assert said(one) == said(other)
+
+
+@pytest.fixture(autouse=True)
+def corrections_go_on(monkeypatch):
+    """One step an update, so that many states are in the middle of a correction."""
+    monkeypatch.setattr(runner, "STEP_EVERY", 0.02)
 
 
 @pytest.fixture(params=["can", "box"])
@@ -107,8 +113,8 @@ def test_an_error_midway_leaves_the_tracker_as_it_was(can, monkeypatch):
         tracker.update(observation)
     state, known = tracker.track_state, numbers(tracker)
     with monkeypatch.context() as patch:
-        patch.setattr("handsight.tracking.follower.correct_pose", lambda *_, **__: 1 / 0)
-        patch.setattr("handsight.tracking.follower.refine_pose", lambda *_, **__: 1 / 0)
+        patch.setattr("handsight.tracking.follower.corrected", lambda *_, **__: 1 / 0)
+        patch.setattr("handsight.tracking.follower.refined", lambda *_, **__: 1 / 0)
         failed = False
         for observation in can.observations[50:]:
             state, known = tracker.track_state, numbers(tracker)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -38,8 +38,7 @@ class Contacts:
     shared_covariance: Array
     """(g, 6, 6) covariance of each group's error, a shift [m] and a turn [rad] about the centroid of its contacts,
     along the palm's axes."""
-    record: NDArray[np.void]
-    """(n,) the same values as records for the kernels, without the groups."""
+    _record: NDArray[np.void] | None = field(repr=False)
 
     __repr__ = short_repr
 
@@ -121,6 +120,18 @@ class Contacts:
         has_normal, of_residual = _default_flags(len(points_palm))
         return _unchecked(points_palm, normals_palm, has_normal, covariance, of_residual)
 
+    @property
+    def record(self) -> NDArray[np.void]:
+        """(n,) the same values as records for the kernels, without the groups; built when they are first asked for."""
+        if self._record is None:
+            record = np.empty(len(self), dtype=CONTACT)
+            for name, attribute in _FIELDS.items():
+                record[name] = getattr(self, attribute)
+            record["used"] = True
+            object.__setattr__(self, "_record", record)
+            return record
+        return self._record
+
     def __len__(self) -> int:
         return len(self.points_palm)
 
@@ -151,8 +162,7 @@ class Contacts:
 
     def joined(self, other: Contacts) -> Contacts:
         """Returns these contacts followed by the other ones."""
-        names = (*_FIELDS.values(), "group", "shared_covariance")
-        arrays = [np.concatenate([getattr(self, name), getattr(other, name)]) for name in names]
+        arrays = [np.concatenate([getattr(self, name), getattr(other, name)]) for name in _ARRAYS]
         arrays[-2][len(self) :][other.group >= 0] += len(self.shared_covariance)
         return _unchecked(*arrays)
 
@@ -175,6 +185,7 @@ MOST_GROUPS = 1000
 _FIELDS = {"point": "points_palm", "normal": "normals_palm"}
 _FIELDS |= {name: name for name in ("has_normal", "covariance", "of_residual")}
 """Fields of a contact's record, and the arrays of `Contacts` that they come from."""
+_ARRAYS = (*_FIELDS.values(), "group", "shared_covariance")
 
 
 @lru_cache
@@ -204,15 +215,12 @@ def _filled(
     group: Indices | None = None,
     shared: Array = NO_GROUP,
 ) -> Contacts:
-    record, groups = np.empty(len(points), dtype=CONTACT), _no_groups(len(points)) if group is None else group
+    groups = _no_groups(len(points)) if group is None else group
     arrays = points, normals, has_normal, covariance, of_residual, groups, shared
-    for name, array in zip((*_FIELDS.values(), "group", "shared_covariance"), arrays, strict=True):
+    for name, array in zip(_ARRAYS, arrays, strict=True):
         array.flags.writeable = False
         object.__setattr__(contacts, name, array)
-    for field, array in zip(_FIELDS, arrays, strict=False):
-        record[field] = array
-    record["used"] = True
-    object.__setattr__(contacts, "record", record)
+    object.__setattr__(contacts, "_record", None)
     return contacts
 
 

@@ -23,15 +23,24 @@ from handsight.correction.depth import DepthPoints
 from handsight.correction.estimate import PoseEstimate, PosePrior, Vision, checked_prior
 from handsight.correction.mean import (
     KINDS,
+    after_draws,
     checked_answer,
-    finished,
     kind_of,
     mean_by_sampling,
     with_means,
 )
 from handsight.correction.outside import NO_OUTSIDE, Outside, outside_records
 from handsight.correction.paper import PaperMethod
-from handsight.correction.problem import MOST_CONTACTS, Budget, Problem, TwoPhase, check_number, descents_at
+from handsight.correction.problem import (
+    MOST_CONTACTS,
+    Budget,
+    Problem,
+    Steps,
+    TwoPhase,
+    check_number,
+    descents_at,
+    finished,
+)
 from handsight.correction.registration import is_registered, register
 from handsight.correction.skin import SkinEvidence
 from handsight.correction.solve import solve_batch, solve_single_start, summarize, summarize_pose
@@ -122,18 +131,32 @@ def correct_pose(
     prior = checked_prior(vision)
     samples, answer = checks.integer(samples, "samples", MOST_SAMPLES), checked_answer(answer)
     limit = Budget.of(budget)
-    problem, skin = _problem(model, contacts, prior, outside, weight, depth, skin)
+    problem, skin = problem_of(model, contacts, prior, outside, weight, depth, skin)
     if isinstance(options, PaperMethod):
         estimate = _by_paper(problem, options)
-    else:
-        if skin is not None and prior is not None:
-            by_contacts = replace(problem, outside=NO_OUTSIDE, weight=None)
-            around = _solved(by_contacts, options=options, limit=limit, answer="maximum", samples=0)
-            problem = replace(problem, starts=starts.within_footprint(problem, around))
-        estimate = _solved(problem, options=options, limit=limit, answer=answer, samples=samples)
-        if problem.weight is not None:
-            solved = partial(_solved, options=options, limit=limit, answer=answer, samples=samples)
-            estimate = _weighed(problem, problem.weight, estimate, solved)
+        return estimate if skin is None else estimate.inflated(skin.sigmas**2)
+    return finished(corrected(problem, skin, answer, samples, options, limit))
+
+
+def corrected(
+    problem: Problem,
+    skin: SkinEvidence | None,
+    answer: str = "best",
+    samples: int = 0,
+    options: TwoPhase = USUAL,
+    limit: Budget | None = None,
+) -> Steps[PoseEstimate]:
+    """Returns `correct_pose` of a problem and its skin, by handsight's own method, in steps."""
+    limit = limit or Budget()
+    if skin is not None and problem.vision is not None:
+        by_contacts = replace(problem, outside=NO_OUTSIDE, weight=None)
+        around = yield from _solved(by_contacts, options=options, limit=limit, answer="maximum", samples=0)
+        problem = replace(problem, starts=starts.within_footprint(problem, around))
+        yield
+    solved = partial(_solved, options=options, limit=limit, answer=answer, samples=samples)
+    estimate = yield from solved(problem)
+    if problem.weight is not None:
+        estimate = yield from _weighed(problem, problem.weight, estimate, solved)
     return estimate if skin is None else estimate.inflated(skin.sigmas**2)
 
 
@@ -141,14 +164,14 @@ KEYS = tuple(inspect.signature(correct_pose).parameters)[1:]
 """The arguments that a problem of `correct_poses` may have: all of `correct_pose` but the model."""
 
 
-def _problem(
+def problem_of(
     model: ObjectModel,
     contacts: Contacts,
     prior: PosePrior | None,
-    outside: ArrayLike | Outside | None,
-    weight: WeightEvidence | None,
-    depth: DepthPoints | None,
-    skin: SkinEvidence | None,
+    outside: ArrayLike | Outside | None = None,
+    weight: WeightEvidence | None = None,
+    depth: DepthPoints | None = None,
+    skin: SkinEvidence | None = None,
 ) -> tuple[Problem, SkinEvidence | None]:
     """Returns the problem of checked inputs, and its skin; raises InvalidInput.
 
@@ -171,14 +194,16 @@ def _problem(
     return Problem(model, contacts, prior, rows, weight, depth, taxels), skin
 
 
-def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, samples: int) -> PoseEstimate:
+def _solved(
+    problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, samples: int
+) -> Steps[PoseEstimate]:
     """Returns the answer to a problem; where the rest contradicts vision, with a wider prior.
 
     Vision's errors have heavier tails than a Gaussian, and a prior that is far off drags a pose along all directions in
     which contacts yield. A conflict of χ² with k degrees of freedom is likeliest where the covariance is χ² / k times
     as large. The answer says that the evidence is inconsistent all the same.
     """
-    first = estimate = _searched(problem, options, limit, answer, samples)
+    first = estimate = yield from _searched(problem, options, limit, answer, samples)
     if not first.conflicts:
         return first
     for _ in range(MOST_WIDENED):
@@ -190,7 +215,7 @@ def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, 
         factor = max(min(wrong.chi2 / wrong.freedom, widest), 1.0)
         covariance = factor * problem.vision.covariance
         problem = replace(problem, vision=PosePrior.trusted(problem.vision.T_palm_object, covariance))
-        estimate = _searched(problem, options, limit, answer, samples)
+        estimate = yield from _searched(problem, options, limit, answer, samples)
     if estimate is first:
         return first
     excluded = tuple(c for c in estimate.conflicts if c.excluded)
@@ -198,7 +223,9 @@ def _solved(problem: Problem, *, options: TwoPhase, limit: Budget, answer: str, 
     return replace(estimate, consistent=False, conflicts=in_use + excluded)
 
 
-def _searched(problem: Problem, options: TwoPhase, limit: Budget, answer: str, samples: int) -> PoseEstimate:
+def _searched(
+    problem: Problem, options: TwoPhase, limit: Budget, answer: str, samples: int
+) -> Steps[PoseEstimate]:
     """Returns the answer to a problem, from one start where that is enough, else from many."""
     if is_registered(problem.contacts):
         if options is USUAL and not samples:
@@ -210,9 +237,11 @@ def _searched(problem: Problem, options: TwoPhase, limit: Budget, answer: str, s
     if options is USUAL and not samples and problem.starts is None:
         estimate = solve_single_start(problem, mean=kind)
         if estimate is not None:
-            return finished(problem, estimate, answer)
-    found = outliers.solve_robustly(problem, options, limit)
+            yield
+            return after_draws(problem, estimate, answer)
+    found = yield from outliers.solve_robustly(problem, options, limit)
     rows = summarize(problem, found, mean=kind)
+    yield
     if limit.cut_short:
         rows["converged"][0] = False
     estimate = with_means(problem, rows, found.used, answer)
@@ -237,31 +266,38 @@ def refine_pose(
     `T_start` (4, 4): the last estimate's `T_palm_object_maximum`, not its mean, at which the evidence may not fit. The
     other arguments are those of `correct_pose`. Raises InvalidInput.
     """
-    problem, skin = _problem(model, contacts, vision, outside, weight, depth, skin)
-    checked_answer(answer)
+    problem, skin = problem_of(model, contacts, vision, outside, weight, depth, skin)
+    return finished(refined(problem, skin, np.asarray(T_start), checked_answer(answer)))
+
+
+def refined(
+    problem: Problem, skin: SkinEvidence | None, T_start: Array, answer: str
+) -> Steps[PoseEstimate | None]:
+    """Returns `refine_pose` of a problem and its skin, in steps."""
     registered, estimate = is_registered(problem.contacts), None
     if registered:
-        found = register(replace(problem, starts=np.asarray(T_start)[None]), Budget())
+        found = register(replace(problem, starts=T_start[None]), Budget())
         estimate = found if found.consistent else None
     else:
         estimate = solve_single_start(problem, T_start, mean=KINDS[answer])
     if estimate is None or (problem.weight is not None and problem.weight.contradicts(estimate)):
         return None
+    yield
     estimate = estimate if skin is None else estimate.inflated(skin.sigmas**2)
-    return estimate if weight is None else replace(estimate, weight_fits=True)
+    return estimate if problem.weight is None else replace(estimate, weight_fits=True)
 
 
 def _weighed(
     problem: Problem,
     weight: WeightEvidence,
     estimate: PoseEstimate,
-    solved: Callable[[Problem], PoseEstimate],
-) -> PoseEstimate:
+    solved: Callable[[Problem], Steps[PoseEstimate]],
+) -> Steps[PoseEstimate]:
     """Returns the estimate, or, where all other evidence contradicts the weight, the answer without it."""
     contradicted = weight.contradicts(estimate)
     if estimate.consistent and not contradicted:
         return replace(estimate, weight_fits=True)
-    without = solved(replace(problem, weight=None))
+    without = yield from solved(replace(problem, weight=None))
     named, others = ({c.evidence for c in e.conflicts if not c.excluded} for e in (estimate, without))
     elsewhere = not estimate.consistent and not without.consistent
     # Something else is inconsistent, with the weight and without; it may also pull the pose away from the weight.
@@ -341,7 +377,7 @@ def correct_poses(model: ObjectModel, problems: Iterable[object]) -> list[PoseEs
         alone = [Problem(model, *pair, NO_OUTSIDE) for pair in pairs]
         kinds = [kind_of(problem, "best") for problem in alone]
         for i, one, estimate in zip(rows, alone, solve_batch(model, pairs, kinds), strict=True):
-            found[i] = None if estimate is None else finished(one, estimate, "best")
+            found[i] = None if estimate is None else after_draws(one, estimate, "best")
     answers = []
     for i, (problem, estimate) in enumerate(zip(each, found, strict=True)):
         try:

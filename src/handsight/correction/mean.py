@@ -52,8 +52,8 @@ def kind_of(problem: Problem, answer: str) -> int:
     return 0 if answer == "best" and few_contacts.may_draw(problem) else KINDS[answer]
 
 
-def finished(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstimate:
-    """Returns the estimate of one start, after draws from its mode if it needs them."""
+def after_draws(problem: Problem, estimate: PoseEstimate, answer: str) -> PoseEstimate:
+    """Returns the estimate of one start; where its mode is to be drawn from, after that."""
     row = estimate.answer
     if row["mean"] or answer == "maximum" or row["departure"] <= INTEGRATION.max_gaussian_rise:
         return estimate

@@ -7,7 +7,7 @@ import numpy as np
 from handsight._kernels.records import DESCENT
 from handsight.correction import modes, starts
 from handsight.correction.modes import MODES
-from handsight.correction.problem import Budget, Problem, Records, TwoPhase, descents_at, plain
+from handsight.correction.problem import Budget, Problem, Records, Steps, TwoPhase, descents_at, plain
 from handsight.correction.solve import Candidates, gains, solve
 
 
@@ -32,7 +32,7 @@ class OutlierOptions(NamedTuple):
 OUTLIERS = OutlierOptions()
 
 
-def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candidates:
+def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Steps[Candidates]:
     """Returns the minima of a correction; where none fits, after more starts and with wrong contacts left out.
 
     When the budget is spent, those found until then are returned.
@@ -40,12 +40,15 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candi
     everyone = np.ones((1, len(problem.contacts)), dtype=bool)
     number = starts.usual(problem) if problem.blind or options.starts is None else options.starts
     found = solve(problem, first_starts(problem, number)[None], everyone, budget)
+    yield
     suspicious = _suspicious(problem, found)
     if found.converged and not suspicious:
         return found
     may_draw = not problem.blind and options.starts is None and problem.starts is None
     while not budget.spent():
         without = _leave_one_out(problem, found, budget) if options.reject_outliers and suspicious else None
+        if without is not None:
+            yield
         gain = 0.0 if without is None else found.cost - without.cost
         if (
             without is not None
@@ -54,6 +57,7 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candi
         ):
             # The pose that was found without this contact may fit it too, and only have been hard to reach.
             again = solve(problem, without.minima[None], found.used, budget)
+            yield
             if again.fits(OUTLIERS.accept_p):
                 return again
             # A second wrong contact is rare: it is searched for only where the contacts left do not fit.
@@ -64,6 +68,7 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Candi
             cost, may_draw = found.cost, False
             drawn = first_starts(problem, OUTLIERS.more_starts * number)[None, number:]
             found = found.with_more(solve(problem, drawn, found.used, budget))
+            yield
             suspicious = _suspicious(problem, found)
             if found.cost > cost - OUTLIERS.min_gain or not suspicious:
                 return found

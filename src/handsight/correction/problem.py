@@ -1,9 +1,10 @@
 """One correction as a `Problem`, with its inputs checked and as records for the kernels; its options and its budget."""
 
 import time
+from collections.abc import Generator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,10 @@ from handsight.objects import ObjectModel
 
 Records = NDArray[np.void]
 """NumPy structured values of a type in `_kernels/records.py`."""
+
+T = TypeVar("T")
+Steps = Generator[None, None, T]
+"""A computation that pauses every millisecond or so: `finished` runs all of it, a tracker a few steps an update."""
 
 MOST_CONTACTS = 20_000
 """Contacts of one correction; time and memory are linear in their number."""
@@ -120,6 +125,15 @@ class Problem:
         if self.depth is not None:
             rows += min(len(self.depth), 6)  # all of them together count as the one pose of their image
         return max(rows - 6, 1) if self.blind else rows
+
+
+def finished(steps: Steps[T]) -> T:
+    """Returns the result of a computation, without a pause."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value  # type: ignore[no-any-return]
 
 
 def check_number(n: int, most: int, name: str, what: str) -> None:

@@ -101,16 +101,19 @@ class Friction:
                 moved[name] = now
         if moved or len(before) > len(vectors):
             self._anchors = {name: moved.get(name) or before[name] for name in vectors}
+        counted = list[tuple[float, int]]()
         for name, now in moved.items():
             anchor = before.get(name, now)
             least, most = sorted([math.hypot(*anchor), load[name]])
             inside = least >= FRICTION.min_ratio and most <= FRICTION.max_ratio
             # A motion that hardly changed the length was a turn.
             if name in before and inside and most - least <= FRICTION.max_radial * math.dist(now, anchor):
-                self._count(math.sqrt(least * most), 1)
+                counted.append((math.sqrt(least * most), 1))
         for name in sliding:
             if FRICTION.min_ratio < load.get(name, 0.0) < FRICTION.max_ratio:
-                self._count(load[name], FRICTION.sliding_turns)
+                counted.append((load[name], FRICTION.sliding_turns))
+        if counted:
+            self._count(counted)
         if risen or moved or sliding:
             self._estimate()
 
@@ -135,10 +138,11 @@ class Friction:
             self.coefficient = mu if self._declared is None else max(mu, kept)
             self.sigma = sigma * self.coefficient / mu
 
-    def _count(self, ratio: float, turns: int) -> None:
-        """Counts turns at a ratio."""
+    def _count(self, counted: Iterable[tuple[float, int]]) -> None:
+        """Counts turns, each at its ratio."""
         self._turns = self._turns.copy()
-        self._turns[round(math.log(ratio) / FRICTION.bin_width) - FIRST] += turns
+        for ratio, turns in counted:
+            self._turns[round(math.log(ratio) / FRICTION.bin_width) - FIRST] += turns
         self._heap = _highest_heap(self._turns, FRICTION.near_heap * self._kept_by_two, self._error)
 
 

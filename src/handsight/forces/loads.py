@@ -68,7 +68,8 @@ class LoadSensor(NamedTuple):
     def readings(self, observations: Sequence[Observation]) -> Array:
         """Returns its readings (n, 6) in its own frame, of those observations that have one."""
         name = self.name
-        rows = np.array([o.wrenches[name] for o in observations if name in o.wrenches]).reshape(-1, 6)
+        found = [o.wrenches[name] for o in observations if name in o.wrenches]
+        rows = np.concatenate(found).reshape(-1, 6) if found else np.empty((0, 6))
         if self.taxels:  # theirs are about the link's origin
             rows[:, 3:] -= np.cross(self.T_frame_sensor[:3, 3], rows[:, :3])
         return rows
@@ -178,7 +179,8 @@ def load_sum(
     chains = _chains(rig.hand, tuple(sensor.frame for sensor in sensors))
     offsets = dict(zip(rig.hand.moving, joints.tolist(), strict=True))
     rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]
-    mean = {name: sum(row[name] for row in rows) / n - offsets.get(name, 0.0) for name in chains.joints}
+    means = np.mean([[row[name] for name in chains.joints] for row in rows], axis=0).tolist()
+    mean = {name: x - offsets.get(name, 0.0) for name, x in zip(chains.joints, means, strict=True)}
     Ts_palm_link, axes = chains.poses(mean)
     Ts_palm_sensor = Ts_palm_link @ np.array([sensor.T_frame_sensor for sensor in sensors])
     places = Ts_palm_sensor[:, :3, 3]

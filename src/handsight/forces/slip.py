@@ -86,7 +86,7 @@ class _Ratios(NamedTuple):
     tangential: float  # √(f_t² + (τ / e)²), averaged as far as its noise requires [N]
     normal: float  # the same of f_n [N]
     last: tuple[tuple[float, float, float], ...]
-    """Stamps [s], ratios and normal forces [N] of the last readings."""
+    """Ratios, stamps [s] and normal forces [N] of the last readings."""
 
     @property
     def chatter(self) -> float:
@@ -100,9 +100,8 @@ class _Ratios(NamedTuple):
     @property
     def upper(self) -> float:
         """The mean ratio of the upper half of the last readings, of two at least."""
-        ratios = sorted((ratio for _, ratio, _ in self.last), reverse=True)
-        count = max(2, len(ratios) // 2)
-        return sum(ratios[:count]) / min(count, len(ratios))
+        best = sorted(self.last, reverse=True)[: max(2, len(self.last) // 2)]
+        return sum([each[0] for each in best]) / len(best)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +152,7 @@ class SlipDetector:
         taxels = {fingers.get(each.frame, each.name): each for each in load_sensors(rig, skin) if each.taxels}
         self._by_taxels = {name: _Limits.of(sensor) for name, sensor in taxels.items()}
         self._means: Mapping[str, Load] = {}  # by finger, the running mean of its load
-        self._rests: Mapping[str, Load] = {}  # the same over `SLIP.rest`
+        self._rests: Mapping[str, Load] = {}  # the same over `SLIP.rest`, of those with an error of gain
         self._ratios: Mapping[str, _Ratios] = {}  # by finger that touches, its last ratios
 
     def update(
@@ -173,15 +172,16 @@ class SlipDetector:
         if not stamp > self.stamp:
             return self.now
         since, self.stamp = stamp - self.stamp, stamp
-        rows = () if loads is None else tuple(zip(fingers, loads.tolist(), strict=True))
-        unmeasured = tuple(name for name, row in rows if not math.isfinite(sum(row)))
+        rows = {} if loads is None else dict(zip(fingers, loads.tolist(), strict=True))
+        unmeasured = tuple([name for name, row in rows.items() if not math.isfinite(sum(row))])
         # A load without a normal force, or with NaN, has no ratio.
-        usable = {name: row for name, row in rows if row[3] > 0 and math.isfinite(sum(row))}
+        usable = {name: row for name, row in rows.items() if row[3] > 0 and name not in unmeasured}
         by_wrench = self._by_wrench.keys() - by_taxels
         limits = {name: (self._by_wrench if name in by_wrench else self._by_taxels)[name] for name in usable}
         goes_on = since <= SLIP.max_gap
         self._means = _follow(self._means if goes_on else {}, usable, since / SLIP.time_constant)
-        self._rests = _follow(self._rests if goes_on else {}, usable, since / SLIP.rest)
+        inexact = {name: row for name, row in usable.items() if limits[name].gain}
+        self._rests = _follow(self._rests if goes_on else {}, inexact, since / SLIP.rest)
         mu = self.friction.coefficient
         last = self._ratios if goes_on else {}
         self._ratios = {
@@ -213,7 +213,9 @@ class SlipDetector:
         return self.now
 
     def _changes(self, name: str, gain: float) -> bool:
-        """Returns whether a finger's load changes by more than its noise."""
+        """Returns whether a finger's load changes by more than the error of its `gain`."""
+        if not gain:
+            return True
         now, rest = self._means[name], self._rests[name]
         return math.dist(now, rest) >= SLIP.change_sigmas * gain * math.hypot(*now)
 
@@ -246,11 +248,11 @@ def _read(sigma: float, stamp: float, row: Load, mu: float | None, before: "_Rat
     if before is not None:
         tangential = before.tangential + weight * (tangential - before.tangential)
         normal = before.normal + weight * (normal - before.normal)
-        last = before.last[-1:]
-        first = stamp - SLIP.window - 1e-9
-        if len(before.last) > 1 and before.last[-2][0] >= first:
-            last = tuple(each for each in before.last if each[0] >= first)
-    return _Ratios(tangential, normal, (*last, (stamp, tangential / normal, row[3])))
+        last, first, old = before.last, stamp - SLIP.window - 1e-9, 0
+        while old < len(last) - 1 and last[old][1] < first:
+            old += 1
+        last = last[old:]
+    return _Ratios(tangential, normal, (*last, (tangential / normal, stamp, row[3])))
 
 
 def declared_friction(

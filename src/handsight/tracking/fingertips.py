@@ -115,15 +115,15 @@ class FingertipSensors:
         fingers = tuple(name for name in self.names if name not in reasons)
         if not fingers:
             return FingertipContacts((), None, reasons)
-        touching = records[records["reason"] == 0] if reasons else records
+        touching = records
+        if reasons:
+            touching, by_error = (each[records["reason"] == 0] for each in (records, by_error))
         contacts = Contacts.trusted(*(touching[name].copy() for name in ("point", "normal", "covariance")))
         gaps = zip(fingers, touching["gap"].tolist(), strict=True)
         near = tuple(name for name, gap in gaps if gap < TIP_TO_TIP.max_gap)
         loads = touching["load"].copy()
         by_taxels = tuple(name for name in skin.tips if name not in observation.wrenches)
-        return FingertipContacts(
-            fingers, contacts, reasons, by_error[records["reason"] == 0], near, loads, doubts, by_taxels
-        )
+        return FingertipContacts(fingers, contacts, reasons, by_error, near, loads, doubts, by_taxels)
 
     def _put_taxels(
         self,

@@ -4,16 +4,19 @@
 # A step assigns the fields of its own copy of a state, `_Next`; a `TrackState` is frozen for everybody else.
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import Outside, PoseEstimate, PosePrior, correct_pose, refine_pose
+from handsight.correction import Outside, PoseEstimate, PosePrior, refine_pose
+from handsight.correction.correct import corrected, problem_of, refined
+from handsight.correction.outside import outside_records
+from handsight.correction.problem import Steps
 from handsight.forces import WeightSensor
 from handsight.objects import ObjectModel
 from handsight.objects.resting import resting_poses
@@ -29,12 +32,13 @@ from handsight.tracking.images import ImageVision, ObjectInImages
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.measurements import EYE, VisionUpdate
 from handsight.tracking.misfit import MISFIT, NO_INNOVATIONS, better_object
+from handsight.tracking.runner import CORRECTED, Runner, steps_in
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
 from handsight.tracking.smoother import STILL, PoseBiasSmoother, process_variance
 from handsight.tracking.table import TableEstimate, TableEvidence, supports_of
-from handsight.tracking.track_state import NO_POSE, Correction, State, TrackState, point_uncertainty
+from handsight.tracking.track_state import NO_POSE, Correction, Progress, State, TrackState, point_uncertainty
 from handsight.vision import FirstPoseSource, locate
 
 
@@ -70,8 +74,7 @@ class _Next(TrackState):
             state.weight.copied(),
         )
 
-    def __setattr__(self, name: str, value: object) -> None:
-        vars(self)[name] = value
+    __setattr__ = object.__setattr__
 
     def frozen(self) -> TrackState:
         """Returns the next state, as a value."""
@@ -104,6 +107,7 @@ class Follower:
         self.regrasp_noise = np.repeat([s.regrasp_position**2, s.regrasp_rotation**2], 3)
         """(6,) variance of the object's motion when a finger comes or goes [m², rad²]."""
         poses = () if rig.table is None else resting_poses(model, model.center_of_mass)
+        self._runner = Runner(self._correct)
         self.supports = supports_of(poses)
         """What may bear the object while it is on the table."""
 
@@ -171,6 +175,7 @@ class Follower:
     def _follow(self, state: _Next, observation: Observation) -> PoseEstimate | None:
         """Updates the state by an observation, and returns the pose; None before there is one."""
         joints, stamp = observation.joint_positions, observation.stamp
+        elapsed = stamp - state.stamp
         if self.rig.world_from == "joints" and observation.T_world_palm is None and joints is not None:
             T = self.rig.hand.T_world_palm(joints)
             T = se3.check(T, "observation.joint_positions: palm in the world")
@@ -196,10 +201,12 @@ class Follower:
         # Vision.
         before = state.smoother
         self._measure_by_vision(state, observation)
-        vision = state.smoother is not before
+        if vision := state.smoother is not before:
+            state.observed_at = stamp
         if state.smoother is not None and not state.smoother.is_near:
             # The palm has moved so far away that the hand cannot hold the object.
             state.smoother, state.correction, state.estimate = _started(state.vision, state.start), None, None
+            state.progress = None
         if vision or touch.contacts is not None:
             state.measured_at = stamp
         if state.smoother is None:
@@ -207,16 +214,19 @@ class Follower:
             return None
 
         # The answer: corrected, or propagated from the last correction, or vision's alone.
-        if touch.contacts is not None and self._due(state, touch.contacts, vision=vision):
-            given = state.smoother if state.table is None else state.table.smoother(state.smoother)
-            self._correct(state, touch.contacts, given, joints, vision=vision)
+        if state.progress is None and touch.contacts is not None and self._due(state, touch.contacts):
+            state.progress = Progress(state.frozen())
+            state.weight = state.weight.copied()
+            state.weight.used()
+        if state.progress is not None:
+            self._continued(state, state.progress, elapsed)
         last = state.correction
         if state.estimate is None or last is None:  # without touch every direction is unobservable
             now = state.smoother.now
             state.estimate = PoseEstimate.from_gaussian(now.T_palm_object, now.covariance[:6, :6], np.eye(6))
         elif stamp - state.propagated_to > FOLLOWER.renew_after:
-            variance = process_variance(self.process_noise, stamp - last.stamp)
-            state.estimate, state.propagated_to = last.estimate.inflated(variance), stamp
+            state.estimate = last.estimate.inflated(self._motion_since(last, state))
+            state.propagated_to = stamp
         if state.estimate.consistent or state.fits_at == -math.inf:
             state.fits_at = stamp
         state.label, state.reason = self._trust(state, state.estimate)
@@ -263,7 +273,7 @@ class Follower:
             if touch is not None:
                 # What was measured of the pose up to now stays true; the object's motion from now on is unknown.
                 pose = pose.given_pose(touch.T_palm_object, touch.information)
-            state.correction = state.table = None
+            state.correction = state.table = state.progress = None
         pose = pose.inflated(self.regrasp_noise)
         if change != "released" and table is not None and T is not None and not state.grasp.lifted:
             state.table = TableEvidence.of(self.model, table, self.supports, pose, T, state.stamp)
@@ -304,7 +314,7 @@ class Follower:
         if before is not None and after is not None and (after.process_noise < before.process_noise).any():
             state.table = None  # vision has started anew, as the object was moved
 
-    def _due(self, state: _Next, touched: Contacts, *, vision: bool) -> bool:
+    def _due(self, state: _Next, touched: Contacts) -> bool:
         """Returns whether a correction is due: after news of vision, touch, weight or a slip, or by the set rate."""
         last = state.correction
         if last is None:
@@ -315,7 +325,7 @@ class Follower:
         if last.disputed_at is not None and state.stamp - last.disputed_at >= CONFIRM_AFTER:
             return True
         news = state.weight.news or state.skin.news(last.skin) or state.slip.news(last.stamp)
-        if vision or regrasped or news:
+        if state.observed_at > last.stamp or regrasped or news:
             return True
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
             return True
@@ -323,54 +333,80 @@ class Follower:
         cosine = (touched.normals_palm * last.contacts.normals_palm).sum(axis=1).min()
         return bool(shift > self.settings.moved or cosine < math.cos(self.settings.turned))
 
-    def _correct(
-        self,
-        state: _Next,
-        touched: Contacts,
-        smoother: PoseBiasSmoother,
-        joints: Mapping[str, float] | None,
-        *,
-        vision: bool,
-    ) -> None:
-        """Corrects the pose from scratch: by all contacts, present or remembered, with the smoother's pose as prior."""
+    def _motion_since(self, last: Correction, state: TrackState) -> Array:
+        """Returns the variance (6,) of the object's motion since a correction [m², rad²]."""
+        noise = process_variance(self.process_noise, state.stamp - last.stamp)
+        return noise if state.fingertips.fingers in (last.fingers, ()) else noise + self.regrasp_noise
+
+    def _continued(self, state: _Next, progress: Progress, elapsed: float) -> None:
+        """Continues a correction; once it has ended, what it has found replaces what the state had before."""
+        state.progress, found = self._runner.run(progress, steps_in(elapsed))
+        if found is None:
+            return
+        started, seconds = progress.started, state.stamp - progress.started.stamp
+        for name in CORRECTED:
+            setattr(state, name, getattr(found, name))
+        if found.smoother is not started.smoother and found.smoother is not None:  # by another prior
+            noise = process_variance(self.process_noise, seconds)
+            state.smoother = found.smoother.inflated(noise, seconds)
+        if state.table is started.table:
+            state.table = found.table
+        if found.memory is not started.memory:
+            wrong = started.memory.last.keys() - found.memory.last.keys()
+            state.memory = state.memory.only(state.memory.last.keys() - wrong)
+
+    def _correct(self, started: TrackState) -> Steps[TrackState]:
+        """Returns the state after its pose was corrected, in steps: by all contacts, present or remembered, with the
+        smoother's pose as prior."""
+        state = _Next(started)
         touch, now, last, skin = state.fingertips, state.stamp, state.correction, state.skin
+        touched, smoother, observed = touch.contacts, state.smoother, state.processed
+        assert touched is not None and smoother is not None  # noqa: PT018
+        smoother = smoother if state.table is None else state.table.smoother(smoother)
         contacts, remembered = state.memory.added(touch.fingers, touched, now)
+        joints = None if observed is None else observed.joint_positions
         links = self.hand.at(joints and state.offsets.corrected(joints), state.margins)
         pressed, evidence = skin.evidence(), state.weight.evidence()
         samples, answer, prior = self.settings.samples, self.settings.answer, smoother.without_touch
-        given: dict[str, Any] = {"weight": evidence, "skin": pressed, "answer": answer}
+        problem, patches = problem_of(self.model, contacts, prior, links, evidence, None, pressed)
 
-        def correct(prior: PosePrior, outside: Outside | None = links) -> PoseEstimate:
-            return correct_pose(self.model, contacts, vision=prior, outside=outside, samples=samples, **given)
+        def correct(prior: PosePrior, weaker: Outside | None = None) -> Steps[PoseEstimate]:
+            given = replace(problem, vision=prior)
+            if weaker is not None:
+                given = replace(given, outside=outside_records(self.model, given.contacts, weaker, pressed))
+            return corrected(given, patches, answer, samples)
 
-        def refine(prior: PosePrior, T_start: Array) -> PoseEstimate | None:
-            return refine_pose(self.model, contacts, prior, T_start, outside=links, **given)
+        def refine(prior: PosePrior, T_start: Array) -> Steps[PoseEstimate | None]:
+            return refined(replace(problem, vision=prior), patches, T_start, answer)
 
         # The last answer is a good start while the same fingers touch, unless vision may lead to another minimum. With
         # a pressed array a search takes long, and vision adds little, so the start is then the last answer.
         estimate, searched_at = None, now
         others: Sequence[np.void] = ()
-        if last is not None and touch.fingers == last.fingers and not (vision and pressed is None):
+        same = last is not None and touch.fingers == last.fingers
+        if last is not None and same and (state.observed_at <= last.stamp or pressed is not None):
             near, age = last.estimate, now - last.searched_at
             ambiguous = len(last.modes) > 1 and last.modes[1]["weight"] > HYPOTHESES.relevant
             search = age >= (FOLLOWER.recovery_period if ambiguous else FOLLOWER.search_period)
             search = search or last.disputed_at is not None
             if near.consistent and not near.outliers and not (samples or search):
-                estimate = refine(prior, near.T_palm_object_maximum)
+                estimate = yield from refine(prior, near.T_palm_object_maximum)
                 others, searched_at = last.modes[1:], last.searched_at
         if estimate is None:
-            estimate, others, searched_at = correct(prior), (), now
+            estimate, others, searched_at = (yield from correct(prior)), (), now
 
         # Links of the hand may be smaller than their shapes, and the contacts may belong to another pose.
         fits = estimate.consistent and not estimate.outliers
         if links is not None and not (fits and now - state.links_checked_at < HAND_OUTSIDE.check_period):
             state.links_checked_at = now
-            estimate, inside = self.hand.reconciled(estimate, links, lambda weaker: correct(prior, weaker))
+            estimate, inside = yield from self.hand.reconciled(
+                estimate, links, lambda weaker: correct(prior, weaker)
+            )
             state.margins = state.margins.noted(inside, now)
         table, known = state.table, state.smoother
         if table is not None and known is not None and table.due(now, estimate, news=state.weight.news):
             drift = process_variance(self.process_noise, now - table.stamp)
-            state.table, estimate, prior = table.compared(
+            state.table, estimate, prior = yield from table.compared(
                 known, (estimate, prior), correct, refine, drift, now
             )
         if last is not None and touch.fingers == last.fingers and not state.slip.now.slipping:
@@ -378,10 +414,10 @@ class Follower:
             if kept := disputed(self.model, last, estimate, creep, now):
                 state.correction, state.estimate, state.propagated_to = kept, kept.estimate, now
                 state.corrections, state.table = state.corrections + 1, table
-                return
+                return state
         if not estimate.consistent and now - state.recovered_at >= FOLLOWER.recovery_period:
             state.recovered_at = now
-            estimate, prior = self._recovered(state, estimate, prior, correct)
+            estimate, prior = yield from self._recovered(state, estimate, prior, correct)
 
         # The errors of contacts and weight have a common cause, the joints' offsets.
         weighing = state.weight.used()
@@ -396,17 +432,19 @@ class Follower:
             state.memory = state.memory.only(state.memory.last.keys() - wrong)
         if others:  # those that were found by the last search
             estimate = with_others(self.model, estimate, others)
-        estimate, modes = self._judged(state, estimate, prior, (contacts, links))
+        yield
+        estimate, modes = yield from self._judged(state, estimate, prior, (contacts, links))
         _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
         state.correction = Correction(
             estimate, touched, touch.by_error, prior, touch.fingers, now, variance, skin, modes, searched_at
         )
         state.estimate, state.propagated_to = estimate, now
         state.corrections += 1
+        return state
 
     def _judged(
         self, state: _Next, estimate: PoseEstimate, prior: PosePrior, touch: tuple[Contacts, Outside | None]
-    ) -> tuple[PoseEstimate, Sequence[np.void]]:
+    ) -> Steps[tuple[PoseEstimate, Sequence[np.void]]]:
         """Returns a correction's estimate with the other explanations of the table, and with a covariance inflated by
         what has not fitted the model lately; and its modes under its `prior` alone."""
         last, now = state.correction, state.stamp
@@ -418,16 +456,14 @@ class Follower:
             state.better_object = ""
         elif self.alternatives and now - state.objects_compared_at >= MISFIT.compare_period:
             state.objects_compared_at, explained = now, (self.model, estimate, prior)
-            state.better_object = better_object(self.alternatives, *touch, explained)
+            state.better_object = yield from better_object(self.alternatives, *touch, explained)
         estimate = watched.covered(self.model, estimate, prior)
         modes = estimate.modes
         if state.table is not None and state.table.alternatives is not None:
             estimate = state.table.alternatives.added(self.model, estimate)
         # An answer that contacts did not fit was called wrong before it moved.
         if last is not None and last.estimate.consistent and not state.slip.now.slipping:
-            noise = process_variance(self.process_noise, age)
-            if state.fingertips.fingers != last.fingers:
-                noise = noise + self.regrasp_noise
+            noise = self._motion_since(last, state)
             watched = watched.moved(age, self.model, last.estimate, estimate, noise)
         state.innovations = watched
         return watched.inflated(estimate), modes
@@ -437,8 +473,8 @@ class Follower:
         state: _Next,
         estimate: PoseEstimate,
         prior: PosePrior,
-        correct: Callable[[PosePrior], PoseEstimate],
-    ) -> tuple[PoseEstimate, PosePrior]:
+        correct: Callable[[PosePrior], Steps[PoseEstimate]],
+    ) -> Steps[tuple[PoseEstimate, PosePrior]]:
         """Returns an estimate that contacts fit, and its prior; both unchanged where none fits.
 
         The priors that are tried: a wider one, and, where nothing has fitted for long, vision's last pose alone. The
@@ -454,7 +490,7 @@ class Follower:
             tries.append((afresh, None))
         for smoother, table in tries:
             wider = (smoother if table is None else table.smoother(smoother)).without_touch
-            if (found := correct(wider)).consistent:
+            if (found := (yield from correct(wider))).consistent:
                 state.smoother, state.table = smoother, table
                 return found, wider
         return estimate, prior

@@ -98,7 +98,7 @@ class ContactMemory:
         if contacts is not None:
             last.update((finger, LastContact(contacts, row, stamp)) for row, finger in enumerate(fingers))
         kept = {finger: old for finger, old in last.items() if stamp - old.stamp <= self.seconds}
-        return replace(self, last=kept)
+        return ContactMemory(self.seconds, self.process_noise, kept)
 
     def only(self, fingers: Iterable[str]) -> "ContactMemory":
         """Returns the memory with the contacts of these fingers alone."""

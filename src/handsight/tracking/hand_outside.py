@@ -13,6 +13,7 @@ import numpy as np
 
 from handsight import checks
 from handsight.correction import Outside, PoseEstimate
+from handsight.correction.problem import Steps
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
 
@@ -40,7 +41,7 @@ class HandOutsideOptions(NamedTuple):
 HAND_OUTSIDE = HandOutsideOptions()
 
 
-Solve = Callable[[Outside], PoseEstimate]
+Solve = Callable[[Outside], Steps[PoseEstimate]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +100,7 @@ class HandOutside:
 
     def reconciled(
         self, estimate: PoseEstimate, outside: Outside, solve: Solve
-    ) -> tuple[PoseEstimate, dict[str, float]]:
+    ) -> Steps[tuple[PoseEstimate, dict[str, float]]]:
         """Returns the estimate, and by link that is inside the object although contacts fit, its depth [m].
 
         Where there are such links, or where contacts do not fit, the pose is estimated again with weaker links, and
@@ -108,7 +109,7 @@ class HandOutside:
         fits = estimate.consistent and not estimate.outliers
         if fits and not self._conflicts(estimate, outside):
             return estimate, {}
-        yielding = solve(replace(outside, sigmas=HAND_OUTSIDE.weaker * np.asarray(outside.sigmas)))
+        yielding = yield from solve(replace(outside, sigmas=HAND_OUTSIDE.weaker * np.asarray(outside.sigmas)))
         if not yielding.consistent or yielding.outliers:
             return estimate, {}
         return yielding, self._conflicts(yielding, outside)

@@ -33,8 +33,10 @@ from scipy.special import chdtri, fdtri
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import Outside, PoseEstimate, PosePrior, correct_pose
+from handsight.correction import Outside, PoseEstimate, PosePrior
+from handsight.correction.correct import corrected, problem_of
 from handsight.correction.modes import chi2_limit, in_metres
+from handsight.correction.problem import Steps
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.tracking.hypotheses import log_evidence
@@ -247,7 +249,7 @@ def better_object(
     contacts: Contacts,
     outside: Outside | None,
     explained: tuple[ObjectModel, PoseEstimate, PosePrior],
-) -> str:
+) -> Steps[str]:
     """Returns the name of the object that explains the touch far better than the model; empty where none does.
 
     `explained`: the model, with the estimate and its prior. Another object is about where the model was expected, for
@@ -261,7 +263,7 @@ def better_object(
         spread = np.repeat([(other.diameter / 4) ** 2, MISFIT.sigma_turn**2], 3)
         there = GaussianPose(middle.T_a_b, middle.covariance + np.diag(spread)).at_point(-other.center_object)
         wide = PosePrior(there.T_a_b, there.covariance)
-        found = correct_pose(other, contacts, vision=wide, outside=outside)
+        found = yield from corrected(*problem_of(other, contacts, wide, outside))
         if found.consistent and (evidence := log_evidence(other, found, wide)) > limit:
             best, limit = other.name, evidence
     return best

@@ -237,6 +237,8 @@ class SkinSensors:
         if not isinstance(observation.skin, Mapping):
             came = checks.brief(observation.skin)
             raise InvalidInput(f"observation.skin: expected a mapping from array to readings, got {came}")
+        if not self.rig.skin:
+            return NOTHING
         touches, watched = dict[str, tuple[SkinTouch, LinkPose]](), dict(before.watched)
         tips, wrenches, joints = dict[str, str](), dict[str, Array](), observation.joint_positions
         for name, surface in self.rig.skin.items():

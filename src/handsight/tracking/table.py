@@ -18,6 +18,7 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior
+from handsight.correction.problem import Steps
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.objects.resting import RestingPose, resting_poses
@@ -66,6 +67,10 @@ def supports_of(poses: Sequence[RestingPose]) -> tuple[Support, ...]:
         for pose in poses
     ]
     return (*some, Support(None, (1.0, 1.0), 1 - sum(one.probability for one in some)))
+
+
+Measured = tuple[Array, Array, Array]
+"""A linear measurement of a state: H (3, 12), the residual (3,) and the noise's covariance (3, 3)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,24 +133,27 @@ class TableEvidence:
         self,
         vision: PoseBiasSmoother,
         likeliest: tuple[PoseEstimate, PosePrior],
-        correct: Callable[[PosePrior], PoseEstimate],
-        refine: Callable[[PosePrior, Array], PoseEstimate | None],
+        correct: Callable[[PosePrior], Steps[PoseEstimate]],
+        refine: Callable[[PosePrior, Array], Steps[PoseEstimate | None]],
         drift: Array,
         stamp: float,
-    ) -> tuple["TableEvidence", PoseEstimate, PosePrior]:
+    ) -> Steps[tuple["TableEvidence", PoseEstimate, PosePrior]]:
         """Returns the evidence after all supports were compared by touch, and estimate and prior of the likeliest one.
 
         `likeliest`: those of the one that was likeliest before; `correct` finds the estimate of another prior, `refine`
         from a given start; `drift` is that of `measured`.
         """
-        each, best = range(len(self.supports)), self.best
-        priors = [likeliest[1] if i == best else self.smoother(vision, i).without_touch for i in each]
-        estimates = [likeliest[0] if i == best else correct(priors[i]) for i in each]
+        priors, estimates = [], []
+        for i in range(len(self.supports)):
+            here = i == self.best
+            priors.append(likeliest[1] if here else self.smoother(vision, i).without_touch)
+            estimates.append(likeliest[0] if here else (yield from correct(priors[i])))
         fits = [estimate for estimate in estimates if estimate.consistent]
         if fits:  # what fits one may fit another, where a search has missed it
             start = fits[0].T_palm_object_maximum
-            again = (e if e.consistent else refine(p, start) for e, p in zip(estimates, priors, strict=True))
-            estimates = [new or old for new, old in zip(again, estimates, strict=True)]
+            for i, (estimate, prior) in enumerate(zip(estimates, priors, strict=True)):
+                if not estimate.consistent:
+                    estimates[i] = (yield from refine(prior, start)) or estimate
         touch = np.array([log_evidence(self.model, *pair) for pair in zip(estimates, priors, strict=True)])
         # Where touch fits none, its noise is larger than expected, and it tells that much less.
         rows, chi2 = zip(*((e.answer["rows"], e.answer["chi2"]) for e in estimates), strict=True)
@@ -154,7 +162,9 @@ class TableEvidence:
             self.touch is not None
         ):  # contacts at two instants are no independent measurements: their mean counts
             touch = (touch + self.touch) / 2
-        shares = normalised(self.log_densities(vision.now, drift) + touch)
+        now = vision.now
+        measured = [self.measured(now, support, drift) for support in self.supports]
+        shares = normalised(self.log_densities(now, measured) + touch)
         order = np.argsort(-shares, kind="stable")
         alternatives = Alternatives.of(self.model, [(float(shares[i]), estimates[i]) for i in order])
         after = replace(self, probabilities=shares, touch=touch, compared_at=stamp, alternatives=alternatives)
@@ -175,13 +185,13 @@ class TableEvidence:
         Negligible resting poses are left out.
         """
         every = cls(model, table, supports, (state,) * len(supports), T_world_palm, stamp)
-        shares = normalised(every.log_densities(state, np.zeros(6)))
+        measured = [every.measured(state, support) for support in supports]
+        shares = normalised(every.log_densities(state, measured))
         kept = [i for i, share in enumerate(shares) if share > TABLE.negligible or supports[i].pose is None]
-        measured = [every.measured(state, supports[i]) for i in kept]
         return replace(
             every,
             supports=tuple(supports[i] for i in kept),
-            priors=tuple(state if m is None else state.updated(*m) for m in measured),
+            priors=tuple(state if (m := measured[i]) is None else state.updated(*m) for i in kept),
             probabilities=shares[kept] / shares[kept].sum(),
         )
 
@@ -201,12 +211,9 @@ class TableEvidence:
         """Returns the evidence after vision's bias itself was measured (see `PoseBiasSmoother.informed`)."""
         return replace(self, priors=tuple(vision.with_prior(p).informed(bias).prior for p in self.priors))
 
-    def measured(
-        self, state: PoseAndBias, support: Support, drift: Array | float = 0.0
-    ) -> tuple[Array, Array, Array] | None:
-        """Returns the three numbers of a support as a linear measurement of a state: H (3, 12), the residual (3,), and
-        the noise's covariance (3, 3): the height of the centre of mass [m], and two tilts [rad]. None where the object
-        does not rest.
+    def measured(self, state: PoseAndBias, support: Support, drift: Array | float = 0.0) -> Measured | None:
+        """Returns the three numbers of a support as a linear measurement of a state: the height of the centre of mass
+        [m], and two tilts [rad]. None where the object does not rest.
 
         `drift` (6,): variance of the object's random walk since it was on the table [m², rad²].
         """
@@ -261,19 +268,18 @@ class TableEvidence:
         height, tilt = self.table.height - float(off[0]), float(np.linalg.norm(off[1:]))
         return TableEstimate(height, float(sigma[0]), tilt, float(sigma[1:].max()), declared, reason)
 
-    def log_densities(self, state: PoseAndBias, drift: Array) -> Array:
+    def log_densities(self, state: PoseAndBias, measured: Sequence[Measured | None]) -> Array:
         """Returns (k,) the log probability of each support by vision alone, up to a constant.
 
-        `state` is vision's, without a table, and `drift` as for `measured`. An object that leans has its centre of mass
-        at any height up to its diameter, and points in any direction.
+        `state` is vision's, without a table, and `measured` what each support measures of it. An object that leans has
+        its centre of mass at any height up to its diameter, and points in any direction.
         """
         rows = []
-        for support in self.supports:
-            measured = self.measured(state, support, drift)
-            if measured is None:
+        for support, given in zip(self.supports, measured, strict=True):
+            if given is None:
                 log_density = -math.log(4 * np.pi * self.model.diameter)
             else:
-                H, residual, noise = measured
+                H, residual, noise = given
                 S = H @ state.covariance[:12, :12] @ H.T + noise
                 chi2 = float(residual @ np.linalg.solve(S, residual))
                 log_density = -0.5 * (chi2 + float(np.linalg.slogdet(2 * np.pi * S)[1]))

@@ -28,6 +28,18 @@ from handsight.tracking.table import TableEvidence
 
 State = Literal["tracking", "uncertain", "lost"]
 NO_POSE = "no pose yet: neither a start nor vision"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Progress:
+    """A `Progress` is a correction that has started and not ended: it takes longer than one update may."""
+
+    started: "TrackState"
+    """The state after the observation by which it corrects."""
+    steps: int = 0
+    """How many of its steps were done."""
+
+
 NO_CONTACTS, NO_MARGINS = FingertipContacts((), None, {}), LinkMargins()
 
 
@@ -75,6 +87,8 @@ class TrackState:
     """Why it cannot be trusted further; empty while tracking."""
     estimate: PoseEstimate | None = None
     """The object's pose in the palm; None before there was one."""
+    progress: Progress | None = None
+    """The correction that goes on; None: none does."""
     corrections: int = 0
     """How often the pose was corrected."""
     T_world_palm: Array | None = None
@@ -112,6 +126,8 @@ class TrackState:
     """How much smaller than their shapes links are."""
     measured_at: float = -math.inf
     """When something was last touched or detected by vision [s]."""
+    observed_at: float = -math.inf
+    """When vision last measured the pose [s]."""
     fits_at: float = -math.inf
     """When contacts last fitted the estimate; the first estimate counts as a fit [s]."""
     propagated_to: float = -math.inf
