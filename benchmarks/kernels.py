@@ -18,9 +18,9 @@ from handsight.correction import PoseEstimate
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
 from handsight.correction.solve import kernel_call, solve_single_start
-from handsight.tracking.warm import warm
+from handsight.tracking.warm import GROUPS
 
-__all__ = ["Evaluation", "alone", "fits_at_once", "kernel_call", "stages", "warm"]
+__all__ = ["GROUPS", "Evaluation", "alone", "fits_at_once", "kernel_call", "stages"]
 
 Call = Callable[[], Any]
 PRIOR_TERM, TERM, UNCERTAINTY, WORKSPACE = (

@@ -102,7 +102,7 @@ def others(sections: dict[str, Any]) -> None:
              "error_99_m": "99 % error m"},
         )  # fmt: skip
     if rows := sections.get("startup"):
-        plain("New processes, interpreter included", rows, {"name": "", **TIMES})
+        plain("New processes, CPU time, interpreter included", rows, {"name": "", **TIMES})
     if rows := sections.get("memory"):
         plain(
             "Peak memory of a process with one peer",

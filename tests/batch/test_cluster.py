@@ -1,5 +1,6 @@
 """`handsight correct --cluster` on a real scheduler and worker processes of its own, over the loopback."""
 
+import contextlib
 import json
 import socket
 import subprocess
@@ -11,7 +12,9 @@ import numpy as np
 import pytest
 
 from batch.fragile_worker import obeyed
+from handsight.batch import answering, workers
 from handsight.batch.problems import Reader, answer_text
+from handsight.batch.workers import WorkerFailure
 
 pytest.importorskip("distributed", reason="needs handsight[cluster]")
 
@@ -36,10 +39,16 @@ def started(folder, name, *arguments):
 @pytest.fixture
 def cluster(tmp_path_factory):
     """(address, [worker, worker], scheduler), all processes."""
-    folder = tmp_path_factory.mktemp("cluster")
+    with running(tmp_path_factory.mktemp("cluster")) as processes:
+        yield processes
+
+
+@contextlib.contextmanager
+def running(folder, port=0):
+    """A cluster as the fixture's, on a port."""
     found = folder / "scheduler.json"
     scheduler = started(
-        folder, "scheduler", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", 0,
+        folder, "scheduler", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", port,
         "--no-dashboard", "--scheduler-file", found,
     )  # fmt: skip
     processes = [scheduler]
@@ -108,16 +117,37 @@ def test_a_killed_worker_costs_no_line_and_doubles_none(cluster, tmp_path):
             np.testing.assert_allclose(there, here, rtol=0, atol=1e-9)
 
 
-def test_a_scheduler_that_is_lost_is_a_sentence(cluster, tmp_path):
+def test_a_scheduler_that_dies_and_returns_loses_no_line(cluster, tmp_path, tmp_path_factory):
     address, workers, scheduler = cluster
-    output = tmp_path / "answers.jsonl"
-    command = begun(written(tmp_path, 100_000), output, address)
+    problems, output = written(tmp_path, 1500), tmp_path / "answers.jsonl"
+    command = begun(problems, output, address)
     waited_for(lambda: output.exists() and output.stat().st_size > 0)
     for process in (scheduler, *workers):
         process.kill()
-    code, said = ended(command)
-    assert code == 2
-    assert f"{address}: the cluster was lost" in said
+        process.wait()
+    before = len(output.read_text().splitlines())
+    with running(tmp_path_factory.mktemp("again"), address.rpartition(":")[2]):
+        code, said = ended(command)
+    assert code == 1
+    assert "1500 answers, 1 of them errors" in said
+    answers = output.read_text().splitlines()
+    assert before < 1500 == len(answers) == len(set(answers))
+    given = [json.loads(line) for line in problems.read_text().splitlines()]
+    for k in (0, before, 1499):  # each at its place: the next line's vision is 1e-5 away
+        alone = json.loads(answer_text(Reader(tmp_path.absolute()), json.dumps(given[k]).encode()))
+        np.testing.assert_allclose(json.loads(answers[k])["position"], alone["position"], rtol=0, atol=1e-9)
+
+
+def test_a_scheduler_that_is_lost_is_a_sentence(cluster, tmp_path, monkeypatch):
+    address, those, scheduler = cluster
+    monkeypatch.setattr(workers, "RETURN_SECONDS", 0.5)
+    source = open(written(tmp_path, 100_000), "rb")  # noqa: SIM115  # closed at its end
+    with answering(source, tmp_path.absolute(), cluster=address) as answered:
+        next(answered)
+        for process in (scheduler, *those):
+            process.kill()
+        with pytest.raises(WorkerFailure, match=f"{address}: the cluster was lost"):
+            list(answered)
 
 
 def test_nobody_at_the_address_is_a_sentence(tmp_path):

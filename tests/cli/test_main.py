@@ -132,22 +132,6 @@ def test_editors_and_users_see_the_same_names():
         assert getattr(hs, name) is getattr(sys.modules[module], name)
 
 
-def test_warmup_says_what_it_compiled_and_where_it_is(monkeypatch, capsys):
-    import types
-
-    from handsight._kernels.runtime import kernel_cache
-    from handsight.cli.main import warmup
-
-    warm = types.ModuleType("handsight.tracking.warm")
-    warm.warm = lambda report: (report("fields", 1.25), report("solver", 20.0))
-    monkeypatch.setitem(sys.modules, "handsight.tracking.warm", warm)
-    warmup()
-    out, said = capsys.readouterr()
-    assert said.splitlines() == ["   1.2 s  fields", "  20.0 s  solver"]
-    assert re.match(r"compiled in \d\.\d s; kept in ", out)
-    assert str(kernel_cache.folder()) in out
-
-
 def test_contact_converts_wrenches(asked, tmp_path):
     (tmp_path / "w.csv").write_text("fx,fy,fz,tx,ty,tz\n0,0,-1,0,0,0\n0,0,0.01,0,0,0\n")
     out, said = asked("contact", tmp_path / "w.csv", "--fingertip", "ellipsoid:8,8,12mm,cap=-2mm")

@@ -7,7 +7,6 @@ import pytest
 from handsight.cli.track import TrackResult, grip
 from handsight.forces import Slip
 from handsight.tracking import Tally
-from handsight.tracking.skin import NOTHING
 from handsight.viewer.timeline import slips_of
 
 
@@ -17,7 +16,7 @@ def steps():
     said += [Slip(True, {"ff": 0.97}, 0.8, 1000.3)] * 4
     said += [Slip(False, {"ff": 0.5}, 0.8, 1000.3, 1000.7)] * 2
     said += [Slip(True, {"ff": 1.0}, 0.8, 1000.9, 1000.7), Slip(False, {"ff": 0.4}, 0.81, 1000.9, 1001.0)]
-    nothing = {"fingers": (), "rejected": (), "skin": NOTHING}
+    nothing = {"fingers": (), "rejected": (), "pressed": False}
     return [SimpleNamespace(stamp=1000 + k / 10, slip=slip, **nothing) for k, slip in enumerate(said)]
 
 

@@ -6,11 +6,12 @@ import random
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 from ruamel.yaml import YAML
@@ -21,7 +22,7 @@ from handsight.cli.demo import DATA
 from handsight.errors import HandsightError
 from handsight.recording import RecordingWriter, open_recording
 from handsight.rig import Rig
-from handsight.simulation import GraspSearchResult, write_grasp
+from handsight.simulation import GraspSearchResult, touch_search, write_grasp
 from handsight.simulation.motion import CAN
 from tests.corpus.door import NUMBERS, Case, Door, check_pose, spoilt_bytes, spoilt_text
 from tests.corpus.object_files import ply
@@ -68,11 +69,15 @@ def grasp() -> str:
 
 def blind(*arguments: str, mesh: bytes = b"", hold: str = "") -> None:
     """Simulates the beginning of a search by touch, and asserts that the recording and its rig can be read."""
-    whole = simulation.simulate_touch_search
+    complete = simulation.simulate_touch_search
+
+    def begun(*given: Any) -> Iterator[simulation.Sample]:
+        return islice(complete(*given), SAMPLES)
 
     def bring() -> None:
-        with mock.patch.object(
-            simulation, "simulate_touch_search", lambda *given: islice(whole(*given), SAMPLES)
+        with (
+            mock.patch.object(simulation, "simulate_touch_search", begun),
+            mock.patch.object(touch_search, "TABLE_PROBES", touch_search.TABLE_PROBES[:1]),
         ):
             command("simulate", "--blind", "-o", "a.mcap", *arguments)
         with open_recording("a.mcap", Rig.from_file("a.rig.yaml")) as recording:

@@ -3,7 +3,7 @@
 import pytest
 
 from handsight.errors import HandsightError
-from handsight.tracking.warm import warm
+from handsight.tracking.warm import GROUPS
 from tests.corpus.door import check_sentence, knock
 from tests.corpus.doors import CASES, DOORS
 
@@ -11,7 +11,8 @@ from tests.corpus.doors import CASES, DOORS
 @pytest.fixture(autouse=True, scope="module")
 def kernels_are_compiled():
     """Compiles all kernels first, because an alarm in the middle of compiling would make the next input fail too."""
-    warm(lambda name, seconds: None)
+    for warm in GROUPS.values():
+        warm()
 
 
 @pytest.mark.parametrize("door", DOORS, ids=lambda door: door.name)

@@ -4,10 +4,12 @@ How kernels are kept is one way for all of them, so a small one stands for all: 
 """
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
@@ -159,6 +161,46 @@ def test_processes_that_compile_at_once_keep_what_each_compiled(started, ran, tm
     assert len(list((tmp_path / "kept").rglob("*.*"))) == 6
 
 
+COPIED = """
+import sys, handsight
+from handsight._kernels.runtime import kernel_cache
+from handsight.contact import Sphere, contact_from_wrench
+
+kernel_cache.on_compile.append(lambda name: sys.exit(f"compiled {name}"))
+contact_from_wrench([0, 0, -1], [0, 0, 0], Sphere(0.01))
+print(kernel_cache.folder(), handsight.__file__)
+"""
+
+
+@pytest.mark.slow
+def test_a_folder_of_warmup_s_serves_another_checkout_of_another_user_elsewhere(
+    tmp_path, monkeypatch, capsys
+):
+    import handsight as hs
+    from handsight.cli.main import warmup
+    from handsight.tracking import warm
+
+    monkeypatch.setattr(warm, "GROUPS", {"contact sensing": warm.GROUPS["contact sensing"]})
+    monkeypatch.setattr(warm, "LATER", ())
+    for variable in ("HANDSIGHT_CACHE", "NUMBA_CACHE_DIR"):  # both are set, and are put back
+        monkeypatch.setenv(variable, str(tmp_path / "unused"))
+    warmup(into=tmp_path / "image")
+    out, said = capsys.readouterr()
+    assert re.fullmatch(r" +\d+\.\d s  contact sensing\n", said)
+    assert f"HANDSIGHT_CACHE={tmp_path / 'image'}" in out
+    assert not (tmp_path / "unused").exists()
+
+    copy, source = tmp_path / "robot", tmp_path / "checkout"
+    shutil.copytree(tmp_path / "image", copy, copy_function=shutil.copyfile)
+    shutil.copytree(Path(hs.__file__).parent, source / "handsight", copy_function=shutil.copyfile)
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    environment |= {"HANDSIGHT_CACHE": str(copy), "HOME": str(tmp_path), "PYTHONPATH": str(source)}
+    done = subprocess.run([sys.executable, "-c", COPIED], env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert f"{copy}/kernels-" in done.stdout
+    assert str(source) in done.stdout
+
+
 SIGNATURES = """
 from importlib import import_module
 from pathlib import Path
@@ -173,12 +215,10 @@ def signatures():
     return {kernel._cache.name: tuple(kernel.nopython_signatures) for kernel in found}
 """
 WARMED = """
-from handsight.tracking.warm import GROUPS, warm
+from handsight.tracking.warm import GROUPS
 
-reported = []
-warm(lambda name, seconds: reported.append((name, seconds)))
-assert [name for name, _ in reported] == list(GROUPS)
-assert all(seconds > 0 for _, seconds in reported)
+for warm in GROUPS.values():
+    warm()
 
 warmed = signatures()
 assert len(warmed) > 50, warmed

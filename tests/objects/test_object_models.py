@@ -51,7 +51,8 @@ def test_sizes_are_those_of_the_shape(models, kind, diameter, area, extent):
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 1e-9), (1, 1e-9, 1e-9), (3, 2, 1)])
 def test_the_diameter_is_the_largest_of_all_distances(shape, rng):
     cloud = rng.normal(size=(1500, 3))
-    for points in (cloud, cloud / np.linalg.norm(cloud, axis=1, keepdims=True), cloud[:2]):
+    ball = cloud / np.linalg.norm(cloud, axis=1, keepdims=True)
+    for points in (cloud, ball, cloud[:2], rng.normal(size=(3000, 3))):
         assert diameter(points * shape) == pytest.approx(pdist(points * shape).max(), rel=1e-12)
 
 

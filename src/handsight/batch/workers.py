@@ -1,5 +1,6 @@
 """Workers that answer chunks of lines: processes of this machine, or a Dask cluster."""
 
+import asyncio
 import contextlib
 import functools
 import json
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 DEATHS = 3
 """If so many workers die on the same line, the line is to blame."""
 CONNECT_SECONDS = 5
+RETURN_SECONDS = 60
+"""How long a scheduler that was lost is waited for."""
 
 
 class WorkerFailure(HandsightError):
@@ -212,7 +215,8 @@ def _begin(lifeline: Connection) -> None:
 class Cluster(contextlib.AbstractContextManager["Cluster"]):
     """A `Cluster` has the workers of a Dask cluster, to be used in `with`.
 
-    If a worker dies, Dask repeats its chunk, which gives the same answers.
+    If a worker dies, Dask repeats its chunk, which gives the same answers. If the scheduler dies, what it has lost is
+    submitted again as soon as one answers at its address.
     """
 
     chunk_seconds = 0.5
@@ -231,15 +235,15 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
             if name.partition(".")[0] == "distributed":
                 logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         self._address, self._work = address, work
+        self._client_type: Any = Client
         try:
             # Checked first, as a client with a malformed address hangs on closing.
             resolve_address(address)
-            connect: Any = Client
-            self._client = connect(address, timeout=CONNECT_SECONDS, set_as_default=False)
+            self._client = self._connected()
         except (OSError, ValueError, TypeError, RuntimeError) as error:
             message = str(error).partition("\n")[0] or type(error).__name__
             raise WorkerFailure(f"{address}: expected a Dask scheduler there, got none ({message})") from None
-        self._ended: SimpleQueue[tuple[Any, Future[Answers]]] = SimpleQueue()
+        self._ended: SimpleQueue[tuple[Any, Any, list[bytes], Future[Answers]]] = SimpleQueue()
         # In a daemon thread, as fetching results from a lost cluster may never end.
         threading.Thread(target=self._fetch, name="handsight-fetcher", daemon=True).start()
 
@@ -249,31 +253,56 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
             self._client.close(timeout=CONNECT_SECONDS)
 
     def submit(self, lines: list[bytes]) -> Future[Answers]:
-        """Returns a future of a chunk's answers, which may end with WorkerDied (of several workers) or WorkerFailure.
-
-        Raises WorkerFailure if the cluster was lost.
-        """
-        # Not Client.get_executor(), whose futures never end if the scheduler is lost.
-        try:
-            submitted = self._client.submit(self._work, lines, pure=False)
-        except Exception as error:
-            raise self._lost(error) from None
+        """Returns a future of a chunk's answers, which may end with WorkerFailure, or WorkerDied of several workers."""
         answers: Future[Answers] = Future()
-        submitted.add_done_callback(lambda done: self._ended.put((done, answers)))
+        self._send(lines, answers)
         return answers
 
+    def _connected(self) -> Any:
+        """Returns a new client; raises OSError where no scheduler answers."""
+        return self._client_type(self._address, timeout=CONNECT_SECONDS, set_as_default=False)
+
+    def _send(self, lines: list[bytes], answers: Future[Answers]) -> None:
+        """Submits a chunk; `_fetch` gets it when it is done or lost."""
+        client, failed = self._client, Future[Answers]()
+        # Not Client.get_executor(), whose futures never end if the scheduler is lost.
+        try:
+            submitted = client.submit(self._work, lines, pure=False)
+        except Exception as error:
+            failed.set_exception(error)
+            submitted = failed
+        submitted.add_done_callback(lambda done: self._ended.put((client, done, lines, answers)))
+
     def _fetch(self) -> None:
-        """Sets the results of the futures; it runs in its own thread."""
+        """Sets the results of the futures, and submits again what a scheduler has lost; it runs in its own thread."""
+        from distributed.comm.core import CommClosedError
         from distributed.scheduler import KilledWorker
 
         while True:
-            done, answers = self._ended.get()
+            client, done, lines, answers = self._ended.get()
             try:
                 answers.set_result(Answers(*done.result()))
             except KilledWorker:
                 answers.set_exception(WorkerDied())
             except BaseException as error:
-                answers.set_exception(self._lost(error))
+                gone = isinstance(error, CancelledError | asyncio.CancelledError | CommClosedError)
+                if (gone or getattr(client, "status", "") != "running") and self._returned(client):
+                    self._send(lines, answers)
+                else:
+                    answers.set_exception(self._lost(error))
+
+    def _returned(self, lost: Any) -> bool:
+        """Returns whether a scheduler answers again at the address, after `RETURN_SECONDS` at most, and replaces the
+        client that has lost it; once no scheduler has returned, the answer is no."""
+        until = time.monotonic() + RETURN_SECONDS
+        while self._client is lost is not None:
+            with contextlib.suppress(OSError, ValueError, TypeError, RuntimeError):
+                self._client = self._connected()
+            if self._client is lost and time.monotonic() > until:
+                self._client = None
+        with contextlib.suppress(Exception):
+            lost.close(timeout=CONNECT_SECONDS)
+        return self._client is not None
 
     def _lost(self, error: BaseException) -> WorkerFailure:
         message = f"the cluster was lost ({type(error).__name__}: {error})"

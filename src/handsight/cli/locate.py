@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -203,7 +204,8 @@ def locate(
             noise = PRESETS[cast("DepthCamera", depth_camera)]
         frames = open_frames(images, beside)
         library = library or (str(frames.library) if frames.library else None)
-        models = find_models(names, library=library, scale=scale)
+        index = which and not any((detections, start, targets))
+        models = find_models(names, library=library, scale=scale, index=index)
         if csv:  # BOP's results name objects by the library's numbers
             entries, opened = zip(models, names or models, strict=True), Library(library)
             numbers = {name: opened.entry(entry).number for name, entry in entries}
@@ -359,10 +361,11 @@ def locator(
     from handsight.vision.object.first_pose import first_pose
     from handsight.vision.object.locate import LOCATE, recognise, recognition_of
     from handsight.vision.object.region import scene_of
+    from handsight.vision.object.shape_index import ShapeIndex
 
     matrix = np.array([[64, 0, 32], [0, 64, 24], [0, 0, 1.0]])
     camera = Camera(matrix, (64, 48))
-    for model in models.values():
+    for model in islice(models.values(), 1 if isinstance(models, ShapeIndex) else None):
         in_front = model.vertices - model.center_object + [0, 0, min(2 * model.diameter, 5.0)]
         drawn = camera.draw(in_front, model.faces).depth
         first_pose(model, scene_of(camera, drawn, extent=model.diameter), noise=noise)

@@ -1,10 +1,12 @@
 """The command `handsight`: its subcommands, and how it reports errors."""
 
 import io
+import os
 import sys
 import time
 import warnings
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 from typer import Option
@@ -87,22 +89,50 @@ def _handsight(
     pass
 
 
-def warmup() -> None:
-    """Compile all kernels now, which takes some minutes; needed once for each version and machine.
+def warmup(
+    into: Annotated[
+        Path | None,
+        Option(metavar="FOLDER", help="Keep them there, for an image or for machines of the same kind."),
+    ] = None,
+) -> None:
+    """Compile all kernels now, on all cores; needed once for each version and kind of machine.
 
-    Without it, the first command that needs a kernel compiles it. Compiled kernels are kept in the user's cache folder,
-    or in the folder that HANDSIGHT_CACHE names.
+    Without it, the first command that needs a kernel compiles it. They are kept in the user's cache folder, or in the
+    one that HANDSIGHT_CACHE names, which may be copied to where processor, Python, numba and handsight are the same.
 
     ```
-    handsight warmup
+    handsight warmup --into /opt/handsight
     ```
     """
+    from concurrent.futures import as_completed
+
+    import numba
+
     from handsight._kernels.runtime.kernel_cache import folder
-    from handsight.tracking.warm import warm
+    from handsight.batch.workers import Processes
+    from handsight.tracking.warm import GROUPS, LATER
+
+    if into is not None:
+        os.environ["HANDSIGHT_CACHE"] = str(into.absolute())
+        os.environ.pop("NUMBA_CACHE_DIR", None)
+    started = time.monotonic()
+    with Processes(numba.config.NUMBA_NUM_THREADS, _compile) as workers:
+        for names in ([name for name in GROUPS if name not in LATER], LATER):
+            running = {workers.submit([name.encode()]): name for name in names}
+            for ended in as_completed(running):
+                terminal.say(f"{ended.result().seconds:6.1f} s  {running[ended]}")
+    place = folder() if into is None else f"{into}; to use them, HANDSIGHT_CACHE={folder().parent}"
+    print(f"compiled in {time.monotonic() - started:.1f} s; kept in {place}")
+
+
+def _compile(names: list[bytes]) -> Any:
+    from handsight.batch.workers import Answers
+    from handsight.tracking.warm import GROUPS
 
     started = time.monotonic()
-    warm(lambda name, seconds: terminal.say(f"{seconds:6.1f} s  {name}"))
-    print(f"compiled in {time.monotonic() - started:.1f} s; kept in {folder()}")
+    for name in names:
+        GROUPS[name.decode()]()
+    return Answers([], time.monotonic() - started, [])
 
 
 for command in (demo, track, view, locate, simulate, correct, reconstruct):

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -161,11 +161,12 @@ def find_models(
     *,
     library: str | None = None,
     scale: float = 1.0,
-) -> "dict[str, ObjectModel]":
+    index: bool = False,
+) -> "Mapping[str, ObjectModel]":
     """Returns the models of objects, by name; without names, those of all objects in the rig, else in the library.
 
     `rig_path`: the rig's file, for messages; `library`: None for the default one; `scale`: metres per unit of a mesh
-    file. Raises InvalidInput, InvalidFile.
+    file; `index`: a large library may be answered with a `ShapeIndex` of it. Raises InvalidInput, InvalidFile.
     """
     from handsight.objects import Library
     from handsight.objects.library import NoLibrary, find_model
@@ -187,7 +188,12 @@ def find_models(
             raise InvalidInput(f"{message}; there is no library at {opened.place}") from None
         if not entries:
             raise InvalidInput(f"{message}; the library {opened.place} is empty")
-        models = [opened.model(entry.name) for entry in entries]
+        if index:
+            from handsight.vision.object.shape_index import SHAPE_INDEX, ShapeIndex
+
+            if len(entries) > SHAPE_INDEX.shortlist:
+                return ShapeIndex(opened)
+        models = [opened.model(entry) for entry in entries]
     by_name = {model.name: model for model in models}
     if len(by_name) < len(models):
         twice = next(name for name, count in Counter(model.name for model in models).items() if count > 1)

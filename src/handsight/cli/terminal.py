@@ -63,11 +63,12 @@ def discard(stream: IO[str]) -> None:
 
 
 def announce_compiling() -> None:
-    """Makes a terminal show a message before the first kernel is compiled, which takes minutes."""
+    """Makes a terminal show which kernel is being compiled, a line that goes again; all take minutes."""
     if sys.stderr.isatty():
         from handsight._kernels.runtime.kernel_cache import on_compile
 
-        on_compile.append(lambda: say("compiling handsight's kernels, once on this machine ..."))
+        text = "compiling handsight's kernels, once on this machine: "
+        on_compile[:] = [lambda name: os.write(2, f"\r\x1b[2K{name and text + name}".encode())]
 
 
 def check_plots(plot: Path | None) -> None:

@@ -148,7 +148,11 @@ def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> "Track
             raise end.error
         result.messages = [*recording.report.sentences(), *recording.lacks()]
         result.truths = Truths(recording.truth)
-    result.images, result.corrections = tracker.images, tracker.corrections
+    result.images, result.corrections, result.faults = (
+        tracker.images,
+        tracker.corrections,
+        tracker.skin.faults,
+    )
     result.margins, result.reason = tracker.link_margins, tracker.reason
     result.diagnosis = diagnoser.diagnosis()
     result.latency, result.latency_declared = tracker.vision_latency(), tracker.vision.camera.latency
@@ -236,6 +240,8 @@ class TrackResult:
     """For each link of the hand whose shape in the hand's file is too large: by how much [m]."""
     images: dict[str, int] = field(default_factory=dict)
     """Counts of depth images, if any were used: searched, object found, searched for the hand, hand found."""
+    faults: dict[str, str] = field(default_factory=dict)
+    """What is wrong with tactile arrays at the end, by name."""
     latency: tuple[float, float] | None = None
     """How much older vision's poses are than their stamps, and its standard deviation [s]; None without vision."""
     latency_declared: float = 0.0
@@ -314,7 +320,7 @@ class TrackResult:
             },
             "recording_says": self.messages,
             "friction": self.friction,
-            "poses_with_skin": sum(step.skin.pressed for step in self.steps),
+            "poses_with_skin": sum(step.pressed for step in self.steps),
             "slips": [{"began": began, "seconds": round(seconds, 3)} for began, seconds in self.slips],
             "errors_mm_deg": {name: errors.summary() for name, errors in self.errors.items()},
         }
@@ -376,11 +382,11 @@ class TrackResult:
                     f"finger {finger}: contradicts the others in {100 * part:.0f} % of the poses while it touched; "
                     "check its topic, reading, bias, sensor.pose and surface; `handsight rig check` tries them"
                 )
-        if pressed := sum(step.skin.pressed for step in self.steps):
+        if pressed := sum(step.pressed for step in self.steps):
             yield f"tactile arrays: pressed in {pressed} of {len(self.steps)} poses"
         if unmeasured := sorted({name for step in self.steps for name in step.slip.unmeasured}):
             yield f"no evidence of slips, as no force is measured there: {', '.join(unmeasured)}"
-        for name, faults in self.steps[-1].skin.faults.items() if self.steps else ():
+        for name, faults in self.faults.items():
             yield f"skin {name}: {faults}"
         if slips := self.slips:
             first = slips[0][0] - self.steps[0].stamp

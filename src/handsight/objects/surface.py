@@ -1,12 +1,12 @@
 """Surfaces, of triangles or of points: their areas, random points on them, and their size."""
 
-import contextlib
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
+from handsight import se3
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidObject
 
@@ -180,15 +180,18 @@ def diameter(points: Array) -> float:
     if len(points) <= 512:  # SciPy takes half a second to load, which a box should not wait for
         x, y, z = points.T[:, :, None] - points.T[:, None, :]
         return float(np.sqrt((x * x + y * y + z * z).max()))
-    from scipy.spatial import ConvexHull, QhullError
-    from scipy.spatial.distance import pdist
+    from scipy.spatial.distance import cdist, pdist
 
     most = 2000  # points all of whose distances are computed
-    if len(points) > most:
-        with contextlib.suppress(QhullError):  # flat
-            points = points[ConvexHull(points).vertices]
-    if len(points) > most:  # a ball: extremes along many directions miss by less than a thousandth
-        direction = np.random.default_rng(0).normal(size=(1000, 3))
-        along = (direction / np.linalg.norm(direction, axis=1, keepdims=True)) @ points.T
-        points = points[np.unique(np.concatenate([along.argmin(axis=1), along.argmax(axis=1)]))]
-    return float(pdist(points).max())
+    for ways in se3.directions(50), se3.directions(1000):
+        if len(points) <= most:
+            break
+        along = (points @ way for way in ways)
+        ends = points[np.unique([end for x in along for end in (x.argmin(), x.argmax())])]
+        lengths = cdist(ends, ends)
+        length, pair = float(lengths.max()), np.unravel_index(lengths.argmax(), lengths.shape)
+        # Of a longer pair, each end is at least as far from any place as the length less what the other end can be.
+        off = np.linalg.norm(points - ends[list(pair)].mean(axis=0), axis=1)
+        points = points[off >= (1 - 1e-9) * length - off.max()]
+    # More are left of a ball: the extremes along a thousand directions miss by less than a thousandth.
+    return float(pdist(points).max()) if len(points) <= most else length

@@ -17,7 +17,7 @@ MAX_REASONS = 3
 MAX_HYPOTHESES, MIN_WEIGHT = 3, 0.01
 """Hypotheses of an object that are written, and the weight above which the others than the best are."""
 FAR, IMPROBABLE = 3.0, 0.005
-"""Median depth [m] beyond which, and probability below which, an object not found may be in another unit."""
+"""Median depth [m] beyond which, and probability below which, an object may be in another unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -42,7 +42,7 @@ class Located:
             return reason
         median = float(np.median(known))
         hint = "; in tenths of millimetres? then --depth-scale 0.0001" if median > FAR else ""
-        if not hint and self.found.probability < IMPROBABLE:  # as everything is at another scale
+        if not hint and 0 < self.found.probability < IMPROBABLE:  # as everything is at another scale
             hint = "; if that is not the distance of the scene, set --depth-scale"
         return f"{reason} (median depth {median:.2f} m{hint})"
 

@@ -73,14 +73,17 @@ class Solid:
         return cls.hull(convex_hull(name)[0])
 
     def distances(self, points: Array, direction: Array) -> Array:
-        """Returns the distances (n,) from points (n, 3) along a unit direction to the body's nearer surface [m]. They
-        are infinite where the line misses the body, and negative where that surface is behind the point."""
-        rate, left = self.normals @ direction, self.offsets - points @ self.normals.T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            at = left / rate
-        begin = np.where(rate < -1e-12, at, -np.inf).max(axis=1)
-        end = np.where(rate > 1e-12, at, np.inf).min(axis=1)
-        misses = (np.where(np.abs(rate) <= 1e-12, left, 0.0) < 0).any(axis=1) | (end < begin)
+        """Returns the distances (n,) from points (n, 3) along a unit direction to the body's nearer surface [m].
+
+        They are infinite where the line misses the body, and negative where that surface is behind the point.
+        """
+        rate = self.normals @ direction
+        enters, leaves, beside = rate < -1e-12, rate > 1e-12, np.abs(rate) <= 1e-12
+        along = np.where(beside, 1.0, rate)
+        at = self.offsets / along - points @ (self.normals / along[:, None]).T
+        begin = at[:, enters].max(axis=1, initial=-np.inf)
+        end = at[:, leaves].min(axis=1, initial=np.inf)
+        misses = (at[:, beside] < 0).any(axis=1) | (end < begin)
         return np.asarray(np.where(misses, np.inf, begin))
 
 

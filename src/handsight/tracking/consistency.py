@@ -115,10 +115,10 @@ class Excerpt:
 class Reading:
     """A `Reading` is an excerpt of a recording as a rig reads it, each observation changed first."""
 
-    def __init__(self, excerpt: Excerpt, rig: Rig, change: Change) -> None:
-        """Raises InvalidInput where the changed observations cannot be that rig's."""
-        self.rig, self._change, self._excerpt = rig, change, excerpt
-        self.observations = [change(each) for each in excerpt.observations.some()]
+    def __init__(self, excerpt: Excerpt, rig: Rig, change: Change, step: int = 1) -> None:
+        """Takes every `step`-th instant. Raises InvalidInput where the changed observations cannot be that rig's."""
+        self.rig, self._change, self._excerpt, self._step = rig, change, excerpt, step
+        self.observations = [change(each) for each in excerpt.observations.some()[::step]]
         shape = len(self.observations), len(rig.fingers), 3
         self._sensors, self._skin = FingertipSensors(rig), SkinSensors(rig)
         self.touches = list[FingertipContacts]()
@@ -210,7 +210,7 @@ class Reading:
     def views(self) -> list[tuple[Observation, Array, Array | None]]:
         """Observations with the object's pose by vision in the palm and, where it is known, in the world."""
         found, camera = [], self.rig.camera or MountedCamera()
-        for each in map(self._change, self._excerpt.views.some()):
+        for each in map(self._change, self._excerpt.views.some()[:: self._step]):
             if (vision := each.vision) is None:
                 continue
             T, T_world_palm = vision.T_frame_object, each.T_world_palm

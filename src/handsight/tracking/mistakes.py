@@ -35,7 +35,8 @@ class MistakeOptions(NamedTuple):
     errors: float = 2.0  # and by so many standard errors of the samples' differences
     blocks: int = 8  # of samples that follow each other, which share errors: so many count as independent
     tie: float = 0.02  # changes whose sums differ by less fit as well
-    compared: int = 12  # of the best of each kind without the object, so many are compared with it
+    coarse: int = 3  # a mistake is tried on one of so many instants first
+    compared: int = 12  # so many of each kind, the best, are then tried on all, and compared with the object
     similar: float = 0.05  # of sums that differ by less, the likelier mistakes are compared
     most: int = 3  # mistakes that are named of one recording
     all_orders: int = 5  # of so many sensors all orders are tried; of more, exchanges of two
@@ -65,10 +66,10 @@ class Mistake(NamedTuple):
 class Compared:
     """A `Compared` is what a recording costs as it is read without a mistake."""
 
-    def __init__(self, excerpt: Excerpt, mistake: Mistake) -> None:
-        """Raises InvalidInput where the recording cannot be read like that."""
+    def __init__(self, excerpt: Excerpt, mistake: Mistake, step: int = 1) -> None:
+        """Takes every `step`-th instant. Raises InvalidInput where the recording cannot be read like that."""
         self.mistake = mistake
-        self._reading = Reading(excerpt, mistake.rig, mistake.read)
+        self._reading = Reading(excerpt, mistake.rig, mistake.read, step)
         self.costs = self._reading.costs
         """By measure, the samples' costs; those that are no measure of theirs are NaN."""
 
@@ -143,21 +144,23 @@ def find_mistakes(excerpt: Excerpt, model: ObjectModel | None = None) -> list[Fo
             for each in kind(now.mistake.rig, observations):
                 mistake = each._replace(read=partial(_then, now.mistake.read, each.read))
                 with contextlib.suppress(HandsightError):
-                    of_kind.append(Compared(excerpt, mistake))
-            finalists = sorted(of_kind, key=lambda each: round(each.total / MISTAKES.similar))[
-                : MISTAKES.compared
-            ]
-            compared = [each.with_object(model) for each in of_kind if each in finalists]
-            tried += [each for each in compared if each.gain(now) >= MISTAKES.margin]
+                    of_kind.append(Compared(excerpt, mistake, MISTAKES.coarse))
+            ranks = [round(each.total / MISTAKES.similar) for each in of_kind]
+            best = sorted(sorted(range(len(ranks)), key=ranks.__getitem__)[: MISTAKES.compared])
+            compared = [Compared(excerpt, of_kind[k].mistake) for k in best]
+            # The object only adds to what a reading costs: it is compared where the rest alone gains enough.
+            compared = [each for each in compared if each.gain(now) >= MISTAKES.margin]
+            tried += [each for each in compared if each.with_object(model).gain(now) >= MISTAKES.margin]
             if any(not each.suspicious for each in tried):  # nothing is left to explain
                 break
         least = min((each.total for each in tried), default=math.inf)
         tied = [each for each in tried if each.total < least + MISTAKES.tie]
         if not tied:
             break
-        best, *others = tied  # the likeliest one first
-        found.append(Found(now, best, tuple(each.mistake for each in others[:2])))
-        now = best
+        found.append(
+            Found(now, tied[0], tuple(each.mistake for each in tied[1:3]))
+        )  # the likeliest one first
+        now = tied[0]
     return found
 
 
@@ -330,6 +333,20 @@ def _cameras(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]
         yield Mistake(f"a camera on the {other.on}", fix, replace(rig, camera=other), _as_is)
 
 
+def _camera_poses(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
+    """A camera whose pose is inverted, or that of another of its frames, such as the body's in place of the optical."""
+    if (camera := rig.camera) is None:
+        return
+    T = camera.T_mount_camera
+    poses = [
+        ("in its inverse pose", se3.inverse(T)),
+        *((f"turned by {turn}", _turned(T, R)) for turn, R in TURNS),
+    ]
+    for what, pose in poses:
+        other = replace(rig, camera=replace(camera, T_mount_camera=pose))
+        yield Mistake(f"the camera {what}", f"set camera.pose: {pose_text(pose)}", other, _as_is)
+
+
 def _as_wxyz(observation: Observation) -> Observation:
     """Returns an observation whose vision was read as x, y, z, w, and was w, x, y, z."""
     if (vision := observation.vision) is None:
@@ -399,6 +416,9 @@ KINDS: dict[Callable[[Rig, Sequence[Observation]], Iterator[Mistake]], set[str]]
     _units: {"touch", "squeeze", "balance", "limits", "object"},
     _tips: {"touch", "squeeze", "outward", "object"},
     _cameras: {"vision", "object"},
+    _camera_poses: {
+        "object"
+    },  # without the object, turns about an axis of the palm's motion cannot be told apart
     _palms: {"gravity", "vision", "object"},
     _joints: {"squeeze", "balance", "gravity", "limits", "object"},
 }

@@ -15,7 +15,6 @@ from handsight.errors import InvalidInput
 from handsight.forces import ObjectWeight, Slip
 from handsight.observation import MAX_JUMP, Observation
 from handsight.tracking.fingertips import FingertipContacts
-from handsight.tracking.skin import NOTHING, SkinContacts
 from handsight.tracking.tracker import State, Tracker
 
 MAX_MESSAGES = 100
@@ -35,24 +34,16 @@ class Step:
     """(4, 4) the object's pose as vision measured it at this instant; None where it did not."""
     T_world_palm: Array | None
     """(4, 4) the palm's pose; None where it is unknown."""
-    fingertips: FingertipContacts
-    """What the fingertips measure."""
+    fingers: tuple[str, ...]
+    """The fingers that touch."""
+    rejected: tuple[str, ...]
+    """Those of them whose contacts are outliers of the estimate."""
     sigma: float
     """Largest standard deviation of the position of the object's middle [m]."""
     slip: Slip = field(default_factory=Slip)
     """Whether the object slips, and how near each finger is to slipping."""
-    skin: SkinContacts = NOTHING
-    """What the tactile arrays measure."""
-
-    @property
-    def fingers(self) -> tuple[str, ...]:
-        """The fingers that touch."""
-        return self.fingertips.fingers
-
-    @property
-    def rejected(self) -> tuple[str, ...]:
-        """Those fingers whose contacts are outliers of the estimate."""
-        return self.fingertips.rejected_by(self.estimate)
+    pressed: bool = False
+    """Whether a tactile array is pressed."""
 
 
 @dataclass(slots=True)
@@ -137,10 +128,11 @@ def _step(tracker: Tracker, estimate: PoseEstimate) -> Step:
         reason=tracker.reason,
         T_palm_object_vision=tracker.vision.in_palm(tracker.processed, tracker.T_world_palm),
         T_world_palm=tracker.T_world_palm,
-        fingertips=tracker.fingertips,
+        fingers=tracker.fingertips.fingers,
+        rejected=tracker.fingertips.rejected_by(estimate),
         sigma=tracker.sigma,
         slip=tracker.slip,
-        skin=tracker.skin,
+        pressed=tracker.skin.pressed,
     )
 
 

@@ -1,6 +1,5 @@
 """Kernels compiled, or loaded, ahead of their first use, by solving small problems through the functions users call."""
 
-import time
 from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
@@ -20,7 +19,7 @@ from handsight.contact import (
     contact_from_wrench,
     contacts_from_wrenches,
 )
-from handsight.correction import PosePrior, correct_pose
+from handsight.correction import PosePrior, TwoPhase, correct_pose
 from handsight.hand import Hand
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
@@ -30,14 +29,6 @@ from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.settings import TrackerSettings
 from handsight.vision import DepthTracker, HandAppearance, detect_palm, locate, locate_all
 from handsight.vision.reconstruction.reconstruct import Reconstruction, View
-
-
-def warm(report: Callable[[str, float], object]) -> None:
-    """Compiles or loads every kernel; calls `report` with what each group is for and the seconds it took."""
-    for name, solve in GROUPS.items():
-        began = time.perf_counter()
-        solve()
-        report(name, time.perf_counter() - began)
 
 
 @cache
@@ -67,6 +58,7 @@ def correct_far() -> None:
     correct_pose(model, contacts, vision=far, outside=[[0.1, 0, 0], [0.05, 0.05, 0]])
     correct_pose(model, contacts, vision=far, samples=200)
     correct_pose(model, contacts)
+    correct_pose(model, contacts, vision=far, method=TwoPhase(starts=1000, reject_outliers=False))
 
 
 def build() -> None:
@@ -159,6 +151,9 @@ GROUPS: dict[str, Callable[[], None]] = {
     "hands in images": find_hand,
 }
 """Groups of kernels by what they are for, each with problems that need them."""
+
+LATER = ("corrections from many starts", "hands and tracking")
+"""Those that need kernels of the others too, and find them on disk if these come first."""
 
 
 def _touched_box() -> tuple[ObjectModel, Contacts]:

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-import trimesh
 from scipy.ndimage import generate_binary_structure, iterate_structure, minimum_filter
 
 from handsight import se3
@@ -11,6 +10,7 @@ from handsight.camera import Camera, Depth
 from handsight.checks import Array
 from handsight.correction import PoseEstimate
 from handsight.objects import ObjectModel
+from handsight.objects.surface import Triangles
 from handsight.tracking.track_state import point_uncertainty
 
 
@@ -34,10 +34,11 @@ def creases(model: ObjectModel) -> Array:
     """Returns edges (k, 2, 3) [m] at which the surface bends sharply or ends; none for an object without triangles."""
     if not len(model.faces):
         return np.empty((0, 2, 3))
-    mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
-    sharp = mesh.face_adjacency_edges[mesh.face_adjacency_angles > SHAPES.crease]
-    edges, count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
-    return np.asarray(model.vertices[np.concatenate([sharp, edges[count == 1]])])
+    surface = Triangles(model.vertices, model.faces)
+    edges, (a, b) = surface.edges, (surface.doubled_normals[of // 3] for of in surface.shared)
+    lengths = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
+    sharp = edges.vertices[edges.counts == 2][(a * b).sum(axis=1) < np.cos(SHAPES.crease) * lengths]
+    return np.asarray(model.vertices[np.concatenate([sharp, edges.vertices[edges.counts == 1]])])
 
 
 def silhouette(camera: Camera, model: ObjectModel, T_camera_object: Array) -> Depth:

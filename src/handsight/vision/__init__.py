@@ -8,6 +8,7 @@ from handsight.vision.object.first_pose import JudgedStarts, ObjectDetection
 from handsight.vision.object.first_pose_source import FirstPoseSource, locate_detected
 from handsight.vision.object.locate import Recognition, locate, recognise
 from handsight.vision.object.locate_all import ObjectInstance, SceneDetection, locate_all
+from handsight.vision.object.shape_index import ShapeIndex
 from handsight.vision.palm.hand_appearance import HandAppearance, PlacedHand
 from handsight.vision.palm.hand_in_image import hand_mask
 from handsight.vision.palm.palm_detector import PalmDetection, PalmNotFound, detect_palm, follow_palm
@@ -17,9 +18,9 @@ from handsight.vision.registration import register_color
 __all__ = [
     "PRESETS", "STEREO", "STRUCTURED_LIGHT", "TIME_OF_FLIGHT", "DepthNoise", "DepthTracker", "FirstPoseSource",
     "HandAppearance", "JudgedStarts", "ObjectDetection", "ObjectInstance", "PalmDetection", "PalmNotFound",
-    "PlacedHand", "Recognition", "SceneDetection", "Sighting", "depth_points", "detect_palm", "follow_palm",
-    "hand_mask", "locate", "locate_all", "locate_detected", "read_camera", "read_color", "read_depth", "recognise",
-    "register_color",
+    "PlacedHand", "Recognition", "SceneDetection", "ShapeIndex", "Sighting", "depth_points", "detect_palm",
+    "follow_palm", "hand_mask", "locate", "locate_all", "locate_detected", "read_camera", "read_color", "read_depth",
+    "recognise", "register_color",
 ]  # fmt: skip
 
 __getattr__ = renamed(__name__, {

@@ -5,16 +5,18 @@ level of the call tree. An entry inlines and optimises all its callees anyway. I
 lowered to LLVM code and linked, which saves a third of the compile time.
 """
 
+import gc
 import sys
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from types import ModuleType
 from typing import Any, TypeVar
 
 import numba
+from llvmlite.binding import parse_assembly
 from numba import _dynfunc
-from numba.core import codegen, lowering, typed_passes
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core import codegen, compiler, typed_passes
 from numba.core.compiler_machinery import register_pass
 
 # Numba asks once whether SciPy's BLAS can be imported, which no kernel of handsight calls; loading it takes a third of
@@ -36,66 +38,106 @@ FAST = {"contract", "nsz", "reassoc"}
 
 def inner(function: F) -> F:
     """Returns a function for other kernels: compiled into each of them, and not callable from Python."""
-    return numba.njit(
-        error_model="numpy",
-        fastmath=FAST,
-        no_cpython_wrapper=True,
-        no_cfunc_wrapper=True,
-        pipeline_class=_LinkOnlyCompiler,
-    )(function)
+    return _jit(no_cpython_wrapper=True)(function)
 
 
 def entry(function: F) -> F:
-    """Returns a kernel that Python calls; its machine code is kept on disk, and it releases the interpreter."""
-    dispatcher = numba.njit(error_model="numpy", fastmath=FAST, nogil=True)(function)
+    """Returns a kernel that Python calls; its machine code is kept on disk, and it releases the interpreter.
+
+    Other kernels cannot call it.
+    """
+    dispatcher = _jit(nogil=True)(function)
     dispatcher._cache = KernelCache(function)
     return dispatcher
 
 
-class _LinkOnlyLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
-    """A `_LinkOnlyLibrary` is code to be linked into others, neither optimised by itself nor made machine code."""
+class _InnerLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
+    """An `_InnerLibrary` is code to be linked into entries, neither optimised by itself nor made machine code."""
+
+    def finalize(self) -> None:
+        """Leaves the code as it is; entries link what it calls, too."""
+        self._shared_module, self._finalized = self._final_module, True
+
+
+class _EntryLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
+    """An `_EntryLibrary` is machine code of an entry and of all that it calls; no other kernel can call it."""
 
     def _optimize_final_module(self) -> None:
-        pass
+        """Optimises; an inner function that is inlined wherever it is called may go."""
+        for library in self._linking_libraries:
+            if isinstance(library, _InnerLibrary):
+                for function in library.get_defined_functions():
+                    self._final_module.get_function(function.name).linkage = "linkonce_odr"
+        super()._optimize_final_module()
 
-    def _finalize_final_module(self) -> None:
-        self._finalized = True
+    def serialize_using_object_code(self) -> Any:
+        """Returns what is kept on disk: machine code, and the names that it defines instead of code for callers."""
+        name, kind, (machine_code, _) = super().serialize_using_object_code()
+        defined = (f'@"{function.name}" = global i8 0' for function in self.get_defined_functions())
+        return name, kind, (machine_code, parse_assembly("\n".join(defined)).as_bitcode())
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
-class _LinkOnlyLowering(typed_passes.BaseNativeLowering):  # type: ignore[misc]
-    """`_LinkOnlyLowering` replaces the last of numba's passes, and lowers into a `_LinkOnlyLibrary`."""
+class _Lowering(typed_passes.NativeLowering):  # type: ignore[misc]
+    """`_Lowering` replaces the last of numba's passes, and lowers into an `_InnerLibrary` or an `_EntryLibrary`."""
 
     _name = "lowering_to_link"
 
-    @property
-    def lowering_class(self) -> Any:
-        return lowering.Lower
-
     def run_pass(self, state: Any) -> bool:
-        """Lowers the function, and registers it for its callers by a function object without machine code."""
-        context, function = state.targetctx, state.func_id
-        state.library = _LinkOnlyLibrary(context.codegen(), function.func_qualname)
-        state.flags.no_compile = True
+        """Lowers the function, and registers an inner one for its callers by a function object without machine code."""
+        context, function, inner = state.targetctx, state.func_id, state.flags.no_cpython_wrapper
+        library = (_InnerLibrary if inner else _EntryLibrary)(context.codegen(), function.func_qualname)
+        library.enable_object_caching()
+        state.library, state.flags.no_compile = library, inner
         super().run_pass(state)
-        state.library.finalize()
-        described = state.cr.fndesc
-        key = _dynfunc.make_function(
-            described.lookup_module(), function.func_name, "", 0, state.cr.env, (state.library,)
-        )
-        context.insert_user_function(key, described, [state.library])
-        state.cr = state.cr._replace(cfunc=key)
+        if inner:
+            library.finalize()
+            described, environment = state.cr.fndesc, state.cr.env
+            module, name = described.lookup_module(), function.func_name
+            key = _dynfunc.make_function(module, name, "", 0, environment, (library,))
+            context.insert_user_function(
+                key, described, [*dict.fromkeys([library, *library._linking_libraries])]
+            )
+            state.cr = state.cr._replace(cfunc=key)
         return True
 
 
-class _LinkOnlyCompiler(CompilerBase):  # type: ignore[misc]
-    """A `_LinkOnlyCompiler` runs numba's passes, the last of them replaced."""
+class _Flags(compiler.Flags):  # type: ignore[misc]
+    """`_Flags` are numba's; it compares them at each call that it types, a tenth of the compile time."""
+
+    def values(self) -> dict[str, Any]:
+        return _DEFAULTS | self._values
+
+
+_DEFAULTS = {name: option.default for name, option in _Flags.options.items()}
+
+
+class _Compiler(compiler.CompilerBase):  # type: ignore[misc]
+    """A `_Compiler` runs numba's passes, the last of them replaced."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.state.flags = _Flags(self.state.flags)
+
+    def compile_extra(self, function: Any) -> Any:
+        """Compiles a function while the garbage collector rests, which would take a sixth of the time."""
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            return super().compile_extra(function)
+        finally:
+            if collects:
+                gc.enable()
 
     def define_pipelines(self) -> list[Any]:
-        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes = compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.passes[:] = [
-            (_LinkOnlyLowering if step is typed_passes.NativeLowering else step, text)
-            for step, text in passes.passes
+            (_Lowering if step is typed_passes.NativeLowering else step, text) for step, text in passes.passes
         ]
         passes.finalize()
         return [passes]
+
+
+_jit = partial(
+    numba.njit, error_model="numpy", fastmath=FAST, no_cfunc_wrapper=True, pipeline_class=_Compiler
+)

@@ -21,11 +21,13 @@ from typing import Any
 
 import numba
 from numba.core import compiler, serialize
+from numba.core.runtime import rtsys
 
 from handsight import cache_folder, checks
 
-on_compile: list[Callable[[], object]] = []
-"""Functions that are called once, before the first kernel that is not on disk is compiled, which takes a while."""
+on_compile: list[Callable[[str], object]] = []
+"""Functions that are called before a kernel that is not on disk is compiled, which takes a while, with its name, and
+after that with an empty text."""
 
 
 class KernelWarning(UserWarning):
@@ -67,16 +69,20 @@ class KernelCache:
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         """Returns the compiled kernel for a signature; None where there is no such file, or a damaged one."""
-        target_context.refresh()
+        rtsys.initialize(
+            target_context
+        )  # what machine code calls; numba's types and functions load when it compiles
         with contextlib.suppress(Exception):
             entry = cache_folder.read_entry(*self._file(signature, target_context.codegen()))
             return compiler.CompileResult._rebuild(target_context, *pickle.loads(entry))
-        while on_compile:
-            on_compile.pop()()
+        for announce in on_compile:
+            announce(self.name)
         return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Writes a compiled kernel; warns once where that is not possible."""
+        for announce in on_compile:
+            announce("")
         if compiled.library.has_dynamic_globals:  # addresses of this process
             return
         try:

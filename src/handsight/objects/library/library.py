@@ -70,9 +70,10 @@ class Library:
         """Returns the path of the object's model on this machine; raises InvalidFile where it is not the added file."""
         return self._source.file(entry)
 
-    def model(self, name: str) -> ObjectModel:
-        """Returns the object with that name, its symmetries and its weight; raises the errors of `entry` and `file`."""
-        entry = self.entry(name)
+    def model(self, name: str | Entry) -> ObjectModel:
+        """Returns the object with that name, or of that entry, its symmetries and its weight; raises the errors of
+        `entry` and `file`."""
+        entry = name if isinstance(name, Entry) else self.entry(name)
         model = ObjectModel.from_file(self.file(entry), scale=METRES)
         model = replace(model, name=entry.name, symmetries=entry.symmetries)
         where = f"{entry.place}: {entry.file}: symmetries"

@@ -136,7 +136,7 @@ class Winding:
             corners, reach = np.empty((0, 3, 3)), np.zeros(len(centers))
         else:
             corners = corners[tree.order]
-            reach = np.linalg.norm(corners - centers[:, None], axis=2).max(axis=1)
+            reach = np.max([np.linalg.norm(corners[:, k] - centers, axis=1) for k in range(3)], axis=0)
         radii = np.maximum.reduceat(spread + reach, first)
         self.patches = starts, middles, np.add.reduceat(vectors, first), radii
         self.elements = centers, vectors, reach, corners

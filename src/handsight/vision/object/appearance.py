@@ -11,9 +11,9 @@ from handsight import se3
 from handsight._kernels.image import depth_term, pose_score, votes
 from handsight._kernels.image.vision_records import DEPTH_POINT, STAGE
 from handsight.camera import Camera
-from handsight.checks import Array
+from handsight.checks import Array, Indices
 from handsight.objects import ObjectModel, cache
-from handsight.objects.surface import Cloud
+from handsight.objects.surface import Cloud, Surface
 from handsight.vision.candidates import NOTHING_KNOWN, candidates_at, distinct, poses_of
 
 SAMPLES, FEW = 2400, 600
@@ -100,18 +100,22 @@ def appearance_of(model: ObjectModel) -> Appearance:
     return Appearance((starts, pairs), voters, sides, few, turns.reshape(-1, 4, 4))
 
 
+def drawn_surface(surface: Surface) -> tuple[Array, Indices]:
+    """Returns vertices (k, 3) [m] and triangles (m, 3) by which a surface is drawn, one for each point of a cloud."""
+    if not isinstance(surface, Cloud):
+        return surface.vertices, surface.faces
+    across = se3.perpendicular(surface.normals)
+    up = np.cross(surface.normals, across)
+    angles = 2 * np.pi / 3 * np.arange(3)[:, None, None]
+    reach = 1.5 * np.sqrt(surface.areas)[:, None]
+    corners = surface.vertices + reach * (np.cos(angles) * across + np.sin(angles) * up)
+    return corners.swapaxes(0, 1).reshape(-1, 3), np.arange(3 * len(across)).reshape(-1, 3)
+
+
 def visible_sets(model: ObjectModel, samples: Array, directions: Array) -> NDArray[np.uint8]:
     """Returns (k, m / 8) which of the samples (2, m, 3) are visible along each direction (k, 3), in bits. The object is
     drawn from a few diameters off, which is as far as cameras are."""
-    surface, center, away = model.surface, model.center_object, AWAY * model.diameter
-    vertices, faces = surface.vertices, surface.faces
-    if isinstance(surface, Cloud):  # a triangle for each point
-        across = se3.perpendicular(surface.normals)
-        up = np.cross(surface.normals, across)
-        angles = 2 * np.pi / 3 * np.arange(3)[:, None, None]
-        reach = 1.5 * np.sqrt(surface.areas)[:, None]
-        corners = surface.vertices + reach * (np.cos(angles) * across + np.sin(angles) * up)
-        vertices, faces = corners.swapaxes(0, 1).reshape(-1, 3), np.arange(3 * len(across)).reshape(-1, 3)
+    center, away, (vertices, faces) = model.center_object, AWAY * model.diameter, drawn_surface(model.surface)
     focal, middle = PIXELS * AWAY, 0.6 * PIXELS
     matrix = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1]])
     camera, visible = Camera(matrix, (int(2 * middle), int(2 * middle))), []

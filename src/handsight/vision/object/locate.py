@@ -21,6 +21,7 @@ from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose import JudgedStarts, ObjectDetection, first_pose, log_odds, logit
 from handsight.vision.object.pose_refiner import PoseRefiner
 from handsight.vision.object.region import REGION, Scene, scene_of
+from handsight.vision.object.shape_index import ShapeIndex
 
 Box = Sequence[float] | Array  # u0, v0, u1, v1: the first column and row, and the last, all included [pixels]
 Start = GaussianPose | Sequence[GaussianPose] | ArrayLike
@@ -141,13 +142,16 @@ def recognise(
 ) -> Recognition:
     """Returns which of the models (by name) a depth image shows in a box or a mask; arguments are as `locate`'s.
 
-    Each is searched in the same segments of the image. Raises InvalidInput as `locate` does, and for no models.
+    Each is searched in the same segments of the image; of a `ShapeIndex` those that it names, and only they are in the
+    answer. Raises InvalidInput as `locate` does, and for no models.
     """
     if not models:
         raise InvalidInput("models: expected at least one, got none")
-    extent = LOCATE.max_plane * max(model.diameter for model in models.values())
-    wanted = search_mask(camera, box, mask)
+    index = models if isinstance(models, ShapeIndex) else None
+    largest = index.max_diameter if index else max(model.diameter for model in models.values())
+    wanted, extent = search_mask(camera, box, mask), LOCATE.max_plane * largest
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
+    models = index.nearest(scene) if index else models
     found = {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
     return recognition_of(models, found, scene)
 
