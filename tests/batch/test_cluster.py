@@ -102,7 +102,8 @@ def test_a_killed_worker_costs_no_line_and_doubles_none(cluster, tmp_path):
     reader = Reader(tmp_path.absolute())
     alone = [answer_text(reader, line) for line in problems.read_bytes().splitlines()]
     command = begun(problems, output, address)
-    waited_for(lambda: output.exists() and output.stat().st_size > 0)
+    part = tmp_path / "answers.jsonl.part"
+    waited_for(lambda: part.exists() and part.stat().st_size > 0)
     workers[0].kill()
     code, said = ended(command)
     assert code == 1
@@ -119,19 +120,20 @@ def test_a_killed_worker_costs_no_line_and_doubles_none(cluster, tmp_path):
 
 def test_a_scheduler_that_dies_and_returns_loses_no_line(cluster, tmp_path, tmp_path_factory):
     address, workers, scheduler = cluster
-    problems, output = written(tmp_path, 1500), tmp_path / "answers.jsonl"
+    problems, output = written(tmp_path, 4_000), tmp_path / "answers.jsonl"
     command = begun(problems, output, address)
-    waited_for(lambda: output.exists() and output.stat().st_size > 0)
+    part = tmp_path / "answers.jsonl.part"
+    waited_for(lambda: part.exists() and part.stat().st_size > 0)
     for process in (scheduler, *workers):
         process.kill()
         process.wait()
-    before = len(output.read_text().splitlines())
+    before = len(part.read_text().splitlines())
     with running(tmp_path_factory.mktemp("again"), address.rpartition(":")[2]):
         code, said = ended(command)
     assert code == 1
-    assert "1500 answers, 1 of them errors" in said
+    assert "4000 answers, 1 of them errors" in said
     answers = output.read_text().splitlines()
-    assert before < 1500 == len(answers) == len(set(answers))
+    assert before < 4_000 == len(answers) == len(set(answers))
     given = [json.loads(line) for line in problems.read_text().splitlines()]
     for k in (0, before, 1499):  # each at its place: the next line's vision is 1e-5 away
         alone = json.loads(answer_text(Reader(tmp_path.absolute()), json.dumps(given[k]).encode()))

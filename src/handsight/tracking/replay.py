@@ -4,7 +4,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from handsight.errors import InvalidInput
 from handsight.forces import ObjectWeight, Slip
 from handsight.observation import MAX_JUMP, Observation
 from handsight.tracking.fingertips import FingertipContacts
+from handsight.tracking.skin import SkinContacts
 from handsight.tracking.tracker import State, Tracker
 
 MAX_MESSAGES = 100
@@ -44,6 +45,14 @@ class Step:
     """Whether the object slips, and how near each finger is to slipping."""
     pressed: bool = False
     """Whether a tactile array is pressed."""
+    fingertips: FingertipContacts | None = None
+    """What the fingertips measure; None in a `summary`."""
+    skin: SkinContacts | None = None
+    """What tactile arrays measure; None in a `summary`."""
+
+    def summary(self) -> "Step":
+        """Returns the step without its contacts, which are nine tenths of its memory."""
+        return replace(self, fingertips=None, skin=None)
 
 
 @dataclass(slots=True)
@@ -133,6 +142,8 @@ def _step(tracker: Tracker, estimate: PoseEstimate) -> Step:
         sigma=tracker.sigma,
         slip=tracker.slip,
         pressed=tracker.skin.pressed,
+        fingertips=tracker.fingertips,
+        skin=tracker.skin,
     )
 
 
