@@ -51,9 +51,7 @@ def usual(problem: Problem) -> int:
     """Returns the number of starts of a problem for which one is not enough; with vision, by the prior's width."""
     if problem.vision is None:
         return STARTS.blind_kept
-    if modes.has_detail(problem.model) and modes.several_minima(
-        problem.model, problem.rows, len(problem.contacts)
-    ):
+    if modes.several_minima(problem.model, problem.rows, len(problem.contacts)):
         return STARTS.max_starts
     w = batch.width(problem.model.record.model, problem.vision.record)
     return int(min(max(round(80 * w), STARTS.min_starts), STARTS.max_starts))

@@ -31,9 +31,8 @@ class Runner:
     def run(self, progress: Progress, count: int) -> tuple[Progress | None, TrackState | None]:
         """Returns a correction after `count` more steps; where it has ended, None and the state at its end."""
         started, done = progress.started, progress.steps
-        kept = vars(self).pop(
-            "_kept", None
-        )  # at once, as copies of a tracker may be updated by several threads
+        # At once, as copies of a tracker may be updated by several threads.
+        kept = vars(self).pop("_kept", None)
         if kept is None or kept[0].started is not started or kept[0].steps != done:
             steps, count = self._begin(started), done + count
             done = 0

@@ -89,10 +89,8 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
     half = 0.5 * norm((u.row[3], u.row[4], u.row[5])) / radius
     if count and half < 0.5 * np.pi:  # beyond, the pose is also reached by the turn the other way round
         point.log_weight = -0.5 * without_bumps(evidence, flat, pose, cost)
-        if half > 1e-6:
-            point.log_weight += 2 * np.log(
-                np.sin(half) / half
-            )  # the volume of rotations shrinks with the turn
+        if half > 1e-6:  # the volume of rotations shrinks with the turn
+            point.log_weight += 2 * np.log(np.sin(half) / half)
         for a in range(count):
             point.log_weight += np.log(u.factor[a, a])
     shift = sub(pose[1], mode[1])

@@ -69,9 +69,8 @@ class KernelCache:
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         """Returns the compiled kernel for a signature; None where there is no such file, or a damaged one."""
-        rtsys.initialize(
-            target_context
-        )  # what machine code calls; numba's types and functions load when it compiles
+        # What machine code calls; numba's types and functions load when it compiles.
+        rtsys.initialize(target_context)
         with contextlib.suppress(Exception):
             entry = cache_folder.read_entry(*self._file(signature, target_context.codegen()))
             return compiler.CompileResult._rebuild(target_context, *pickle.loads(entry))
