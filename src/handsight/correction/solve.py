@@ -17,7 +17,16 @@ from handsight.contact import Contacts
 from handsight.correction import conflicts, modes
 from handsight.correction.estimate import PoseEstimate, PosePrior
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import Budget, Problem, Records, descents_at, plain, poses_of, taken
+from handsight.correction.problem import (
+    Budget,
+    Problem,
+    Records,
+    descents_at,
+    plain,
+    poses_of,
+    standard_draws,
+    taken,
+)
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 
@@ -111,10 +120,12 @@ def _accepted(
     if searched:
         accepted = modes.fits(cost, freedom)
     else:
-        accepted = modes.beyond_doubt(cost, coarse_cost, freedom, width / SEARCH.single_start_width)
-        accepted = accepted and modes.unsuspicious(cost, freedom, gain)
+        wide, given = width / SEARCH.single_start_width, problem()
+        accepted = modes.unsuspicious(cost, freedom, gain)
         if width > modes.MODES.weak_width:
-            accepted = accepted and not modes.several_minima(problem().model, freedom, len(residuals))
+            accepted = accepted and not modes.several_minima(given.model, freedom, len(residuals))
+        if not modes.beyond_doubt(given.model, cost, coarse_cost, freedom, wide):
+            accepted = accepted and _confirmed(given, answer)
     if not accepted:
         return None
     if chi2 > conflicts.LEAST and max(gain, prior, outside) > conflicts.LEAST:
@@ -122,6 +133,13 @@ def _accepted(
         if not conflicts.judged(problem(), answer, used)[0]:
             return None
     return PoseEstimate(answer, (answer,), residuals, modes.fits(chi2, freedom, conflicts.POOL))
+
+
+def _confirmed(problem: Problem, answer: np.void) -> bool:
+    """Returns whether the first draws from the prior lead to no likely minimum but that of an ANSWER."""
+    draws = standard_draws()[1 : modes.MODES.confirming]
+    everyone = np.ones((1, len(problem.contacts)), dtype=bool)
+    return bool(search.confirm(*problem.arguments(everyone), draws, answer))
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,10 +285,8 @@ def summarize(problem: Problem, found: Candidates, *, mean: int = 0) -> Records:
     if len(minima) > 1:
         each = distinct(problem.model, minima, order, modes.MODES.max_modes, modes.SAME_MODE)
         if not problem.blind:  # with those beside a mode, as they are parts of its mean
-            likely = order[
-                minima["log_weight"][order] > minima["log_weight"][order[0]] - modes.MODES.unlikely
-            ]
-            beside = distinct(problem.model, minima, likely, modes.MODES.max_minima, modes.SAME_MINIMUM)
+            likely = order[minima["log_weight"][order] > minima["log_weight"][order[0]] - SEARCH.unlikely]
+            beside = distinct(problem.model, minima, likely, modes.MODES.max_minima, SEARCH.same_minimum)
             among = np.zeros(len(minima), dtype=bool)
             among[each] = among[beside] = True
             each = order[among[order]]

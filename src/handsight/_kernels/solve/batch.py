@@ -30,7 +30,7 @@ from handsight._kernels.records import FLAT_DIRECTIONS, PRIOR_TERM, TERM, UNCERT
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
-from handsight._kernels.solve.options import DESCENT, SEARCH
+from handsight._kernels.solve.options import DESCENT, MATCH, SEARCH
 
 LIMITS = DESCENT.coarse, DESCENT.fine
 
@@ -53,7 +53,7 @@ def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
     costs, steps and convergence."""
     model, steps = evidence.model, 0
     if not follows:
-        pose, steps = match(evidence, pose)
+        pose, steps = match(evidence, pose, MATCH.max_steps)
     cost, converged = 0.0, False
     for phase in range(1 if follows else 0, 2):
         answer.coarse_cost = cost

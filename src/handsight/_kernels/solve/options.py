@@ -36,6 +36,13 @@ class SearchOptions(NamedTuple):
     """Two poses after phase 1 that differ by less are the same [m], [rad]."""
     same_after_coarse: tuple[float, float] = (0.002, float(np.deg2rad(2.0)))
     """Two descents on the coarse field that end nearer to each other are the same [m], [rad]."""
+    same_minimum: tuple[float, float] = (0.002, float(np.deg2rad(3.0)))
+    """Two minima of one mode are distinct when they differ by more than this [m], [rad]: on a scan, and where three
+    contacts leave much open, a mode has several."""
+    unlikely: float = 7.0
+    """A minimum whose log weight is so much smaller than the largest is no part of a mode."""
+    first_steps: int = 2
+    """Steps of phase 1 after which a start may already be where another one ended."""
 
 
 class RegistrationOptions(NamedTuple):

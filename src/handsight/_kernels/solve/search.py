@@ -22,6 +22,7 @@ from handsight._kernels.math.vec3 import (
     cross,
     dot,
     matmul,
+    matrix,
     mul,
     norm,
     scale,
@@ -35,7 +36,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import load_evidence
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
-from handsight._kernels.solve.options import DESCENT, SEARCH
+from handsight._kernels.solve.options import DESCENT, MATCH, SEARCH
 
 LIMITS = DESCENT.coarse, DESCENT.fine
 COSINE = float(np.cos(SEARCH.same_after_match[1]))
@@ -43,29 +44,42 @@ WORST = 1e300
 """The cost in place of a NaN or a larger one: such a descent is still an answer where there is no better one."""
 
 
-@entry
-def draw(constraints: Any, draws: Any, descents: Any) -> None:
-    """Puts descents (K,) at a prior's pose moved by standard normal draws (K, 6) along the object's own axes."""
-    prior, u = constraints[0].prior, local(UNCERTAINTY)
-    R, p = pose_of(prior.pose)
+@inner
+def _spread(prior: Any, u: Any) -> None:
+    """Writes what draws from a prior need: the standard deviations along the object's own axes to `u.row`, and the
+    Cholesky factor of the correlation to `u.factor`."""
+    R = matrix(prior.pose.rotation)
     for a in range(0, 6, 3):
         for b in range(0, 6, 3):
             turned = matmul(transpose(R), matmul(block(prior.covariance, a, b), R))
             store33(turned, u.matrix[a : a + 3, b : b + 3])
-    # In `u.row` the standard deviations, in `u.factor` the Cholesky factor of the correlation.
     for i in range(6):
         u.row[i] = np.sqrt(max(u.matrix[i, i], 0.0)) + 1e-12
         for j in range(i + 1):
             u.wider[i, j] = u.matrix[i, j] / (u.row[i] * u.row[j])
     factor(u.wider, 6, 1e-9, u.factor)
+
+
+@inner
+def _drawn(prior: Any, draw: Any, u: Any) -> Pose:
+    """Returns a prior's pose moved by a standard normal draw (6,), after `_spread`."""
+    R, p = pose_of(prior.pose)
+    for i in range(6):
+        value = draw[i] / u.factor[i, i]
+        for j in range(i):
+            value += u.factor[i, j] * draw[j]
+        u.column[i] = value * u.row[i]
+    turn = mul(R, (u.column[3], u.column[4], u.column[5]))
+    return matmul(rotation_exp(turn), R), apply((R, p), vector(u.column))
+
+
+@entry
+def draw(constraints: Any, draws: Any, descents: Any) -> None:
+    """Puts descents (K,) at a prior's pose moved by standard normal draws (K, 6) along the object's own axes."""
+    prior, u = constraints[0].prior, local(UNCERTAINTY)
+    _spread(prior, u)
     for k in range(len(descents)):
-        for i in range(6):
-            value = draws[k, i] / u.factor[i, i]
-            for j in range(i):
-                value += u.factor[i, j] * draws[k, j]
-            u.column[i] = value * u.row[i]
-        turn = mul(R, (u.column[3], u.column[4], u.column[5]))
-        store_pose((matmul(rotation_exp(turn), R), apply((R, p), vector(u.column))), descents[k].pose)
+        store_pose(_drawn(prior, draws[k], u), descents[k].pose)
 
 
 @inner
@@ -198,7 +212,7 @@ def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any
                         row.cost = 0.0
                         store_pose(pose, earlier[k])
                         continue
-                    pose, steps = match(matching, pose)
+                    pose, steps = match(matching, pose, MATCH.max_steps)
                     if _repeats(model[0], rows, k, pose, earlier):
                         row.cost = np.inf
                         continue
@@ -210,3 +224,33 @@ def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any
                 row.cost = min(cost, WORST) if cost == cost else WORST
                 row.iterations, row.converged = steps + (0 if end else more), phase == 1 and converged
                 store_pose(pose, row.pose)
+
+
+@entry
+def confirm(
+    model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, draws: Any, answer: Any
+) -> bool:
+    """Returns whether descents from draws of the prior, standard normal ones (K, 6), lead to no likely minimum but that
+    of an ANSWER, with the first set of contacts.
+
+    A start ends as soon as it is where the answer's minimum is, and all of them as soon as one leads elsewhere.
+    """
+    term, terms, u = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM), local(UNCERTAINTY)
+    center = load_evidence(model[0], contacts[0], constraints[0], terms, term)
+    evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, center)
+    prior, found = constraints[0].prior, pose_of(answer.pose)
+    _spread(prior, u)
+    for k in range(len(draws)):
+        pose, cost = _drawn(prior, draws[k], u), 0.0
+        for phase in range(4):
+            if phase < 2:
+                pose, _ = match(evidence, pose, SEARCH.first_steps if phase == 0 else MATCH.max_steps)
+            else:
+                field = model[0].fine if phase == 3 else model[0].coarse
+                pose, cost, _, _ = descend(evidence, field, pose, LIMITS[phase - 2], True)
+            limits = SEARCH.same_minimum if phase == 3 else SEARCH.same_after_coarse
+            if not are_distinct(model[0], pose, found, limits):
+                break
+            if phase == 3 and cost < answer.cost + 2 * SEARCH.unlikely:
+                return False
+    return True
