@@ -8,6 +8,7 @@ import numpy as np
 
 from handsight import se3
 from handsight._kernels.records import GRID, SHEET
+from handsight._kernels.solve.options import SEARCH
 from handsight.checks import Array, Indices
 from handsight.objects import ObjectModel
 
@@ -39,8 +40,6 @@ class ModeOptions(NamedTuple):
     weak_width: float = 0.04
     """Width of the prior [diameters] above which the one minimum that a start led to is then not enough. With 5 mm and
     4° 10 % of the answers from one start on a tuna can were beyond their 99.9 % region, and 1 % from many."""
-    decisive: float = 16.27
-    """A contact is wrong when the cost falls by more than this without it: for a right one once in 1000 times."""
 
 
 MODES = ModeOptions()
@@ -108,7 +107,7 @@ def has_detail(model: ObjectModel) -> bool:
 
 def unsuspicious(cost: float, freedom: int, gain: float) -> bool:
     """Returns whether contacts raise no suspicion: neither their cost, nor the gain of leaving one of them out."""
-    return fits(cost, freedom, MODES.recheck_p) and bool(gain < MODES.decisive)
+    return fits(cost, freedom, MODES.recheck_p) and bool(gain < SEARCH.decisive)
 
 
 def fits(chi2: float, freedom: int, alarm: float = MODES.alarm) -> bool:

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight._kernels.records import DESCENT
+from handsight._kernels.solve.options import SEARCH
 from handsight.correction import modes, starts
-from handsight.correction.modes import MODES
 from handsight.correction.problem import Budget, Problem, Records, Steps, TwoPhase, descents_at, plain
-from handsight.correction.solve import Candidates, gains, solve
+from handsight.correction.solve import Candidates, solve
 
 
 class OutlierOptions(NamedTuple):
@@ -46,20 +46,22 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Steps
         return found
     may_draw = not problem.blind and options.starts is None and problem.starts is None
     while not budget.spent():
-        without = _leave_one_out(problem, found, budget) if options.reject_outliers and suspicious else None
-        if without is not None:
+        without = None
+        # First the worst one alone: often it has only led the descents astray, and fits at the pose without it.
+        for most in (1, OUTLIERS.max_suspects) if options.reject_outliers and suspicious else ():
+            without = _leave_one_out(problem, found, most, budget)
+            if without is None:
+                break
             yield
-        gain = 0.0 if without is None else found.cost - without.cost
-        if (
-            without is not None
-            and gain >= MODES.decisive
-            and (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost)
-        ):
-            # The pose that was found without this contact may fit it too, and only have been hard to reach.
+            gain = found.cost - without.cost
+            if gain < SEARCH.decisive or not (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost):
+                without = None
+                continue
             again = solve(problem, without.minima[None], found.used, budget)
             yield
             if again.fits(OUTLIERS.accept_p):
                 return again
+        if without is not None:
             # A second wrong contact is rare: it is searched for only where the contacts left do not fit.
             found, suspicious = without, not without.fits()
             if not suspicious:
@@ -104,9 +106,9 @@ def most_outliers(n: int, *, blind: bool) -> int:
     return min(max((n - 2) // 2 if blind else (n - 1) // 2, 0), OUTLIERS.max_outliers)
 
 
-def _leave_one_out(problem: Problem, found: Candidates, budget: Budget) -> Candidates | None:
+def _leave_one_out(problem: Problem, found: Candidates, most: int, budget: Budget) -> Candidates | None:
     """Returns the minima with one more contact left out, the one without which the cheapest minimum is cheapest; None
-    where no more may be left out.
+    where no more may be left out. `most`: suspects, those of the largest gain, to first order, at the cheapest minimum.
 
     The descents without each suspect start at the minima found so far and at a few draws from the prior, the same for
     all suspects; without vision, at the starts that the other contacts fit best, out of one set that is scored once.
@@ -114,11 +116,8 @@ def _leave_one_out(problem: Problem, found: Candidates, budget: Budget) -> Candi
     contacts, n = np.flatnonzero(found.used[0]), found.used.size
     if n - len(contacts) >= most_outliers(n, blind=problem.blind):
         return None
-    if (
-        len(contacts) > OUTLIERS.max_suspects
-    ):  # those of the largest gain, to first order, at the best minimum
-        gain = gains(problem, found.minima[:1], found.used)
-        contacts = np.sort(contacts[np.argsort(-gain[contacts], kind="stable")[: OUTLIERS.max_suspects]])
+    if len(contacts) > most:
+        contacts = np.sort(contacts[np.argsort(-found.gains[contacts], kind="stable")[:most]])
     masks = np.repeat(found.used, len(contacts), axis=0)
     masks[np.arange(len(contacts)), contacts] = False
     here, number = found.minima[: OUTLIERS.kept_minima], OUTLIERS.blind_starts

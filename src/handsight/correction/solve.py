@@ -152,6 +152,8 @@ class Candidates:
     """(1, n) whether each contact is in use."""
     freedom: int
     """Degrees of freedom of the χ² at a minimum."""
+    gains: Array
+    """(n,) by how much χ² falls, to first order, when each contact in use is left out, at the cheapest minimum."""
 
     @property
     def cost(self) -> float:
@@ -171,7 +173,8 @@ class Candidates:
         """Returns the minima of both, which must use the same contacts."""
         minima = np.concatenate([plain(self.minima), plain(other.minima)]).view(records.DESCENT)[:, 0]
         minima = taken(minima, np.argsort(minima["cost"], kind="stable"))
-        return Candidates(minima, self.used, self.freedom)
+        gains = self.gains if self.cost <= other.cost else other.gains
+        return Candidates(minima, self.used, self.freedom, gains)
 
 
 def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None = None) -> Candidates:
@@ -181,30 +184,21 @@ def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None =
     those that do not repeat another one go on to the fine field. When the budget is spent, the remaining starts are
     skipped, but never the first ones.
     """
-    model = problem.model
-    work = partial(search.search, *problem.arguments(used))
-    blocks = _searched(work, _blocks(starts, 2 if problem.blind else 1), budget)
-    descents, ends = blocks.reshape(-1), blocks.shape[2]
-    # The indices of the descents that ended at a minimum of their own; of these, the ones of the best set.
-    ended = ends * np.flatnonzero(descents["cost"][::ends] < np.inf)
-    best = descents["set"][ended[descents["cost"][ended].argmin()]]
-    if len(used) > 1:
-        ended = ended[descents["set"][ended] == best]
-    if len(ended) > SOLVE.block // 2:
-        order = ended[np.argsort(descents["cost"][ended], kind="stable")]
-        most = SOLVE.kept_blind if problem.blind else SOLVE.kept
-        ended = distinct(model, descents, order, most, SEARCH.same_after_coarse)
-    if problem.blind:
-        # Along a flat direction every place is a minimum. The kernel has put the most likely one beside each minimum;
-        # it comes first, so that the stable sort prefers it among equal costs.
-        ended = np.concatenate([ended + 1, ended])
-    minima = taken(descents, ended[np.argsort(descents["cost"][ended], kind="stable")])
+    model, arguments, ends = problem.model, problem.arguments(used), 2 if problem.blind else 1
+    descents = _searched(partial(search.search, *arguments), _blocks(starts, ends), budget).reshape(-1)
+    order = np.argsort(descents["cost"][::ends], kind="stable")
+    minima = np.empty(
+        min(ends * len(order), SOLVE.kept_blind * 2 if problem.blind else SOLVE.kept), records.DESCENT
+    )
+    minima = minima[: search.collect(model.record.model, descents, order, ends, minima)]
+    best = int(minima["set"][0])
     minima["set"], chosen = 0, used[best : best + 1]
     if problem.vision is not None and not model.record.symmetry_known:
         Ts = nearest(model.symmetries, poses_of(minima), problem.vision.T_palm_object, model.radius)
         minima["pose"] = descents_at(Ts)["pose"]
-    batch.weigh(*problem.arguments(chosen), minima)
-    return Candidates(minima, chosen, problem.freedom(chosen))
+    contacts = arguments[2][best : best + 1]
+    batch.weigh(*arguments[:2], contacts, *arguments[3:], minima)
+    return Candidates(minima, chosen, problem.freedom(chosen), contacts["gain"][0])
 
 
 def _searched(work: Callable[[Records], None], blocks: Records, budget: Budget | None) -> Records:
@@ -229,8 +223,9 @@ def _blocks(starts: Records, ends: int) -> Records:
     sets, count = starts.shape
     number = -(-count // SOLVE.block)
     each = -(-count // number)
-    dealt = np.zeros((sets, each * number), dtype=records.DESCENT)
+    dealt = np.empty((sets, each * number), dtype=records.DESCENT)
     plain(dealt)[:, :count] = plain(starts)
+    plain(dealt)[:, count:] = 0.0
     dealt["set"] = np.arange(sets)[:, None]
     dealt["cost"][:, count:] = np.inf
     blocks = dealt.reshape(sets, each, number).swapaxes(1, 2).reshape(sets * number, each, 1)
@@ -249,17 +244,6 @@ def distinct(
         return np.array(chosen, dtype=np.int64)
     rows = np.empty(most, dtype=np.int64)
     return rows[: batch.distinct(model.record.model, descents, order, np.array(limits), rows)]
-
-
-def gains(problem: Problem, minimum: Records, used: Mask) -> Array:
-    """Returns by how much χ² falls, to first order, when each contact is left out (n,), at a minimum (1,).
-
-    `used` (1, n): the contacts in use; the others have no gain.
-    """
-    arguments, answers = problem.arguments(used), np.zeros(1, dtype=records.ANSWER)
-    answers["pose"], answers["first_order"] = minimum["pose"], True
-    batch.summarize_all(*arguments, answers)
-    return np.where(used[0], arguments[2][0]["gain"], 0.0)
 
 
 def summaries(

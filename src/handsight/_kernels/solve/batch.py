@@ -119,7 +119,8 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
             continue
         answer.first_order, answer.weight = 0, 1.0
         summarize(evidence, pose, answer, flat)
-        to_mean(evidence, problems[k : k + 1].answer, 0, flat, -np.inf)
+        if problem.follows or answer.gain < SEARCH.decisive:  # else it is doubted
+            to_mean(evidence, problems[k : k + 1].answer, 0, flat, -np.inf)
         pose = transform_of(answer.T_palm_object)
         for i in range(len(terms)):
             row = residuals[problem.first + i]
@@ -128,7 +129,8 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
 
 @entry
 def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, descents: Any) -> None:
-    """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, their cost, and the largest gain of a contact.
+    """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, their cost, and the largest gain of a contact;
+    the contacts' gains at the first minimum are written too.
 
     The first set of contacts is used. Σ is over the directions that are known better than by the prior or, without
     vision, better than the object's own size. With a prior the poses are replaced by their equivalents nearest to it.
@@ -154,6 +156,8 @@ def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any,
             volume -= 0.5 * np.log(max(u.values[i], floor))
         descent.log_weight, descent.posterior_cost = volume - cost / 2, cost
         descent.gain = largest_gain(evidence, u)
+        for i in range(len(terms) if k == 0 else 0):
+            contacts[0, i].gain = terms[i].contact.gain
 
 
 @entry

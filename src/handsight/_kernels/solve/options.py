@@ -41,6 +41,8 @@ class SearchOptions(NamedTuple):
     contacts leave much open, a mode has several."""
     unlikely: float = 7.0
     """A minimum whose log weight is so much smaller than the largest is no part of a mode."""
+    decisive: float = 16.27
+    """A contact is wrong when the cost falls by more than this without it: for a right one once in 1000 times."""
     first_steps: int = 2
     """Steps of phase 1 after which a start may already be where another one ended."""
 

@@ -227,6 +227,44 @@ def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any
 
 
 @entry
+def collect(model: Any, descents: Any, order: Any, ends: int, minima: Any) -> int:
+    """Returns how many minima there are of the set of contacts that has the cheapest; fills `minima` with them,
+    cheapest first.
+
+    `order` (K,): the descents, each of which has `ends` records, by the cost of the first one. Repeats within a block
+    have been removed; those among blocks are left out here.
+    """
+    rows, count, last = np.empty(len(minima), np.int64), 0, len(minima) // ends
+    for k in order:
+        row = descents[k * ends]
+        if count == last or not row.cost < np.inf:
+            break
+        new = row.set == descents[order[0] * ends].set
+        for j in range(count):
+            pose, other = pose_of(row.pose), pose_of(descents[rows[j]].pose)
+            if new and not are_distinct(model[0], pose, other, SEARCH.same_after_coarse):
+                new = False
+        if new:
+            rows[count] = k * ends
+            count += 1
+    # Along a flat direction every place is a minimum. The most likely one, which is the second end, comes first among
+    # equal costs.
+    found = count * ends
+    for j in range(count if ends == 2 else 0):
+        rows[count + j] = rows[j]
+        rows[j] += 1
+    for j in range(found):
+        row = rows[j]
+        while j > 0 and descents[rows[j - 1]].cost > descents[row].cost:
+            rows[j] = rows[j - 1]
+            j -= 1
+        rows[j] = row
+    for j in range(found):
+        minima[j] = descents[rows[j]]
+    return found
+
+
+@entry
 def confirm(
     model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, draws: Any, answer: Any
 ) -> bool:
