@@ -53,7 +53,7 @@ def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
     costs, steps and convergence."""
     model, steps = evidence.model, 0
     if not follows:
-        pose, steps = match(evidence, pose, MATCH.max_steps)
+        pose, steps, _ = match(evidence, pose, MATCH.max_steps)
     cost, converged = 0.0, False
     for phase in range(1 if follows else 0, 2):
         answer.coarse_cost = cost

@@ -70,8 +70,9 @@ def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -
 
 
 @inner
-def match(evidence: Evidence, pose: Pose, most: int) -> tuple[Pose, int]:
-    """Returns the pose after at most so many Gauss-Newton steps on nearest samples, and the number of steps."""
+def match(evidence: Evidence, pose: Pose, most: int) -> tuple[Pose, int, bool]:
+    """Returns the pose after at most so many Gauss-Newton steps on nearest samples, the number of steps, and whether
+    they converged."""
     workspace = local(WORKSPACE)
     model, equations = evidence.model, workspace.now
     frame = (evidence.center, model.radius)
@@ -89,5 +90,5 @@ def match(evidence: Evidence, pose: Pose, most: int) -> tuple[Pose, int]:
         for k in range(3):
             longest = max(longest, max(abs(step[0][k]), abs(step[1][k])))
         if longest < MATCH.tolerance * model.radius:
-            return pose, taken
-    return pose, most
+            return pose, taken, True
+    return pose, most, False

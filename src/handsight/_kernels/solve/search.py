@@ -31,7 +31,7 @@ from handsight._kernels.math.vec3 import (
     transpose,
     vector,
 )
-from handsight._kernels.records import NO_PRIOR, POSE, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
+from handsight._kernels.records import AXIS, NO_PRIOR, POSE, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import load_evidence
 from handsight._kernels.solve.levenberg import descend
@@ -149,6 +149,8 @@ def _repeats(model: Any, rows: Any, k: int, pose: Pose, earlier: Any) -> bool:
             trace = dot(R[0], Q[0]) + dot(R[1], Q[1]) + dot(R[2], Q[2])
             if dot(gap, gap) < SEARCH.same_after_match[0] ** 2 and trace > 1 + 2 * COSINE:
                 return True
+            if model.symmetry.kind == AXIS and not are_distinct(model, pose, other, SEARCH.same_after_match):
+                return True
     store_pose(pose, earlier[k])
     return False
 
@@ -212,8 +214,13 @@ def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any
                         row.cost = 0.0
                         store_pose(pose, earlier[k])
                         continue
-                    pose, steps = match(matching, pose, MATCH.max_steps)
-                    if _repeats(model[0], rows, k, pose, earlier):
+                    new, done = True, False
+                    while new and not done and steps < MATCH.max_steps:
+                        left = MATCH.max_steps - steps if steps else SEARCH.first_steps
+                        pose, more, done = match(matching, pose, left)
+                        steps += more
+                        new = not _repeats(model[0], rows, k, pose, earlier)
+                    if not new:
                         row.cost = np.inf
                         continue
                 evidence = matching if end else fitting
@@ -279,10 +286,11 @@ def confirm(
     prior, found = constraints[0].prior, pose_of(answer.pose)
     _spread(prior, u)
     for k in range(len(draws)):
-        pose, cost = _drawn(prior, draws[k], u), 0.0
+        pose, cost, done = _drawn(prior, draws[k], u), 0.0, False
         for phase in range(4):
             if phase < 2:
-                pose, _ = match(evidence, pose, SEARCH.first_steps if phase == 0 else MATCH.max_steps)
+                if not done:
+                    pose, _, done = match(evidence, pose, MATCH.max_steps if phase else SEARCH.first_steps)
             else:
                 field = model[0].fine if phase == 3 else model[0].coarse
                 pose, cost, _, _ = descend(evidence, field, pose, LIMITS[phase - 2], True)
