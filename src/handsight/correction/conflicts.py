@@ -20,7 +20,7 @@ from handsight.checks import Array, Mask
 from handsight.correction import modes
 from handsight.correction.estimate import Conflict
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import Problem
+from handsight.correction.problem import Problem, descents_at
 
 KINDS = ("vision", "weight", "depth", "skin", "outside")
 POOL, KIND, EACH = 0.5 * modes.MODES.alarm, 0.25 * modes.MODES.alarm / len(KINDS), 0.25 * modes.MODES.alarm
@@ -79,8 +79,9 @@ def excluded(problem: Problem, answer: np.void, used: Mask, name: str) -> Confli
     everyone = used.copy()
     if name != "weight":
         everyone[0, int(name.split()[1])] = True
-    both, _ = _solved(problem, everyone, _mode(answer))
-    _, residuals = _solved(*_without(problem, everyone, name), _mode(answer))
+    (both, _), residuals = _solved(problem, everyone, _mode(answer)), np.empty((used.size, 2))
+    model, mode = problem.model.record, descents_at(_mode(answer)[None])
+    batch.residuals_at(*model[:2], problem.contacts.record, mode, residuals)
     return _conflict(problem, everyone, name, both, (answer, residuals), excluded=True)
 
 

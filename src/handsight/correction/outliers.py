@@ -6,6 +6,7 @@ import numpy as np
 
 from handsight._kernels.records import DESCENT
 from handsight._kernels.solve.options import SEARCH
+from handsight.checks import Indices
 from handsight.correction import modes, starts
 from handsight.correction.problem import Budget, Problem, Records, Steps, TwoPhase, descents_at, plain
 from handsight.correction.solve import Candidates, solve
@@ -48,20 +49,17 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Steps
     while not budget.spent():
         without = None
         # First the worst one alone: often it has only led the descents astray, and fits at the pose without it.
-        for most in (1, OUTLIERS.max_suspects) if options.reject_outliers and suspicious else ():
-            without = _leave_one_out(problem, found, most, budget)
-            if without is None:
-                break
+        for left_out in _suspects(problem, found) if options.reject_outliers and suspicious else ():
+            other = _leave_one_out(problem, found, left_out, budget)
             yield
-            gain = found.cost - without.cost
-            if gain < SEARCH.decisive or not (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost):
-                without = None
-                continue
-            again = solve(problem, without.minima[None], found.used, budget)
-            yield
-            if again.fits(OUTLIERS.accept_p):
-                return again
-        if without is not None:
+            if without is None or other.cost < without.cost:
+                without = other
+                if _better(without, found):
+                    again = solve(problem, without.minima[None], found.used, budget)
+                    yield
+                    if again.fits(OUTLIERS.accept_p):
+                        return again
+        if without is not None and _better(without, found):
             # A second wrong contact is rare: it is searched for only where the contacts left do not fit.
             found, suspicious = without, not without.fits()
             if not suspicious:
@@ -86,6 +84,22 @@ def _suspicious(problem: Problem, found: Candidates) -> bool:
     return not modes.unsuspicious(found.cost, found.freedom, gain)
 
 
+def _better(without: Candidates, found: Candidates) -> bool:
+    """Returns whether the cost falls so far without a contact that this is wrong."""
+    gain = found.cost - without.cost
+    return gain >= SEARCH.decisive and (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost)
+
+
+def _suspects(problem: Problem, found: Candidates) -> list[Indices]:
+    """Returns the contacts to leave out in turn: the one of the largest gain, to first order, and those after it; none
+    where no more may be left out."""
+    contacts, n = np.flatnonzero(found.used[0]), found.used.size
+    if n - len(contacts) >= most_outliers(n, blind=problem.blind):
+        return []
+    order = contacts[np.argsort(-found.gains[contacts], kind="stable")[: OUTLIERS.max_suspects]]
+    return [order[:1], order[1:]]
+
+
 def first_starts(problem: Problem, number: int) -> Records:
     """Returns (number,) DESCENT at starts for all contacts, or (K,) at the starts that the problem has itself."""
     if problem.starts is not None:
@@ -106,18 +120,12 @@ def most_outliers(n: int, *, blind: bool) -> int:
     return min(max((n - 2) // 2 if blind else (n - 1) // 2, 0), OUTLIERS.max_outliers)
 
 
-def _leave_one_out(problem: Problem, found: Candidates, most: int, budget: Budget) -> Candidates | None:
-    """Returns the minima with one more contact left out, the one without which the cheapest minimum is cheapest; None
-    where no more may be left out. `most`: suspects, those of the largest gain, to first order, at the cheapest minimum.
+def _leave_one_out(problem: Problem, found: Candidates, contacts: Indices, budget: Budget) -> Candidates:
+    """Returns the minima with one more of some contacts left out, that without which the cheapest minimum is cheapest.
 
     The descents without each suspect start at the minima found so far and at a few draws from the prior, the same for
     all suspects; without vision, at the starts that the other contacts fit best, out of one set that is scored once.
     """
-    contacts, n = np.flatnonzero(found.used[0]), found.used.size
-    if n - len(contacts) >= most_outliers(n, blind=problem.blind):
-        return None
-    if len(contacts) > most:
-        contacts = np.sort(contacts[np.argsort(-found.gains[contacts], kind="stable")[:most]])
     masks = np.repeat(found.used, len(contacts), axis=0)
     masks[np.arange(len(contacts)), contacts] = False
     here, number = found.minima[: OUTLIERS.kept_minima], OUTLIERS.blind_starts

@@ -238,16 +238,23 @@ def collect(model: Any, descents: Any, order: Any, ends: int, minima: Any) -> in
     """Returns how many minima there are of the set of contacts that has the cheapest; fills `minima` with them,
     cheapest first.
 
-    `order` (K,): the descents, each of which has `ends` records, by the cost of the first one. Repeats within a block
-    have been removed; those among blocks are left out here.
+    `order` (K,): the descents, each of which has `ends` records, by the cost of the first one. Where there are more
+    minima than fit, only distinct ones are taken; repeats within a block have been removed already.
     """
-    rows, count, last = np.empty(len(minima), np.int64), 0, len(minima) // ends
+    rows, count, last, best = (
+        np.empty(len(minima), np.int64),
+        0,
+        len(minima) // ends,
+        descents[order[0] * ends].set,
+    )
+    found = 0
+    for k in order:
+        if descents[k * ends].cost < np.inf and descents[k * ends].set == best:
+            found += 1
     for k in order:
         row = descents[k * ends]
-        if count == last or not row.cost < np.inf:
-            break
-        new = row.set == descents[order[0] * ends].set
-        for j in range(count):
+        new = row.cost < np.inf and row.set == best and count < last
+        for j in range(count if found > last else 0):
             pose, other = pose_of(row.pose), pose_of(descents[rows[j]].pose)
             if new and not are_distinct(model[0], pose, other, SEARCH.same_after_coarse):
                 new = False
