@@ -124,7 +124,6 @@ def _worst(problem: Problem, answer: np.void, used: Mask) -> str:
 
 def _freedom(problem: Problem, used: Mask, name: str) -> int:
     """Returns the degrees of freedom of evidence against the rest; 0 where there is none of it, or no rest."""
-    rows = used[0] * (1 + 2 * problem.contacts.has_normal)
     if name == "vision":
         return 0 if problem.blind else prior_freedom(problem, problem.freedom(used))
     if name == "weight":
@@ -132,11 +131,11 @@ def _freedom(problem: Problem, used: Mask, name: str) -> int:
     if name == "depth":
         return 0 if problem.depth is None else min(len(problem.depth), 6)
     if name == "skin":
-        return int(rows[-problem.taxels :].sum()) if problem.taxels else 0
+        return int(used[0, -problem.taxels :] @ problem.rows_each[-problem.taxels :]) if problem.taxels else 0
     if name == "outside":  # each link or plane is one row, and they move the pose in at most six directions
         rows = problem.outside[["is_plane", "link"]]
         return min(len(np.unique(rows)), 6) if len(rows) else 0
-    return int(rows[int(name.split()[1])])
+    return int(problem.rows_each[int(name.split()[1])])
 
 
 def _without(problem: Problem, used: Mask, name: str) -> tuple[Problem, Mask]:
