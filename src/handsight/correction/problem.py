@@ -3,7 +3,7 @@
 import time
 from collections.abc import Generator
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -29,8 +29,6 @@ Steps = Generator[None, None, T]
 MOST_CONTACTS = 20_000
 """Contacts of one correction; time and memory are linear in their number."""
 MOST_STARTS = 1_000_000
-KEPT_DRAWS = 1024
-"""Draws from a prior that are kept, of a standard normal distribution; more are drawn anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,14 +166,6 @@ def descents_at(Ts_palm_object: Array) -> Records:
     descents["pose"]["rotation"] = Ts_palm_object[:, :3, :3]
     descents["pose"]["position"] = Ts_palm_object[:, :3, 3]
     return descents
-
-
-@lru_cache(maxsize=1)
-def standard_draws(number: int = KEPT_DRAWS) -> Array:
-    """Returns standard normal draws (number, 6), the first of them zero; every problem takes the first ones of them."""
-    draws = np.random.default_rng(0).normal(size=(number, 6))
-    draws[0] = 0.0
-    return draws
 
 
 def poses_of(descents: Records) -> Array:

@@ -24,9 +24,9 @@ from handsight.correction.problem import (
     descents_at,
     plain,
     poses_of,
-    standard_draws,
     taken,
 )
+from handsight.correction.starts import from_prior
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 
@@ -137,9 +137,10 @@ def _accepted(
 
 def _confirmed(problem: Problem, answer: np.void) -> bool:
     """Returns whether the first draws from the prior lead to no likely minimum but that of an ANSWER."""
-    draws = standard_draws()[1 : modes.MODES.confirming]
+    assert problem.vision is not None
+    drawn = from_prior(problem.vision, modes.MODES.confirming)[1:]
     everyone = np.ones((1, len(problem.contacts)), dtype=bool)
-    return bool(search.confirm(*problem.arguments(everyone), draws, answer))
+    return bool(search.confirm(*problem.arguments(everyone), drawn, answer))
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,13 +187,23 @@ def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None =
     """
     model, arguments, ends = problem.model, problem.arguments(used), 2 if problem.blind else 1
     descents = _searched(partial(search.search, *arguments), _blocks(starts, ends), budget).reshape(-1)
-    order = np.argsort(descents["cost"][::ends], kind="stable")
-    minima = np.empty(
-        min(ends * len(order), SOLVE.kept_blind * 2 if problem.blind else SOLVE.kept), records.DESCENT
-    )
-    minima = minima[: search.collect(model.record.model, descents, order, ends, minima)]
-    best = int(minima["set"][0])
-    minima["set"], chosen = 0, used[best : best + 1]
+    # The indices of the descents that ended at a minimum of their own, cheapest first; of these, the ones of the best
+    # set.
+    cost = descents["cost"][::ends]
+    ended = np.argsort(cost, kind="stable")[: np.count_nonzero(cost < np.inf)] * ends
+    best = int(descents["set"][ended[0]])
+    if len(used) > 1:
+        ended = ended[descents["set"][ended] == best]
+    if len(ended) > SOLVE.block // 2:
+        most = SOLVE.kept_blind if problem.blind else SOLVE.kept
+        ended = distinct(model, descents, ended, most, SEARCH.same_after_coarse)
+    if problem.blind:
+        # Along a flat direction every place is a minimum. The kernel has put the most likely one beside each minimum;
+        # it comes first, so that the stable sort prefers it among equal costs.
+        ended = np.concatenate([ended + 1, ended])
+        ended = ended[np.argsort(descents["cost"][ended], kind="stable")]
+    minima, chosen = taken(descents, ended), used[best : best + 1]
+    minima["set"] = 0
     if problem.vision is not None and not model.record.symmetry_known:
         Ts = nearest(model.symmetries, poses_of(minima), problem.vision.T_palm_object, model.radius)
         minima["pose"] = descents_at(Ts)["pose"]
@@ -223,9 +234,8 @@ def _blocks(starts: Records, ends: int) -> Records:
     sets, count = starts.shape
     number = -(-count // SOLVE.block)
     each = -(-count // number)
-    dealt = np.empty((sets, each * number), dtype=records.DESCENT)
+    dealt = np.zeros((sets, each * number), dtype=records.DESCENT)
     plain(dealt)[:, :count] = plain(starts)
-    plain(dealt)[:, count:] = 0.0
     dealt["set"] = np.arange(sets)[:, None]
     dealt["cost"][:, count:] = np.inf
     blocks = dealt.reshape(sets, each, number).swapaxes(1, 2).reshape(sets * number, each, 1)

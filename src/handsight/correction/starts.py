@@ -6,7 +6,7 @@ another order of the contacts changes the starts.
 """
 
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +16,9 @@ from handsight._kernels.records import DESCENT, SAMPLES
 from handsight._kernels.runtime.threads import in_parts
 from handsight._kernels.solve import batch, search
 from handsight.checks import Array, Indices, Mask
-from handsight.correction import modes, solve
+from handsight.correction import modes
 from handsight.correction.estimate import PoseEstimate, PosePrior
-from handsight.correction.problem import KEPT_DRAWS, Problem, Records, standard_draws, taken
+from handsight.correction.problem import Problem, Records, descents_at, taken
 from handsight.objects import ObjectModel
 
 
@@ -59,9 +59,18 @@ def usual(problem: Problem) -> int:
 
 def from_prior(vision: PosePrior, number: int) -> Records:
     """Returns (number,) DESCENT: the prior's own pose, then draws from it along the object's own axes."""
-    descents, draws = np.zeros(number, dtype=DESCENT), standard_draws(max(number, KEPT_DRAWS))[:number]
-    in_parts(partial(search.draw, vision.record), (draws, descents), KEPT_DRAWS)
+    kept = 1024  # draws that are cached; every problem takes the first ones of them
+    descents, draws = np.zeros(number, dtype=DESCENT), _draws(max(number, kept))[:number]
+    in_parts(partial(search.draw, vision.record), (draws, descents), kept)
     return descents
+
+
+@lru_cache(maxsize=1)
+def _draws(number: int) -> Array:
+    """Returns standard normal draws (number, 6), the first of them zero."""
+    draws = np.random.default_rng(0).normal(size=(number, 6))
+    draws[0] = 0.0
+    return draws
 
 
 def within_footprint(problem: Problem, estimate: PoseEstimate) -> Array:
@@ -80,8 +89,9 @@ def within_footprint(problem: Problem, estimate: PoseEstimate) -> Array:
         around = best[np.arange(count) % len(best)]
         steps = STARTS.footprint_shrink**k * rng.normal(size=(count, 6)) @ root.T
         poses = np.concatenate([best, se3.moved(around, steps)])
-        cost = solve.cost(problem, poses, used)
-        best = poses[np.argsort(cost, kind="stable")[: STARTS.footprint_kept]]
+        descents = descents_at(poses)
+        in_parts(partial(batch.cost_all, *problem.arguments(used)), (descents,), count // 2)
+        best = poses[np.argsort(descents["posterior_cost"], kind="stable")[: STARTS.footprint_kept]]
     return best
 
 

@@ -22,7 +22,6 @@ from handsight._kernels.math.vec3 import (
     cross,
     dot,
     matmul,
-    matrix,
     mul,
     norm,
     scale,
@@ -31,7 +30,7 @@ from handsight._kernels.math.vec3 import (
     transpose,
     vector,
 )
-from handsight._kernels.records import AXIS, NO_PRIOR, POSE, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
+from handsight._kernels.records import NO_PRIOR, POSE, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import load_evidence
 from handsight._kernels.solve.levenberg import descend
@@ -44,42 +43,29 @@ WORST = 1e300
 """The cost in place of a NaN or a larger one: such a descent is still an answer where there is no better one."""
 
 
-@inner
-def _spread(prior: Any, u: Any) -> None:
-    """Writes what draws from a prior need: the standard deviations along the object's own axes to `u.row`, and the
-    Cholesky factor of the correlation to `u.factor`."""
-    R = matrix(prior.pose.rotation)
+@entry
+def draw(constraints: Any, draws: Any, descents: Any) -> None:
+    """Puts descents (K,) at a prior's pose moved by standard normal draws (K, 6) along the object's own axes."""
+    prior, u = constraints[0].prior, local(UNCERTAINTY)
+    R, p = pose_of(prior.pose)
     for a in range(0, 6, 3):
         for b in range(0, 6, 3):
             turned = matmul(transpose(R), matmul(block(prior.covariance, a, b), R))
             store33(turned, u.matrix[a : a + 3, b : b + 3])
+    # In `u.row` the standard deviations, in `u.factor` the Cholesky factor of the correlation.
     for i in range(6):
         u.row[i] = np.sqrt(max(u.matrix[i, i], 0.0)) + 1e-12
         for j in range(i + 1):
             u.wider[i, j] = u.matrix[i, j] / (u.row[i] * u.row[j])
     factor(u.wider, 6, 1e-9, u.factor)
-
-
-@inner
-def _drawn(prior: Any, draw: Any, u: Any) -> Pose:
-    """Returns a prior's pose moved by a standard normal draw (6,), after `_spread`."""
-    R, p = pose_of(prior.pose)
-    for i in range(6):
-        value = draw[i] / u.factor[i, i]
-        for j in range(i):
-            value += u.factor[i, j] * draw[j]
-        u.column[i] = value * u.row[i]
-    turn = mul(R, (u.column[3], u.column[4], u.column[5]))
-    return matmul(rotation_exp(turn), R), apply((R, p), vector(u.column))
-
-
-@entry
-def draw(constraints: Any, draws: Any, descents: Any) -> None:
-    """Puts descents (K,) at a prior's pose moved by standard normal draws (K, 6) along the object's own axes."""
-    prior, u = constraints[0].prior, local(UNCERTAINTY)
-    _spread(prior, u)
     for k in range(len(descents)):
-        store_pose(_drawn(prior, draws[k], u), descents[k].pose)
+        for i in range(6):
+            value = draws[k, i] / u.factor[i, i]
+            for j in range(i):
+                value += u.factor[i, j] * draws[k, j]
+            u.column[i] = value * u.row[i]
+        turn = mul(R, (u.column[3], u.column[4], u.column[5]))
+        store_pose((matmul(rotation_exp(turn), R), apply((R, p), vector(u.column))), descents[k].pose)
 
 
 @inner
@@ -148,8 +134,6 @@ def _repeats(model: Any, rows: Any, k: int, pose: Pose, earlier: Any) -> bool:
             gap, Q = sub(apply(pose, center), apply(other, center)), other[0]
             trace = dot(R[0], Q[0]) + dot(R[1], Q[1]) + dot(R[2], Q[2])
             if dot(gap, gap) < SEARCH.same_after_match[0] ** 2 and trace > 1 + 2 * COSINE:
-                return True
-            if model.symmetry.kind == AXIS and not are_distinct(model, pose, other, SEARCH.same_after_match):
                 return True
     store_pose(pose, earlier[k])
     return False
@@ -234,73 +218,24 @@ def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any
 
 
 @entry
-def collect(model: Any, descents: Any, order: Any, ends: int, minima: Any) -> int:
-    """Returns how many minima there are of the set of contacts that has the cheapest; fills `minima` with them,
-    cheapest first.
-
-    `order` (K,): the descents, each of which has `ends` records, by the cost of the first one. Where there are more
-    minima than fit, only distinct ones are taken; repeats within a block have been removed already.
-    """
-    rows, count, last, best = (
-        np.empty(len(minima), np.int64),
-        0,
-        len(minima) // ends,
-        descents[order[0] * ends].set,
-    )
-    found = 0
-    for k in order:
-        if descents[k * ends].cost < np.inf and descents[k * ends].set == best:
-            found += 1
-    for k in order:
-        row = descents[k * ends]
-        new = row.cost < np.inf and row.set == best and count < last
-        for j in range(count if found > last else 0):
-            pose, other = pose_of(row.pose), pose_of(descents[rows[j]].pose)
-            if new and not are_distinct(model[0], pose, other, SEARCH.same_after_coarse):
-                new = False
-        if new:
-            rows[count] = k * ends
-            count += 1
-    # Along a flat direction every place is a minimum. The most likely one, which is the second end, comes first among
-    # equal costs.
-    found = count * ends
-    for j in range(count if ends == 2 else 0):
-        rows[count + j] = rows[j]
-        rows[j] += 1
-    for j in range(found):
-        row = rows[j]
-        while j > 0 and descents[rows[j - 1]].cost > descents[row].cost:
-            rows[j] = rows[j - 1]
-            j -= 1
-        rows[j] = row
-    for j in range(found):
-        minima[j] = descents[rows[j]]
-    return found
-
-
-@entry
 def confirm(
-    model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, draws: Any, answer: Any
+    model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, starts: Any, answer: Any
 ) -> bool:
-    """Returns whether descents from draws of the prior, standard normal ones (K, 6), lead to no likely minimum but that
-    of an ANSWER, with the first set of contacts.
+    """Returns whether starts (K,) lead to no likely minimum but that of an ANSWER, with the first set of contacts.
 
     A start ends as soon as it is where the answer's minimum is, and all of them as soon as one leads elsewhere.
     """
-    term, terms, u = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM), local(UNCERTAINTY)
+    term, terms, found = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM), pose_of(answer.pose)
     center = load_evidence(model[0], contacts[0], constraints[0], terms, term)
     evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, center)
-    prior, found = constraints[0].prior, pose_of(answer.pose)
-    _spread(prior, u)
-    for k in range(len(draws)):
-        pose, cost, done = _drawn(prior, draws[k], u), 0.0, False
+    for k in range(len(starts)):
+        pose, cost, done = pose_of(starts[k].pose), np.inf, False
         for phase in range(4):
-            if phase < 2:
-                if not done:
-                    pose, _, done = match(evidence, pose, MATCH.max_steps if phase else SEARCH.first_steps)
-            else:
+            if phase > 1:
                 field = model[0].fine if phase == 3 else model[0].coarse
                 pose, cost, _, _ = descend(evidence, field, pose, LIMITS[phase - 2], True)
+            elif not done:
+                pose, _, done = match(evidence, pose, MATCH.max_steps if phase else SEARCH.first_steps)
             limits = SEARCH.same_minimum if phase == 3 else SEARCH.same_after_coarse
             if not are_distinct(model[0], pose, found, limits):
                 break
