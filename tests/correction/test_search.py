@@ -8,9 +8,9 @@ import trimesh
 
 import handsight as hs
 from handsight._kernels.solve import search
-from handsight.correction import MOST_CONTACTS, MOST_PLANES, refine_pose
+from handsight.correction import MOST_CONTACTS, MOST_PLANES, TwoPhase, refine_pose
 from handsight.correction.modes import SAME_MODE
-from scenes import NOISE, anywhere_on, box, off, random_scene
+from scenes import NOISE, anywhere_on, box, can, off, on_can_side, random_scene
 
 PROFILE = np.array([[-0.02, 0], [0.08, 0], [0.08, 0.04], [0.02, 0.04], [0.02, 0.14], [-0.02, 0.14]])
 
@@ -66,6 +66,27 @@ def test_on_an_l_few_better_modes_are_missed():
     # 33 and 1 when this was written: a descent from the truth ends where no draw of the prior leads to.
     assert near <= 40
     assert far <= 4
+
+
+def test_a_doubted_answer_that_a_few_starts_confirm_is_no_worse_than_that_of_many(monkeypatch):
+    asked, confirm = [], search.confirm
+
+    def recorded(*given):
+        asked.append((confirm(*given), float(given[-1]["posterior_cost"])))
+        return asked[-1][0]
+
+    monkeypatch.setattr(search, "confirm", recorded)
+    saved = {True: [], False: []}
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        scene = random_scene(on_can_side(rng, 5), rng, error=(0.022, np.deg2rad(17)))
+        hs.correct_pose(can(), scene.contacts, vision=scene.vision, answer="maximum")
+        if asked:
+            many = hs.correct_pose(can(), scene.contacts, vision=scene.vision, method=TwoPhase(starts=64))
+            confirmed, cost = asked.pop()
+            saved[confirmed].append(cost - many.hypotheses[0].cost)
+    assert len(saved[True]) > 5 < len(saved[False])
+    assert max(saved[True]) < 3
 
 
 def poses_scored(n, monkeypatch, *, blind, wrong=8):

@@ -92,8 +92,10 @@ def _found(problem: Problem, answer: np.void, used: Mask) -> tuple[Conflict, ...
         best, n = None, int(used.sum())
         for kind in suspects(problem, answer, n):
             name = _worst(problem, answer, used) if kind == "contact" else kind
-            freedom, rest = _freedom(problem, used, name), _without(problem, used, name)
-            if not freedom or not rest[1].any():
+            if not (freedom := _freedom(problem, used, name)):
+                continue
+            rest = _without(problem, used, name)
+            if not rest[1].any():
                 continue
             other = _solved(*rest, _mode(answer))
             p_value = modes.chi2_survival(_fall(name, answer, other[0]), freedom)
@@ -101,9 +103,8 @@ def _found(problem: Problem, answer: np.void, used: Mask) -> tuple[Conflict, ...
                 best = p_value, name, other, rest
         if best is None:
             break
-        _, name, other, rest = best
-        found.append(_conflict(problem, used, name, answer, other))
-        (problem, used), answer = rest, other[0]
+        found.append(_conflict(problem, used, best[1], answer, best[2]))
+        (problem, used), answer = best[3], best[2][0]
     return tuple(found)
 
 
@@ -133,8 +134,7 @@ def _freedom(problem: Problem, used: Mask, name: str) -> int:
     if name == "skin":
         return int(used[0, -problem.taxels :] @ problem.rows_each[-problem.taxels :]) if problem.taxels else 0
     if name == "outside":  # each link or plane is one row, and they move the pose in at most six directions
-        rows = problem.outside[["is_plane", "link"]]
-        return min(len(np.unique(rows)), 6) if len(rows) else 0
+        return min(len(np.unique(rows)), 6) if len(rows := problem.outside[["is_plane", "link"]]) else 0
     return int(problem.rows_each[int(name.split()[1])])
 
 

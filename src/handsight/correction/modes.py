@@ -89,9 +89,10 @@ def beyond_doubt(model: ObjectModel, cost: float, coarse_cost: float, freedom: i
     doubt = round(wide * wide, 2)  # rounded, as the χ² limit of each value is computed once and cached
     if coarse_cost * doubt > MODES.doubt_coarse * chi2_limit(max(freedom, 1), 0.1):
         return False
-    if fits(cost, freedom, max(MODES.doubt_p * doubt, MODES.recheck_p)):
-        return True
-    return not has_detail(model) and fits(cost, freedom, max(MODES.doubt_plain_p * doubt, MODES.recheck_p))
+    least, plain = MODES.recheck_p, max(MODES.doubt_plain_p * doubt, MODES.recheck_p)
+    return fits(cost, freedom, max(MODES.doubt_p * doubt, least)) or (
+        not has_detail(model) and fits(cost, freedom, plain)
+    )
 
 
 def several_minima(model: ObjectModel, rows: int, contacts: int) -> bool:

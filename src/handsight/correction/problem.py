@@ -109,7 +109,7 @@ class Problem:
     @cached_property
     def rows(self) -> int:
         """The rows of evidence beside the prior."""
-        return self.freedom(None) + (6 if self.blind else 0)
+        return self.freedom(np.ones((1, len(self.contacts)), dtype=bool)) + (6 if self.blind else 0)
 
     def arguments(self, used: Mask) -> tuple[Records, Any, Records, Records, Records]:
         """Returns model, nodes, contacts, constraints and outside rows as kernels take them, the contacts once for each
@@ -123,13 +123,9 @@ class Problem:
         contacts["used"] = used
         return contacts
 
-    def freedom(self, used: Mask | None) -> int:
-        """Returns the degrees of freedom of the χ² at a mode: the rows of evidence, less six if there is no prior.
-
-        `used` (1, n): the contacts in use; None: all of them.
-        """
-        rows = int(self.rows_each.sum() if used is None else used[0] @ self.rows_each)
-        rows += 0 if self.weight is None else 3
+    def freedom(self, used: Mask) -> int:
+        """Returns the degrees of freedom of the χ² at a mode: the rows of evidence, less six if there is no prior."""
+        rows = int(used[0] @ self.rows_each) + (0 if self.weight is None else 3)
         if self.depth is not None:
             rows += min(len(self.depth), 6)  # all of them together count as the one pose of their image
         return max(rows - 6, 1) if self.blind else rows

@@ -17,15 +17,7 @@ from handsight.contact import Contacts
 from handsight.correction import conflicts, modes
 from handsight.correction.estimate import PoseEstimate, PosePrior
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import (
-    Budget,
-    Problem,
-    Records,
-    descents_at,
-    plain,
-    poses_of,
-    taken,
-)
+from handsight.correction.problem import Budget, Problem, Records, descents_at, plain, poses_of, taken
 from handsight.correction.starts import from_prior
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
@@ -120,7 +112,7 @@ def _accepted(
     if searched:
         accepted = modes.fits(cost, freedom)
     else:
-        wide, given = width / SEARCH.single_start_width, problem()
+        given, wide = problem(), width / SEARCH.single_start_width
         accepted = modes.unsuspicious(cost, freedom, gain)
         if width > modes.MODES.weak_width:
             accepted = accepted and not modes.several_minima(given.model, freedom, len(residuals))
@@ -187,8 +179,7 @@ def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None =
     """
     model, arguments, ends = problem.model, problem.arguments(used), 2 if problem.blind else 1
     descents = _searched(partial(search.search, *arguments), _blocks(starts, ends), budget).reshape(-1)
-    # The indices of the descents that ended at a minimum of their own, cheapest first; of these, the ones of the best
-    # set.
+    # The indices of the descents that ended at minima of their own, cheapest first; of these, those of the best set.
     cost = descents["cost"][::ends]
     ended = np.argsort(cost, kind="stable")[: np.count_nonzero(cost < np.inf)] * ends
     best = int(descents["set"][ended[0]])
@@ -202,12 +193,11 @@ def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None =
         # it comes first, so that the stable sort prefers it among equal costs.
         ended = np.concatenate([ended + 1, ended])
         ended = ended[np.argsort(descents["cost"][ended], kind="stable")]
-    minima, chosen = taken(descents, ended), used[best : best + 1]
+    minima, chosen, contacts = taken(descents, ended), used[best : best + 1], arguments[2][best : best + 1]
     minima["set"] = 0
     if problem.vision is not None and not model.record.symmetry_known:
         Ts = nearest(model.symmetries, poses_of(minima), problem.vision.T_palm_object, model.radius)
         minima["pose"] = descents_at(Ts)["pose"]
-    contacts = arguments[2][best : best + 1]
     batch.weigh(*arguments[:2], contacts, *arguments[3:], minima)
     return Candidates(minima, chosen, problem.freedom(chosen), contacts["gain"][0])
 
