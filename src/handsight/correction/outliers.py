@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight._kernels.records import DESCENT
-from handsight._kernels.solve.options import SEARCH
+from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Indices
 from handsight.correction import modes, starts
 from handsight.correction.problem import Budget, Problem, Records, Steps, TwoPhase, descents_at, plain
@@ -87,7 +87,7 @@ def _suspicious(problem: Problem, found: Candidates) -> bool:
 def _better(without: Candidates, found: Candidates) -> bool:
     """Returns whether the cost falls so far without a contact that this is wrong."""
     gain = found.cost - without.cost
-    return gain >= SEARCH.decisive and (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost)
+    return gain >= ACCEPTANCE.decisive and (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost)
 
 
 def _suspects(problem: Problem, found: Candidates) -> list[Indices]:

@@ -16,9 +16,9 @@ from handsight._kernels.records import DESCENT, SAMPLES
 from handsight._kernels.runtime.threads import in_parts
 from handsight._kernels.solve import batch, search
 from handsight.checks import Array, Indices, Mask
-from handsight.correction import modes
+from handsight.correction import modes, solve
 from handsight.correction.estimate import PoseEstimate, PosePrior
-from handsight.correction.problem import Problem, Records, descents_at, taken
+from handsight.correction.problem import Problem, Records, taken
 from handsight.objects import ObjectModel
 
 
@@ -89,9 +89,8 @@ def within_footprint(problem: Problem, estimate: PoseEstimate) -> Array:
         around = best[np.arange(count) % len(best)]
         steps = STARTS.footprint_shrink**k * rng.normal(size=(count, 6)) @ root.T
         poses = np.concatenate([best, se3.moved(around, steps)])
-        descents = descents_at(poses)
-        in_parts(partial(batch.cost_all, *problem.arguments(used)), (descents,), count // 2)
-        best = poses[np.argsort(descents["posterior_cost"], kind="stable")[: STARTS.footprint_kept]]
+        cost = solve.cost(problem, poses, used)
+        best = poses[np.argsort(cost, kind="stable")[: STARTS.footprint_kept]]
     return best
 
 

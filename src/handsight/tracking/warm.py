@@ -52,12 +52,8 @@ def correct_near() -> None:
 
 
 def correct_far() -> None:
-    """Corrects a box from a pose that is far off, with points of the hand and by sampling, and without a pose; and from
-    a near one with normals that fit so badly that the answer of one start is doubted."""
+    """Corrects a box from a pose that is far off, with points of the hand and by sampling, and without a pose."""
     model, contacts = _touched_box()
-    tilted = contacts.normals_palm + np.outer([1, 1, 0], [0, 0.097, 0])
-    doubted = Contacts(contacts.points_palm, tilted, sigma_point=5e-4, sigma_normal=0.03)
-    correct_pose(model, doubted, vision=PosePrior.from_sigmas(np.eye(4), 0.018, 0.14))
     far = PosePrior.from_sigmas(np.eye(4), 0.1, 0.5)
     correct_pose(model, contacts, vision=far, outside=[[0.1, 0, 0], [0.05, 0.05, 0]])
     correct_pose(model, contacts, vision=far, samples=200)

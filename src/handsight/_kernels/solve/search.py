@@ -9,23 +9,20 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose, surface_at
+from handsight._kernels.evidence.prior_term import drawn, spread
 from handsight._kernels.evidence.terms import PRIOR, Evidence, evidence_cost
-from handsight._kernels.math.dense6 import factor
 from handsight._kernels.math.simd import local
-from handsight._kernels.math.so3 import rotation_exp
 from handsight._kernels.math.symmetry import are_distinct, pose_of, store_pose
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
     apply,
-    block,
     cross,
     dot,
     matmul,
     mul,
     norm,
     scale,
-    store33,
     sub,
     transpose,
     vector,
@@ -47,25 +44,9 @@ WORST = 1e300
 def draw(constraints: Any, draws: Any, descents: Any) -> None:
     """Puts descents (K,) at a prior's pose moved by standard normal draws (K, 6) along the object's own axes."""
     prior, u = constraints[0].prior, local(UNCERTAINTY)
-    R, p = pose_of(prior.pose)
-    for a in range(0, 6, 3):
-        for b in range(0, 6, 3):
-            turned = matmul(transpose(R), matmul(block(prior.covariance, a, b), R))
-            store33(turned, u.matrix[a : a + 3, b : b + 3])
-    # In `u.row` the standard deviations, in `u.factor` the Cholesky factor of the correlation.
-    for i in range(6):
-        u.row[i] = np.sqrt(max(u.matrix[i, i], 0.0)) + 1e-12
-        for j in range(i + 1):
-            u.wider[i, j] = u.matrix[i, j] / (u.row[i] * u.row[j])
-    factor(u.wider, 6, 1e-9, u.factor)
+    spread(prior, u)
     for k in range(len(descents)):
-        for i in range(6):
-            value = draws[k, i] / u.factor[i, i]
-            for j in range(i):
-                value += u.factor[i, j] * draws[k, j]
-            u.column[i] = value * u.row[i]
-        turn = mul(R, (u.column[3], u.column[4], u.column[5]))
-        store_pose((matmul(rotation_exp(turn), R), apply((R, p), vector(u.column))), descents[k].pose)
+        store_pose(drawn(prior, draws[k], u), descents[k].pose)
 
 
 @inner
@@ -215,30 +196,3 @@ def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any
                 row.cost = min(cost, WORST) if cost == cost else WORST
                 row.iterations, row.converged = steps + (0 if end else more), phase == 1 and converged
                 store_pose(pose, row.pose)
-
-
-@entry
-def confirm(
-    model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, starts: Any, answer: Any
-) -> bool:
-    """Returns whether starts (K,) lead to no likely minimum but that of an ANSWER, with the first set of contacts.
-
-    A start ends as soon as it is where the answer's minimum is, and all of them as soon as one leads elsewhere.
-    """
-    term, terms, found = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM), pose_of(answer.pose)
-    center = load_evidence(model[0], contacts[0], constraints[0], terms, term)
-    evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, center)
-    for k in range(len(starts)):
-        pose, cost, done = pose_of(starts[k].pose), np.inf, False
-        for phase in range(4):
-            if phase > 1:
-                field = model[0].fine if phase == 3 else model[0].coarse
-                pose, cost, _, _ = descend(evidence, field, pose, LIMITS[phase - 2], True)
-            elif not done:
-                pose, _, done = match(evidence, pose, MATCH.max_steps if phase else SEARCH.first_steps)
-            limits = SEARCH.same_minimum if phase == 3 else SEARCH.same_after_coarse
-            if not are_distinct(model[0], pose, found, limits):
-                break
-            if phase == 3 and cost < answer.cost + 2 * SEARCH.unlikely:
-                return False
-    return True
