@@ -83,9 +83,8 @@ def test_a_doubted_answer_that_a_few_starts_confirm_is_no_worse_than_that_of_man
         row, rows = one.answer, int(one.answer["rows"])
         wide = (row["width"] / SEARCH.single_start_width) ** 2
         coarse = modes.chi2_survival(row["coarse_cost"] * wide / ACCEPTANCE.coarse_factor, rows)
-        if (
-            min(coarse, 5 * modes.chi2_survival(row["cost"], rows) / wide) < ACCEPTANCE.coarse_p
-        ):  # it was doubted
+        fine = modes.chi2_survival(row["cost"], rows)
+        if coarse < ACCEPTANCE.coarse_p or fine < ACCEPTANCE.doubt_plain_p * wide:  # it was doubted
             many = hs.correct_pose(can(), scene.contacts, vision=scene.vision, method=TwoPhase(starts=64))
             saved.append(float(row["posterior_cost"]) - many.hypotheses[0].cost)
     assert len(saved) > 5
