@@ -166,12 +166,12 @@ def _mode(answer: np.void) -> Array:
 def _solved(problem: Problem, used: Mask, T_start: Array) -> tuple[np.void, Array]:
     """Returns the ANSWER of a descent from a pose (4, 4) on the fine field, and the residuals (n, 2) there."""
     rows, residuals = np.zeros(1, dtype=records.PROBLEM), np.empty((used.size, 2))
-    row, contacts = rows[0], problem.sets(used)[0]
-    row["constraints"], row["last"], row["follows"] = problem.constraints[0], len(contacts), True
+    row, contacts, constraints = rows[0], problem.sets(used)[0], problem.constraints.copy()
+    row["follows"] = True
     row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
     if problem.blind:  # of equivalent poses the one nearest to the start is the answer
-        row["constraints"]["prior"]["pose"] = row["start"]
-    batch.correct_all(*problem.model.record[:2], contacts, problem.outside, rows, residuals)
+        constraints["prior"]["pose"] = row["start"]
+    batch.correct_all(*problem.model.record[:2], contacts, constraints, problem.outside, rows, residuals)
     return row["answer"], residuals
 
 

@@ -45,14 +45,17 @@ def solve_usual(
     It is `solve_single_start` for the usual call, in little more than the kernel's time: in a program that does other
     work between two corrections, whatever Python does here is read from memory, which takes as long as the kernel.
     """
-    if not model.record.symmetry_known:
+    record, n = model.record, len(contacts.record)
+    if not record.symmetry_known:
         return None, False
-    rows = _problem(vision.record, len(contacts.record), mean)
-    answer, residuals = _corrected(model, contacts, NO_OUTSIDE, rows)
-    verdict = answer["verdict"]
+    rows, residuals = np.frombuffer(bytearray(BLANK[mean]), dtype=records.PROBLEM), np.empty((n, 2))
+    verdict = batch.correct_all(
+        record.model, record.nodes, contacts.record, vision.record, NO_OUTSIDE, rows, residuals
+    )
     if verdict == records.ENOUGH:
+        answer = rows[0]["answer"]
         return PoseEstimate(answer, (answer,), residuals, True), False
-    return None, bool(verdict == records.DOUBTED)
+    return None, verdict == records.DOUBTED
 
 
 def solve_single_start(
@@ -66,33 +69,28 @@ def solve_single_start(
     """
     if problem.vision is None or not problem.model.record.symmetry_known:
         return None
-    given = problem.vision.record if problem.weight is None and problem.depth is None else problem.constraints
-    rows = _problem(given, len(problem.contacts), mean)
+    alone = problem.weight is None and problem.depth is None
+    given = problem.vision.record if alone else problem.constraints
+    rows = np.frombuffer(bytearray(BLANK[mean]), dtype=records.PROBLEM)
+    residuals, row = np.empty((len(problem.contacts), 2)), rows[0]
     if T_start is not None:
-        row = rows[0]
         row["follows"] = True
         row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
-    answer, residuals = _corrected(problem.model, problem.contacts, problem.outside, rows)
+    contacts, outside = problem.contacts.record, problem.outside
+    batch.correct_all(*problem.model.record[:2], contacts, given, outside, rows, residuals)
     judged = problem.taxels > 0 or problem.depth is not None
-    return _accepted(lambda: problem, answer, residuals, judged=judged)
+    return _accepted(lambda: problem, row["answer"], residuals, judged=judged)
 
 
-def _problem(constraints: Records, contacts: int, mean: int) -> Records:
-    """Returns (1,) PROBLEM of CONSTRAINTS (1,) and so many contacts."""
-    # These zeros take a fifth of the time of np.zeros.
-    rows = np.frombuffer(bytearray(records.PROBLEM.itemsize), dtype=records.PROBLEM)
-    row = rows[0]
-    row["constraints"], row["last"], row["answer"]["mean"] = constraints[0], contacts, mean
-    return rows
+def _blank(mean: int) -> bytes:
+    """Returns the bytes of a PROBLEM of all contacts, whose answer is to be of a kind `mean`."""
+    row = np.zeros(1, dtype=records.PROBLEM)
+    row["answer"]["mean"] = mean
+    return row.tobytes()
 
 
-def _corrected(
-    model: ObjectModel, contacts: Contacts, outside: Records, rows: Records
-) -> tuple[np.void, Array]:
-    """Returns the ANSWER of the kernel to PROBLEM (1,), and the residuals (n, 2)."""
-    residuals, record = np.empty((len(contacts.record), 2)), model.record
-    batch.correct_all(record.model, record.nodes, contacts.record, outside, rows, residuals)
-    return rows[0]["answer"], residuals
+BLANK = tuple(_blank(mean) for mean in range(3))
+"""The bytes of a PROBLEM by its answer's `mean`: copied, they take a fifth of the time of an array that is filled."""
 
 
 def solve_batch(
@@ -104,13 +102,18 @@ def solve_batch(
     counts = np.array([len(contacts) for contacts, _ in problems])
     contacts = np.concatenate([contacts.record for contacts, _ in problems])
     rows, residuals = np.zeros(len(problems), dtype=records.PROBLEM), np.empty((len(contacts), 2))
-    # CONSTRAINTS are the first field of a PROBLEM; copied as plain numbers they take a hundredth of the time.
-    constraints = np.concatenate([plain(vision.record) for _, vision in problems])
-    plain(rows)[:, : constraints.shape[1]] = constraints
+    # Copied as plain numbers they take a hundredth of the time.
+    constraints = np.concatenate([plain(vision.record) for _, vision in problems]).view(records.CONSTRAINTS)[
+        :, 0
+    ]
     rows["last"], rows["answer"]["mean"] = np.cumsum(counts), kinds
     rows["first"] = rows["last"] - counts
-    given = (*model.record[:2], contacts, NO_OUTSIDE)
-    in_parts(lambda part: batch.correct_all(*given, part, residuals), (rows,), SOLVE.serial // 4)
+    model_, nodes = model.record[:2]
+
+    def work(given: Records, part: Records) -> None:
+        batch.correct_all(model_, nodes, contacts, given, NO_OUTSIDE, part, residuals)
+
+    in_parts(work, (constraints, rows), SOLVE.serial // 4)
     # Copied, so that an estimate does not keep the arrays of all problems in memory.
     return [
         _accepted(
@@ -323,9 +326,9 @@ def information_by_contact(
     return information, gradient
 
 
-def kernel_call(model: ObjectModel, contacts: Contacts, vision: PosePrior) -> Callable[[], None]:
+def kernel_call(model: ObjectModel, contacts: Contacts, vision: PosePrior) -> Callable[[], object]:
     """Returns a function that runs the two phases of one problem, and nothing else, for benchmarks."""
     rows = np.zeros(1, dtype=records.PROBLEM)
-    rows["constraints"], rows["last"], rows["pose_only"] = vision.record, len(contacts), True
-    given = (*model.record[:2], contacts.record, NO_OUTSIDE)
+    rows["pose_only"] = True
+    given = (*model.record[:2], contacts.record, vision.record, NO_OUTSIDE)
     return partial(batch.correct_all, *given, rows, np.empty((len(contacts), 2)))
