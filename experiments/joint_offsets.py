@@ -26,6 +26,8 @@ from testbed.report import Array, Row, Rows
 
 GRASPS = 8
 """Of each object."""
+RATE = 50.0
+"""Observations a second."""
 SIGMA = float(np.deg2rad(1.0))
 OBJECTS = {"can": scenes.can, "box": scenes.box}
 WAYS = {"as new": False, "learnt": True}
@@ -35,7 +37,7 @@ WAYS = {"as new": False, "learnt": True}
 def grasped(name: str, seed: int) -> tuple[Sample, ...] | None:
     """Returns a grasp by a hand without joint offsets; None where it drops the object."""
     perfect = Nuisances(joint_offset=0.0)
-    samples = tuple(simulate(Scenario(object=name, seed=seed, rate=50, nuisances=perfect)))
+    samples = tuple(simulate(Scenario(object=name, seed=seed, rate=RATE, nuisances=perfect)))
     return None if samples[-1].dropped else samples
 
 

@@ -100,7 +100,11 @@ def test_a_killed_worker_costs_no_line_and_doubles_none(cluster, tmp_path):
     problems, output = written(tmp_path, 1500), tmp_path / "answers.jsonl"
     # First, so that the kernels are compiled once and kept.
     reader = Reader(tmp_path.absolute())
-    alone = [answer_text(reader, line) for line in problems.read_bytes().splitlines()]
+    alone = {
+        k: answer_text(reader, line)
+        for k, line in enumerate(problems.read_bytes().splitlines())
+        if k % 10 == 1
+    }
     command = begun(problems, output, address)
     part = tmp_path / "answers.jsonl.part"
     waited_for(lambda: part.exists() and part.stat().st_size > 0)
@@ -112,15 +116,14 @@ def test_a_killed_worker_costs_no_line_and_doubles_none(cluster, tmp_path):
     assert len(answers) == len(set(answers)) == 1500
     assert "object.mesh: none.ply: cannot be read" in json.loads(answers[750])["error"]
     # The next line's vision is 1e-5 away; another process may round otherwise.
-    for line, (answer, expected) in enumerate(zip(answers, alone, strict=True)):
-        if line != 750:
-            there, here = (json.loads(text)["position"] for text in (answer, expected))
-            np.testing.assert_allclose(there, here, rtol=0, atol=1e-9)
+    for line, expected in alone.items():
+        there, here = (json.loads(text)["position"] for text in (answers[line], expected))
+        np.testing.assert_allclose(there, here, rtol=0, atol=1e-9)
 
 
 def test_a_scheduler_that_dies_and_returns_loses_no_line(cluster, tmp_path, tmp_path_factory):
     address, workers, scheduler = cluster
-    problems, output = written(tmp_path, 4_000), tmp_path / "answers.jsonl"
+    problems, output = written(tmp_path, 1500), tmp_path / "answers.jsonl"
     command = begun(problems, output, address)
     part = tmp_path / "answers.jsonl.part"
     waited_for(lambda: part.exists() and part.stat().st_size > 0)
@@ -131,9 +134,9 @@ def test_a_scheduler_that_dies_and_returns_loses_no_line(cluster, tmp_path, tmp_
     with running(tmp_path_factory.mktemp("again"), address.rpartition(":")[2]):
         code, said = ended(command)
     assert code == 1
-    assert "4000 answers, 1 of them errors" in said
+    assert "1500 answers, 1 of them errors" in said
     answers = output.read_text().splitlines()
-    assert before < 4_000 == len(answers) == len(set(answers))
+    assert before < 1500 == len(answers) == len(set(answers))
     given = [json.loads(line) for line in problems.read_text().splitlines()]
     for k in (0, before, 1499):  # each at its place: the next line's vision is 1e-5 away
         alone = json.loads(answer_text(Reader(tmp_path.absolute()), json.dumps(given[k]).encode()))
@@ -143,7 +146,7 @@ def test_a_scheduler_that_dies_and_returns_loses_no_line(cluster, tmp_path, tmp_
 def test_a_scheduler_that_is_lost_is_a_sentence(cluster, tmp_path, monkeypatch):
     address, those, scheduler = cluster
     monkeypatch.setattr(workers, "RETURN_SECONDS", 0.5)
-    source = open(written(tmp_path, 100_000), "rb")  # noqa: SIM115  # closed at its end
+    source = open(written(tmp_path, 20_000), "rb")  # noqa: SIM115  # closed at its end
     with answering(source, tmp_path.absolute(), cluster=address) as answered:
         next(answered)
         for process in (scheduler, *those):

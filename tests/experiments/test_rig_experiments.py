@@ -334,7 +334,8 @@ def test_the_harsh_table_has_a_row_of_each_run_and_shows_what_a_wrong_table_cost
 @needs_simulator
 def test_a_hand_knows_its_joints_better_after_some_grips_and_says_how_well(tmp_path, monkeypatch):
     """Hands differ: it takes eight to show it."""
-    monkeypatch.setattr("joint_offsets.GRASPS", 5)
+    monkeypatch.setattr("joint_offsets.GRASPS", 4)
+    monkeypatch.setattr("joint_offsets.RATE", 20.0)
     rows = run("joint_offsets", tmp_path, "--quick", "--trials", "8")["joint_offsets"]
     new, learnt = (
         [row for row in rows if row["way"] == way and int(row["grip"]) >= 4] for way in ("as new", "learnt")

@@ -116,7 +116,6 @@ def test_pulls_and_jerks_of_a_simulated_object_are_detected(name):
     """Those of seeds on which no threshold was chosen, friction 0.4 to 0.7."""
     totals = dict.fromkeys(("alarmed", "right", "slipped", "found"), 0)
     for seed, motion, mu in (
-        (700, "jerks", 0.5),
         (701, "ramp", 0.7),
         (702, "steps", 0.6),
         (703, "jerks", 0.4),

@@ -145,7 +145,7 @@ def off_edges(name, rng):
 
 
 @pytest.mark.parametrize("name", ["can", "box", "ball"])
-@pytest.mark.parametrize("sigma", [5e-4, 1e-3, 2e-3])
+@pytest.mark.parametrize("sigma", [5e-4, 2e-3])
 @pytest.mark.parametrize("given", [True, False])
 def test_the_surface_is_more_exact_than_its_points_and_its_error_is_right(name, sigma, given):
     points, normals, rng = drawn(name, 4000, 6)

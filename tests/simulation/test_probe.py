@@ -111,33 +111,32 @@ def test_a_can_found_gripped_and_weighed_is_at_its_estimated_pose():
     assert tracker.weight.mass == pytest.approx(0.15, rel=0.03)
 
 
+BLIND = ("simulate", "can", "--blind", "--motion", "grasp", "-o", "can.mcap", "--plot", "search.png")
+
+
 @pytest.mark.slow
-def test_a_blind_recording_is_tracked_without_a_camera(tmp_path, monkeypatch, capsys):
-    arguments = ("simulate", "can", "--blind", "--motion", "grasp", "-o", "can.mcap")
-    assert called(monkeypatch, tmp_path, *arguments) == 0
+def test_a_blind_recording_tells_its_touches_and_is_tracked_without_a_camera(tmp_path, monkeypatch, capsys):
+    assert called(monkeypatch, tmp_path, *BLIND) == 0
+    told = capsys.readouterr().err
+    assert "can: touch cannot tell its spin about its axis nor one end from the other" in told
+    assert "touch 1: " in told
+    assert "found by" in told
+    assert (tmp_path / "search.png").stat().st_size > 10_000
     assert called(monkeypatch, tmp_path, "track", "can.mcap", "--output-folder", "out") == 0
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["poses"] > 150
     assert set(summary["seconds_in_state"]) <= {"search", "tracking", "uncertain"}
     assert summary["seconds_in_state"]["search"] > 10
     assert summary["errors_mm_deg"]["tracked"]["base_last"] < 5
-    assert called(monkeypatch, tmp_path, *arguments, "--images") == 2
+
+
+def test_a_search_tells_what_is_open_where_its_touches_are_too_few(tmp_path, monkeypatch, capsys):
+    assert called(monkeypatch, tmp_path, *BLIND, "--images") == 2
     assert "--images: expected none with --blind" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_search_tells_its_touches_and_what_is_open_where_they_are_too_few(tmp_path, monkeypatch, capsys):
-    arguments = ("simulate", "can", "--blind", "--motion", "grasp", "-o", "can.mcap", "--plot", "search.png")
-    assert called(monkeypatch, tmp_path, *arguments) == 0
-    told = capsys.readouterr().err
-    assert "can: touch cannot tell its spin about its axis nor one end from the other" in told
-    assert "touch 1: " in told
-    assert "found by" in told
-    assert (tmp_path / "search.png").stat().st_size > 10_000
     monkeypatch.setattr(
         "handsight.simulation.touch_search.TOUCH_SEARCH", TOUCH_SEARCH._replace(max_touches=0)
     )
-    assert called(monkeypatch, tmp_path, *arguments) == 1
+    assert called(monkeypatch, tmp_path, *BLIND) == 1
     message = "the object was not found by 0 touches: the position is open"
     assert message in capsys.readouterr().err
 

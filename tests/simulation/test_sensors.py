@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cli.commands import called
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.recording import open_recording
@@ -190,31 +191,36 @@ def test_sensors_of_no_maker_are_refused_with_the_makers():
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """`recorded(kind)`: the folder of a grasp with those sensors by the command, which is run once."""
-    from cli.commands import run
-
-    folders = {}
+    """`recorded(kind)`: the folder of a grasp with those sensors by the command, which is run once, and its samples."""
+    done = {}
 
     def folder(kind):
-        if kind not in folders:
-            folders[kind] = tmp_path_factory.mktemp(kind)
-            grasp = ("simulate", "can", "--motion", "grasp", "--seed", "1", "--output", "can.mcap")
-            run(*grasp, "--skin", "--sensors", kind, cwd=folders[kind])
-        return folders[kind]
+        if kind not in done:
+            place, samples = tmp_path_factory.mktemp(kind), []
+
+            def kept(*given):
+                for sample in simulate(*given):
+                    samples.append(sample)
+                    yield sample
+
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr("handsight.simulation.simulate", kept)
+                grasp = ("simulate", "can", "--motion", "grasp", "--seed", "1", "--output", "can.mcap")
+                assert called(patch, place, *grasp, "--skin", "--sensors", kind) == 0
+            done[kind] = place, samples
+        return done[kind]
 
     return folder
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_simulate_track_and_rig_check_of_each_maker_as_a_user_runs_them(kind, recorded):
+def test_simulate_track_and_rig_check_of_each_maker_as_a_user_runs_them(kind, recorded, monkeypatch, capsys):
     """The base's centre within 5 mm at the end of the grasp, where vision's is off by more than 90."""
-    from cli.commands import run
-
-    folder = recorded(kind)
-    out, _ = run("rig", "check", "can.rig.yaml", "can.mcap", cwd=folder)
-    assert "can.mcap has everything that this rig listens to." in out
-    run("track", "can.mcap", "-o", "out", cwd=folder)
+    folder, _ = recorded(kind)
+    assert called(monkeypatch, folder, "rig", "check", "can.rig.yaml", "can.mcap", columns=100) == 0
+    assert "can.mcap has everything that this rig listens to." in capsys.readouterr().out
+    assert called(monkeypatch, folder, "track", "can.mcap", "-o", "out") == 0
     summary = json.loads((folder / "out" / "summary.json").read_text())
     assert not summary["refused"]
     assert summary["poses"] == summary["observations"] == 191
@@ -226,9 +232,9 @@ def test_simulate_track_and_rig_check_of_each_maker_as_a_user_runs_them(kind, re
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_drivers_messages_are_read_as_they_were_measured(kind, recorded):
-    folder = recorded(kind)
+    folder, simulated = recorded(kind)
     scenario = Scenario(object="can", motion="grasp", seed=1, sensors=kind, skin=True)
-    samples = {round(100 * sample.observation.stamp): sample.observation for sample in simulate(scenario)}
+    samples = {round(100 * sample.observation.stamp): sample.observation for sample in simulated}
     rig = Rig.from_file(folder / "can.rig.yaml")
     for name, surface in rig_of(scenario).skin.items():
         np.testing.assert_allclose(rig.skin[name].points, surface.points, atol=1e-9)

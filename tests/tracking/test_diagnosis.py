@@ -69,6 +69,13 @@ def test_a_tip_of_another_radius_is_named_with_its_error(radius: float) -> None:
 
 
 @cache
+def in_air(seed: int) -> list[Observation]:
+    """Returns a recording of a box that is lifted and tilted by a robot without errors."""
+    scenario = Scenario(object="box", seed=seed, motion="weigh", rate=50.0, nuisances=Nuisances.none())
+    return [sample.observation for sample in simulate(scenario)]
+
+
+@cache
 def weighed(gain: float, shown: float = 0.02) -> dict[str, Diagnosed]:
     """Returns the diagnosis of a box in two grasps in the air, by name, where the thumb's sensor reads a share too
     much; each axis' gain is declared with the sigma `shown`."""
@@ -79,8 +86,7 @@ def weighed(gain: float, shown: float = 0.02) -> dict[str, Diagnosed]:
     observations: list[Observation] = []
     for seed in range(2):
         begin = observations[-1].stamp + 0.5 if observations else 0.0
-        scenario = Scenario(object="box", seed=seed, motion="weigh", rate=50.0, nuisances=Nuisances.none())
-        for seen in (sample.observation for sample in simulate(scenario)):
+        for seen in in_air(seed):
             louder = bias + (1 + gain) * (seen.wrenches["th"] - bias)
             observations.append(
                 replace(seen, stamp=seen.stamp + begin, wrenches={**seen.wrenches, "th": louder})

@@ -12,7 +12,7 @@ from handsight.errors import InvalidInput
 from handsight.observation import PoseMeasurement
 from tests.corpus.observations import BOX, gripper, observed
 
-UPDATES = 30_000
+UPDATES = 10_000
 NAN, ROTATED = np.full((4, 4), np.nan), se3.compose(se3.rotation_exp(np.array([0.3, 0.2, 1.0])), np.zeros(3))
 BAD = [
     *({"T_world_palm": T} for T in (NAN, 2 * np.eye(4), np.diag([1.0, 1, -1, 1]), np.eye(3), "palm", 1e200 * ROTATED)),

@@ -22,7 +22,7 @@ def recorded(simulated):
     from handsight.simulation import Scenario, rig_of
 
     def record(object, **fields):
-        scenario = Scenario(object=object, motion="manipulate", **{"rate": 25, **fields})
+        scenario = Scenario(object=object, motion="manipulate", **{"rate": 10, **fields})
         rig = rig_of(scenario)
         return rig, rig.objects[object].model(), [each.observation for each in simulated(scenario)]
 
@@ -122,10 +122,10 @@ def test_nothing_is_named_where_nothing_is_wrong(recorded):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("sensors", ["wrench", "xela", "paxini", "inspire"])
 def test_nothing_is_named_of_any_sensor_where_nothing_is_wrong(recorded, sensors, seed):
-    rig, model, observations = recorded(("can", "box")[seed % 2], seed=seed, sensors=sensors, rate=10)
+    rig, model, observations = recorded(("can", "box")[seed % 2], seed=seed, sensors=sensors)
     assert found(rig, observations, model) == found(rig, observations) == []
 
 
