@@ -50,6 +50,8 @@ OCCLUDERS, HIDDEN = ("edge", "bar", "disc"), 0.2
 IMAGES = ((320, 240), (640, 480), (1280, 960), (1920, 1440), (3840, 2160))
 RECORDED = (150, 500, 1500)
 """Depth images of a recording, 0.6 MB each before compression, and 17 joint states for each."""
+READ = (250, 1000, 4000)
+"""The same, of one that is read and not tracked."""
 WORKERS = (4, 8)
 TASKS = {0.01: 2400, 0.1: 400, 1.0: 48}
 """Number of lines by their duration [s]."""
@@ -202,12 +204,19 @@ def images(size: tuple[int, int], folder: Path) -> Row:
     }
 
 
+def reading(count: int, folder: Path) -> Row:
+    """Returns the time to read a recording with so many depth images as observations, and the memory that it takes."""
+    path, rig = _recorded(count, folder), rig_of(Scenario(images=True))
+    with open_recording(path, rig) as opened:
+        number, seconds = cpu(lambda: sum(1 for _ in opened.observations()))
+    size = path.stat().st_size / 1e6
+    row = {"images": count, "MB": size, "observations": number, "s": seconds, "MB/s": size / seconds}
+    return row | {"private MB": memory("RssAnon")}
+
+
 def recording(count: int, folder: Path) -> Row:
     """Returns the time to read and track a recording with so many depth images, and the memory that it takes."""
-    path, rig = folder / "long.mcap", rig_of(Scenario(images=True))
-    writing = multiprocessing.get_context("spawn").Process(target=_write_recording, args=(count, path))
-    writing.start()
-    writing.join()
+    path, rig = _recorded(count, folder), rig_of(Scenario(images=True))
     tracker, tally = Tracker(rig, model_of(Scenario())), Tally()
     with open_recording(path, rig) as opened:
         _, seconds = cpu(lambda: sum(1 for _ in replay(opened.observations(), tracker, tally)))
@@ -219,6 +228,15 @@ def recording(count: int, folder: Path) -> Row:
         "s": seconds,
         "private MB": memory("RssAnon"),
     }
+
+
+def _recorded(count: int, folder: Path) -> Path:
+    """Returns a recording with so many depth images, which another process has written."""
+    path = folder / "long.mcap"
+    writing = multiprocessing.get_context("spawn").Process(target=_write_recording, args=(count, path))
+    writing.start()
+    writing.join()
+    return path
 
 
 def _write_recording(count: int, path: Path) -> None:
@@ -279,8 +297,8 @@ def cluster(workers: int, folder: Path) -> Row:
             took = time.perf_counter() - begin
             used = sum(scheduler.cpu_times()[:2]) + time.process_time() - used
             if seconds in TASKS:
-                row[f"{seconds:g} s [%]"] = 100 * (took * workers / (seconds * count) - 1)
-                row[f"CPU a chunk [ms], {seconds:g} s"] = 1e3 * used / chunks
+                row[f"{seconds:g} s (%)"] = 100 * (took * workers / (seconds * count) - 1)
+                row[f"CPU a chunk (ms), {seconds:g} s"] = 1e3 * used / chunks
     return row
 
 
@@ -288,6 +306,7 @@ AXES: dict[str, tuple[Callable[..., Row], Sequence[Any], str]] = {
     "contacts": (contacts, CONTACTS, "ms"),
     "triangles": (triangles, SUBDIVISIONS, "s"),
     "library": (library, OBJECTS, "ms"),
+    "reading": (reading, READ, "s"),
     "recording": (recording, RECORDED, "s"),
     "images": (images, IMAGES, "ms"),
     "cluster": (cluster, WORKERS, ""),

@@ -16,12 +16,15 @@ from handsight.objects.library.bop import METRES
 from handsight.vision.object.appearance import drawn_surface
 from handsight.vision.object.region import Scene
 
+Floats = NDArray[np.floating]
+
 
 class ShapeIndexOptions(NamedTuple):
     """`ShapeIndexOptions` say how views are described, and how many objects an image is compared with."""
 
     views: int = 100  # of each object, from directions evenly distributed over the sphere
     pixels: int = 32  # of a view, per diameter
+    view_points: int = 256  # of its pixels, by which it is described
     away: float = 5.0  # of the camera that draws it [diameters]
     hidden: tuple[float, ...] = (0.12, 0.25)  # shares of a view that are hidden from its further descriptors
     occluders: int = (
@@ -102,12 +105,12 @@ class ShapeIndex(Mapping[str, ObjectModel]):
         files = [self._library.file(entry) for entry in entries]
 
         def rows() -> NDArray[np.float16]:
-            found = list[Array]()
+            found = list[Floats]()
             for entry, shape in zip(entries, map(read_shape, files), strict=True):
                 if shape.faces is not None:  # without building the mesh's distance fields
-                    found += described_views(METRES * shape.vertices, shape.faces)
+                    found.append(described_views(METRES * shape.vertices, shape.faces))
                 else:
-                    found += described_views(*drawn_surface(self[entry.name].surface))
+                    found.append(described_views(*drawn_surface(self[entry.name].surface)))
             return np.concatenate(found).astype(np.float16)
 
         name = cache.key(f"views 2 {SHAPE_INDEX}", *(np.fromfile(file, dtype=np.uint8) for file in files))
@@ -115,46 +118,53 @@ class ShapeIndex(Mapping[str, ObjectModel]):
         return numbers.reshape(-1, 4 * len(SHAPE_INDEX.quantiles) + 4)
 
 
-def described_views(vertices: Array, faces: Indices) -> list[Array]:
-    """Returns the descriptors (k, d) of each view of an object with vertices (k, 3) [m] and triangles (m, 3): of the
-    complete one, then of those that are partly hidden."""
+def described_views(vertices: Array, faces: Indices) -> Floats:
+    """Returns the descriptors (k, d) of the views of an object with vertices (k, 3) [m] and triangles (m, 3), of the
+    complete ones and of those that are partly hidden."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     focal, middle = SHAPE_INDEX.pixels * SHAPE_INDEX.away, 0.6 * SHAPE_INDEX.pixels
-    matrix = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1]])
-    camera, found = Camera(matrix, (int(2 * middle), int(2 * middle))), []
-    rng = np.random.default_rng(0)
-    for way in se3.directions(SHAPE_INDEX.views):
+    camera = Camera(np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1]]), (int(2 * middle),) * 2)
+    views = np.empty((SHAPE_INDEX.views, SHAPE_INDEX.view_points, 3), dtype=np.float32)
+    for view, way in zip(views, se3.directions(SHAPE_INDEX.views), strict=True):
         x = se3.perpendicular(way)
         placed = (vertices - (low + high) / 2) @ np.stack([x, np.cross(-way, x), -way]).T
         placed[:, 2] += SHAPE_INDEX.away * np.linalg.norm(high - low)
-        points = camera.points(camera.draw(placed, faces).depth).astype(np.float64)
+        points = camera.points(camera.draw(placed, faces).depth)
         points = points[points[..., 2] > 0]
-        found += [described(points[None]), *(described(part) for part in partly_hidden(points, rng))]
-    return found
+        points = points if len(points) else placed  # thinner than a pixel
+        view[:] = points[np.linspace(0, len(points) - 1, len(view)).astype(int)]
+    found = [
+        described(views),
+        *(described(parts) for parts in partly_hidden(views, np.random.default_rng(0))),
+    ]
+    return np.concatenate([each.reshape(-1, each.shape[-1]) for each in found])
 
 
-def partly_hidden(points: Array, rng: np.random.Generator) -> Iterator[Array]:
-    """Yields for each share of a view's points (n, 3) that is hidden what is left of them (k, m, 3) by drawn occluders:
-    behind straight edges, then beside bars, then around discs."""
-    count, bars = SHAPE_INDEX.occluders, slice(SHAPE_INDEX.occluders // 2, SHAPE_INDEX.occluders * 5 // 6)
+def partly_hidden(views: Floats, rng: np.random.Generator) -> Iterator[Floats]:
+    """Yields for each share that is hidden of views' points (v, n, 3) what is left of them (v, k, m, 3) by drawn
+    occluders: behind straight edges, then beside bars, then around discs."""
+    each, count = np.arange(len(views))[:, None], SHAPE_INDEX.occluders
+    bars = slice(count // 2, count * 5 // 6)
     for share in SHAPE_INDEX.hidden:
-        away = points[:, :2] - points[rng.integers(len(points), size=count), None, :2]
-        angle = rng.uniform(0, 2 * np.pi, (count, 1))
+        middles = views[each, rng.integers(views.shape[1], size=(len(views), count))]
+        away = views[:, None, :, :2] - middles[:, :, None, :2]
+        angle = rng.uniform(0, 2 * np.pi, (*middles.shape[:2], 1)).astype(np.float32)
         hides = np.cos(angle) * away[..., 0] + np.sin(angle) * away[..., 1]
-        hides[bars] = np.abs(hides[bars])
-        hides[bars.stop :] = np.linalg.norm(away[bars.stop :], axis=-1)
-        number = int(share * len(points))
-        yield points[np.argpartition(hides, number, axis=1)[:, number:]]
+        hides[:, bars] = np.abs(hides[:, bars])
+        hides[:, bars.stop :] = np.hypot(away[:, bars.stop :, :, 0], away[:, bars.stop :, :, 1])
+        number = int(share * views.shape[1])
+        yield views[each[..., None], np.argpartition(hides, number, axis=-1)[..., number:]]
 
 
-def described(points: Array) -> Array:
+def described(points: Floats) -> Floats:
     """Returns the descriptor (..., d) [m] of the points (..., n, 3) of a segment in a camera, whatever its turn about
     the ray: quantiles of the coordinates along the principal axes across the mean ray, of the distance from that ray,
     and of the depth along it; then the depth's correlations with these coordinates and with their squares."""
     n, middle = points.shape[-2], points.mean(axis=-2, keepdims=True)
     ray = middle / np.linalg.norm(middle, axis=-1, keepdims=True)
-    depth = ((points - middle) * ray).sum(axis=-1, keepdims=True)
-    across = points - middle - depth * ray
+    away = points - middle
+    depth = away @ ray.swapaxes(-1, -2)
+    across = away - depth * ray
     variances, axes = np.linalg.eigh(across.swapaxes(-1, -2) @ across / n)
     coordinates, sigmas = (
         (across @ axes[..., :0:-1]).swapaxes(-1, -2),
