@@ -27,9 +27,7 @@ class ShapeIndexOptions(NamedTuple):
     view_points: int = 256  # of its pixels, by which it is described
     away: float = 5.0  # of the camera that draws it [diameters]
     hidden: tuple[float, ...] = (0.12, 0.25)  # shares of a view that are hidden from its further descriptors
-    occluders: int = (
-        6  # that hide each share: one half are straight edges, a third are bars, the others discs
-    )
+    occluders: int = 6  # that hide each share: edges, bars and discs as 3 : 2 : 1
     dimensions: int = 10  # of descriptors in the tree, along the principal axes of them all
     quantiles: tuple[float, ...] = (0.02, 0.212, 0.404, 0.596, 0.788, 0.98)
     shortlist: int = 40  # objects that are searched in an image, of a hundred; it grows with the cube root
@@ -92,10 +90,10 @@ class ShapeIndex(Mapping[str, ObjectModel]):
         rows = np.array([described(part) for part in parts]) @ self._axes
         owners = self._tree.query(rows, k=range(1, count + 1))[1] // (self._tree.n // len(names))
         ranked = list[tuple[float, int]]()
-        for part, each in zip(
-            parts, owners, strict=True
-        ):  # what is hidden in the middle may divide an object
-            share = len(part) / len(parts[0])
+        for part, each in zip(parts, owners, strict=True):
+            share = len(part) / len(
+                parts[0]
+            )  # something may divide an object, whose parts say less than both
             ranked += [(k / share, owner) for k, owner in enumerate(dict.fromkeys(each.tolist()), 1)]
         found = list(dict.fromkeys(names[owner] for _, owner in sorted(ranked)))
         return {name: self[name] for name in found[: self.shortlist]}
