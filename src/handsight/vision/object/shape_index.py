@@ -65,7 +65,7 @@ class ShapeIndex(Mapping[str, ObjectModel]):
         rows = [self._described(entries[k : k + SHAPE_INDEX.block]) for k in blocks]
         some = np.concatenate([part[:: SHAPE_INDEX.block] for part in rows]).astype(np.float64)
         self._axes = np.linalg.eigh(np.cov(some.T))[1][:, -SHAPE_INDEX.dimensions :].astype(np.float32)
-        self._tree = cKDTree(np.concatenate([part @ self._axes for part in rows], dtype=np.float64))
+        self._tree = cKDTree(np.concatenate([rows.pop(0) @ self._axes for _ in blocks], dtype=np.float64))
 
     def __len__(self) -> int:
         return len(self._entries)
