@@ -16,6 +16,7 @@ import numpy as np
 from handsight import se3
 from handsight._kernels import records
 from handsight._kernels.solve import batch
+from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Array, Mask
 from handsight.correction import modes
 from handsight.correction.estimate import Conflict
@@ -23,9 +24,10 @@ from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
 
 KINDS = ("vision", "weight", "depth", "skin", "outside")
-POOL, KIND, EACH = 0.5 * modes.MODES.alarm, 0.25 * modes.MODES.alarm / len(KINDS), 0.25 * modes.MODES.alarm
-"""Levels of the test of all evidence together, of that of one kind, and of those of single contacts together: their sum
-over all tests is `MODES.alarm`, so by Bonferroni's inequality at most so many honest answers are called inconsistent.
+POOL, KIND, EACH = ACCEPTANCE.pool, 0.25 * ACCEPTANCE.alarm / len(KINDS), ACCEPTANCE.each
+"""Levels of the test of all evidence together, of that of one kind, and of those of single contacts together: their
+sum over all tests is `ACCEPTANCE.alarm`, so by Bonferroni's inequality at most so many honest answers are called
+inconsistent.
 """
 TESTED = np.empty(0, records.ANSWER)[["chi2", "gain", "prior_gain", "outside_gain", "rows"]].dtype
 """The fields of an ANSWER by which it is tested, as a view of it; one by one they would take three times as long."""
@@ -156,12 +158,12 @@ def _mode(answer: np.void) -> Array:
 def _solved(problem: Problem, used: Mask, T_start: Array) -> tuple[np.void, Array]:
     """Returns the ANSWER of a descent from a pose (4, 4) on the fine field, and the residuals (n, 2) there."""
     rows, residuals = np.zeros(1, dtype=records.PROBLEM), np.empty((used.size, 2))
-    row, contacts = rows[0], problem.sets(used)[0]
-    row["constraints"], row["last"], row["follows"] = problem.constraints[0], len(contacts), True
+    row, contacts, constraints = rows[0], problem.sets(used)[0], problem.constraints.copy()
+    row["follows"] = True
     row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
     if problem.blind:  # of equivalent poses the one nearest to the start is the answer
-        row["constraints"]["prior"]["pose"] = row["start"]
-    batch.correct_all(*problem.model.record[:2], contacts, problem.outside, rows, residuals)
+        constraints["prior"]["pose"] = row["start"]
+    batch.correct_all(*problem.model.record[:2], contacts, constraints, problem.outside, rows, residuals)
     return row["answer"], residuals
 
 

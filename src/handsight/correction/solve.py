@@ -10,7 +10,7 @@ import numpy as np
 from handsight._kernels import records
 from handsight._kernels.runtime.threads import in_parts
 from handsight._kernels.solve import batch, search
-from handsight._kernels.solve.options import SEARCH
+from handsight._kernels.solve.options import ACCEPTANCE, SEARCH
 from handsight._kernels.touch import surface_at_contacts
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
@@ -34,10 +34,28 @@ class SolveOptions(NamedTuple):
 
 
 SOLVE = SolveOptions()
-ACCEPTED = np.empty(0, dtype=records.ANSWER)[
-    ["width", "converged", "cost", "coarse_cost", "chi2", "gain", "rows", "prior_gain", "outside_gain"]
-].dtype
-"""The fields of an ANSWER by which it is accepted, as a view of it."""
+
+
+def solve_usual(
+    model: ObjectModel, contacts: Contacts, vision: PosePrior, mean: int
+) -> tuple[PoseEstimate | None, bool]:
+    """Returns the answer to contacts and vision alone, where one descent is certainly enough; else None, and
+    whether it is certainly not.
+
+    It is `solve_single_start` for the usual call, in little more than the kernel's time: in a program that does other
+    work between two corrections, whatever Python does here is read from memory, which takes as long as the kernel.
+    """
+    record, n = model.record, len(contacts.record)
+    if not record.symmetry_known:
+        return None, False
+    rows, residuals = np.frombuffer(bytearray(BLANK[mean]), dtype=records.PROBLEM), np.empty((n, 2))
+    verdict = batch.correct_all(
+        record.model, record.nodes, contacts.record, vision.record, NO_OUTSIDE, rows, residuals
+    )
+    if verdict == records.ENOUGH:
+        answer = rows[0]["answer"]
+        return PoseEstimate(answer, (answer,), residuals, True), False
+    return None, verdict == records.DOUBTED
 
 
 def solve_single_start(
@@ -49,23 +67,30 @@ def solve_single_start(
     `T_start` (4, 4): a pose that was right a moment ago, at which the descent starts instead, however wide the prior.
     `mean`: that of its ANSWER.
     """
-    model, contacts, vision = problem.model, problem.contacts.record, problem.vision
-    if vision is None or not model.record.symmetry_known:
+    if problem.vision is None or not problem.model.record.symmetry_known:
         return None
-    # These zeros take a fifth of the time of np.zeros.
-    rows = np.frombuffer(bytearray(records.PROBLEM.itemsize), dtype=records.PROBLEM)
-    residuals, row = np.empty((len(contacts), 2)), rows[0]
-    given = vision.record if problem.weight is None and problem.depth is None else problem.constraints
-    row["constraints"], row["last"], row["answer"]["mean"] = given[0], len(contacts), mean
+    alone = problem.weight is None and problem.depth is None
+    given = problem.vision.record if alone else problem.constraints
+    rows = np.frombuffer(bytearray(BLANK[mean]), dtype=records.PROBLEM)
+    residuals, row = np.empty((len(problem.contacts), 2)), rows[0]
     if T_start is not None:
         row["follows"] = True
         row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
-    batch.correct_all(model.record.model, model.record.nodes, contacts, problem.outside, rows, residuals)
-    estimate = _accepted(lambda: problem, row["answer"], residuals, searched=T_start is not None)
-    if estimate is not None and (problem.taxels or problem.depth is not None):
-        used = np.ones((1, len(contacts)), dtype=bool)
-        estimate = estimate if conflicts.judged(problem, row["answer"], used)[0] else None
-    return estimate
+    contacts, outside = problem.contacts.record, problem.outside
+    batch.correct_all(*problem.model.record[:2], contacts, given, outside, rows, residuals)
+    judged = problem.taxels > 0 or problem.depth is not None
+    return _accepted(lambda: problem, row["answer"], residuals, judged=judged)
+
+
+def _blank(mean: int) -> bytes:
+    """Returns the bytes of a PROBLEM of all contacts, whose answer is to be of a kind `mean`."""
+    row = np.zeros(1, dtype=records.PROBLEM)
+    row["answer"]["mean"] = mean
+    return row.tobytes()
+
+
+BLANK = tuple(_blank(mean) for mean in range(3))
+"""The bytes of a PROBLEM by its answer's `mean`: copied, they take a fifth of the time of an array that is filled."""
 
 
 def solve_batch(
@@ -77,51 +102,45 @@ def solve_batch(
     counts = np.array([len(contacts) for contacts, _ in problems])
     contacts = np.concatenate([contacts.record for contacts, _ in problems])
     rows, residuals = np.zeros(len(problems), dtype=records.PROBLEM), np.empty((len(contacts), 2))
-    # CONSTRAINTS are the first field of a PROBLEM; copied as plain numbers they take a hundredth of the time.
-    constraints = np.concatenate([plain(vision.record) for _, vision in problems])
-    plain(rows)[:, : constraints.shape[1]] = constraints
+    # Copied as plain numbers they take a hundredth of the time.
+    constraints = np.concatenate([plain(vision.record) for _, vision in problems]).view(records.CONSTRAINTS)[
+        :, 0
+    ]
     rows["last"], rows["answer"]["mean"] = np.cumsum(counts), kinds
     rows["first"] = rows["last"] - counts
-    given = (*model.record[:2], contacts, NO_OUTSIDE)
-    in_parts(lambda part: batch.correct_all(*given, part, residuals), (rows,), SOLVE.serial // 4)
+    model_, nodes = model.record[:2]
+
+    def work(given: Records, part: Records) -> None:
+        batch.correct_all(model_, nodes, contacts, given, NO_OUTSIDE, part, residuals)
+
+    in_parts(work, (constraints, rows), SOLVE.serial // 4)
     # Copied, so that an estimate does not keep the arrays of all problems in memory.
     return [
         _accepted(
             partial(Problem, model, *pair, NO_OUTSIDE),
             row["answer"].copy(),
             residuals[row["first"] : row["last"]].copy(),
-            searched=False,
         )
         for pair, row in zip(problems, rows, strict=True)
     ]
 
 
 def _accepted(
-    problem: Callable[[], Problem], answer: np.void, residuals: Array, *, searched: bool
+    problem: Callable[[], Problem], answer: np.void, residuals: Array, *, judged: bool = False
 ) -> PoseEstimate | None:
     """Returns the estimate of an ANSWER that one start led to, or None where a search might find a better one.
 
-    `problem` returns the problem, which takes long to build for each of a batch. `searched`: whether a search has led
-    to this mode already; then it is enough that the evidence fits.
+    `problem` returns the problem, which takes long to build for each of a batch. `judged`: whether each kind of its
+    evidence is tested against the rest in any case.
     """
-    # One by one they would take three times as long.
-    width, converged, cost, coarse_cost, chi2, gain, freedom, prior, outside = answer.view(ACCEPTED).item()
-    if not width < SEARCH.single_start_width or not converged:
+    verdict = answer["verdict"]
+    if verdict == records.DOUBTED:
         return None
-    if searched:
-        accepted = modes.fits(cost, freedom)
-    else:
-        accepted = modes.beyond_doubt(cost, coarse_cost, freedom, width / SEARCH.single_start_width)
-        accepted = accepted and modes.unsuspicious(cost, freedom, gain)
-        if width > modes.MODES.weak_width:
-            accepted = accepted and not modes.several_minima(problem().model, freedom, len(residuals))
-    if not accepted:
-        return None
-    if chi2 > conflicts.LEAST and max(gain, prior, outside) > conflicts.LEAST:
+    if judged or verdict == records.UNDECIDED:
         used = np.ones((1, len(residuals)), dtype=bool)
         if not conflicts.judged(problem(), answer, used)[0]:
             return None
-    return PoseEstimate(answer, (answer,), residuals, modes.fits(chi2, freedom, conflicts.POOL))
+    return PoseEstimate(answer, (answer,), residuals, True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +164,7 @@ class Candidates:
         """Whether the descent to the cheapest minimum converged."""
         return bool(self.minima["converged"][0])
 
-    def fits(self, alarm: float = modes.MODES.alarm) -> bool:
+    def fits(self, alarm: float = ACCEPTANCE.alarm) -> bool:
         """Returns whether the cheapest minimum passes the χ² test of level `alarm`."""
         return modes.fits(self.cost, self.freedom, alarm)
 
@@ -318,9 +337,9 @@ def information_by_contact(
     return information, gradient
 
 
-def kernel_call(model: ObjectModel, contacts: Contacts, vision: PosePrior) -> Callable[[], None]:
+def kernel_call(model: ObjectModel, contacts: Contacts, vision: PosePrior) -> Callable[[], object]:
     """Returns a function that runs the two phases of one problem, and nothing else, for benchmarks."""
     rows = np.zeros(1, dtype=records.PROBLEM)
-    rows["constraints"], rows["last"], rows["pose_only"] = vision.record, len(contacts), True
-    given = (*model.record[:2], contacts.record, NO_OUTSIDE)
+    rows["pose_only"] = True
+    given = (*model.record[:2], contacts.record, vision.record, NO_OUTSIDE)
     return partial(batch.correct_all, *given, rows, np.empty((len(contacts), 2)))

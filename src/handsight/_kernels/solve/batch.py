@@ -26,8 +26,16 @@ from handsight._kernels.math.vec3 import Vec3, cross, dot, norm, vector
 from handsight._kernels.posterior.density import information, largest_gain, posterior_cost
 from handsight._kernels.posterior.mean import to_mean
 from handsight._kernels.posterior.uncertainty import summarize
-from handsight._kernels.records import FLAT_DIRECTIONS, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
+from handsight._kernels.records import (
+    DOUBTED,
+    FLAT_DIRECTIONS,
+    PRIOR_TERM,
+    TERM,
+    UNCERTAINTY,
+    WEAK_PRIOR,
+)
 from handsight._kernels.runtime.compilation import entry, inner
+from handsight._kernels.solve.doubt import verdict
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
 from handsight._kernels.solve.options import DESCENT, SEARCH
@@ -89,27 +97,29 @@ def equivalent(model: Any, Ts: Any, T_reference: Any, out: Any) -> None:
 
 
 @entry
-def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: Any, residuals: Any) -> None:
-    """Solves every problem whose prior is narrow enough for one start, at the prior's pose; of the others it fills in
-    the width only.
+def correct_all(
+    model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, problems: Any, residuals: Any
+) -> int:
+    """Solves every problem (K,) whose prior is narrow enough for one start, at the prior's pose; of the others it fills
+    in the width only. Returns the verdict on the last one.
 
     A problem that `follows` begins at its `start` instead, however wide the prior is; of one that is `pose_only` only
-    the pose is computed, for benchmarks. `contacts` (n,) are those of all problems one after another; `residuals`
-    (n, 2) are written: distance [m], angle [rad].
+    the pose is computed, for benchmarks. `contacts` (n,) are those of all problems one after another, `constraints`
+    (K,) those of each; `residuals` (n, 2) are written: distance [m], angle [rad].
     """
-    prior, flat = local(PRIOR_TERM), local(FLAT_DIRECTIONS)
+    prior, flat, found = local(PRIOR_TERM), local(FLAT_DIRECTIONS), DOUBTED
     for k in range(len(problems)):
-        problem, answer = problems[k], problems[k].answer
-        constraints = problem.constraints
+        problem, answer, given = problems[k], problems[k].answer, constraints[k]
         any_width = problem.follows or problem.pose_only
-        answer.width = 0.0 if any_width else prior_width(model[0], constraints.prior)
+        answer.width = 0.0 if any_width else prior_width(model[0], given.prior)
+        answer.verdict = found = DOUBTED
         if not answer.width < SEARCH.single_start_width:
             continue
-        terms = np.empty(problem.last - problem.first, TERM)
-        own = contacts[problem.first : problem.last]
-        center = load_evidence(model[0], own, constraints, terms, prior)
-        evidence = Evidence(model[0], nodes, terms, outside, constraints, prior, center)
-        prior_pose = pose_of(constraints.prior.pose)
+        own = contacts[problem.first : problem.last if problem.last else len(contacts)]
+        terms = np.empty(len(own), TERM)
+        center = load_evidence(model[0], own, given, terms, prior)
+        evidence = Evidence(model[0], nodes, terms, outside, given, prior, center)
+        prior_pose = pose_of(given.prior.pose)
         start = pose_of(problem.start) if problem.follows else prior_pose
         pose = _solve(evidence, start, problem.follows != 0, answer)
         pose = nearest(model[0], pose, prior_pose)
@@ -119,11 +129,14 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
             continue
         answer.first_order, answer.weight = 0, 1.0
         summarize(evidence, pose, answer, flat)
-        to_mean(evidence, problems[k : k + 1].answer, 0, flat, -np.inf)
+        answer.verdict = found = verdict(evidence, problem.follows != 0, answer)
+        if found != DOUBTED:
+            to_mean(evidence, problems[k : k + 1].answer, 0, flat, -np.inf)
         pose = transform_of(answer.T_palm_object)
         for i in range(len(terms)):
             row = residuals[problem.first + i]
             row[0], row[1] = _residual(model[0], nodes, terms[i].contact, pose)
+    return found
 
 
 @entry
