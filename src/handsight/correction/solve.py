@@ -153,6 +153,8 @@ class Candidates:
     """(1, n) whether each contact is in use."""
     freedom: int
     """Degrees of freedom of the χ² at a minimum."""
+    gains: Array
+    """(n,) by how much χ² falls, to first order, when each contact in use is left out, at the cheapest minimum."""
 
     @property
     def cost(self) -> float:
@@ -172,7 +174,8 @@ class Candidates:
         """Returns the minima of both, which must use the same contacts."""
         minima = np.concatenate([plain(self.minima), plain(other.minima)]).view(records.DESCENT)[:, 0]
         minima = taken(minima, np.argsort(minima["cost"], kind="stable"))
-        return Candidates(minima, self.used, self.freedom)
+        gains = self.gains if self.cost <= other.cost else other.gains
+        return Candidates(minima, self.used, self.freedom, gains)
 
 
 def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None = None) -> Candidates:
@@ -182,30 +185,29 @@ def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None =
     those that do not repeat another one go on to the fine field. When the budget is spent, the remaining starts are
     skipped, but never the first ones.
     """
-    model = problem.model
-    work = partial(search.search, *problem.arguments(used))
-    blocks = _searched(work, _blocks(starts, 2 if problem.blind else 1), budget)
-    descents, ends = blocks.reshape(-1), blocks.shape[2]
-    # The indices of the descents that ended at a minimum of their own; of these, the ones of the best set.
-    ended = ends * np.flatnonzero(descents["cost"][::ends] < np.inf)
-    best = descents["set"][ended[descents["cost"][ended].argmin()]]
+    model, arguments, ends = problem.model, problem.arguments(used), 2 if problem.blind else 1
+    descents = _searched(partial(search.search, *arguments), _blocks(starts, ends), budget).reshape(-1)
+    # The indices of the descents that ended at minima of their own, cheapest first; of these, those of the best set.
+    cost = descents["cost"][::ends]
+    ended = np.argsort(cost, kind="stable")[: np.count_nonzero(cost < np.inf)] * ends
+    best = int(descents["set"][ended[0]])
     if len(used) > 1:
         ended = ended[descents["set"][ended] == best]
     if len(ended) > SOLVE.block // 2:
-        order = ended[np.argsort(descents["cost"][ended], kind="stable")]
         most = SOLVE.kept_blind if problem.blind else SOLVE.kept
-        ended = distinct(model, descents, order, most, SEARCH.same_after_coarse)
+        ended = distinct(model, descents, ended, most, SEARCH.same_after_coarse)
     if problem.blind:
         # Along a flat direction every place is a minimum. The kernel has put the most likely one beside each minimum;
         # it comes first, so that the stable sort prefers it among equal costs.
         ended = np.concatenate([ended + 1, ended])
-    minima = taken(descents, ended[np.argsort(descents["cost"][ended], kind="stable")])
-    minima["set"], chosen = 0, used[best : best + 1]
+        ended = ended[np.argsort(descents["cost"][ended], kind="stable")]
+    minima, chosen, contacts = taken(descents, ended), used[best : best + 1], arguments[2][best : best + 1]
+    minima["set"] = 0
     if problem.vision is not None and not model.record.symmetry_known:
         Ts = nearest(model.symmetries, poses_of(minima), problem.vision.T_palm_object, model.radius)
         minima["pose"] = descents_at(Ts)["pose"]
-    batch.weigh(*problem.arguments(chosen), minima)
-    return Candidates(minima, chosen, problem.freedom(chosen))
+    batch.weigh(*arguments[:2], contacts, *arguments[3:], minima)
+    return Candidates(minima, chosen, problem.freedom(chosen), contacts["gain"][0])
 
 
 def _searched(work: Callable[[Records], None], blocks: Records, budget: Budget | None) -> Records:
@@ -252,17 +254,6 @@ def distinct(
     return rows[: batch.distinct(model.record.model, descents, order, np.array(limits), rows)]
 
 
-def gains(problem: Problem, minimum: Records, used: Mask) -> Array:
-    """Returns by how much χ² falls, to first order, when each contact is left out (n,), at a minimum (1,).
-
-    `used` (1, n): the contacts in use; the others have no gain.
-    """
-    arguments, answers = problem.arguments(used), np.zeros(1, dtype=records.ANSWER)
-    answers["pose"], answers["first_order"] = minimum["pose"], True
-    batch.summarize_all(*arguments, answers)
-    return np.where(used[0], arguments[2][0]["gain"], 0.0)
-
-
 def summaries(
     problem: Problem, descents: Records, used: Mask, *, first_order: bool = False, mean: int = 0
 ) -> Records:
@@ -286,10 +277,8 @@ def summarize(problem: Problem, found: Candidates, *, mean: int = 0) -> Records:
     if len(minima) > 1:
         each = distinct(problem.model, minima, order, modes.MODES.max_modes, modes.SAME_MODE)
         if not problem.blind:  # with those beside a mode, as they are parts of its mean
-            likely = order[
-                minima["log_weight"][order] > minima["log_weight"][order[0]] - modes.MODES.unlikely
-            ]
-            beside = distinct(problem.model, minima, likely, modes.MODES.max_minima, modes.SAME_MINIMUM)
+            likely = order[minima["log_weight"][order] > minima["log_weight"][order[0]] - SEARCH.unlikely]
+            beside = distinct(problem.model, minima, likely, modes.MODES.max_minima, SEARCH.same_minimum)
             among = np.zeros(len(minima), dtype=bool)
             among[each] = among[beside] = True
             each = order[among[order]]

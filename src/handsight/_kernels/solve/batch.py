@@ -38,7 +38,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.doubt import verdict
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
-from handsight._kernels.solve.options import DESCENT, SEARCH
+from handsight._kernels.solve.options import DESCENT, MATCH, SEARCH
 
 LIMITS = DESCENT.coarse, DESCENT.fine
 
@@ -61,7 +61,7 @@ def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
     costs, steps and convergence."""
     model, steps = evidence.model, 0
     if not follows:
-        pose, steps = match(evidence, pose)
+        pose, steps, _ = match(evidence, pose, MATCH.max_steps)
     cost, converged = 0.0, False
     for phase in range(1 if follows else 0, 2):
         answer.coarse_cost = cost
@@ -141,7 +141,8 @@ def correct_all(
 
 @entry
 def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, descents: Any) -> None:
-    """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, their cost, and the largest gain of a contact.
+    """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, their cost, and the largest gain of a contact;
+    the contacts' gains at the first minimum are written too.
 
     The first set of contacts is used. Σ is over the directions that are known better than by the prior or, without
     vision, better than the object's own size. With a prior the poses are replaced by their equivalents nearest to it.
@@ -167,6 +168,8 @@ def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any,
             volume -= 0.5 * np.log(max(u.values[i], floor))
         descent.log_weight, descent.posterior_cost = volume - cost / 2, cost
         descent.gain = largest_gain(evidence, u)
+        for i in range(len(terms) if k == 0 else 0):
+            contacts[0, i].gain = terms[i].contact.gain
 
 
 @entry
