@@ -37,7 +37,6 @@ from handsight.simulation import Scenario, model_of, rig_of, simulate
 from handsight.tracking import Tracker
 from handsight.tracking.replay import Tally, replay
 from handsight.vision import ShapeIndex, locate
-from handsight.vision.object import shape_index
 from handsight.vision.object.region import scene_of
 from testbed import many_scenes, report, sight_scenes
 
@@ -46,9 +45,13 @@ CONTACTS = (100, 300, 1000, 3000, 10_000, 20_000)
 SUBDIVISIONS = (5, 6, 7, 8, 9)
 """20 480, 81 920, 327 680, 1 310 720 and 5 242 880 triangles."""
 OBJECTS = (100, 1000, 2600, 10_000)
+OCCLUDERS, HIDDEN = ("edge", "bar", "disc"), 0.2
+"""What hides a part of an object, and what share of it: beyond a straight edge, along a bar, in a disc."""
 IMAGES = ((320, 240), (640, 480), (1280, 960), (1920, 1440), (3840, 2160))
 RECORDED = (150, 500, 1500)
 """Depth images of a recording, 0.6 MB each before compression, and 17 joint states for each."""
+READ = (250, 1000, 4000)
+"""The same, of one that is read and not tracked."""
 WORKERS = (4, 8)
 TASKS = {0.01: 2400, 0.1: 400, 1.0: 48}
 """Number of lines by their duration [s]."""
@@ -69,27 +72,34 @@ def memory(field: str = "VmHWM") -> float:
 
 def contacts(count: int, folder: Path) -> Row:
     """Returns the time of a correction by so many contacts on a bumpy ball of 5 120 triangles, 2 % of them wrong."""
-    model, took, off = hs.ObjectModel.from_mesh(*bumpy(4)), [], []
-    for k in range(6):
-        rng = np.random.default_rng([count, k])
-        scene = many_scenes.many_scene(model, rng, many_scenes.ManyOptions(contacts=count, wrong=0.02))
+    options = many_scenes.ManyOptions(contacts=count, wrong=0.02)
+    return {"contacts": count, **corrected(hs.ObjectModel.from_mesh(*bumpy(4)), options, 6)}
+
+
+def corrected(model: hs.ObjectModel, options: many_scenes.ManyOptions, times: int) -> Row:
+    """Returns the median time of corrections of drawn poses, but for the first, and their median error."""
+    took, off = [], []
+    for k in range(times):
+        scene = many_scenes.many_scene(model, np.random.default_rng([options.contacts, k]), options)
         estimate, seconds = cpu(
             lambda scene=scene: hs.correct_pose(model, scene.contacts, vision=scene.vision)
         )
         took.append(seconds)
         off.append(np.linalg.norm(estimate.T_palm_object[:3, 3] - scene.T_palm_object[:3, 3]))
-    return {"contacts": count, "ms": 1e3 * float(np.median(took[1:])), "mm": 1e3 * float(np.median(off))}
+    return {"ms": 1e3 * float(np.median(took[1:])), "mm": 1e3 * float(np.median(off))}
 
 
 def triangles(subdivisions: int, folder: Path) -> Row:
-    """Returns the time to build an object from a mesh in a file, and to load it again."""
+    """Returns the time to build an object from a mesh in a file, to load it again, and of a correction by five
+    contacts on it."""
     path, count = folder / f"{subdivisions}.ply", 20 * 4**subdivisions
     building = multiprocessing.get_context("spawn").Process(target=_write_mesh, args=(subdivisions, path))
     building.start()  # what draws the mesh takes more memory than what reads it
     building.join()
     hs.ObjectModel.from_mesh(*bumpy(2))  # kernels loaded
-    build, load = (cpu(lambda: hs.ObjectModel.from_file(path))[1] for _ in range(2))
-    return {"triangles": count, "s": build, "load_s": load}
+    (model, build), (_, load) = (cpu(lambda: hs.ObjectModel.from_file(path)) for _ in range(2))
+    row = {"triangles": count, "s": build, "load_s": load}
+    return row | corrected(model, many_scenes.ManyOptions(contacts=5), 21)
 
 
 def _write_mesh(subdivisions: int, path: Path) -> None:
@@ -122,7 +132,7 @@ def shape(number: int) -> tuple[np.ndarray, np.ndarray]:
 
 def library(count: int, folder: Path) -> Row:
     """Returns the time of an index of so many objects, of a question to it, and how often the object that is there is
-    among the forty that it names, also where a part is hidden."""
+    among those that it names: where all of it is visible, and where something hides a fifth."""
     place, infos = folder / "models", {}
     place.mkdir()
     for k in range(count):
@@ -132,21 +142,19 @@ def library(count: int, folder: Path) -> Row:
     (place / "models_info.json").write_text(json.dumps(infos), encoding="utf-8")
     _, build = cpu(lambda: ShapeIndex(Library(folder)))
     index, load = cpu(lambda: ShapeIndex(Library(folder)))
-    row = {"objects": count, "build_s": build, "load_s": load}
+    row = {"objects": count, "build_s": build, "load_s": load, "named": index.shortlist}
     names, camera, asked, named = list(index), sight_scenes.WIDE, [], list[str]()
     index.__class__ = _Names  # models are not loaded: only the names are judged
-    for hidden in (0.0, 0.2):
-        ranks = []
+    for occluder in ("none", *OCCLUDERS):
+        right = []
         for j in range(100):
             rng = np.random.default_rng([j, 5])
             k = int(rng.integers(count))
-            depth = pictured(*shape(k), camera, hidden, rng)
-            scene = scene_of(camera, depth)
+            scene = scene_of(camera, pictured(*shape(k), camera, occluder, rng))
             named, seconds = cpu(lambda scene=scene: list(index.nearest(scene)))
             asked.append(seconds)
-            ranks.append(named.index(names[k]) if names[k] in named else 99)
-        row |= {f"first, {hidden:.0%} hidden": float(np.mean(np.array(ranks) == 0))}
-        row |= {f"of {shape_index.SHAPE_INDEX.shortlist}, {hidden:.0%}": float(np.mean(np.array(ranks) < 99))}
+            right.append(names[k] in named)
+        row[occluder] = float(np.mean(right))
     return {**row, "ms": 1e3 * float(np.median(asked))}
 
 
@@ -158,19 +166,20 @@ class _Names(ShapeIndex):
 
 
 def pictured(
-    vertices: np.ndarray, faces: np.ndarray, camera: Camera, hidden: float, rng: np.random.Generator
+    vertices: np.ndarray, faces: np.ndarray, camera: Camera, occluder: str, rng: np.random.Generator
 ) -> np.ndarray:
-    """Returns the noisy depth image of an object alone at 0.5 to 1 m, turned at random, of which a share is hidden by
-    a straight edge."""
+    """Returns the noisy depth image of an object alone at 0.5 to 1 m, turned at random; an occluder hides `HIDDEN`."""
     T = se3.random(rng, 1)[0]
     T[:3, 3] = [0.05, 0.02, rng.uniform(0.5, 1.0)]
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     depth = camera.draw(se3.apply(T, vertices - middle), faces).depth
     depth = np.where(np.isfinite(depth), depth, np.float32(0))
-    points, angle = camera.points(depth), rng.uniform(0, 2 * np.pi)
-    along = points[..., 0] * np.cos(angle) + points[..., 1] * np.sin(angle)
-    if hidden:
-        depth[~(along > np.nanquantile(along, hidden))] = 0
+    points, angle = camera.points(depth)[..., :2], rng.uniform(0, 2 * np.pi)
+    if occluder != "none":
+        away = points - points[depth > 0][rng.integers((depth > 0).sum())]
+        along = away @ [np.cos(angle), np.sin(angle)]
+        hides = {"edge": along, "bar": np.abs(along), "disc": np.linalg.norm(away, axis=-1)}[occluder]
+        depth[~(hides > np.nanquantile(hides, HIDDEN))] = 0
     return sight_scenes.noisy(depth, rng)
 
 
@@ -195,12 +204,19 @@ def images(size: tuple[int, int], folder: Path) -> Row:
     }
 
 
+def reading(count: int, folder: Path) -> Row:
+    """Returns the time to read a recording with so many depth images as observations, and the memory that it takes."""
+    path, rig = _recorded(count, folder), rig_of(Scenario(images=True))
+    with open_recording(path, rig) as opened:
+        number, seconds = cpu(lambda: sum(1 for _ in opened.observations()))
+    size = path.stat().st_size / 1e6
+    row = {"images": count, "MB": size, "observations": number, "s": seconds, "MB/s": size / seconds}
+    return row | {"private MB": memory("RssAnon")}
+
+
 def recording(count: int, folder: Path) -> Row:
     """Returns the time to read and track a recording with so many depth images, and the memory that it takes."""
-    path, rig = folder / "long.mcap", rig_of(Scenario(images=True))
-    writing = multiprocessing.get_context("spawn").Process(target=_write_recording, args=(count, path))
-    writing.start()
-    writing.join()
+    path, rig = _recorded(count, folder), rig_of(Scenario(images=True))
     tracker, tally = Tracker(rig, model_of(Scenario())), Tally()
     with open_recording(path, rig) as opened:
         _, seconds = cpu(lambda: sum(1 for _ in replay(opened.observations(), tracker, tally)))
@@ -212,6 +228,15 @@ def recording(count: int, folder: Path) -> Row:
         "s": seconds,
         "private MB": memory("RssAnon"),
     }
+
+
+def _recorded(count: int, folder: Path) -> Path:
+    """Returns a recording with so many depth images, which another process has written."""
+    path = folder / "long.mcap"
+    writing = multiprocessing.get_context("spawn").Process(target=_write_recording, args=(count, path))
+    writing.start()
+    writing.join()
+    return path
 
 
 def _write_recording(count: int, path: Path) -> None:
@@ -272,8 +297,8 @@ def cluster(workers: int, folder: Path) -> Row:
             took = time.perf_counter() - begin
             used = sum(scheduler.cpu_times()[:2]) + time.process_time() - used
             if seconds in TASKS:
-                row[f"{seconds:g} s [%]"] = 100 * (took * workers / (seconds * count) - 1)
-                row[f"CPU a chunk [ms], {seconds:g} s"] = 1e3 * used / chunks
+                row[f"{seconds:g} s (%)"] = 100 * (took * workers / (seconds * count) - 1)
+                row[f"CPU a chunk (ms), {seconds:g} s"] = 1e3 * used / chunks
     return row
 
 
@@ -281,6 +306,7 @@ AXES: dict[str, tuple[Callable[..., Row], Sequence[Any], str]] = {
     "contacts": (contacts, CONTACTS, "ms"),
     "triangles": (triangles, SUBDIVISIONS, "s"),
     "library": (library, OBJECTS, "ms"),
+    "reading": (reading, READ, "s"),
     "recording": (recording, RECORDED, "s"),
     "images": (images, IMAGES, "ms"),
     "cluster": (cluster, WORKERS, ""),
