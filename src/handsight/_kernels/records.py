@@ -255,7 +255,7 @@ FLAT_DIRECTIONS = record(
     ("proper", "i8"),  # whether the prior bounds every direction; without vision it may not
     ("bump_margin", "f8"),  # by how much bumps of a scanned model may lower the cost of contacts and walls
     ("level", "f8"),  # the cost below which lattice points therefore count as equal
-    ("hopeless", "f8"),  # the cost above which a point is given up
+    ("most_cost", "f8"),  # above which a point is given up
 )
 # Sums over points: of weights, relative to the largest, times deviations (δp, δθ) and their products.
 SUMS = record(

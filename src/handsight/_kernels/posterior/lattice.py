@@ -78,7 +78,7 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
         for a in range(count):
             fall += u.values[a] * u.column[a]
             point.lateral[a] -= u.column[a]
-        if flat.count > 1 or fall < INTEGRATION.large_fall or cost - fall > flat.hopeless:
+        if flat.count > 1 or fall < INTEGRATION.large_fall or cost - fall > flat.most_cost:
             cost -= fall
             break
     for i in range(len(evidence.terms)):

@@ -192,7 +192,7 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
         for n in range(count, at, -1):
             order[n] = order[n - 1]
         order[at], count, best = count, count + 1, max(best, point.log_weight)
-        flat.hopeless = points[0].cost + 2 * (points[0].log_weight - best + INTEGRATION.hopeless)
+        flat.most_cost = points[0].cost + 2 * (points[0].log_weight - best + INTEGRATION.given_up)
         if point.log_weight > best - 0.5 * INTEGRATION.max_cost:
             cover(flat, others, u)
         first, last = points[order[0]], points[order[count - 1]]
@@ -341,7 +341,7 @@ def _integrate_mode(evidence: Evidence, mode: Pose, cost: float, others: Any, fl
     flat.bump_margin = INTEGRATION.bump_sigmas * cost_deviation(evidence, mode)
     flat.level = cost - evidence_cost(evidence, PRIOR | FIXED_NOISE, mode) + flat.bump_margin
     points = np.empty(INTEGRATION.max_points[min(flat.count, 2) - 1], LATTICE_POINT)
-    one, cell, flat.hopeless = flat.count == 1, 0.0, np.inf
+    one, cell, flat.most_cost = flat.count == 1, 0.0, np.inf
     if not one:
         measure(near, mode, flat, cost + flat.bump_margin)
     for _ in range(INTEGRATION.max_lattices):

@@ -41,7 +41,7 @@ class IntegrationOptions(NamedTuple):
     """A place is beyond it where the logarithm, by the cost alone, is this much below that of the point before."""
     halvings: int = 6
     """How often the gap is halved in which a wall is."""
-    hopeless: float = 30.0
+    given_up: float = 30.0
     """Where it is this much below the largest, the other coordinates stay as they are."""
     max_fall: float = 5.0
     """A line ends where the logarithm of the density is this much below the largest."""
