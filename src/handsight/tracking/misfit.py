@@ -28,7 +28,6 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri, fdtri
 
 from handsight import se3
 from handsight.checks import Array
@@ -66,8 +65,9 @@ class MisfitOptions(NamedTuple):
 
 
 MISFIT = MisfitOptions()
-COVERAGE = float(6 * fdtri(6, MISFIT.noise_freedom, 0.95) / chdtri(6, 0.05))
-"""Coverage factor of a covariance: k F(k, ν) / χ²(k) of 95 % quantiles, for the k = 6 numbers of a pose."""
+COVERAGE = 6 * 6.163132282688632 / chi2_limit(6, 0.05)
+"""Coverage factor of a covariance: k F(k, ν) / χ²(k) of 95 % quantiles, for the k = 6 numbers of a pose and ν =
+`MISFIT.noise_freedom`. Loading SciPy for F(6, 4) would take a fifth of a second."""
 OTHER_OBJECT = "this may be another object than the model"
 FINGER_OR_OBJECT = "a finger is calibrated badly, or this is another object"
 TOUCH, OBJECT = "touch", "object"
