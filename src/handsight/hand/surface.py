@@ -29,9 +29,9 @@ class ShapeKind(IntEnum):
 
 
 BOX_FACES = np.array(
-    [[1, 3, 0], [4, 1, 0], [0, 3, 2], [2, 4, 0], [1, 7, 3], [5, 1, 4]]
-    + [[5, 7, 1], [3, 7, 2], [6, 4, 2], [2, 7, 6], [6, 5, 4], [7, 5, 6]]
-)
+    [(1, 3, 0), (4, 1, 0), (0, 3, 2), (2, 4, 0), (1, 7, 3), (5, 1, 4),
+     (5, 7, 1), (3, 7, 2), (6, 4, 2), (2, 7, 6), (6, 5, 4), (7, 5, 6)]
+)  # fmt: skip
 """The triangles of a box, outward; corner k is on the upper side of x, y and z where the bits of k are one."""
 
 
