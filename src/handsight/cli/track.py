@@ -1,15 +1,21 @@
 """`handsight track`: an object tracked through a recording, with results in files and a report on stderr."""
 
 import contextlib
+import hashlib
 import json
 import math
+import pickle
 import re
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
+from importlib.metadata import version
+from itertools import islice, takewhile
+from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Option
@@ -21,12 +27,19 @@ from handsight.errors import HandsightError, MissingExtra, printable
 from handsight.files import text_file, write_errors
 
 if TYPE_CHECKING:
-    from handsight.evaluation import TrackErrors, Truths
+    from handsight.checks import Array
+    from handsight.evaluation import ErrorMeans, Truths
     from handsight.forces import ObjectWeight, Slip
     from handsight.objects import ObjectModel
+    from handsight.observation import Observation
     from handsight.tracking import Tracker
-    from handsight.tracking.replay import Step, Tally
+    from handsight.tracking.replay import Step, Tally, Thinned
     from handsight.tracking.verdicts import Diagnosis
+
+CHECKPOINT_PERIOD = 10.0
+"""Between two checkpoints, from which tracking goes on after an interruption [s]; one takes a tenth of a second."""
+COMPARED = 1000
+"""Steps that are compared with the truth at once."""
 
 
 def track(
@@ -74,15 +87,16 @@ def track(
     handsight track session.mcap --rig robot.yaml --object can --diagnose
     ```
 
-    After an error or Ctrl-C, the track until then is written. The exit code is 0 only if the recording was tracked to
-    its end and there is at least one pose.
+    After an error or Ctrl-C, the track until then is written. The same command then goes on from there, also after the
+    process was killed, with the same results as without the interruption; remove `track.part` to start again. The exit
+    code is 0 only if the recording was tracked to its end and there is at least one pose.
     """
     settings = tracker_settings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
     run = Run.of(recording, rig, object, settings, alternative or ())
     output_folder = renamed(output_folder, former_output, ("--output-folder", "--output"))
     folder = output_folder or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
     with live_rows(recording.name, progress) as watch:
-        result = tracked(run, watch)
+        result = tracked(run, watch, folder)
     wrote = list[str]()
     try:
         # Before anything is printed, so that Ctrl-C while printing does not cost the results.
@@ -123,31 +137,65 @@ def grip(slip: "Slip") -> str:
     return f"slips: {used}" if slip.slipping else used
 
 
-def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> "TrackResult":
+def sealed(run: Run) -> str:
+    """Returns a text that changes with the recording, rig, object, settings and version of a run."""
+    from handsight._kernels.runtime.kernel_cache import STAMP
+
+    parts = sorted(run.recording.iterdir()) if run.recording.is_dir() else [run.recording]
+    files = [(str(path.absolute()), path.stat().st_size, path.stat().st_mtime_ns) for path in parts]
+    run_hash = hashlib.sha256(pickle.dumps((run.rig, run.model, run.settings, run.alternatives)))
+    return f"{files} {run_hash.hexdigest()} {version('handsight')} {STAMP}"
+
+
+def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]", folder: Path) -> "TrackResult":
     """Returns the result of tracking a recording; `watch` is called with every step.
 
-    After an error or Ctrl-C, the result has the steps until then. A HandsightError before the first step is raised.
+    The steps' poses are the rows of the log in the folder (`handsight.recording.track_log`), and tracking goes on from
+    its checkpoint, if it has one. After an error or Ctrl-C, the result has the steps until then. A HandsightError before
+    the first step is raised.
     """
-    from handsight.evaluation import Truths, track_errors
+    from handsight.recording import TrackRow
+    from handsight.recording.track_log import TrackLog
     from handsight.tracking.diagnosis import Diagnoser
     from handsight.tracking.replay import Tally, replay
 
-    with run.opened() as (recording, tracker):
-        result = TrackResult(printable(run.recording.name), Tally(), Truths([]))
-        diagnoser = Diagnoser(tracker)
+    with run.opened() as (recording, tracker), TrackLog(folder, sealed(run), recording) as log:
+        observations = recording.observations()
+        state = log.restored()
+        if state is not None:
+            observations = recording.remaining()
+            say(f"{folder / 'track.part'}: goes on after {state[2].poses} poses, where it had ended early")
+        state = state or (tracker, Diagnoser(tracker), TrackResult(printable(run.recording.name), Tally()))
+        tracker, diagnoser, result = state
+
+        def kept() -> "Iterator[Observation]":
+            """Yields the observations; between two of them, all is in `state` and can be saved."""
+            saved = time.monotonic()
+            for observation in observations:
+                yield observation
+                if time.monotonic() - saved >= CHECKPOINT_PERIOD:
+                    log.save(state)
+                    saved = time.monotonic()
+
         with result.part() as end:
-            for step in replay(recording.observations(), tracker, result.tally):
+            for step in replay(kept(), tracker, result.tally):
                 diagnoser.watch()
-                result.steps.append(step.summary())
+                e = step.estimate
+                row = TrackRow(
+                    step.stamp, e.T_palm_object, e.covariance, step.state, step.reason, e.information
+                )
+                log.append(row)
+                result.add(step.summary(), run.model, recording.truth)
                 result.weight = tracker.weight or result.weight
                 watch(result.tally, step, tracker)
         # Ctrl-C may have come between counting an answer and storing it.
         tally = result.tally
-        tally.answered = len(result.steps)
-        if isinstance(end.error, HandsightError) and not result.steps:
+        tally.answered = result.poses
+        if isinstance(end.error, HandsightError) and not tally.answered:
             raise end.error
         result.messages = [*recording.report.sentences(), *recording.lacks()]
-        result.truths = Truths(recording.truth)
+        with result.part():
+            result.compare(run.model, recording.truth, ended=True)
     result.images, result.corrections, result.faults = (
         tracker.images,
         tracker.corrections,
@@ -156,35 +204,25 @@ def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> "Track
     result.margins, result.reason = tracker.link_margins, tracker.reason
     result.diagnosis = diagnoser.diagnosis()
     result.latency, result.latency_declared = tracker.vision_latency(), tracker.vision.camera.latency
-    if not result.steps and not tally.observations:
+    if not result.poses and not tally.observations:
         result.reason = "the recording has no observation"
-    elif not result.steps and tally.refused.total() == tally.observations:
+    elif not result.poses and tally.refused.total() == tally.observations:
         result.reason = "all observations were left out"
-    elif not result.steps and (unplaced := tracker.vision.unplaced):
+    elif not result.poses and (unplaced := tracker.vision.unplaced):
         why = "as the palm's pose in the world was not known"
         result.reason = f"{unplaced} poses of vision could not be placed, {why}"
     result.untouched = {
         name: dict(tally.without.get(name, {})) for name in run.rig.fingers if name not in tally.touched
     }
-    with result.part():
-        for name, vision in (("vision", True), ("tracked", False)):
-            errors = track_errors(run.model, result.steps, result.truths, vision=vision)
-            if len(errors):
-                result.errors[name] = errors
     return result
 
 
 def write(result: "TrackResult", run: Run, folder: Path) -> Iterator[str]:
-    """Writes the results to a folder and yields sentences about it; failures are added to `result.ends`."""
-    from handsight.recording import TrackRow, write_track_csv, write_track_mcap, write_track_tum
+    """Writes the results to the folder of `tracked` and yields sentences about it; failures are added to `result.ends`.
+    The log is removed, unless the same command should go on from it."""
+    from handsight.recording import write_track_csv, write_track_mcap, write_track_tum
+    from handsight.recording.track_log import logged_rows, remove_log
 
-    with write_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    rows = [
-        TrackRow(s.stamp, e.T_palm_object, e.covariance, s.state, s.reason, e.information)
-        for s in result.steps
-        for e in [s.estimate]
-    ]
     files: dict[str, Callable[..., None]] = {
         "track.mcap": partial(write_track_mcap, frame=run.rig.frames["palm"]),
         "track.tum": write_track_tum,
@@ -193,14 +231,15 @@ def write(result: "TrackResult", run: Run, folder: Path) -> Iterator[str]:
     done = []
     for name, write_file in files.items():
         with result.part():
-            write_file(folder / name, rows)
+            write_file(folder / name, islice(logged_rows(folder), result.poses))
             done.append(name)
     with result.part(), text_file(folder / "summary.json") as file:
         text = json.dumps(result.summary(), indent=1, ensure_ascii=False, allow_nan=False)
         file.write(text + "\n")
         done.append("summary.json")
     yield f"wrote {folder}: {', '.join(done)}"
-    if not rows:
+    remove_log(folder, resumable=bool(result.ends))
+    if not result.poses:
         yield "no picture: there is no pose"
         return
     with result.part():
@@ -218,6 +257,20 @@ def draw(result: "TrackResult", model: "ObjectModel", path: Path) -> str:
     return f"wrote {path}"
 
 
+def thinned() -> "dict[bool, Thinned[Any]]":
+    """Returns the steps that a picture shows, none yet."""
+    from handsight.tracking.replay import Thinned
+
+    return {False: Thinned(2000), True: Thinned(2000)}
+
+
+def error_means() -> "dict[str, ErrorMeans]":
+    """Returns the mean errors of vision and of the track, none yet."""
+    from handsight.evaluation import ErrorMeans
+
+    return {"vision": ErrorMeans(), "tracked": ErrorMeans()}
+
+
 @dataclass(slots=True)
 class TrackResult:
     """A `TrackResult` is the result of tracking a recording."""
@@ -225,15 +278,31 @@ class TrackResult:
     name: str
     """Name of the recording."""
     tally: "Tally"
-    truths: "Truths"
-    steps: "list[Step]" = field(default_factory=list)
+    poses: int = 0
+    """How many steps were added."""
+    began: float = math.nan
+    """Stamp of the first of them [s]."""
+    kept: "dict[bool, Thinned[tuple[int, tuple[Step, Array | None]]]]" = field(default_factory=thinned)
+    """Numbered steps with their true poses; by whether vision measured a pose."""
+    waiting: "list[Step]" = field(default_factory=list)
+    """The last steps, whose truth may still be read."""
+    means: "dict[str, ErrorMeans]" = field(default_factory=error_means)
+    touching: Counter[str] = field(default_factory=Counter)
+    """By finger, in how many steps it touches, and in how many of those its contact is an outlier (`outliers`)."""
+    outliers: Counter[str] = field(default_factory=Counter)
+    pressed: int = 0
+    """In how many steps a tactile array is pressed."""
+    unmeasured: set[str] = field(default_factory=set)
+    """Fingers that touched without a measured force."""
+    slipped: dict[float, float] = field(default_factory=dict)
+    """The duration of each slip by its begin [s]."""
+    friction: float | None = None
+    """The coefficient of friction between object and fingertips as estimated at the end."""
     messages: list[str] = field(default_factory=list)
     """Sentences about what is wrong with the recording."""
     corrections: int = 0
     reason: str = ""
     """The reason for the tracker's last state, or why there is no pose."""
-    errors: "dict[str, TrackErrors]" = field(default_factory=dict)
-    """Errors of "vision" and "tracked" against the truth, if the recording has it."""
     untouched: dict[str, dict[str, int]] = field(default_factory=dict)
     """For each finger that never touched anything: the number of observations without a contact, by reason."""
     margins: dict[str, float] = field(default_factory=dict)
@@ -256,7 +325,63 @@ class TrackResult:
     @property
     def exit_code(self) -> int:
         """Returns the command's exit code: that of the first part that ended early, or of a result without a pose."""
-        return next((end.exit_code for end in self.ends), 0 if self.steps else FAILED)
+        return next((end.exit_code for end in self.ends), 0 if self.poses else FAILED)
+
+    def add(self, step: "Step", model: "ObjectModel", truth: "list[tuple[float, Array]]") -> None:
+        """Adds the next step; `truth`: as for `compare`."""
+        if not self.poses:
+            self.began = step.stamp
+        self.poses += 1
+        self.friction, self.pressed = step.slip.friction, self.pressed + step.pressed
+        if step.slip.slipping:
+            self.slipped[step.slip.began] = step.stamp - step.slip.began
+        self.touching.update(step.fingers)
+        self.outliers.update(step.rejected)
+        self.unmeasured.update(step.slip.unmeasured)
+        self.waiting.append(step)
+        if len(self.waiting) % COMPARED == 0:
+            self.compare(model, truth)
+
+    def compare(
+        self, model: "ObjectModel", truth: "list[tuple[float, Array]]", *, ended: bool = False
+    ) -> None:
+        """Adds the errors of the steps whose truth was read, and removes from `truth`, which are stamps [s] and true
+        poses, those that no later step needs."""
+        from handsight.evaluation import Truths, track_errors
+
+        steps, truths = self.waiting, Truths(truth)
+        if truth and not ended and len(steps) < 2 * COMPARED:
+            steps = [*takewhile(lambda step: step.stamp < truth[-1][0] - 0.05, steps)]
+        self.waiting = self.waiting[len(steps) :]
+        for name, means in self.means.items():
+            means.add(track_errors(model, steps, truths, vision=name == "vision"))
+        for k, step in enumerate(steps, self.poses - len(self.waiting) - len(steps)):
+            with_truth = k, (step, truths.at(step.stamp))
+            self.kept[step.T_palm_object_vision is not None].append(with_truth)
+        oldest = min((step.stamp for step in (*steps[-1:], *self.waiting)), default=math.inf)
+        truth[:] = [row for row in truth if row[0] > oldest - 1.0]
+
+    @property
+    def shown(self) -> "list[tuple[Step, Array | None]]":
+        """Returns the steps in the picture, and their true poses."""
+        return [pair for _, pair in sorted((*self.kept[False], *self.kept[True]), key=itemgetter(0))]
+
+    @property
+    def steps(self) -> "list[Step]":
+        """Returns the steps in the picture: all, or some thousands of a long track."""
+        return [step for step, _ in self.shown]
+
+    @property
+    def truths(self) -> "Truths":
+        """Returns the true poses at these steps."""
+        from handsight.evaluation import Truths
+
+        return Truths((step.stamp, T) for step, T in self.shown if T is not None)
+
+    @property
+    def errors(self) -> "dict[str, ErrorMeans]":
+        """Returns the errors of "vision" and "tracked" against the truth, if the recording has it."""
+        return {name: means for name, means in self.means.items() if means.count}
 
     @contextlib.contextmanager
     def part(self) -> Iterator[End]:
@@ -267,25 +392,9 @@ class TrackResult:
             self.ends.append(end)
 
     @property
-    def friction(self) -> float | None:
-        """Returns the coefficient of friction between object and fingertips as estimated at the end."""
-        return self.steps[-1].slip.friction if self.steps else None
-
-    @property
-    def slips(self) -> list[tuple[float, float]]:
-        """Returns the stamp and the duration of each slip [s]."""
-        found: dict[float, float] = {}
-        for step in self.steps:
-            if step.slip.slipping:
-                found[step.slip.began] = step.stamp - step.slip.began
-        return list(found.items())
-
-    @property
     def rejected(self) -> dict[str, float]:
         """Returns, by finger, the share of the poses with its contact in which the contact was an outlier."""
-        touching = Counter(finger for step in self.steps for finger in step.fingers)
-        wrong = Counter(finger for step in self.steps for finger in step.rejected)
-        return {finger: wrong[finger] / count for finger, count in touching.items()}
+        return {finger: self.outliers[finger] / count for finger, count in self.touching.items()}
 
     def summary(self) -> dict[str, object]:
         """Returns the result in numbers, ready for JSON."""
@@ -320,8 +429,10 @@ class TrackResult:
             },
             "recording_says": self.messages,
             "friction": self.friction,
-            "poses_with_skin": sum(step.pressed for step in self.steps),
-            "slips": [{"began": began, "seconds": round(seconds, 3)} for began, seconds in self.slips],
+            "poses_with_skin": self.pressed,
+            "slips": [
+                {"began": began, "seconds": round(seconds, 3)} for began, seconds in self.slipped.items()
+            ],
             "errors_mm_deg": {name: errors.summary() for name, errors in self.errors.items()},
         }
 
@@ -382,17 +493,17 @@ class TrackResult:
                     f"finger {finger}: contradicts the others in {100 * part:.0f} % of the poses while it touched; "
                     "check its topic, reading, bias, sensor.pose and surface; `handsight rig check` tries them"
                 )
-        if pressed := sum(step.pressed for step in self.steps):
-            yield f"tactile arrays: pressed in {pressed} of {len(self.steps)} poses"
-        if unmeasured := sorted({name for step in self.steps for name in step.slip.unmeasured}):
-            yield f"no evidence of slips, as no force is measured there: {', '.join(unmeasured)}"
+        if self.pressed:
+            yield f"tactile arrays: pressed in {self.pressed} of {self.poses} poses"
+        if self.unmeasured:
+            yield f"no evidence of slips, as no force is measured there: {', '.join(sorted(self.unmeasured))}"
         for name, faults in self.faults.items():
             yield f"skin {name}: {faults}"
-        if slips := self.slips:
-            first = slips[0][0] - self.steps[0].stamp
-            times = "once" if len(slips) == 1 else f"{len(slips)} times"
+        if self.slipped:
+            first = next(iter(self.slipped)) - self.began
+            times = "once" if len(self.slipped) == 1 else f"{len(self.slipped)} times"
             yield (
-                f"the object slipped {times}, {sum(seconds for _, seconds in slips):.2f} s in all, first at "
+                f"the object slipped {times}, {sum(self.slipped.values()):.2f} s in all, first at "
                 f"{first:.2f} s; friction {self.friction:.2f}"
             )
 

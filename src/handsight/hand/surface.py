@@ -194,7 +194,9 @@ def _shape_triangles(model: "MjModel", g: int) -> Array:
     angle, above = np.concatenate([below, -below[::-1]]), np.repeat([-half, half], 17)
     if kind == ShapeKind.CAPSULE:
         return turned(radius * np.cos(angle), radius * np.sin(angle) + above, 64)
-    return turned(np.cos(angle), np.sin(angle), 64) * (size if kind == ShapeKind.ELLIPSOID else radius)
+    return np.asarray(
+        turned(np.cos(angle), np.sin(angle), 64) * (size if kind == ShapeKind.ELLIPSOID else radius)
+    )
 
 
 def turned(radii: Array, heights: Array, segments: int) -> Array:

@@ -10,9 +10,11 @@ import os
 import sys
 from abc import ABC, abstractmethod
 from bisect import bisect_left
+from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, BinaryIO, ClassVar, NamedTuple, TypeVar
 from zlib import crc32
 
 from handsight.errors import InvalidFile
@@ -70,6 +72,8 @@ class Source(ABC):
         """Whether each message is compressed on its own, with zstd."""
         self.damage: dict[int, str] = {}
         """Sentences about what could not be read, by the position of its first byte."""
+        self.place: Any = None
+        """Where the next message is, as a value that can be pickled; None: at the beginning."""
 
     def define(self, key: object, topic: str, kind: str, encoding: str, definition: str = "") -> None:
         """Adds the channel with that key in the file, its type as ROS 1 or ROS 2 writes it."""
@@ -80,7 +84,7 @@ class Source(ABC):
         self.channels[key] = topic, self.topics[topic], encoding
 
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """Yields the messages on the wanted topics in order of log time; each call starts at the beginning."""
+        """Yields the messages on the wanted topics in order of log time, from `place` on; after the last, from the beginning again."""
         for raw in self.stored(wanted):
             if raw.type in self.definitions:
                 raw = raw._replace(definition=self.definitions[raw.type])
@@ -89,6 +93,7 @@ class Source(ABC):
                 data, _ = unpacked(raw.data, "zstd", min(CHUNKS.max_unpacked, most))
                 raw = raw._replace(data=data)
             yield raw
+        self.place = None
 
     @abstractmethod
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
@@ -140,14 +145,18 @@ class ChunkedSource(Source):
 
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """Yields the messages in order of log time, unless overlapping chunks hold more than `max_waiting_bytes`."""
-        self._budget, waiting = Budget(len(self.data)), list[RawMessage]()
-        for chunk in (*sorted(self._chunks, key=lambda chunk: chunk.start), None):
+        self.place = self.place or _Place(Budget(len(self.data)))
+        self._budget, waiting, ready = self.place.budget, self.place.waiting, self.place.ready
+        for chunk in (*sorted(self._chunks, key=lambda chunk: chunk.start), None)[self.place.chunk :]:
             # Messages from before the next chunk's start are complete; if memory is full, all are yielded.
             size = sum(len(raw.data) + CHUNKS.message_overhead for raw in waiting)
             stop = math.inf if chunk is None or size > CHUNKS.max_waiting_bytes else seconds(chunk.start)
             count = bisect_left(waiting, stop, key=lambda raw: raw.log_time)
-            yield from waiting[:count]
+            ready.extend(waiting[:count])
             del waiting[:count]
+            while ready:
+                yield ready.popleft()
+            self.place.chunk += 1
             if chunk is not None:
                 # The sort is stable: for equal times, messages of the earlier chunk stay first.
                 waiting += self._read(wanted, chunk)
@@ -195,6 +204,16 @@ class Budget:
                 return
             self.records -= 1
             yield each
+
+
+@dataclass(slots=True)
+class _Place:
+    """A `_Place` is where the next message of a chunked file is: among those that wait, then in the next chunks."""
+
+    budget: Budget
+    chunk: int = 0
+    waiting: list[RawMessage] = field(default_factory=list)
+    ready: deque[RawMessage] = field(default_factory=deque)
 
 
 def seconds(nanoseconds: int) -> float:

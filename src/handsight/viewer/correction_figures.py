@@ -43,7 +43,7 @@ def require_matplotlib() -> ModuleType:
         raise MissingExtra("plotting needs matplotlib: pip install 'handsight[plot]'") from None
     matplotlib.use("Agg")
     # It writes a page of documentation for each of its classes when it loads, which takes a third of that time.
-    documented, artist.kwdoc = artist.kwdoc, lambda _: ""
+    documented, artist.kwdoc = artist.kwdoc, lambda artist: ""
     try:
         return import_module("matplotlib.pyplot")
     finally:
