@@ -1,8 +1,7 @@
 """Errors of estimated poses against the true ones, up to the object's symmetries."""
 
-import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,32 +27,16 @@ class TrackErrors:
     def __len__(self) -> int:
         return len(self.base)
 
-
-@dataclass(slots=True)
-class ErrorMeans:
-    """`ErrorMeans` are means of errors that come in parts."""
-
-    count: int = 0
-    sums: Array = field(default_factory=lambda: np.zeros(3))
-    """(3,) of the errors of base, middle [m] and rotation [rad]."""
-    last: Array = field(default_factory=lambda: np.zeros(3))
-
-    def add(self, errors: TrackErrors) -> None:
-        """Adds the errors of later poses."""
-        if len(errors):
-            columns = np.stack([errors.base, errors.middle, errors.rotation])
-            self.count, self.sums, self.last = (
-                self.count + len(errors),
-                self.sums + columns.sum(axis=1),
-                columns[:, -1],
-            )
-
     def summary(self) -> dict[str, float]:
         """Returns the means and the last values [mm, degrees], and the number of errors, which must be at least one."""
-        (base, middle, turn), last = self.sums / self.count, self.last
-        mm = {"base_mean": base, "base_last": last[0], "middle_mean": middle, "middle_last": last[1]}
-        found = {name: 1e3 * float(value) for name, value in mm.items()}
-        return found | {"rotation_mean": math.degrees(turn), "count": self.count}
+        return {
+            "base_mean": 1e3 * float(self.base.mean()),
+            "base_last": 1e3 * float(self.base[-1]),
+            "middle_mean": 1e3 * float(self.middle.mean()),
+            "middle_last": 1e3 * float(self.middle[-1]),
+            "rotation_mean": float(np.rad2deg(self.rotation.mean())),
+            "count": len(self),
+        }
 
 
 def pose_errors(model: ObjectModel, Ts: Array, Ts_true: Array, Ts_world_palm: Array) -> TrackErrors:

@@ -22,8 +22,7 @@ def test_a_good_recording_has_nothing_to_say(grasp, tmp_path):
     )
     ended, _ = track(path, rig, tmp_path / "out")
     assert ended.messages == []
-    last = {name: means.summary()["base_last"] for name, means in ended.errors.items()}
-    assert last["tracked"] < 4 < 30 < last["vision"]
+    assert ended.errors["tracked"].base[-1] < 0.004 < 0.03 < ended.errors["vision"].base[-1]
     assert len(ended.steps) == len(samples)
 
 

@@ -21,15 +21,15 @@ def steps():
 
 
 def result_of(steps):
-    result = TrackResult("pulled", Tally())
+    result = TrackResult("pulled", Tally(), [])
     for step in steps:
-        result.add(step, None, [])
+        result.add(step)
     return result
 
 
 def test_slips_are_counted_and_said():
     run = result_of(steps())
-    assert run.slipped == {1000.3: pytest.approx(0.3, abs=1e-6), 1000.9: pytest.approx(0.0, abs=1e-6)}
+    assert run.slips == {1000.3: pytest.approx(0.3, abs=1e-6), 1000.9: pytest.approx(0.0, abs=1e-6)}
     assert "the object slipped 2 times, 0.30 s in all, first at 0.30 s; friction 0.81" in run.sentences()
     once = result_of(steps()[:9])
     assert any(sentence.startswith("the object slipped once, 0.30 s") for sentence in once.sentences())
@@ -40,9 +40,9 @@ def test_slips_are_counted_and_said():
 
 def test_where_nothing_slipped_nothing_is_said():
     run = result_of(steps()[:3])
-    assert not run.slipped
+    assert not run.slips
     assert not any("slip" in sentence for sentence in run.sentences())
-    assert TrackResult("nothing", Tally()).friction is None
+    assert TrackResult("nothing", Tally(), []).friction is None
 
 
 def test_the_grip_is_said_while_it_goes_on():

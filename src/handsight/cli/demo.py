@@ -194,7 +194,8 @@ def replayed(name: str, plot: Path) -> "tuple[TrackResult, str]":
     rig = Rig.from_file(DATA / f"{name}.rig.yaml")
     run = Run(DATA / f"{name}.mcap", rig, rig.objects[name].model(), TrackerSettings(outside=500))
     with live_rows(f"{name}.mcap", progress) as watch, TemporaryDirectory() as folder:
-        result = tracked(run, watch, Path(folder))
+        result, log = tracked(run, watch, Path(folder))
+        log.close(resumable=False)
     for end in result.ends:
         if end.message:
             say(end.message)

@@ -12,10 +12,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import version
-from itertools import islice, takewhile
-from operator import itemgetter
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Option
@@ -24,22 +23,22 @@ from handsight.cli import options
 from handsight.cli.options import Run, renamed, tracker_settings
 from handsight.cli.terminal import FAILED, End, kept_going, live_rows, plain_table, print_out, say
 from handsight.errors import HandsightError, MissingExtra, printable
-from handsight.files import text_file, write_errors
+from handsight.files import text_file
 
 if TYPE_CHECKING:
-    from handsight.checks import Array
-    from handsight.evaluation import ErrorMeans, Truths
+    from handsight.evaluation import TrackErrors, Truths
     from handsight.forces import ObjectWeight, Slip
     from handsight.objects import ObjectModel
     from handsight.observation import Observation
+    from handsight.recording.track_log import TrackLog
     from handsight.tracking import Tracker
-    from handsight.tracking.replay import Step, Tally, Thinned
+    from handsight.tracking.replay import Step, Tally
     from handsight.tracking.verdicts import Diagnosis
 
 CHECKPOINT_PERIOD = 10.0
-"""Between two checkpoints, from which tracking goes on after an interruption [s]; one takes a tenth of a second."""
-COMPARED = 1000
-"""Steps that are compared with the truth at once."""
+"""Between two checkpoints, from which tracking goes on after it has ended early [s]."""
+MAX_STEPS = 4000
+"""Steps that are kept in memory; of more, every second one is left out."""
 
 
 def track(
@@ -87,21 +86,22 @@ def track(
     handsight track session.mcap --rig robot.yaml --object can --diagnose
     ```
 
-    After an error or Ctrl-C, the track until then is written. The same command then goes on from there, also after the
-    process was killed, with the same results as without the interruption; remove `track.part` to start again. The exit
-    code is 0 only if the recording was tracked to its end and there is at least one pose.
+    After an error or Ctrl-C, the track until then is written, and the same command goes on from there, as it does after
+    the process was killed; without `track.part` in the folder it starts again. The exit code is 0 only if the recording
+    was tracked to its end and there is at least one pose.
     """
     settings = tracker_settings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
     run = Run.of(recording, rig, object, settings, alternative or ())
     output_folder = renamed(output_folder, former_output, ("--output-folder", "--output"))
     folder = output_folder or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
     with live_rows(recording.name, progress) as watch:
-        result = tracked(run, watch, folder)
+        result, log = tracked(run, watch, folder)
     wrote = list[str]()
     try:
         # Before anything is printed, so that Ctrl-C while printing does not cost the results.
-        wrote.extend(write(result, run, folder))
+        wrote.extend(write(result, run, folder, log))
     finally:
+        log.close(resumable=bool(result.ends))
         for sentence in (*result.messages, *result.sentences(), *wrote):
             say(sentence)
         if diagnose and result.diagnosis is not None:
@@ -137,65 +137,61 @@ def grip(slip: "Slip") -> str:
     return f"slips: {used}" if slip.slipping else used
 
 
-def sealed(run: Run) -> str:
-    """Returns a text that changes with the recording, rig, object, settings and version of a run."""
-    from handsight._kernels.runtime.kernel_cache import STAMP
+def tracked(
+    run: Run, watch: "Callable[[Tally, Step, Tracker], None]", folder: Path
+) -> "tuple[TrackResult, TrackLog]":
+    """Returns the result of tracking a recording, and its rows; `watch` is called with every step.
 
-    parts = sorted(run.recording.iterdir()) if run.recording.is_dir() else [run.recording]
-    files = [(str(path.absolute()), path.stat().st_size, path.stat().st_mtime_ns) for path in parts]
-    run_hash = hashlib.sha256(pickle.dumps((run.rig, run.model, run.settings, run.alternatives)))
-    return f"{files} {run_hash.hexdigest()} {version('handsight')} {STAMP}"
-
-
-def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]", folder: Path) -> "TrackResult":
-    """Returns the result of tracking a recording; `watch` is called with every step.
-
-    The steps' poses are the rows of the log in the folder (`handsight.recording.track_log`), and tracking goes on from
-    its checkpoint, if it has one. After an error or Ctrl-C, the result has the steps until then. A HandsightError before
-    the first step is raised.
+    It goes on from the checkpoint in the folder, if there is one. After an error or Ctrl-C, the result has the steps
+    until then. A HandsightError before the first step is raised.
     """
+    from handsight._kernels.runtime.kernel_cache import STAMP
+    from handsight.evaluation import Truths, track_errors
     from handsight.recording import TrackRow
     from handsight.recording.track_log import TrackLog
     from handsight.tracking.diagnosis import Diagnoser
     from handsight.tracking.replay import Tally, replay
 
-    with run.opened() as (recording, tracker), TrackLog(folder, sealed(run), recording) as log:
-        observations = recording.observations()
-        state = log.restored()
-        if state is not None:
-            observations = recording.remaining()
-            say(f"{folder / 'track.part'}: goes on after {state[2].poses} poses, where it had ended early")
-        state = state or (tracker, Diagnoser(tracker), TrackResult(printable(run.recording.name), Tally()))
-        tracker, diagnoser, result = state
+    with run.opened() as (recording, tracker):
+        files = [(file.path, file.path.stat().st_mtime_ns) for file in recording.report.files]
+        log = TrackLog(
+            folder, f"{version('handsight')} {STAMP} {hashlib.sha256(pickle.dumps((run, files))).hexdigest()}"
+        )
+        new = (
+            None,
+            tracker,
+            Diagnoser(tracker),
+            TrackResult(printable(run.recording.name), Tally(), Truths([])),
+        )
+        place, tracker, diagnoser, result = log.state or new
+        if place is not None:
+            say(f"{log.folder}: goes on after {result.poses} poses, where it had ended early")
 
-        def kept() -> "Iterator[Observation]":
-            """Yields the observations; between two of them, all is in `state` and can be saved."""
+        def logged() -> "Iterator[Observation]":
+            """Yields the observations, between two of which the state is saved from time to time."""
             saved = time.monotonic()
-            for observation in observations:
+            for observation in recording.observations(place):
                 yield observation
                 if time.monotonic() - saved >= CHECKPOINT_PERIOD:
-                    log.save(state)
+                    log.save((recording.place, tracker, diagnoser, result))
                     saved = time.monotonic()
 
         with result.part() as end:
-            for step in replay(kept(), tracker, result.tally):
+            for step in replay(logged(), tracker, result.tally):
                 diagnoser.watch()
-                e = step.estimate
-                row = TrackRow(
-                    step.stamp, e.T_palm_object, e.covariance, step.state, step.reason, e.information
-                )
-                log.append(row)
-                result.add(step.summary(), run.model, recording.truth)
+                T, S, information = (e := step.estimate).T_palm_object, e.covariance, e.information
+                log.append(TrackRow(step.stamp, T, S, step.state, step.reason, information))
+                result.add(step.summary())
                 result.weight = tracker.weight or result.weight
                 watch(result.tally, step, tracker)
         # Ctrl-C may have come between counting an answer and storing it.
         tally = result.tally
         tally.answered = result.poses
         if isinstance(end.error, HandsightError) and not tally.answered:
+            log.close(resumable=False)
             raise end.error
         result.messages = [*recording.report.sentences(), *recording.lacks()]
-        with result.part():
-            result.compare(run.model, recording.truth, ended=True)
+        result.truths = Truths(recording.truth)
     result.images, result.corrections, result.faults = (
         tracker.images,
         tracker.corrections,
@@ -204,24 +200,27 @@ def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]", folder: P
     result.margins, result.reason = tracker.link_margins, tracker.reason
     result.diagnosis = diagnoser.diagnosis()
     result.latency, result.latency_declared = tracker.vision_latency(), tracker.vision.camera.latency
-    if not result.poses and not tally.observations:
+    if not tally.answered and not tally.observations:
         result.reason = "the recording has no observation"
-    elif not result.poses and tally.refused.total() == tally.observations:
+    elif not tally.answered and tally.refused.total() == tally.observations:
         result.reason = "all observations were left out"
-    elif not result.poses and (unplaced := tracker.vision.unplaced):
+    elif not tally.answered and (unplaced := tracker.vision.unplaced):
         why = "as the palm's pose in the world was not known"
         result.reason = f"{unplaced} poses of vision could not be placed, {why}"
     result.untouched = {
         name: dict(tally.without.get(name, {})) for name in run.rig.fingers if name not in tally.touched
     }
-    return result
+    with result.part():
+        for name, vision in (("vision", True), ("tracked", False)):
+            errors = track_errors(run.model, result.steps, result.truths, vision=vision)
+            if len(errors):
+                result.errors[name] = errors
+    return result, log
 
 
-def write(result: "TrackResult", run: Run, folder: Path) -> Iterator[str]:
-    """Writes the results to the folder of `tracked` and yields sentences about it; failures are added to `result.ends`.
-    The log is removed, unless the same command should go on from it."""
+def write(result: "TrackResult", run: Run, folder: Path, log: "TrackLog") -> Iterator[str]:
+    """Writes the results to a folder and yields sentences about it; failures are added to `result.ends`."""
     from handsight.recording import write_track_csv, write_track_mcap, write_track_tum
-    from handsight.recording.track_log import logged_rows, remove_log
 
     files: dict[str, Callable[..., None]] = {
         "track.mcap": partial(write_track_mcap, frame=run.rig.frames["palm"]),
@@ -231,14 +230,13 @@ def write(result: "TrackResult", run: Run, folder: Path) -> Iterator[str]:
     done = []
     for name, write_file in files.items():
         with result.part():
-            write_file(folder / name, islice(logged_rows(folder), result.poses))
+            write_file(folder / name, islice(log.rows(), result.poses))
             done.append(name)
     with result.part(), text_file(folder / "summary.json") as file:
         text = json.dumps(result.summary(), indent=1, ensure_ascii=False, allow_nan=False)
         file.write(text + "\n")
         done.append("summary.json")
     yield f"wrote {folder}: {', '.join(done)}"
-    remove_log(folder, resumable=bool(result.ends))
     if not result.poses:
         yield "no picture: there is no pose"
         return
@@ -257,20 +255,6 @@ def draw(result: "TrackResult", model: "ObjectModel", path: Path) -> str:
     return f"wrote {path}"
 
 
-def thinned() -> "dict[bool, Thinned[Any]]":
-    """Returns the steps that a picture shows, none yet."""
-    from handsight.tracking.replay import Thinned
-
-    return {False: Thinned(2000), True: Thinned(2000)}
-
-
-def error_means() -> "dict[str, ErrorMeans]":
-    """Returns the mean errors of vision and of the track, none yet."""
-    from handsight.evaluation import ErrorMeans
-
-    return {"vision": ErrorMeans(), "tracked": ErrorMeans()}
-
-
 @dataclass(slots=True)
 class TrackResult:
     """A `TrackResult` is the result of tracking a recording."""
@@ -278,23 +262,20 @@ class TrackResult:
     name: str
     """Name of the recording."""
     tally: "Tally"
+    truths: "Truths"
+    steps: "list[Step]" = field(default_factory=list)
+    """The first step, and each `every`-th after it: less than `MAX_STEPS` for the picture and the errors."""
+    every: int = 1
     poses: int = 0
-    """How many steps were added."""
-    began: float = math.nan
-    """Stamp of the first of them [s]."""
-    kept: "dict[bool, Thinned[tuple[int, tuple[Step, Array | None]]]]" = field(default_factory=thinned)
-    """Numbered steps with their true poses; by whether vision measured a pose."""
-    waiting: "list[Step]" = field(default_factory=list)
-    """The last steps, whose truth may still be read."""
-    means: "dict[str, ErrorMeans]" = field(default_factory=error_means)
+    """The number of all steps."""
     touching: Counter[str] = field(default_factory=Counter)
-    """By finger, in how many steps it touches, and in how many of those its contact is an outlier (`outliers`)."""
     outliers: Counter[str] = field(default_factory=Counter)
+    """By finger, the number of steps in which it touches, and in which its contact is an outlier."""
     pressed: int = 0
-    """In how many steps a tactile array is pressed."""
+    """The number of steps in which a tactile array is pressed."""
     unmeasured: set[str] = field(default_factory=set)
-    """Fingers that touched without a measured force."""
-    slipped: dict[float, float] = field(default_factory=dict)
+    """The fingers whose force was not measured while they touched."""
+    slips: dict[float, float] = field(default_factory=dict)
     """The duration of each slip by its begin [s]."""
     friction: float | None = None
     """The coefficient of friction between object and fingertips as estimated at the end."""
@@ -303,6 +284,8 @@ class TrackResult:
     corrections: int = 0
     reason: str = ""
     """The reason for the tracker's last state, or why there is no pose."""
+    errors: "dict[str, TrackErrors]" = field(default_factory=dict)
+    """Errors of "vision" and "tracked" against the truth, if the recording has it."""
     untouched: dict[str, dict[str, int]] = field(default_factory=dict)
     """For each finger that never touched anything: the number of observations without a contact, by reason."""
     margins: dict[str, float] = field(default_factory=dict)
@@ -327,61 +310,21 @@ class TrackResult:
         """Returns the command's exit code: that of the first part that ended early, or of a result without a pose."""
         return next((end.exit_code for end in self.ends), 0 if self.poses else FAILED)
 
-    def add(self, step: "Step", model: "ObjectModel", truth: "list[tuple[float, Array]]") -> None:
-        """Adds the next step; `truth`: as for `compare`."""
-        if not self.poses:
-            self.began = step.stamp
-        self.poses += 1
-        self.friction, self.pressed = step.slip.friction, self.pressed + step.pressed
-        if step.slip.slipping:
-            self.slipped[step.slip.began] = step.stamp - step.slip.began
+    def add(self, step: "Step") -> None:
+        """Adds a step."""
+        if self.poses % self.every == 0:
+            self.steps.append(step)
+        if len(self.steps) == MAX_STEPS:
+            del self.steps[1::2]
+            self.every *= 2
         self.touching.update(step.fingers)
         self.outliers.update(step.rejected)
         self.unmeasured.update(step.slip.unmeasured)
-        self.waiting.append(step)
-        if len(self.waiting) % COMPARED == 0:
-            self.compare(model, truth)
-
-    def compare(
-        self, model: "ObjectModel", truth: "list[tuple[float, Array]]", *, ended: bool = False
-    ) -> None:
-        """Adds the errors of the steps whose truth was read, and removes from `truth`, which are stamps [s] and true
-        poses, those that no later step needs."""
-        from handsight.evaluation import Truths, track_errors
-
-        steps, truths = self.waiting, Truths(truth)
-        if truth and not ended and len(steps) < 2 * COMPARED:
-            steps = [*takewhile(lambda step: step.stamp < truth[-1][0] - 0.05, steps)]
-        self.waiting = self.waiting[len(steps) :]
-        for name, means in self.means.items():
-            means.add(track_errors(model, steps, truths, vision=name == "vision"))
-        for k, step in enumerate(steps, self.poses - len(self.waiting) - len(steps)):
-            with_truth = k, (step, truths.at(step.stamp))
-            self.kept[step.T_palm_object_vision is not None].append(with_truth)
-        oldest = min((step.stamp for step in (*steps[-1:], *self.waiting)), default=math.inf)
-        truth[:] = [row for row in truth if row[0] > oldest - 1.0]
-
-    @property
-    def shown(self) -> "list[tuple[Step, Array | None]]":
-        """Returns the steps in the picture, and their true poses."""
-        return [pair for _, pair in sorted((*self.kept[False], *self.kept[True]), key=itemgetter(0))]
-
-    @property
-    def steps(self) -> "list[Step]":
-        """Returns the steps in the picture: all, or some thousands of a long track."""
-        return [step for step, _ in self.shown]
-
-    @property
-    def truths(self) -> "Truths":
-        """Returns the true poses at these steps."""
-        from handsight.evaluation import Truths
-
-        return Truths((step.stamp, T) for step, T in self.shown if T is not None)
-
-    @property
-    def errors(self) -> "dict[str, ErrorMeans]":
-        """Returns the errors of "vision" and "tracked" against the truth, if the recording has it."""
-        return {name: means for name, means in self.means.items() if means.count}
+        if step.slip.slipping:
+            self.slips[step.slip.began] = step.stamp - step.slip.began
+        self.poses += 1
+        self.pressed += step.pressed
+        self.friction = step.slip.friction
 
     @contextlib.contextmanager
     def part(self) -> Iterator[End]:
@@ -430,9 +373,7 @@ class TrackResult:
             "recording_says": self.messages,
             "friction": self.friction,
             "poses_with_skin": self.pressed,
-            "slips": [
-                {"began": began, "seconds": round(seconds, 3)} for began, seconds in self.slipped.items()
-            ],
+            "slips": [{"began": began, "seconds": round(s, 3)} for began, s in self.slips.items()],
             "errors_mm_deg": {name: errors.summary() for name, errors in self.errors.items()},
         }
 
@@ -499,11 +440,11 @@ class TrackResult:
             yield f"no evidence of slips, as no force is measured there: {', '.join(sorted(self.unmeasured))}"
         for name, faults in self.faults.items():
             yield f"skin {name}: {faults}"
-        if self.slipped:
-            first = next(iter(self.slipped)) - self.began
-            times = "once" if len(self.slipped) == 1 else f"{len(self.slipped)} times"
+        if slips := self.slips:
+            first = next(iter(slips)) - self.steps[0].stamp
+            times = "once" if len(slips) == 1 else f"{len(slips)} times"
             yield (
-                f"the object slipped {times}, {sum(self.slipped.values()):.2f} s in all, first at "
+                f"the object slipped {times}, {sum(slips.values()):.2f} s in all, first at "
                 f"{first:.2f} s; friction {self.friction:.2f}"
             )
 

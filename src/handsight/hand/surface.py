@@ -28,13 +28,6 @@ class ShapeKind(IntEnum):
     MESH = 7
 
 
-BOX_FACES = np.array(
-    [(1, 3, 0), (4, 1, 0), (0, 3, 2), (2, 4, 0), (1, 7, 3), (5, 1, 4),
-     (5, 7, 1), (3, 7, 2), (6, 4, 2), (2, 7, 6), (6, 5, 4), (7, 5, 6)]
-)  # fmt: skip
-"""The triangles of a box, outward; corner k is on the upper side of x, y and z where the bits of k are one."""
-
-
 class LinkMesh(NamedTuple):
     """A `LinkMesh` is the surface of one link."""
 
@@ -184,8 +177,9 @@ def _shape_triangles(model: "MjModel", g: int) -> Array:
         volume = np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
         return np.asarray(corners if volume > 0 else corners[:, ::-1])
     if kind == ShapeKind.BOX:
-        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-        return np.asarray((corners * size)[BOX_FACES])
+        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * size
+        faces = "130 410 032 240 173 514 571 372 642 276 654 756"
+        return np.asarray(corners[[[int(k) for k in face] for face in faces.split()]])
     radius, half, _ = size
     if kind == ShapeKind.CYLINDER:
         return turned(np.array([0, radius, radius, 0]), half * np.array([-1, -1, 1, 1]), 32)
@@ -194,9 +188,8 @@ def _shape_triangles(model: "MjModel", g: int) -> Array:
     angle, above = np.concatenate([below, -below[::-1]]), np.repeat([-half, half], 17)
     if kind == ShapeKind.CAPSULE:
         return turned(radius * np.cos(angle), radius * np.sin(angle) + above, 64)
-    return np.asarray(
-        turned(np.cos(angle), np.sin(angle), 64) * (size if kind == ShapeKind.ELLIPSOID else radius)
-    )
+    radii = size if kind == ShapeKind.ELLIPSOID else radius
+    return np.asarray(turned(np.cos(angle), np.sin(angle), 64) * radii)
 
 
 def turned(radii: Array, heights: Array, segments: int) -> Array:
@@ -208,7 +201,5 @@ def turned(radii: Array, heights: Array, segments: int) -> Array:
     next_low = np.roll(low, -1, axis=0)
     a, b, c, d = low[:, :-1], next_low[:, :-1], low[:, 1:], next_low[:, 1:]
     triangles = np.stack([a, b, c, c, b, d], axis=2).reshape(-1, 3, 3)
-    areas = np.linalg.norm(
-        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
-    )
+    areas = np.linalg.norm(np.cross(*(triangles[:, k] - triangles[:, 0] for k in (1, 2))), axis=1)
     return np.asarray(triangles[areas > 1e-9 * areas.max()])  # at the poles, each second one is a line

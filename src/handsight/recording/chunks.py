@@ -12,7 +12,6 @@ from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, ClassVar, NamedTuple, TypeVar
 from zlib import crc32
@@ -75,6 +74,10 @@ class Source(ABC):
         self.place: Any = None
         """Where the next message is, as a value that can be pickled; None: at the beginning."""
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A pickled place in a recording has the paths of its files."""
+        return Path, (str(self.path),)
+
     def define(self, key: object, topic: str, kind: str, encoding: str, definition: str = "") -> None:
         """Adds the channel with that key in the file, its type as ROS 1 or ROS 2 writes it."""
         package, _, rest = kind.partition("/")
@@ -84,7 +87,7 @@ class Source(ABC):
         self.channels[key] = topic, self.topics[topic], encoding
 
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """Yields the messages on the wanted topics in order of log time, from `place` on; after the last, from the beginning again."""
+        """Yields the messages on the wanted topics in order of log time, from `place` on."""
         for raw in self.stored(wanted):
             if raw.type in self.definitions:
                 raw = raw._replace(definition=self.definitions[raw.type])
@@ -145,9 +148,9 @@ class ChunkedSource(Source):
 
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """Yields the messages in order of log time, unless overlapping chunks hold more than `max_waiting_bytes`."""
-        self.place = self.place or _Place(Budget(len(self.data)))
-        self._budget, waiting, ready = self.place.budget, self.place.waiting, self.place.ready
-        for chunk in (*sorted(self._chunks, key=lambda chunk: chunk.start), None)[self.place.chunk :]:
+        self.place = self.place or [0, Budget(len(self.data)), list[RawMessage](), deque[RawMessage]()]
+        begin, self._budget, waiting, ready = self.place
+        for chunk in (*sorted(self._chunks, key=lambda chunk: chunk.start), None)[begin:]:
             # Messages from before the next chunk's start are complete; if memory is full, all are yielded.
             size = sum(len(raw.data) + CHUNKS.message_overhead for raw in waiting)
             stop = math.inf if chunk is None or size > CHUNKS.max_waiting_bytes else seconds(chunk.start)
@@ -156,7 +159,7 @@ class ChunkedSource(Source):
             del waiting[:count]
             while ready:
                 yield ready.popleft()
-            self.place.chunk += 1
+            self.place[0] += 1
             if chunk is not None:
                 # The sort is stable: for equal times, messages of the earlier chunk stay first.
                 waiting += self._read(wanted, chunk)
@@ -204,16 +207,6 @@ class Budget:
                 return
             self.records -= 1
             yield each
-
-
-@dataclass(slots=True)
-class _Place:
-    """A `_Place` is where the next message of a chunked file is: among those that wait, then in the next chunks."""
-
-    budget: Budget
-    chunk: int = 0
-    waiting: list[RawMessage] = field(default_factory=list)
-    ready: deque[RawMessage] = field(default_factory=deque)
 
 
 def seconds(nanoseconds: int) -> float:

@@ -103,33 +103,21 @@ class Recording(AbstractContextManager["Recording"]):
 
     @property
     def place(self) -> tuple[Any, ...]:
-        """All that the next observations depend on, between two of them; once it is set, `remaining` goes on there."""
-        return (
-            self._at,
-            self._ready,
-            self._stream,
-            self.report,
-            [(file.place, file.damage) for file in self._files],
-        )
+        """Returns all that the next observations depend on, between two of them."""
+        return self._at, self._ready, self._stream, self.report, [(f.place, f.damage) for f in self._files]
 
-    @place.setter
-    def place(self, place: tuple[Any, ...]) -> None:
-        self._at, self._ready, self._stream, self.report, places = place
-        self.truth = self._stream.truth
-        for file, (where, damage) in zip(self._files, places, strict=True):
-            file.place, file.damage = where, damage
-
-    def observations(self) -> Iterator[Observation]:
-        """Yields the observations in order of stamp, one for each joint state message.
+    def observations(self, place: tuple[Any, ...] | None = None) -> Iterator[Observation]:
+        """Yields the observations in order of stamp, one for each joint state message; those after `place`, if given.
 
         The file is read as the iterator advances, in bounded memory. Each call starts at the beginning, with a new
         `report` and `truth`. Raises InvalidFile at the end if there were no joint states.
         """
         self._begin()
-        return self.remaining()
-
-    def remaining(self) -> Iterator[Observation]:
-        """Yields the observations as `observations` does, but from `place` on."""
+        if place is not None:
+            self._at, self._ready, self._stream, self.report, places = place
+            self.truth, self.report.files = self._stream.truth, self._files
+            for file, known in zip(self._files, places, strict=True):
+                file.place, file.damage = known
         while self._at <= len(self._files):
             ended = self._at == len(self._files)
             messages = () if ended else self._files[self._at].messages(self._stream.topics)

@@ -247,10 +247,8 @@ def contradicted(estimate: PoseEstimate, fingers: int) -> tuple[bool, bool]:
 
 
 def chi2_probability(chi2: float, n: int) -> float:
-    """Returns the probability that the χ² of n residuals is less, if they are Student's t with four degrees of freedom.
-
-    It is an F distribution (n, `MISFIT.noise_freedom`) of χ²/n (Abramowitz and Stegun, 26.6.4); SciPy is not loaded.
-    """
+    """Returns the probability that the χ² of n residuals is less: with Student's t for residuals, χ²/n follows an F
+    distribution (n, `MISFIT.noise_freedom`), for four in closed form (Abramowitz and Stegun, 26.6.4)."""
     normal = 4.0 / (4.0 + chi2)
     return float((1 - normal) ** (n / 2) * (1 + n / 2 * normal))
 

@@ -5,7 +5,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from handsight.tracking.skin import SkinContacts
 from handsight.tracking.tracker import State, Tracker
 
 MAX_MESSAGES = 100
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,23 +77,6 @@ class Tally:
     """The stamp up to which time is counted [s]."""
     waiting: "list[Unconfirmed]" = field(default_factory=list)
     """The last observations, while the next one may still undo them."""
-
-
-class Thinned(list[T]):
-    """A `Thinned` keeps at most 2 `most` of the values that are appended, one out of as many each."""
-
-    def __init__(self, most: int) -> None:
-        super().__init__()
-        self.most, self.every, self.added = most, 1, 0
-
-    def append(self, value: T) -> None:
-        """Adds a value, or leaves it out."""
-        if self.added % self.every == 0:
-            super().append(value)
-        self.added += 1
-        if len(self) >= 2 * self.most:
-            del self[1::2]
-            self.every *= 2
 
 
 class Unconfirmed(NamedTuple):

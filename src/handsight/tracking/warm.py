@@ -117,10 +117,7 @@ def track() -> None:
 
 def find_object() -> None:
     """Finds a box in a depth image, follows it, and grows a surface from two images."""
-    from handsight.vision.reconstruction.reconstruct import (
-        Reconstruction,
-        View,
-    )  # loads much that no tracker needs
+    from handsight.vision.reconstruction.reconstruct import Reconstruction, View  # loads more of SciPy
 
     model, camera = _new_box(), _camera(96, 72)
     T = se3.compose(se3.rotation_exp(np.array([0.5, 0.4, 0])), np.array([0, 0, 0.3]))
