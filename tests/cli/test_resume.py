@@ -1,6 +1,7 @@
 """A track that ended early goes on, and its results are those of a run from end to end."""
 
 import json
+import shutil
 
 import pytest
 
@@ -9,10 +10,6 @@ from cli.tracks import observations, poses_of, recorded
 from handsight.cli import track
 from handsight.rig.save import write as write_rig
 from handsight.tracking import Tracker
-
-
-class Killed(BaseException):
-    """Ends a process without any handler."""
 
 
 def results(folder):
@@ -53,23 +50,22 @@ def test_a_track_that_was_interrupted_and_killed_has_the_results_of_one_that_was
     assert called(monkeypatch, tmp_path, *arguments, "at once") == 0
     monkeypatch.setattr(track, "CHECKPOINT_PERIOD", 0.0)
     update = Tracker.update
-    for count, error in ((20, KeyboardInterrupt()), (9, Killed())):
+    for count in (20, 9):
         calls = iter(range(10**9))
 
-        def fails(self, observation, calls=calls, count=count, error=error):
+        def ends_early(self, observation, calls=calls, count=count):
             if next(calls) == count:
-                raise error
+                shutil.copytree(
+                    "in parts/track.part", f"killed {count}/track.part"
+                )  # as it is at this instant
+                raise KeyboardInterrupt
             return update(self, observation)
 
-        monkeypatch.setattr(Tracker, "update", fails)
-        if isinstance(error, Killed):
-            with pytest.raises(Killed):
-                called(monkeypatch, tmp_path, *arguments, "in parts")
-        else:
-            assert called(monkeypatch, tmp_path, *arguments, "in parts") == 130
+        monkeypatch.setattr(Tracker, "update", ends_early)
+        assert called(monkeypatch, tmp_path, *arguments, "in parts") == 130
     monkeypatch.setattr(Tracker, "update", update)
     capsys.readouterr()
-    assert called(monkeypatch, tmp_path, *arguments, "in parts") == 0
-    assert "in parts/track.part: goes on after 29 poses" in capsys.readouterr().err
-    assert results(tmp_path / "in parts") == results(tmp_path / "at once")
-    assert not (tmp_path / "in parts" / "track.part").exists()
+    assert called(monkeypatch, tmp_path, *arguments, "killed 9") == 0
+    assert "killed 9/track.part: goes on after 29 poses" in capsys.readouterr().err
+    assert results(tmp_path / "killed 9") == results(tmp_path / "at once")
+    assert not (tmp_path / "killed 9" / "track.part").exists()

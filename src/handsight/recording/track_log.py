@@ -58,5 +58,3 @@ class TrackLog:
         self._rows.close()
         if not (resumable and (self.folder / "checkpoint").exists()):
             shutil.rmtree(self.folder, ignore_errors=True)
-            with contextlib.suppress(OSError):  # it is empty after wrong input only
-                self.folder.parent.rmdir()
