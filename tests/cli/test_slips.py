@@ -1,5 +1,6 @@
 """What `handsight track` says of slips."""
 
+import itertools
 from types import SimpleNamespace
 
 import pytest
@@ -25,6 +26,14 @@ def result_of(steps):
     for step in steps:
         result.add(step)
     return result
+
+
+def test_a_long_track_keeps_some_thousands_of_its_steps_evenly():
+    step = steps()[0]
+    result = result_of(SimpleNamespace(**{**vars(step), "stamp": float(k)}) for k in range(50_000))
+    assert result.poses == 50_000
+    assert 2000 <= len(result.steps) < 4000
+    assert {b.stamp - a.stamp for a, b in itertools.pairwise(result.steps)} == {16.0}
 
 
 def test_slips_are_counted_and_said():

@@ -154,16 +154,9 @@ def tracked(
 
     with run.opened() as (recording, tracker):
         files = [(file.path, file.path.stat().st_mtime_ns) for file in recording.report.files]
-        log = TrackLog(
-            folder, f"{version('handsight')} {STAMP} {hashlib.sha256(pickle.dumps((run, files))).hexdigest()}"
-        )
-        new = (
-            None,
-            tracker,
-            Diagnoser(tracker),
-            TrackResult(printable(run.recording.name), Tally(), Truths([])),
-        )
-        place, tracker, diagnoser, result = log.state or new
+        seal = hashlib.sha256(pickle.dumps((run, files, STAMP, version("handsight")))).hexdigest()
+        log, result = TrackLog(folder, seal), TrackResult(printable(run.recording.name), Tally(), Truths([]))
+        place, tracker, diagnoser, result = log.state or (None, tracker, Diagnoser(tracker), result)
         if place is not None:
             say(f"{log.folder}: goes on after {result.poses} poses, where it had ended early")
 
