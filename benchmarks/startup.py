@@ -1,4 +1,5 @@
-"""New processes: CPU time to import, to say --help, to the first correction (warm and with nothing compiled); memory.
+"""New processes: CPU time to import, to --help, to the first correction (warm and with nothing compiled) and to a
+command's answer; memory.
 
 Warm: kernels and fields are in their cache. First compile: with an empty cache folder, as after installing.
 """
@@ -31,6 +32,17 @@ LOCATE = """
 import sys
 from handsight.cli import main
 sys.argv = ["handsight", "locate", {depth!r}, "--camera", {camera!r}, "--object", {mesh!r}]
+main()
+"""
+TRACK = """
+import os, sys
+import handsight.tracking.replay as module
+from handsight.cli import main
+def first(*arguments):
+    next(replay(*arguments))
+    os._exit(0)
+replay, module.replay = module.replay, first
+sys.argv = ["handsight", "track", {recording!r}, "--output-folder", {folder!r}]
 main()
 """
 SOLVES = 20
@@ -66,7 +78,13 @@ def run(repeats: int, *, compile_too: bool) -> list[Row]:
         model = ObjectModel.cylinder(0.033, 0.122)
         mesh.write_bytes(ply_bytes(Shape(model.vertices, model.faces), 1.0))
         files = {"depth": data / "can.depth.png", "camera": data / "can.camera.json", "mesh": mesh}
-        kinds[LOCATES] = LOCATE.format(**{name: str(path) for name, path in files.items()})
+        names = {name: str(path) for name, path in files.items()}
+        kinds[LOCATES] = LOCATE.format(**names)
+        picture = str(Path(folder) / "can.png")
+        kinds[f"{LOCATES}, with a picture"] = kinds[LOCATES].replace("]\n", f", '--plot', {picture!r}]\n")
+        kinds["handsight track to its first pose, warm"] = TRACK.format(
+            recording=str(data / "can.mcap"), folder=folder
+        )
         rows = [started(name, code, repeats) for name, code in kinds.items()]
     if compile_too:
         with tempfile.TemporaryDirectory() as folder:

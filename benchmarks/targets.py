@@ -125,9 +125,12 @@ TARGETS = [
     Target("  the same from the cache", mesh_of_16k("load_s"), 5, scale=1e3, unit="ms"),
     Target("import handsight", of("startup", "import"), 0.6, unit="s"),
     Target("handsight --help", of("startup", "handsight --help"), 0.5, unit="s"),
-    Target("new process to first correction, warm", of("startup", "new process to first correction, warm"), 1.5,
+    Target("new process to first correction, warm", of("startup", "new process to first correction, warm"), 1.0,
            unit="s"),
+    Target("  the same, nothing compiled", of("startup", "new process to first correction, nothing"), 20, unit="s"),
     Target("handsight locate of one image, warm", of("startup", "handsight locate of one image, warm"), 1.5, unit="s"),
+    Target("  the same, with a picture", of("startup", "handsight locate of one image, warm, with"), 1.5, unit="s"),
+    Target("handsight track to its first pose, warm", of("startup", "handsight track"), 2.0, unit="s"),
 ]  # fmt: skip
 
 

@@ -29,8 +29,8 @@ def fails_after(count, original, error):
     """A generator function, or an update, that raises in the middle."""
     calls = iter(range(10**9))
 
-    def generator(self):
-        for observation in original(self):
+    def generator(self, *place):
+        for observation in original(self, *place):
             if next(calls) == count:
                 raise error
             yield observation

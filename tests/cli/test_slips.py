@@ -1,5 +1,6 @@
 """What `handsight track` says of slips."""
 
+import itertools
 from types import SimpleNamespace
 
 import pytest
@@ -20,14 +21,26 @@ def steps():
     return [SimpleNamespace(stamp=1000 + k / 10, slip=slip, **nothing) for k, slip in enumerate(said)]
 
 
+def result_of(steps):
+    result = TrackResult("pulled", Tally(), [])
+    for step in steps:
+        result.add(step)
+    return result
+
+
+def test_a_long_track_keeps_some_thousands_of_its_steps_evenly():
+    step = steps()[0]
+    result = result_of(SimpleNamespace(**{**vars(step), "stamp": float(k)}) for k in range(50_000))
+    assert result.poses == 50_000
+    assert 2000 <= len(result.steps) < 4000
+    assert {b.stamp - a.stamp for a, b in itertools.pairwise(result.steps)} == {16.0}
+
+
 def test_slips_are_counted_and_said():
-    run = TrackResult("pulled", Tally(), [], steps=steps())
-    assert [(began, pytest.approx(seconds, abs=1e-6)) for began, seconds in run.slips] == [
-        (1000.3, 0.3),
-        (1000.9, 0.0),
-    ]
+    run = result_of(steps())
+    assert run.slips == {1000.3: pytest.approx(0.3, abs=1e-6), 1000.9: pytest.approx(0.0, abs=1e-6)}
     assert "the object slipped 2 times, 0.30 s in all, first at 0.30 s; friction 0.81" in run.sentences()
-    once = TrackResult("pulled", Tally(), [], steps=steps()[:9])
+    once = result_of(steps()[:9])
     assert any(sentence.startswith("the object slipped once, 0.30 s") for sentence in once.sentences())
     summary = run.summary()
     assert summary["friction"] == 0.81
@@ -35,8 +48,8 @@ def test_slips_are_counted_and_said():
 
 
 def test_where_nothing_slipped_nothing_is_said():
-    run = TrackResult("held", Tally(), [], steps=steps()[:3])
-    assert run.slips == []
+    run = result_of(steps()[:3])
+    assert not run.slips
     assert not any("slip" in sentence for sentence in run.sentences())
     assert TrackResult("nothing", Tally(), []).friction is None
 

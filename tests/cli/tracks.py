@@ -30,8 +30,9 @@ def track(path, rig, folder=None, **settings):
     """The run through a recording, and what is said of writing it."""
     model = rig.objects["can"].model()
     run = Run(path, rig, model, TrackerSettings(**settings))
-    ended = tracked(run, lambda *_: None)
-    written = [] if folder is None else list(write(ended, run, folder))
+    ended, log = tracked(run, lambda *_: None, folder or path.parent / "tracked")
+    written = [] if folder is None else list(write(ended, run, folder, log))
+    log.close(resumable=False)
     return ended, written
 
 

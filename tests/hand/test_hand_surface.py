@@ -29,7 +29,7 @@ def test_points_lie_as_deep_in_the_shapes_as_asked(robot):
     shapes = [
         trimesh.creation.box((0.06, 0.04, 0.02), transform=se3.compose(np.eye(3), np.array([0, 0, 0.01]))),
         trimesh.creation.cylinder(0.008, 0.04, transform=se3.compose(np.eye(3), np.array([0, 0, 0.02]))),
-        trimesh.creation.icosphere(subdivisions=3, radius=0.01),
+        trimesh.creation.capsule(0.0, 0.01),
     ]
     for i, shape in enumerate(shapes):
         mine = found.body_of == i

@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import chdtri, fdtr, fdtri
 
 import handsight as hs
 from handsight import se3
 from handsight.correction import Conflict, PoseEstimate, PosePrior
 from handsight.simulation import Scenario, rig_of
 from handsight.tracking import Tracker
-from handsight.tracking.misfit import MISFIT, TOUCH, Innovations, Misfit
+from handsight.tracking.misfit import COVERAGE, MISFIT, TOUCH, Innovations, Misfit, chi2_probability
 
 
 def test_a_step_of_many_sigma_is_named_inflates_and_fades():
@@ -93,6 +94,14 @@ def test_the_region_holds_where_the_declared_sigma_of_touch_is_an_estimate_of_fo
     spin = np.diag([1.0, 1, 1, 1, 1, 0]) @ information
     free = estimate.with_gaussian(np.eye(4), None, spin)
     assert not watched.covered(model, free, prior).information[5].any()
+
+
+def test_the_closed_forms_of_the_f_distribution_agree_with_scipy():
+    for n in (1, 2, 3, 6):
+        for chi2 in (0.1, 3.0, 40.0, 1e4):
+            expected = fdtr(n, MISFIT.noise_freedom, chi2 / n)
+            assert chi2_probability(chi2, n) == pytest.approx(expected, abs=1e-12)
+    assert pytest.approx(6 * fdtri(6, MISFIT.noise_freedom, 0.95) / chdtri(6, 0.05)) == COVERAGE
 
 
 @pytest.mark.parametrize("radius", [0.026, 0.040])

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, cast
 
 import typer
@@ -192,8 +193,9 @@ def replayed(name: str, plot: Path) -> "tuple[TrackResult, str]":
 
     rig = Rig.from_file(DATA / f"{name}.rig.yaml")
     run = Run(DATA / f"{name}.mcap", rig, rig.objects[name].model(), TrackerSettings(outside=500))
-    with live_rows(f"{name}.mcap", progress) as watch:
-        result = tracked(run, watch)
+    with live_rows(f"{name}.mcap", progress) as watch, TemporaryDirectory() as folder:
+        result, log = tracked(run, watch, Path(folder))
+        log.close(resumable=False)
     for end in result.ends:
         if end.message:
             say(end.message)

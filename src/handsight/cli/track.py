@@ -1,13 +1,18 @@
 """`handsight track`: an object tracked through a recording, with results in files and a report on stderr."""
 
 import contextlib
+import hashlib
 import json
 import math
+import pickle
 import re
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
+from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,15 +23,22 @@ from handsight.cli import options
 from handsight.cli.options import Run, renamed, tracker_settings
 from handsight.cli.terminal import FAILED, End, kept_going, live_rows, plain_table, print_out, say
 from handsight.errors import HandsightError, MissingExtra, printable
-from handsight.files import text_file, write_errors
+from handsight.files import text_file
 
 if TYPE_CHECKING:
     from handsight.evaluation import TrackErrors, Truths
     from handsight.forces import ObjectWeight, Slip
     from handsight.objects import ObjectModel
+    from handsight.observation import Observation
+    from handsight.recording.track_log import TrackLog
     from handsight.tracking import Tracker
     from handsight.tracking.replay import Step, Tally
     from handsight.tracking.verdicts import Diagnosis
+
+CHECKPOINT_PERIOD = 10.0
+"""Between two checkpoints, from which tracking goes on after it has ended early [s]."""
+MAX_STEPS = 4000
+"""Steps that are kept in memory; of more, every second one is left out."""
 
 
 def track(
@@ -74,20 +86,22 @@ def track(
     handsight track session.mcap --rig robot.yaml --object can --diagnose
     ```
 
-    After an error or Ctrl-C, the track until then is written. The exit code is 0 only if the recording was tracked to
-    its end and there is at least one pose.
+    After an error or Ctrl-C, the track until then is written, and the same command goes on from there, as it does after
+    the process was killed; without `track.part` in the folder it starts again. The exit code is 0 only if the recording
+    was tracked to its end and there is at least one pose.
     """
     settings = tracker_settings(rate=rate, answer=answer, samples=samples, outside=outside, images=images)
     run = Run.of(recording, rig, object, settings, alternative or ())
     output_folder = renamed(output_folder, former_output, ("--output-folder", "--output"))
     folder = output_folder or Path(f"{recording.name.removesuffix(recording.suffix)}-track")
     with live_rows(recording.name, progress) as watch:
-        result = tracked(run, watch)
+        result, log = tracked(run, watch, folder)
     wrote = list[str]()
     try:
         # Before anything is printed, so that Ctrl-C while printing does not cost the results.
-        wrote.extend(write(result, run, folder))
+        wrote.extend(write(result, run, folder, log))
     finally:
+        log.close(resumable=bool(result.ends))
         for sentence in (*result.messages, *result.sentences(), *wrote):
             say(sentence)
         if diagnose and result.diagnosis is not None:
@@ -123,28 +137,51 @@ def grip(slip: "Slip") -> str:
     return f"slips: {used}" if slip.slipping else used
 
 
-def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> "TrackResult":
-    """Returns the result of tracking a recording; `watch` is called with every step.
+def tracked(
+    run: Run, watch: "Callable[[Tally, Step, Tracker], None]", folder: Path
+) -> "tuple[TrackResult, TrackLog]":
+    """Returns the result of tracking a recording, and its rows; `watch` is called with every step.
 
-    After an error or Ctrl-C, the result has the steps until then. A HandsightError before the first step is raised.
+    It goes on from the checkpoint in the folder, if there is one. After an error or Ctrl-C, the result has the steps
+    until then. A HandsightError before the first step is raised.
     """
+    from handsight._kernels.runtime.kernel_cache import STAMP
     from handsight.evaluation import Truths, track_errors
+    from handsight.recording import TrackRow
+    from handsight.recording.track_log import TrackLog
     from handsight.tracking.diagnosis import Diagnoser
     from handsight.tracking.replay import Tally, replay
 
     with run.opened() as (recording, tracker):
-        result = TrackResult(printable(run.recording.name), Tally(), Truths([]))
-        diagnoser = Diagnoser(tracker)
+        files = [(file.path, file.path.stat().st_mtime_ns) for file in recording.report.files]
+        seal = hashlib.sha256(pickle.dumps((run, files, STAMP, version("handsight")))).hexdigest()
+        log, result = TrackLog(folder, seal), TrackResult(printable(run.recording.name), Tally(), Truths([]))
+        place, tracker, diagnoser, result = log.state or (None, tracker, Diagnoser(tracker), result)
+        if place is not None:
+            say(f"{log.folder}: goes on after {result.poses} poses, where it had ended early")
+
+        def logged() -> "Iterator[Observation]":
+            """Yields the observations, between two of which the state is saved from time to time."""
+            saved = time.monotonic()
+            for observation in recording.observations(place):
+                yield observation
+                if time.monotonic() - saved >= CHECKPOINT_PERIOD:
+                    log.save((recording.place, tracker, diagnoser, result))
+                    saved = time.monotonic()
+
         with result.part() as end:
-            for step in replay(recording.observations(), tracker, result.tally):
+            for step in replay(logged(), tracker, result.tally):
                 diagnoser.watch()
-                result.steps.append(step.summary())
+                T, S, information = (e := step.estimate).T_palm_object, e.covariance, e.information
+                log.append(TrackRow(step.stamp, T, S, step.state, step.reason, information))
+                result.add(step.summary())
                 result.weight = tracker.weight or result.weight
                 watch(result.tally, step, tracker)
         # Ctrl-C may have come between counting an answer and storing it.
         tally = result.tally
-        tally.answered = len(result.steps)
-        if isinstance(end.error, HandsightError) and not result.steps:
+        tally.answered = result.poses
+        if isinstance(end.error, HandsightError) and not tally.answered:
+            log.close(resumable=False)
             raise end.error
         result.messages = [*recording.report.sentences(), *recording.lacks()]
         result.truths = Truths(recording.truth)
@@ -156,11 +193,11 @@ def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> "Track
     result.margins, result.reason = tracker.link_margins, tracker.reason
     result.diagnosis = diagnoser.diagnosis()
     result.latency, result.latency_declared = tracker.vision_latency(), tracker.vision.camera.latency
-    if not result.steps and not tally.observations:
+    if not tally.answered and not tally.observations:
         result.reason = "the recording has no observation"
-    elif not result.steps and tally.refused.total() == tally.observations:
+    elif not tally.answered and tally.refused.total() == tally.observations:
         result.reason = "all observations were left out"
-    elif not result.steps and (unplaced := tracker.vision.unplaced):
+    elif not tally.answered and (unplaced := tracker.vision.unplaced):
         why = "as the palm's pose in the world was not known"
         result.reason = f"{unplaced} poses of vision could not be placed, {why}"
     result.untouched = {
@@ -171,20 +208,13 @@ def tracked(run: Run, watch: "Callable[[Tally, Step, Tracker], None]") -> "Track
             errors = track_errors(run.model, result.steps, result.truths, vision=vision)
             if len(errors):
                 result.errors[name] = errors
-    return result
+    return result, log
 
 
-def write(result: "TrackResult", run: Run, folder: Path) -> Iterator[str]:
+def write(result: "TrackResult", run: Run, folder: Path, log: "TrackLog") -> Iterator[str]:
     """Writes the results to a folder and yields sentences about it; failures are added to `result.ends`."""
-    from handsight.recording import TrackRow, write_track_csv, write_track_mcap, write_track_tum
+    from handsight.recording import write_track_csv, write_track_mcap, write_track_tum
 
-    with write_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    rows = [
-        TrackRow(s.stamp, e.T_palm_object, e.covariance, s.state, s.reason, e.information)
-        for s in result.steps
-        for e in [s.estimate]
-    ]
     files: dict[str, Callable[..., None]] = {
         "track.mcap": partial(write_track_mcap, frame=run.rig.frames["palm"]),
         "track.tum": write_track_tum,
@@ -193,14 +223,14 @@ def write(result: "TrackResult", run: Run, folder: Path) -> Iterator[str]:
     done = []
     for name, write_file in files.items():
         with result.part():
-            write_file(folder / name, rows)
+            write_file(folder / name, islice(log.rows(), result.poses))
             done.append(name)
     with result.part(), text_file(folder / "summary.json") as file:
         text = json.dumps(result.summary(), indent=1, ensure_ascii=False, allow_nan=False)
         file.write(text + "\n")
         done.append("summary.json")
     yield f"wrote {folder}: {', '.join(done)}"
-    if not rows:
+    if not result.poses:
         yield "no picture: there is no pose"
         return
     with result.part():
@@ -227,6 +257,21 @@ class TrackResult:
     tally: "Tally"
     truths: "Truths"
     steps: "list[Step]" = field(default_factory=list)
+    """The first step, and each `every`-th after it: less than `MAX_STEPS` for the picture and the errors."""
+    every: int = 1
+    poses: int = 0
+    """The number of all steps."""
+    touching: Counter[str] = field(default_factory=Counter)
+    outliers: Counter[str] = field(default_factory=Counter)
+    """By finger, the number of steps in which it touches, and in which its contact is an outlier."""
+    pressed: int = 0
+    """The number of steps in which a tactile array is pressed."""
+    unmeasured: set[str] = field(default_factory=set)
+    """The fingers whose force was not measured while they touched."""
+    slips: dict[float, float] = field(default_factory=dict)
+    """The duration of each slip by its begin [s]."""
+    friction: float | None = None
+    """The coefficient of friction between object and fingertips as estimated at the end."""
     messages: list[str] = field(default_factory=list)
     """Sentences about what is wrong with the recording."""
     corrections: int = 0
@@ -256,7 +301,23 @@ class TrackResult:
     @property
     def exit_code(self) -> int:
         """Returns the command's exit code: that of the first part that ended early, or of a result without a pose."""
-        return next((end.exit_code for end in self.ends), 0 if self.steps else FAILED)
+        return next((end.exit_code for end in self.ends), 0 if self.poses else FAILED)
+
+    def add(self, step: "Step") -> None:
+        """Adds a step."""
+        if self.poses % self.every == 0:
+            self.steps.append(step)
+        if len(self.steps) == MAX_STEPS:
+            del self.steps[1::2]
+            self.every *= 2
+        self.touching.update(step.fingers)
+        self.outliers.update(step.rejected)
+        self.unmeasured.update(step.slip.unmeasured)
+        if step.slip.slipping:
+            self.slips[step.slip.began] = step.stamp - step.slip.began
+        self.poses += 1
+        self.pressed += step.pressed
+        self.friction = step.slip.friction
 
     @contextlib.contextmanager
     def part(self) -> Iterator[End]:
@@ -267,25 +328,9 @@ class TrackResult:
             self.ends.append(end)
 
     @property
-    def friction(self) -> float | None:
-        """Returns the coefficient of friction between object and fingertips as estimated at the end."""
-        return self.steps[-1].slip.friction if self.steps else None
-
-    @property
-    def slips(self) -> list[tuple[float, float]]:
-        """Returns the stamp and the duration of each slip [s]."""
-        found: dict[float, float] = {}
-        for step in self.steps:
-            if step.slip.slipping:
-                found[step.slip.began] = step.stamp - step.slip.began
-        return list(found.items())
-
-    @property
     def rejected(self) -> dict[str, float]:
         """Returns, by finger, the share of the poses with its contact in which the contact was an outlier."""
-        touching = Counter(finger for step in self.steps for finger in step.fingers)
-        wrong = Counter(finger for step in self.steps for finger in step.rejected)
-        return {finger: wrong[finger] / count for finger, count in touching.items()}
+        return {finger: self.outliers[finger] / count for finger, count in self.touching.items()}
 
     def summary(self) -> dict[str, object]:
         """Returns the result in numbers, ready for JSON."""
@@ -320,8 +365,8 @@ class TrackResult:
             },
             "recording_says": self.messages,
             "friction": self.friction,
-            "poses_with_skin": sum(step.pressed for step in self.steps),
-            "slips": [{"began": began, "seconds": round(seconds, 3)} for began, seconds in self.slips],
+            "poses_with_skin": self.pressed,
+            "slips": [{"began": began, "seconds": round(s, 3)} for began, s in self.slips.items()],
             "errors_mm_deg": {name: errors.summary() for name, errors in self.errors.items()},
         }
 
@@ -382,17 +427,17 @@ class TrackResult:
                     f"finger {finger}: contradicts the others in {100 * part:.0f} % of the poses while it touched; "
                     "check its topic, reading, bias, sensor.pose and surface; `handsight rig check` tries them"
                 )
-        if pressed := sum(step.pressed for step in self.steps):
-            yield f"tactile arrays: pressed in {pressed} of {len(self.steps)} poses"
-        if unmeasured := sorted({name for step in self.steps for name in step.slip.unmeasured}):
-            yield f"no evidence of slips, as no force is measured there: {', '.join(unmeasured)}"
+        if self.pressed:
+            yield f"tactile arrays: pressed in {self.pressed} of {self.poses} poses"
+        if self.unmeasured:
+            yield f"no evidence of slips, as no force is measured there: {', '.join(sorted(self.unmeasured))}"
         for name, faults in self.faults.items():
             yield f"skin {name}: {faults}"
         if slips := self.slips:
-            first = slips[0][0] - self.steps[0].stamp
+            first = next(iter(slips)) - self.steps[0].stamp
             times = "once" if len(slips) == 1 else f"{len(slips)} times"
             yield (
-                f"the object slipped {times}, {sum(seconds for _, seconds in slips):.2f} s in all, first at "
+                f"the object slipped {times}, {sum(slips.values()):.2f} s in all, first at "
                 f"{first:.2f} s; friction {self.friction:.2f}"
             )
 

@@ -16,11 +16,11 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri
 
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import TactileSurface, WrenchCalibration, calibrate_wrench, compensate
+from handsight.correction.modes import chi2_limit
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
 from handsight.hand.chains import Chains
@@ -299,7 +299,7 @@ def read_in_air(
         loads = np.hstack(compensate(readings[:, :3], readings[:, 3:], gravity, sensor.calibration))
         mean = loads.mean(axis=0)
         spread = ((loads[:, :3] - mean[:3]) ** 2).sum() / sensor.sigma[0] ** 2
-        limit = chdtri(3 * (len(readings) - 1), LOADS.unsteady_p)
+        limit = chi2_limit(3 * (len(readings) - 1), LOADS.unsteady_p)
         if spread < limit and np.linalg.norm(mean[:3]) < LOADS.max_bias:
             found[i] = mean
     return found

@@ -24,11 +24,11 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc
 
 from handsight import se3
 from handsight._deprecated import renamed_members
 from handsight.checks import Array
+from handsight.correction.modes import chi2_survival
 from handsight.forces.loads import LoadSum
 from handsight.gaussian_pose import kalman_update
 
@@ -113,7 +113,7 @@ class Weighing:
     @property
     def p_value(self) -> float:
         """The probability that loads of a weight alone would leave larger residuals."""
-        return float(chdtrc(self.freedom, self.chi2))
+        return chi2_survival(self.chi2, self.freedom)
 
     @property
     def consistent(self) -> bool:
@@ -199,7 +199,8 @@ def score_test(columns: Array, residuals: Array, H: Array, covariance: Array) ->
     score, normal_matrix = columns.T @ residuals, columns.T @ H
     values, vectors = np.linalg.eigh(columns.T @ columns - normal_matrix @ covariance @ normal_matrix.T)
     observable = values > WEIGHT_FIT.unobservable * values[-1]
-    return float(chdtrc(observable.sum(), ((vectors.T @ score)[observable] ** 2 / values[observable]).sum()))
+    chi2 = ((vectors.T @ score)[observable] ** 2 / values[observable]).sum()
+    return chi2_survival(chi2, int(observable.sum()))
 
 
 def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) -> Array:

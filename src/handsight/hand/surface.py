@@ -1,5 +1,6 @@
 """Surfaces of a hand's links: triangles, and points that are evenly spread over them."""
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -175,16 +176,30 @@ def _shape_triangles(model: "MjModel", g: int) -> Array:
         corners = vertices[model.mesh_face[first : first + count]]
         volume = np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
         return np.asarray(corners if volume > 0 else corners[:, ::-1])
-    import trimesh  # takes long to load, and many hands have meshes only
-
-    if kind in (ShapeKind.SPHERE, ShapeKind.ELLIPSOID):
-        radii = size if kind == ShapeKind.ELLIPSOID else size[:1]
-        return np.asarray(trimesh.creation.icosphere(subdivisions=3).triangles * radii)
     if kind == ShapeKind.BOX:
-        return np.asarray(trimesh.creation.box(2 * size).triangles)
+        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * size
+        faces = "130 410 032 240 173 514 571 372 642 276 654 756"
+        return np.asarray(corners[[[int(k) for k in face] for face in faces.split()]])
     radius, half, _ = size
     if kind == ShapeKind.CYLINDER:
-        return np.asarray(trimesh.creation.cylinder(radius, 2 * half).triangles)
-    capsule = trimesh.creation.capsule(2 * half, radius)
-    # Versions of trimesh differ in whether a capsule stands on the origin or is centred on it.
-    return np.asarray(capsule.triangles - capsule.bounds.mean(axis=0))
+        return turned(np.array([0, radius, radius, 0]), half * np.array([-1, -1, 1, 1]), 32)
+    # The profile of a capsule, that of a ball if its halves are at the same height.
+    below = np.linspace(-np.pi / 2, 0, 17)
+    angle, above = np.concatenate([below, -below[::-1]]), np.repeat([-half, half], 17)
+    if kind == ShapeKind.CAPSULE:
+        return turned(radius * np.cos(angle), radius * np.sin(angle) + above, 64)
+    radii = size if kind == ShapeKind.ELLIPSOID else radius
+    return np.asarray(turned(np.cos(angle), np.sin(angle), 64) * radii)
+
+
+def turned(radii: Array, heights: Array, segments: int) -> Array:
+    """Returns the triangles (f, 3, 3) of the surface that a profile, `radii` and `heights` (k,) upwards, sweeps in one
+    turn about z."""
+    angle = 2 * np.pi / segments * np.arange(segments)
+    around = np.stack([np.cos(angle), np.sin(angle), np.ones(segments)], axis=1)[:, None]
+    low = around * np.column_stack([radii, radii, heights])  # (segments, k, 3)
+    next_low = np.roll(low, -1, axis=0)
+    a, b, c, d = low[:, :-1], next_low[:, :-1], low[:, 1:], next_low[:, 1:]
+    triangles = np.stack([a, b, c, c, b, d], axis=2).reshape(-1, 3, 3)
+    areas = np.linalg.norm(np.cross(*(triangles[:, k] - triangles[:, 0] for k in (1, 2))), axis=1)
+    return np.asarray(triangles[areas > 1e-9 * areas.max()])  # at the poles, each second one is a line

@@ -10,9 +10,10 @@ import os
 import sys
 from abc import ABC, abstractmethod
 from bisect import bisect_left
+from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, BinaryIO, ClassVar, NamedTuple, TypeVar
 from zlib import crc32
 
 from handsight.errors import InvalidFile
@@ -70,6 +71,12 @@ class Source(ABC):
         """Whether each message is compressed on its own, with zstd."""
         self.damage: dict[int, str] = {}
         """Sentences about what could not be read, by the position of its first byte."""
+        self.place: Any = None
+        """Where the next message is, as a value that can be pickled; None: at the beginning."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A pickled place in a recording has the paths of its files."""
+        return Path, (str(self.path),)
 
     def define(self, key: object, topic: str, kind: str, encoding: str, definition: str = "") -> None:
         """Adds the channel with that key in the file, its type as ROS 1 or ROS 2 writes it."""
@@ -80,7 +87,7 @@ class Source(ABC):
         self.channels[key] = topic, self.topics[topic], encoding
 
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
-        """Yields the messages on the wanted topics in order of log time; each call starts at the beginning."""
+        """Yields the messages on the wanted topics in order of log time, from `place` on."""
         for raw in self.stored(wanted):
             if raw.type in self.definitions:
                 raw = raw._replace(definition=self.definitions[raw.type])
@@ -89,6 +96,7 @@ class Source(ABC):
                 data, _ = unpacked(raw.data, "zstd", min(CHUNKS.max_unpacked, most))
                 raw = raw._replace(data=data)
             yield raw
+        self.place = None
 
     @abstractmethod
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
@@ -140,14 +148,18 @@ class ChunkedSource(Source):
 
     def stored(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """Yields the messages in order of log time, unless overlapping chunks hold more than `max_waiting_bytes`."""
-        self._budget, waiting = Budget(len(self.data)), list[RawMessage]()
-        for chunk in (*sorted(self._chunks, key=lambda chunk: chunk.start), None):
+        self.place = self.place or [0, Budget(len(self.data)), list[RawMessage](), deque[RawMessage]()]
+        begin, self._budget, waiting, ready = self.place
+        for chunk in (*sorted(self._chunks, key=lambda chunk: chunk.start), None)[begin:]:
             # Messages from before the next chunk's start are complete; if memory is full, all are yielded.
             size = sum(len(raw.data) + CHUNKS.message_overhead for raw in waiting)
             stop = math.inf if chunk is None or size > CHUNKS.max_waiting_bytes else seconds(chunk.start)
             count = bisect_left(waiting, stop, key=lambda raw: raw.log_time)
-            yield from waiting[:count]
+            ready.extend(waiting[:count])
             del waiting[:count]
+            while ready:
+                yield ready.popleft()
+            self.place[0] += 1
             if chunk is not None:
                 # The sort is stable: for equal times, messages of the earlier chunk stay first.
                 waiting += self._read(wanted, chunk)

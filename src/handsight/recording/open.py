@@ -1,12 +1,14 @@
 """Opening of recordings as streams of observations; a file's kind is known from its first bytes, not from its name."""
 
 import re
+from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from handsight.camera import Camera
 from handsight.errors import InvalidFile, printable
@@ -74,6 +76,9 @@ class Recording(AbstractContextManager["Recording"]):
         self.report = RecordingReport(self._rig.topics.joint_states, files=self._files)
         """Counts of the messages, and sentences about what is wrong with them."""
         self._stream = ObservationStream(self._rig, self._topics, report=self.report)
+        self._at, self._ready = 0, deque[Observation]()
+        for file in self._files:
+            file.place = None
         self.truth = self._stream.truth
         """Stamps [s] and true poses `T_palm_object` (4, 4) on the rig's topic of the truth; never in an observation."""
 
@@ -96,17 +101,34 @@ class Recording(AbstractContextManager["Recording"]):
                 break
         return self._stream.calibrated(self._rig)
 
-    def observations(self) -> Iterator[Observation]:
-        """Yields the observations in order of stamp, one for each joint state message.
+    @property
+    def place(self) -> tuple[Any, ...]:
+        """Returns all that the next observations depend on, between two of them."""
+        return self._at, self._ready, self._stream, self.report, [(f.place, f.damage) for f in self._files]
+
+    def observations(self, place: tuple[Any, ...] | None = None) -> Iterator[Observation]:
+        """Yields the observations in order of stamp, one for each joint state message; those after `place`, if given.
 
         The file is read as the iterator advances, in bounded memory. Each call starts at the beginning, with a new
         `report` and `truth`. Raises InvalidFile at the end if there were no joint states.
         """
         self._begin()
-        for file in self._files:
-            for message in file.messages(self._stream.topics):
-                yield from self._stream.put(message)
-        yield from self._stream.finish()
+        if place is not None:
+            self._at, self._ready, self._stream, self.report, places = place
+            self.truth, self.report.files = self._stream.truth, self._files
+            for file, known in zip(self._files, places, strict=True):
+                file.place, file.damage = known
+        while self._at <= len(self._files):
+            ended = self._at == len(self._files)
+            messages = () if ended else self._files[self._at].messages(self._stream.topics)
+            last = [self._stream.finish()] if ended else []
+            for found in chain(
+                [[]], map(self._stream.put, messages), last
+            ):  # first, what was ready at `place`
+                self._ready.extend(found)
+                while self._ready:
+                    yield self._ready.popleft()
+            self._at += 1
         if not self.report.topics[self._rig.topics.joint_states].messages:
             raise self._without_joints()
 

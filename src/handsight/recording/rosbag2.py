@@ -70,11 +70,14 @@ class SqliteSource(Source):
         # The index by time is spread over the file, so it is incomplete where the file was cut.
         rows, order = ("messages NOT INDEXED", "") if self.truncated else ("messages", " ORDER BY timestamp")
         chosen = f"WHERE topic_id IN ({','.join(map(str, keys))})"
-        query = f"SELECT topic_id, timestamp, data FROM {rows} {chosen}{order}"
+        self.place = self.place or 0
+        query = f"SELECT topic_id, timestamp, data FROM {rows} {chosen}{order} LIMIT -1 OFFSET {self.place}"
         self._limit()
         budget = Budget(self._size)
+        budget.records -= self.place
         try:
             for key, log, data in budget.limited(self._base.execute(query)):
+                self.place += 1
                 if isinstance(log, int) and isinstance(data, bytes):
                     yield RawMessage(*self.channels[key], seconds(log), data)
         except BROKEN as error:

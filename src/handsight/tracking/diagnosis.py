@@ -19,13 +19,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc
 
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PoseEstimate
-from handsight.correction.modes import chi2_limit
+from handsight.correction.modes import chi2_limit, chi2_survival
 from handsight.errors import InvalidInput
 from handsight.forces import WEIGHER, Carried, Unknowns, Weighing, common_equations, weigh
 from handsight.objects import ObjectModel
@@ -227,7 +226,7 @@ class Diagnoser:
         others = [*self._vision_values(), *self._other_values()]
         # Bonferroni: that any of n right values is called wrong has at most the stated probability.
         level = DIAGNOSIS.level / max(len(rows) + len(others), 1)
-        judged = [replace(v, wrong=float(chdtrc(v.freedom, v.chi2)) < level) for v in others]
+        judged = [replace(v, wrong=chi2_survival(v.chi2, v.freedom) < level) for v in others]
         values = *self._judged(rows, errors, H, level), *judged
         return Diagnosis(values, len(self._instants), UNLIKE if far else "")
 
@@ -268,7 +267,7 @@ class Diagnoser:
                     )
                 values.append(value)
             k = max(range(len(rows)), key=lambda k: 0.0 if k in wrong else values[k].chi2, default=-1)
-            if k < 0 or k in wrong or chdtrc(1, values[k].chi2) >= level:
+            if k < 0 or k in wrong or chi2_survival(values[k].chi2, 1) >= level:
                 return values
             wrong[k], at, freed = values[k].chi2, rows[k][3], H.copy()
             freed[at, at] -= (1 - DIAGNOSIS.max_errors**-2) / sigmas[at] ** 2

@@ -28,7 +28,6 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri, fdtri
 
 from handsight import se3
 from handsight.checks import Array
@@ -66,8 +65,9 @@ class MisfitOptions(NamedTuple):
 
 
 MISFIT = MisfitOptions()
-COVERAGE = float(6 * fdtri(6, MISFIT.noise_freedom, 0.95) / chdtri(6, 0.05))
-"""Coverage factor of a covariance: k F(k, ν) / χ²(k) of 95 % quantiles, for the k = 6 numbers of a pose."""
+COVERAGE = 6 * 6.163132282688632 / chi2_limit(6, 0.05)
+"""Coverage factor of a covariance: k F(k, ν) / χ²(k) of 95 % quantiles, for the k = 6 numbers of a pose and ν =
+`MISFIT.noise_freedom`. The F(6, 4) is a number, as loading SciPy for it takes a fifth of a second."""
 OTHER_OBJECT = "this may be another object than the model"
 FINGER_OR_OBJECT = "a finger is calibrated badly, or this is another object"
 TOUCH, OBJECT = "touch", "object"
@@ -236,16 +236,21 @@ def contradicted(estimate: PoseEstimate, fingers: int) -> tuple[bool, bool]:
     """Returns whether contacts contradict the model, and whether no calibration of one finger can explain that.
 
     They do where they fit no pose, or one of the first `fingers` contacts had to be rejected; an answer that vision
-    alone contradicts is none of these. One finger explains it if only one had to be, and if it is not too far off: with
-    Student's t for residuals, the χ² of n numbers, divided by n, follows an F distribution (n, `MISFIT.noise_freedom`).
+    alone contradicts is none of these. One finger explains it if only one had to be, and if it is not too far off.
     """
     kept = [c for c in estimate.conflicts if not c.excluded]
     touch = [c for c in estimate.conflicts if c.evidence.startswith("contact")]
     now = [c for c in touch if c.excluded and int(c.evidence.split()[1]) < fingers]
     fits = estimate.consistent or (bool(kept) and all(c.excluded for c in touch))
-    far, nu = 1 - MISFIT.one_finger, MISFIT.noise_freedom
-    too_far = any(c.chi2 > c.freedom * fdtri(c.freedom, nu, far) for c in now)
+    too_far = any(chi2_probability(c.chi2, c.freedom) > 1 - MISFIT.one_finger for c in now)
     return not fits or bool(now), not fits or too_far or len(now) > 1
+
+
+def chi2_probability(chi2: float, n: int) -> float:
+    """Returns the probability that the χ² of n residuals is less: with Student's t for residuals, χ²/n follows an F
+    distribution (n, `MISFIT.noise_freedom`), for four in closed form (Abramowitz and Stegun, 26.6.4)."""
+    normal = 4.0 / (4.0 + chi2)
+    return float((1 - normal) ** (n / 2) * (1 + n / 2 * normal))
 
 
 def better_object(

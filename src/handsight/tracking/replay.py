@@ -73,6 +73,10 @@ class Tally:
     """Fingers that have touched something."""
     without: dict[str, Counter[str]] = field(default_factory=dict)
     """By finger, then by reason: observations without a contact of that finger, up to its first contact."""
+    counted_to: float = math.nan
+    """The stamp up to which time is counted [s]."""
+    waiting: "list[Unconfirmed]" = field(default_factory=list)
+    """The last observations, while the next one may still undo them."""
 
 
 class Unconfirmed(NamedTuple):
@@ -90,10 +94,12 @@ class Unconfirmed(NamedTuple):
 def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) -> Iterator[Step]:
     """Yields the tracker's answers, one for each observation that has one; `tally` is filled as they come.
 
+    With the tally and the tracker of an earlier replay, it goes on with the observations that follow.
+
     An invalid observation is counted by its error message, and the replay goes on with the next one. A late observation
     has no answer, nor has one that jumped ahead and was undone; so after a jump, answers wait for the next observation.
     """
-    began, counted_to, waiting = time.perf_counter(), math.nan, list[Unconfirmed]()
+    began, waiting = time.perf_counter() - tally.wall, tally.waiting
     for observation in observations:
         tally.observations += 1
         late, undone = tracker.late, tracker.undone
@@ -104,20 +110,20 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
             known = message in tally.refused or len(tally.refused) < MAX_MESSAGES
             tally.refused[message if known else "others"] += 1
             if not waiting:
-                counted_to = _refused(observation, counted_to, tally)
+                tally.counted_to = _refused(observation, tally.counted_to, tally)
             continue
         finally:
             tally.wall = time.perf_counter() - began
         del waiting[len(waiting) - (tracker.undone - undone) :]
         if tracker.late == late:
-            passed = max(0.0, tracker.stamp - (waiting[-1].stamp if waiting else counted_to))
+            passed = max(0.0, tracker.stamp - (waiting[-1].stamp if waiting else tally.counted_to))
             step = None if estimate is None else _step(tracker, estimate)
             waiting.append(Unconfirmed(tracker.stamp, passed, tracker.state, tracker.fingertips, step))
         while len(waiting) > tracker.unconfirmed:
-            counted_to = waiting[0].stamp
+            tally.counted_to = waiting[0].stamp
             yield from _confirmed(waiting.pop(0), tally)
-    for observed in waiting:
-        yield from _confirmed(observed, tally)
+    while waiting:
+        yield from _confirmed(waiting.pop(0), tally)
 
 
 def _refused(observation: Observation, last: float, tally: Tally) -> float:

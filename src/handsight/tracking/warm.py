@@ -28,7 +28,6 @@ from handsight.tracking.follower import Follower
 from handsight.tracking.joint_offsets import JointOffsets
 from handsight.tracking.settings import TrackerSettings
 from handsight.vision import DepthTracker, HandAppearance, detect_palm, locate, locate_all
-from handsight.vision.reconstruction.reconstruct import Reconstruction, View
 
 
 @cache
@@ -118,6 +117,8 @@ def track() -> None:
 
 def find_object() -> None:
     """Finds a box in a depth image, follows it, and grows a surface from two images."""
+    from handsight.vision.reconstruction.reconstruct import Reconstruction, View  # loads more of SciPy
+
     model, camera = _new_box(), _camera(96, 72)
     T = se3.compose(se3.rotation_exp(np.array([0.5, 0.4, 0])), np.array([0, 0, 0.3]))
     depth = _drawn(camera, se3.apply(T, model.vertices), model.faces)

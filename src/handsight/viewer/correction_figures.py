@@ -4,6 +4,7 @@ They need matplotlib.
 """
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -37,12 +38,16 @@ def require_matplotlib() -> ModuleType:
     """Returns pyplot on a backend that needs no screen; raises MissingExtra where matplotlib is absent."""
     try:
         import matplotlib
+        from matplotlib import artist
     except ImportError:
         raise MissingExtra("plotting needs matplotlib: pip install 'handsight[plot]'") from None
     matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt
+    # It writes a page of documentation for each of its classes when it loads, which takes a third of that time.
+    documented, artist.kwdoc = artist.kwdoc, lambda artist: ""
+    try:
+        return import_module("matplotlib.pyplot")
+    finally:
+        artist.kwdoc = documented
 
 
 def draw_corrections(panels: Sequence[CorrectionPanel], path: Path) -> None:

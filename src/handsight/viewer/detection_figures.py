@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.ndimage import maximum_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from handsight import se3
 from handsight.camera import Depth
@@ -132,11 +132,13 @@ def _outline(axes: "Axes", row: Located, T: Array, color: str, style: str) -> No
     lines = lines[(lines[..., 2] > 0).all(axis=1)][: FIGURE.max_edges]
     pixels = row.frame.camera.project(lines.reshape(-1, 3)).reshape(-1, 2, 2)
     # An edge is visible if its middle is in the image, and not behind the surface that is drawn around it.
-    surface = np.pad(maximum_filter(np.where(inside, drawn, -np.inf), size=3), 1, constant_values=-np.inf)
     middles = np.nan_to_num(pixels.mean(axis=1), nan=-1).round()
-    columns, rows = middles.clip(-1, inside.shape[::-1]).astype(int).T + 1
-    visible = lines[..., 2].mean(axis=1) < surface[rows, columns] + FIGURE.edge_depth
-    for line in pixels[visible]:
+    shown = ((middles >= 0) & (middles < inside.shape[::-1])).all(axis=1)
+    columns, rows = middles[shown].astype(int).T
+    padded = np.pad(np.where(inside, drawn, -np.inf), 1, constant_values=-np.inf)
+    surface = sliding_window_view(padded, (3, 3))[rows, columns].max(axis=(1, 2))
+    visible = lines[shown, :, 2].mean(axis=1) < surface + FIGURE.edge_depth
+    for line in pixels[shown][visible]:
         axes.plot(*line.T, color=color, lw=0.9)
 
 

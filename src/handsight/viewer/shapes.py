@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import generate_binary_structure, iterate_structure, minimum_filter
+import scipy  # loads its parts when they are used
 
 from handsight import se3
 from handsight.camera import Camera, Depth
@@ -53,8 +53,9 @@ def silhouette(camera: Camera, model: ObjectModel, T_camera_object: Array) -> De
     u, v = np.round(pixels[inside]).astype(int).T
     np.minimum.at(depth, (v, u), points[inside, 2].astype(np.float32))
     # Each point is a dot in front of what is behind it.
-    dot = iterate_structure(generate_binary_structure(2, 1), SHAPES.dot)
-    return np.asarray(minimum_filter(depth, footprint=dot, mode="constant", cval=np.inf))
+    image = scipy.ndimage
+    dot = image.iterate_structure(image.generate_binary_structure(2, 1), SHAPES.dot)
+    return np.asarray(image.minimum_filter(depth, footprint=dot, mode="constant", cval=np.inf))
 
 
 def grey(depth: Depth) -> Array:

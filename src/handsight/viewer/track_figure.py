@@ -20,10 +20,8 @@ def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Tru
     plt = require_matplotlib()
     from matplotlib.colors import ListedColormap
 
-    every = max(1, len(steps) // 2000)
-    shown = [step for k, step in enumerate(steps) if k % every == 0 or step.T_palm_object_vision is not None]
-    times = np.array([step.stamp - steps[0].stamp for step in shown])
-    curves, bases = _curves(model, shown, truths)
+    times = np.array([step.stamp - steps[0].stamp for step in steps])
+    curves, bases = _curves(model, steps, truths)
     size = {"figsize": (9, 9), "height_ratios": [3, 3, 3, 0.5]}
     figure, axes = plt.subplots(4, 1, sharex=True, layout="constrained", **size)
     pink, grey = "#c2185b", "0.6"

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handsight._kernels.math.vec3 import add, dot, matrix, mul, norm, scale, store, sub, vector
+from handsight._kernels.math.vec3 import add, cross, dot, matrix, mul, norm, scale, store, sub, vector
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.touch.taxel_records import FAR, NEAR, PRESSED, RIM, UNKNOWN, WIDE
 
@@ -116,8 +116,10 @@ def _measure(record: Any, taxels: Any, at: int, rise: Any, state: Any, patch: An
     # A weak pull to no slope, for places that are along a line.
     weak, count = 0.01 * record.pitch**2, sums[0, 0]
     sums[1, 1], sums[2, 2] = sums[1, 1] + weak, sums[2, 2] + weak
-    inverse = np.linalg.inv(sums)
-    plane = mul(matrix(inverse), products)
+    one, x, y = matrix(sums)  # symmetric; LAPACK would load SciPy's linear algebra
+    cofactors = cross(x, y), cross(y, one), cross(one, x)
+    determinant = dot(one, cofactors[0])
+    plane = scale(mul(cofactors, products), 1.0 / determinant)
     depth, slope_x, slope_y = plane
     # What a plane leaves over is an edge, or a bend: point and normal are somewhere in it.
     misfit = max(square - dot(plane, products), 0.0) / count
@@ -127,7 +129,7 @@ def _measure(record: Any, taxels: Any, at: int, rise: Any, state: Any, patch: An
     store(sub(vector(taxel.point), scale(own, depth)), patch.point)
     store(scale(normal, -1.0), patch.normal)
     slope2 = slope_x * slope_x + slope_y * slope_y
-    by_noise = record.variance_point * 0.5 * (inverse[1, 1] + inverse[2, 2])
+    by_noise = record.variance_point * 0.5 * (cofactors[1][1] + cofactors[2][2]) / determinant
     few = 0.25 if count < GEL.few else 0.0  # then the slope is unknown
     sideways, variance = record.pitch**2 / 12.0, record.variance_point + (record.noise * depth) ** 2 + misfit
     turn = record.variance_normal + by_noise + record.noise**2 * slope2 + few
