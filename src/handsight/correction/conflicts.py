@@ -94,27 +94,20 @@ def _found(problem: Problem, answer: np.void, used: Mask) -> tuple[Conflict, ...
         best, n = None, int(used.sum())
         for kind in suspects(problem, answer, n):
             name = _worst(problem, answer, used) if kind == "contact" else kind
-            if not (freedom := _freedom(problem, used, name)):
+            if not _freedom(problem, used, name):
                 continue
             rest = _without(problem, used, name)
             if not rest[1].any():
                 continue
-            other = _solved(*rest, _mode(answer))
-            p_value = modes.chi2_survival(_fall(name, answer, other[0]), freedom)
-            if p_value < (EACH / n if kind == "contact" else KIND) and (best is None or p_value < best[0]):
-                best = p_value, name, other, rest
+            other, level = _solved(*rest, _mode(answer)), EACH / n if kind == "contact" else KIND
+            conflict = _conflict(problem, used, name, answer, other)
+            if conflict.p_value < level and (best is None or conflict.p_value < best[0].p_value):
+                best = conflict, rest, other[0]
         if best is None:
             break
-        found.append(_conflict(problem, used, best[1], answer, best[2]))
-        (problem, used), answer = best[3], best[2][0]
+        found.append(best[0])
+        (problem, used), answer = best[1:]
     return tuple(found)
-
-
-def _fall(name: str, both: np.void, rest: np.void) -> float:
-    """Returns by how much χ² falls when some evidence is left out, by the answers with it and without."""
-    # The log determinants of the contacts' covariances count where both answers have the same contacts.
-    cost = "chi2" if name == "skin" or name.startswith("contact") else "posterior_cost"
-    return max(float(both[cost] - rest[cost]), 0.0)
 
 
 def _worst(problem: Problem, answer: np.void, used: Mask) -> str:
@@ -189,7 +182,9 @@ def _conflict(
     `problem` and `used` (1, n) are with it.
     """
     rest, residuals = without
-    fall, freedom = _fall(name, both, rest), _freedom(problem, used, name)
+    # The log determinants of the contacts' covariances count where both answers have the same contacts.
+    cost = "chi2" if name == "skin" or name.startswith("contact") else "posterior_cost"
+    fall, freedom = max(float(both[cost] - rest[cost]), 0.0), _freedom(problem, used, name)
     T, offset = _mode(rest), np.empty(0)
     if name == "vision" and problem.vision is not None:
         offset = se3.difference(T, problem.vision.T_palm_object)

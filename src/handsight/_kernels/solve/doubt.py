@@ -8,14 +8,13 @@ import numpy as np
 from handsight._kernels.evidence.prior_term import drawn, spread
 from handsight._kernels.evidence.terms import Evidence
 from handsight._kernels.math.simd import local
-from handsight._kernels.math.symmetry import are_distinct, pose_of
-from handsight._kernels.records import DOUBTED, ENOUGH, GRID, SHEET, UNCERTAINTY, UNDECIDED
+from handsight._kernels.math.symmetry import are_distinct, pose_of, store_pose
+from handsight._kernels.records import DOUBTED, ENOUGH, GRID, POSE, SHEET, UNCERTAINTY, UNDECIDED
 from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.levenberg import descend
-from handsight._kernels.solve.match import match
+from handsight._kernels.solve.match import are_near, match
 from handsight._kernels.solve.options import ACCEPTANCE, DESCENT, MATCH, SEARCH
 
-LIMITS = DESCENT.coarse, DESCENT.fine
 DRAWS = np.random.default_rng(0).normal(size=(1 + ACCEPTANCE.confirming, 6))[1:]
 """Standard normal draws, those that a search begins with after the prior's own pose."""
 
@@ -39,29 +38,30 @@ def chi2_survival(chi2: float, freedom: int) -> float:
 
 @inner
 def _confirmed(evidence: Evidence, answer: Any) -> bool:
-    """Returns whether draws from the prior lead to no likely minimum but that of an ANSWER.
+    """Returns whether draws from the prior lead to no likely minimum but that of an ANSWER, and to no lower cost.
 
-    Each ends as soon as it is where the answer's minimum is, and all of them as soon as one leads elsewhere.
+    Those that phase 1 leads to where it led an earlier one go no further, and none does once one has led elsewhere.
     """
-    model, prior, found, u = (
-        evidence.model,
-        evidence.constraints.prior,
-        pose_of(answer.pose),
-        local(UNCERTAINTY),
+    model, given, found, u = evidence.model, evidence.constraints, pose_of(answer.pose), local(UNCERTAINTY)
+    terms, ends, count = evidence.terms.copy(), np.empty(len(DRAWS), POSE), 0
+    evidence = Evidence(
+        model, evidence.nodes, terms, evidence.outside, given, evidence.prior, evidence.center
     )
-    spread(prior, u)
+    spread(given.prior, u)
     for k in range(len(DRAWS)):
-        pose, cost, done = drawn(prior, DRAWS[k], u), np.inf, False
-        for phase in range(4):
-            if phase > 1:
-                field = model.fine if phase == 3 else model.coarse
-                pose, cost, _, _ = descend(evidence, field, pose, LIMITS[phase - 2], True)
-            elif not done:
-                pose, _, done = match(evidence, pose, MATCH.max_steps if phase else SEARCH.first_steps)
-            limits = SEARCH.same_minimum if phase == 3 else SEARCH.same_after_coarse
-            if not are_distinct(model, pose, found, limits):
-                break
-            if phase == 3 and cost < answer.cost + 2 * SEARCH.unlikely:
+        pose, new, done = drawn(given.prior, DRAWS[k], u), True, False
+        for part in range(2):
+            if new and not done:
+                pose, _, done = match(evidence, pose, MATCH.max_steps if part else SEARCH.first_steps)
+                for j in range(count):
+                    new = new and not are_near(model, pose, pose_of(ends[j]))
+        if new:
+            store_pose(pose, ends[count])
+            count += 1
+            pose, _, _, _ = descend(evidence, model.coarse, pose, DESCENT.coarse, True)
+            pose, cost, _, _ = descend(evidence, model.fine, pose, DESCENT.fine, True)
+            likely = cost < answer.cost + 2 * SEARCH.unlikely
+            if cost < answer.cost - 1 or (likely and are_distinct(model, pose, found, SEARCH.same_minimum)):
                 return False
     return True
 

@@ -24,9 +24,10 @@ from handsight._kernels.math.vec3 import (
 from handsight._kernels.records import WORKSPACE
 from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.levenberg import LONGEST_STEP, damped_step, retract
-from handsight._kernels.solve.options import MATCH
+from handsight._kernels.solve.options import MATCH, SEARCH
 
 f4 = np.float32
+COSINE = float(np.cos(SEARCH.same_after_match[1]))
 
 
 @inner
@@ -92,3 +93,12 @@ def match(evidence: Evidence, pose: Pose, most: int) -> tuple[Pose, int, bool]:
         if longest < MATCH.tolerance * model.radius:
             return pose, taken, True
     return pose, most, False
+
+
+@inner
+def are_near(model: Any, pose: Pose, other: Pose) -> bool:
+    """Returns whether phase 1 led to nearly the same pose twice, not counting symmetries."""
+    (R, _), (Q, _), center = pose, other, vector(model.center)
+    gap = sub(apply(pose, center), apply(other, center))
+    trace = dot(R[0], Q[0]) + dot(R[1], Q[1]) + dot(R[2], Q[2])
+    return dot(gap, gap) < SEARCH.same_after_match[0] ** 2 and trace > 1 + 2 * COSINE

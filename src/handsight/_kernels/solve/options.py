@@ -39,10 +39,8 @@ class SearchOptions(NamedTuple):
     same_minimum: tuple[float, float] = (0.002, float(np.deg2rad(3.0)))
     """Two minima of one mode are distinct when they differ by more than this [m], [rad]: on a scan, and where three
     contacts leave much open, a mode has several."""
-    unlikely: float = 7.0
-    """A minimum whose log weight is so much smaller than the largest is no part of a mode."""
-    first_steps: int = 2
-    """Steps of phase 1 after which a start may already be where another one ended."""
+    unlikely: float = 7.0  # a minimum whose log weight is so much below the largest is no part of a mode
+    first_steps: int = 2  # of phase 1, after which a start may already be where another one ended
 
 
 class AcceptanceOptions(NamedTuple):
@@ -62,8 +60,7 @@ class AcceptanceOptions(NamedTuple):
     doubt_plain_p: float = 0.02
     """The same on a box, a cylinder or a sphere: of 900 answers there that only the level above doubts, 16 starts led
     to a better one no more often than of those that it does not."""
-    confirming: int = 7
-    """Draws from the prior that all lead to a doubted answer before it is given after all."""
+    confirming: int = 7  # draws from the prior that all lead to a doubted answer before it is given
     coarse_p: float = 0.1
     """The same of the cost on the coarse field, divided by `coarse_factor`."""
     coarse_factor: float = 5.0

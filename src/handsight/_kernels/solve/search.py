@@ -16,7 +16,6 @@ from handsight._kernels.math.symmetry import are_distinct, pose_of, store_pose
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
-    apply,
     cross,
     dot,
     matmul,
@@ -31,11 +30,10 @@ from handsight._kernels.records import NO_PRIOR, POSE, PRIOR_TERM, TERM, UNCERTA
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import load_evidence
 from handsight._kernels.solve.levenberg import descend
-from handsight._kernels.solve.match import match
+from handsight._kernels.solve.match import are_near, match
 from handsight._kernels.solve.options import DESCENT, MATCH, SEARCH
 
 LIMITS = DESCENT.coarse, DESCENT.fine
-COSINE = float(np.cos(SEARCH.same_after_match[1]))
 WORST = 1e300
 """The cost in place of a NaN or a larger one: such a descent is still an answer where there is no better one."""
 
@@ -108,14 +106,9 @@ def _repeats(model: Any, rows: Any, k: int, pose: Pose, earlier: Any) -> bool:
 
     `earlier` (M,) POSE: where phase 1 led those of the first k rows that were not repeats.
     """
-    R, center = pose[0], vector(model.center)
     for j in range(k):
-        if rows[j, 0].cost < np.inf:
-            other = pose_of(earlier[j])
-            gap, Q = sub(apply(pose, center), apply(other, center)), other[0]
-            trace = dot(R[0], Q[0]) + dot(R[1], Q[1]) + dot(R[2], Q[2])
-            if dot(gap, gap) < SEARCH.same_after_match[0] ** 2 and trace > 1 + 2 * COSINE:
-                return True
+        if rows[j, 0].cost < np.inf and are_near(model, pose, pose_of(earlier[j])):
+            return True
     store_pose(pose, earlier[k])
     return False
 
