@@ -273,7 +273,7 @@ class Follower:
             if touch is not None:
                 # What was measured of the pose up to now stays true; the object's motion from now on is unknown.
                 pose = pose.given_pose(touch.T_palm_object, touch.information)
-            state.correction = state.table = state.progress = None
+            state.correction = state.table = state.progress = state.failure = None
         pose = pose.inflated(self.regrasp_noise)
         if change != "released" and table is not None and T is not None and not state.grasp.lifted:
             state.table = TableEvidence.of(self.model, table, self.supports, pose, T, state.stamp)
@@ -316,8 +316,10 @@ class Follower:
 
     def _due(self, state: _Next, touched: Contacts) -> bool:
         """Returns whether a correction is due: after news of vision, touch, weight or a slip, or by the set rate."""
-        last = state.correction
-        if last is None:
+        last, failure = state.correction, state.failure
+        if failure is not None and state.stamp - failure.stamp < FOLLOWER.retry_period:
+            return False
+        if last is None or failure is not None:
             return True
         age, regrasped = state.stamp - last.stamp, state.fingertips.fingers != last.fingers
         if not last.estimate.consistent:
@@ -359,6 +361,7 @@ class Follower:
         """Returns the state after its pose was corrected, in steps: by all contacts, present or remembered, with the
         smoother's pose as prior."""
         state = _Next(started)
+        state.failure = None
         touch, now, last, skin = state.fingertips, state.stamp, state.correction, state.skin
         touched, smoother, observed = touch.contacts, state.smoother, state.processed
         assert touched is not None and smoother is not None  # noqa: PT018
@@ -506,6 +509,8 @@ class Follower:
         if (since := state.stamp - state.fits_at) > FOLLOWER.lost_without_fit:
             reason = f"the contacts have fitted no pose for {since:.1f} s"
             return "lost", f"{reason}: {other}" if other else reason
+        if state.failure is not None:
+            return "uncertain", state.failure.reason
         if state.slip.now.slipping:
             return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
         if not estimate.consistent:
