@@ -10,7 +10,7 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.forces.friction import FRICTION
+from handsight._kernels.touch.slip_records import FRICTION
 from handsight.forces.loads import LoadSum
 
 LENGTH = 0.03  # a rotation by a radian counts as a translation by this length [m]

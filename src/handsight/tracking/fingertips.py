@@ -7,7 +7,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.touch.contacts_to_palm import contacts_to_palm, mark_on_table, put_patches
+from handsight._kernels.touch.contacts_to_palm import (
+    contacts_to_palm,
+    gather_contacts,
+    mark_on_table,
+    put_patches,
+)
 from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
 from handsight._kernels.touch.tip_to_tip import TIP_TO_TIP
 from handsight.checks import Array
@@ -115,15 +120,15 @@ class FingertipSensors:
         fingers = tuple(name for name in self.names if name not in reasons)
         if not fingers:
             return FingertipContacts((), None, reasons)
-        touching = records
-        if reasons:
-            touching, by_error = (each[records["reason"] == 0] for each in (records, by_error))
-        contacts = Contacts.trusted(*(touching[name].copy() for name in ("point", "normal", "covariance")))
-        gaps = zip(fingers, touching["gap"].tolist(), strict=True)
-        near = tuple(name for name, gap in gaps if gap < TIP_TO_TIP.max_gap)
-        loads = touching["load"].copy()
+        n = len(fingers)
+        points, normals, covariance, loads = (np.empty((n, *shape)) for shape in ((3,), (3,), (6, 6), (5,)))
+        moved = np.empty((n, *by_error.shape[1:]))
+        gather_contacts(records, by_error, points, normals, covariance, loads, moved)
+        contacts = Contacts.trusted(points, normals, covariance)
+        gaps = zip(self.names, records["gap"].tolist(), strict=True)
+        near = tuple([name for name, gap in gaps if gap < TIP_TO_TIP.max_gap and name not in reasons])
         by_taxels = tuple(name for name in skin.tips if name not in observation.wrenches)
-        return FingertipContacts(fingers, contacts, reasons, by_error, near, loads, doubts, by_taxels)
+        return FingertipContacts(fingers, contacts, reasons, moved, near, loads, doubts, by_taxels)
 
     def _put_taxels(
         self,
