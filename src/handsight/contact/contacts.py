@@ -18,7 +18,7 @@ from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 
 
-@dataclass(frozen=True, slots=True, init=False, eq=False)
+@dataclass(frozen=True, init=False, eq=False)
 class Contacts:
     """`Contacts` are the points where the hand touches the object, with or without normals, and their covariances."""
 
@@ -217,10 +217,9 @@ def _filled(
 ) -> Contacts:
     groups = _no_groups(len(points)) if group is None else group
     arrays = points, normals, has_normal, covariance, of_residual, groups, shared
-    for name, array in zip(_ARRAYS, arrays, strict=True):
+    for array in arrays:
         array.flags.writeable = False
-        object.__setattr__(contacts, name, array)
-    object.__setattr__(contacts, "_record", None)
+    vars(contacts).update(zip(_ARRAYS, arrays, strict=True), _record=None)
     return contacts
 
 

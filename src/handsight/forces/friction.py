@@ -39,19 +39,16 @@ class Friction:
         """Mean ratio of the highest heap, and its turns; None before there was one."""
         self._kept_up = 0.0  # the highest ratio that two fingers have kept up
 
-    def update(
-        self, turns: Sequence[tuple[float, int]], kept_up: float, error: float = 0.0, *, news: bool = True
-    ) -> None:
+    def update(self, turns: Sequence[tuple[float, int]], kept_up: float, error: float = 0.0) -> None:
         """Learns from ratios at which ratio vectors have turned, each counted so often.
 
-        `kept_up`: the highest ratio that two fingers have kept up, or the only one that has touched; where it has risen
-        there is `news`. `error`: standard deviation of the ratios, as a share of them, by which a heap is wider.
+        `kept_up`: the highest ratio that two fingers have kept up, or the only one that has touched. `error`: standard
+        deviation of the ratios, as a share of them, by which a heap is wider.
         """
         self._error, self._kept_up = round(error / FRICTION.bin_width), kept_up
         if turns:
             self._count(turns)
-        if turns or news:
-            self._estimate()
+        self._estimate()
 
     def _estimate(self) -> None:
         """Joins what was declared, the heap, and the ratios that were kept up, which bound μ from below."""

@@ -107,17 +107,20 @@ class SlipDetector:
         given = self._limits, np.array(numbers, dtype=np.int64), loads, stamp, since
         memory = self._memory.view(LOAD_MEMORY)[:, 0]
         news, kept_up, gain = follow_loads(*given, self.friction.coefficient or 1.0, memory, reads)
-        found = dict(zip(fingers, reads.tolist(), strict=True))
-        turns = [(turned, 1) for *_, turned in found.values() if turned]
-        for name in sliding:
-            length = found[name][2] if name in found else 0.0
-            if FRICTION.min_ratio < length < FRICTION.max_ratio:
+        turns, ratios, unmeasured = list[tuple[float, int]](), dict[str, float](), list[str]()
+        for name, (measured, ratio, length, turned) in zip(fingers, reads.tolist(), strict=True):
+            if ratio == ratio:  # not NaN
+                ratios[name] = ratio
+            if turned:
+                turns.append((turned, 1))
+            if not measured:
+                unmeasured.append(name)
+            if name in sliding and FRICTION.min_ratio < length < FRICTION.max_ratio:
                 turns.append((length, FRICTION.sliding_turns))
-        self.friction.update(turns, kept_up, gain, news=news or bool(sliding))
-        unmeasured = tuple([name for name, (measured, *_) in found.items() if not measured])
-        mu, sigma, ratios = self.friction.coefficient, self.friction.sigma, dict[str, float]()
-        if mu is not None:
-            ratios = {name: ratio / mu for name, (_, ratio, *_) in found.items() if ratio == ratio}  # not NaN
+        if turns or news or sliding:
+            self.friction.update(turns, kept_up, gain)
+        mu, sigma = self.friction.coefficient, self.friction.sigma
+        ratios = {} if mu is None else {name: ratio / mu for name, ratio in ratios.items()}
         # Hysteresis, in the ratio and in time.
         was, least = self.now, min(ratios.values(), default=0.0)
         known = mu is not None and sigma is not None and sigma <= SLIP.max_sigma * mu
@@ -128,7 +131,7 @@ class SlipDetector:
         slipping = least >= SLIP.stick_ratio and stamp - self._at_limit <= holds_after
         began = stamp if slipping and not was.slipping else was.began
         ended = stamp if was.slipping and not slipping else was.ended
-        self.now = Slip(slipping, ratios, mu, began, ended, sigma, unmeasured)
+        self.now = Slip(slipping, ratios, mu, began, ended, sigma, tuple(unmeasured))
         return self.now
 
     def _changes(self, fingers: Sequence[str], numbers: Sequence[int], ratios: Collection[str]) -> bool:
@@ -143,7 +146,7 @@ class SlipDetector:
 
     def _bounces(self, ratios: Mapping[str, float]) -> bool:
         """Returns whether all fingers but one are at their limit and bounce."""
-        at_limit = [name for name, ratio in ratios.items() if ratio >= SLIP.begin_ratio]
+        at_limit = [name for name in ratios if ratios[name] >= SLIP.begin_ratio]
         if len(at_limit) < max(SLIP.min_bouncing, len(ratios) - 1):
             return False
         memory = self._memory.view(LOAD_MEMORY)[:, 0]

@@ -117,12 +117,12 @@ class FingertipSensors:
 
         numbers = zip(self.names, records["reason"].tolist(), strict=True)
         reasons = {name: REASONS[k] for name, k in numbers if k}
-        fingers = tuple(name for name in self.names if name not in reasons)
+        fingers = tuple([name for name in self.names if name not in reasons]) if reasons else self.names
         if not fingers:
             return FingertipContacts((), None, reasons)
-        n = len(fingers)
-        points, normals, covariance, loads = (np.empty((n, *shape)) for shape in ((3,), (3,), (6, 6), (5,)))
-        moved = np.empty((n, *by_error.shape[1:]))
+        n, j = len(fingers), by_error.shape[2]
+        points, normals, covariance = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 6, 6))
+        loads, moved = np.empty((n, 5)), np.empty((n, 6, j))
         gather_contacts(records, by_error, points, normals, covariance, loads, moved)
         contacts = Contacts.trusted(points, normals, covariance)
         gaps = zip(self.names, records["gap"].tolist(), strict=True)
@@ -170,7 +170,7 @@ class FingertipSensors:
             came = checks.brief(wrenches)
             raise InvalidInput(f"observation.wrenches: expected a mapping from finger to wrench, got {came}")
         rows = [wrenches.get(name, SILENT) for name in self.names]
-        if rows and all(type(row) is np.ndarray and row.dtype == FLOAT and row.shape == (6,) for row in rows):
+        if rows and all([type(row) is np.ndarray and row.dtype is FLOAT and row.shape == (6,) for row in rows]):
             readings = np.array(rows)
             # A comparison with NaN is False: if there is one, each row is checked below.
             if np.abs(readings).max() <= checks.MAX_LOAD:

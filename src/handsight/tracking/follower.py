@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight import se3
+from handsight._kernels.touch.contacts_to_palm import have_moved
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import Outside, PoseEstimate, PosePrior, refine_pose
@@ -36,7 +37,7 @@ from handsight.tracking.runner import CORRECTED, Runner, steps_in
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
-from handsight.tracking.smoother import STILL, PoseBiasSmoother, process_variance
+from handsight.tracking.smoother import MAX_PROPAGATION, STILL, PoseBiasSmoother, process_variance
 from handsight.tracking.table import TableEstimate, TableEvidence, supports_of
 from handsight.tracking.track_state import NO_POSE, Correction, Progress, State, TrackState, point_uncertainty
 from handsight.vision import FirstPoseSource, locate
@@ -67,7 +68,7 @@ class _Next(TrackState):
 
     def __init__(self, state: TrackState) -> None:
         # All fields at once: to set one after the other, as a frozen dataclass does, takes three times as long.
-        vars(self).update(vars(state))
+        self.__dict__ = vars(state).copy()
         self.images, self.slip, self.weight = (
             state.images.copied(),
             state.slip.copied(),
@@ -77,9 +78,9 @@ class _Next(TrackState):
     __setattr__ = object.__setattr__
 
     def frozen(self) -> TrackState:
-        """Returns the next state, as a value."""
+        """Returns the next state, as a value; this object must not be changed any more."""
         state = object.__new__(TrackState)
-        vars(state).update(vars(self))
+        object.__setattr__(state, "__dict__", self.__dict__)
         return state
 
 
@@ -147,8 +148,8 @@ class Follower:
         """Returns the largest standard deviation of the position of the object's middle [m]; infinite before a pose."""
         last = state.correction
         if last is not None:
-            since = process_variance(self.process_noise, state.stamp - last.stamp)
-            return math.sqrt(last.variance + since[0])
+            since = min(self.settings.process_noise_position**2 * (state.stamp - last.stamp), MAX_PROPAGATION)
+            return math.sqrt(last.variance + since)
         if state.estimate is None:
             return math.inf
         return math.sqrt(point_uncertainty(state.estimate, self.model, self.model.center_object)[1])
@@ -215,8 +216,7 @@ class Follower:
 
         # The answer: corrected, or propagated from the last correction, or vision's alone.
         if state.progress is None and touch.contacts is not None and self._due(state, touch.contacts):
-            state.progress = Progress(state.frozen())
-            state.weight = state.weight.copied()
+            state.progress = Progress(_Next(state).frozen())
             state.weight.used()
         if state.progress is not None:
             self._continued(state, state.progress, elapsed)
@@ -331,9 +331,9 @@ class Follower:
             return True
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
             return True
-        shift = np.abs(touched.points_palm - last.contacts.points_palm).max()
-        cosine = (touched.normals_palm * last.contacts.normals_palm).sum(axis=1).min()
-        return bool(shift > self.settings.moved or cosine < math.cos(self.settings.turned))
+        old, limits = last.contacts, (self.settings.moved, math.cos(self.settings.turned))
+        places = touched.points_palm, old.points_palm, touched.normals_palm, old.normals_palm
+        return bool(have_moved(*places, *limits))
 
     def _motion_since(self, last: Correction, state: TrackState) -> Array:
         """Returns the variance (6,) of the object's motion since a correction [m², rad²]."""

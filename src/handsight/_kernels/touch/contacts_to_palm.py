@@ -178,3 +178,16 @@ def gather_contacts(
             points[k], normals[k], covariance[k] = contact.point, contact.normal, contact.covariance
             loads[k], moved[k] = contact.load, by_error[i]
             k += 1
+
+
+@entry
+def have_moved(points: Any, before: Any, normals: Any, normals_before: Any, far: float, cosine: float) -> bool:
+    """Returns whether a coordinate of any of n points (n, 3) has changed by more than `far` [m], or any unit normal (n,
+    3) by more than the angle of that `cosine`."""
+    for i in range(len(points)):
+        for k in range(3):
+            if abs(points[i, k] - before[i, k]) > far:
+                return True
+        if dot(vector(normals[i]), vector(normals_before[i])) < cosine:
+            return True
+    return False
