@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from handsight._kernels.touch.slip_records import FRICTION
 
-
 FIRST = round(math.log(FRICTION.min_ratio) / FRICTION.bin_width)
 BINS = round(math.log(FRICTION.max_ratio) / FRICTION.bin_width) - FIRST + 1
 """Number of the first bin, and how many there are."""

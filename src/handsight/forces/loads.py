@@ -241,11 +241,13 @@ def _second_derivative(n: int, length: int) -> Array:
     The windows at both ends are those of the samples there that are complete. It is what `scipy.signal.savgol_filter`
     makes of the identity, without loading `scipy.signal`, which takes as long as all else together.
     """
-    derivative = np.zeros((n, n))
+    derivative, steps = np.zeros((n, n)), np.arange(length)
+    rows = [
+        2 * np.linalg.pinv(np.vander(steps - float(i), LOADS.order + 1, increasing=True))[2] for i in steps
+    ]
     for i in range(n):
         first = min(max(i - length // 2, 0), n - length)
-        powers = np.vander(np.arange(first, first + length) - float(i), LOADS.order + 1, increasing=True)
-        derivative[i, first : first + length] = 2 * np.linalg.pinv(powers)[2]
+        derivative[i, first : first + length] = rows[i - first]
     return derivative
 
 

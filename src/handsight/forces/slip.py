@@ -150,7 +150,9 @@ class SlipDetector:
         if len(at_limit) < max(SLIP.min_bouncing, len(ratios) - 1):
             return False
         memory = self._memory.view(LOAD_MEMORY)[:, 0]
-        return statistics.median(_chatter(memory[self._numbers[name]]) for name in at_limit) >= SLIP.min_chatter
+        return (
+            statistics.median(_chatter(memory[self._numbers[name]]) for name in at_limit) >= SLIP.min_chatter
+        )
 
 
 def _chatter(one: np.void) -> float:

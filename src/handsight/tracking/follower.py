@@ -69,11 +69,8 @@ class _Next(TrackState):
     def __init__(self, state: TrackState) -> None:
         # All fields at once: to set one after the other, as a frozen dataclass does, takes three times as long.
         self.__dict__ = vars(state).copy()
-        self.images, self.slip, self.weight = (
-            state.images.copied(),
-            state.slip.copied(),
-            state.weight.copied(),
-        )
+        self.images, self.slip = state.images.copied(), state.slip.copied()
+        self.weight = state.weight.copied()
 
     __setattr__ = object.__setattr__
 
@@ -115,19 +112,14 @@ class Follower:
     def initial(self, start: PosePrior | None, offsets: JointOffsets) -> TrackState:
         """Returns the state before any observation; `start`: the object's pose in the palm, None where unknown."""
         vision = VisionUpdate(self.rig, self.model)
+        follow = ConcurrentImages if self.settings.concurrent_images else ObjectInImages
         return TrackState(
             start=start,
             smoother=_started(vision, start),
             grasp=GraspState(),
             memory=ContactMemory(self.settings.memory, self.process_noise),
             vision=vision,
-            images=ImageVision(
-                self.rig,
-                self.model,
-                self.source,
-                on=self.settings.images,
-                follow=ConcurrentImages if self.settings.concurrent_images else ObjectInImages,
-            ),
+            images=ImageVision(self.rig, self.model, self.source, on=self.settings.images, follow=follow),
             slip=SlipUpdate(self.rig, self.model),
             weight=WeightSensor(self.rig, self.model),
             offsets=offsets,
@@ -187,17 +179,12 @@ class Follower:
         state.skin = skin = self.skin_sensors.observed(observation, state.skin, touched=touched)
         state.fingertips = touch = self.sensors.contacts(observation, state.offsets, skin)
         self._predict(state, observation.T_world_palm, stamp)
-        state.weight.update(
-            replace(observation, wrenches={**skin.wrenches, **observation.wrenches})
-            if skin.touches
-            else observation,
-            (touch.fingers, touch.contacts),
-            (state.offsets.mean, state.offsets.root),
-            grasped=state.grasp.grasped,
-            lifted=state.grasp.lifted,
-            finger_on_table="on the table" in touch.reasons.values(),
-            pivots=state.slip.now.pivots,
-        )
+        loaded, learnt = observation, (state.offsets.mean, state.offsets.root)
+        if skin.touches:
+            loaded = replace(observation, wrenches={**skin.wrenches, **observation.wrenches})
+        grip = {"grasped": state.grasp.grasped, "lifted": state.grasp.lifted, "pivots": state.slip.now.pivots}
+        on_table = "on the table" in touch.reasons.values()
+        state.weight.update(loaded, (touch.fingers, touch.contacts), learnt, finger_on_table=on_table, **grip)
 
         # Vision.
         before = state.smoother

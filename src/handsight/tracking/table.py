@@ -219,8 +219,8 @@ class TableEvidence:
 
         `drift` (6,): variance of the object's random walk since it was on the table [m², rad²].
         """
-        T, R, table, found = state.T_palm_object, self.T_world_palm[:3, :3], self.table, list[Measured | None]()
-        up, rests = R[2], dict[int, tuple[Array, Array, Array]]()
+        T, table, found = state.T_palm_object, self.table, list[Measured | None]()
+        up, rests = self.T_world_palm[2, :3], dict[int, tuple[Array, Array, Array]]()
         # The rotation that brings a side down, about two horizontal axes; a table does not measure the yaw.
         axes, motion = np.linalg.svd(up[None])[2][1:], self.moved + drift * np.eye(6)
         for support in supports:
@@ -242,7 +242,9 @@ class TableEvidence:
                 by_side = axes @ se3.skew(up) @ T[:3, :3]
                 rests[id(pose)] = H, residual, by_side @ spread @ by_side.T
             H, residual, by_spread = rests[id(pose)]
-            sigmas = np.maximum((table.sigma_height, table.sigma_tilt), 1e-5)  # a covariance must be invertible
+            sigmas = np.maximum(
+                (table.sigma_height, table.sigma_tilt), 1e-5
+            )  # a covariance must be invertible
             sigma_height, sigma_tilt = support.factors * sigmas
             noise = np.zeros((3, 3))
             noise[0, 0], noise[1:, 1:] = sigma_height**2, sigma_tilt**2 * np.eye(2) + by_spread

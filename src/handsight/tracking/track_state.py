@@ -52,8 +52,7 @@ class Failure:
     def of(cls, started: "TrackState", error: Exception) -> "Failure":
         """Returns the failure of a correction that began at a state; its reason names the evidence."""
         evidence = [f"finger {name}" for name in started.fingertips.fingers]
-        evidence += [f"skin {name}" for name, (touch, _) in started.skin.touches.items() if len(touch.patches)]
-        evidence += ["vision"] + ["the table"] * (started.table is not None)
+        evidence += ["skin"] * started.skin.pressed + ["vision"] + ["the table"] * (started.table is not None)
         by = f"the correction by {', '.join(evidence)} at {started.stamp:.3f} s failed"
         return cls(started.stamp, f"{by}: {str(error) or type(error).__name__}")
 

@@ -181,7 +181,9 @@ def gather_contacts(
 
 
 @entry
-def have_moved(points: Any, before: Any, normals: Any, normals_before: Any, far: float, cosine: float) -> bool:
+def have_moved(
+    points: Any, before: Any, normals: Any, normals_before: Any, far: float, cosine: float
+) -> bool:
     """Returns whether a coordinate of any of n points (n, 3) has changed by more than `far` [m], or any unit normal (n,
     3) by more than the angle of that `cosine`."""
     for i in range(len(points)):

@@ -1,4 +1,4 @@
-"""Loads over time: their ratios, means over short times, and the turns of ratio vectors, by which friction is learnt."""
+"""Loads over time: ratios, means over short times, and turns of ratio vectors, by which friction is learnt."""
 
 import math
 from typing import Any
@@ -67,7 +67,11 @@ def _turned(one: Any, relative: float, rise: float, read: Any) -> bool:
         return risen
     least, most = min(size, length), max(size, length)
     # A motion that hardly changed the length was a turn. Without an anchor the comparisons are false.
-    if least >= FRICTION.min_ratio and most <= FRICTION.max_ratio and most - least <= FRICTION.max_radial * away:
+    if (
+        least >= FRICTION.min_ratio
+        and most <= FRICTION.max_ratio
+        and most - least <= FRICTION.max_radial * away
+    ):
         read.turned = math.sqrt(least * most)
     anchor[0], anchor[1], anchor[2], anchor[3] = x, y, z, w
     return True
@@ -85,7 +89,7 @@ def follow_loads(
     LOAD_READ.
     """
     goes_on, news, gain, m = since <= SLIP.max_gap, False, 0.0, len(memory)
-    follow, settle = 1 - math.exp(-since / SLIP.time_constant), 1 - math.exp(-since / SLIP.rest)
+    follow, slowly = 1 - math.exp(-since / SLIP.time_constant), 1 - math.exp(-since / SLIP.rest)
     rise = 1 - math.exp(-min(since if goes_on else 0.0, FRICTION.keep_up) / FRICTION.keep_up)
     loaded, ratios = np.zeros(m, dtype=np.bool_), np.empty(MOST_READINGS)
     for i in range(len(loads)):
@@ -98,7 +102,7 @@ def follow_loads(
         is_new = not goes_on or math.isnan(one.mean[0])
         for k in range(5):
             one.mean[k] = load[k] if is_new else one.mean[k] + follow * (load[k] - one.mean[k])
-            one.rest[k] = load[k] if is_new else one.rest[k] + settle * (load[k] - one.rest[k])
+            one.rest[k] = load[k] if is_new else one.rest[k] + slowly * (load[k] - one.rest[k])
         _read(one, load, limit.noise / load[3], mu, stamp, is_new)
         if one.mean[3] > limit.sure_force:
             news |= _turned(one, limit.relative, rise, out)
