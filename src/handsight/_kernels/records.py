@@ -171,6 +171,8 @@ DESCENT = record(
     ("gain", "f8"),  # by how much χ² falls at most, to first order, when one contact is left out
 )
 
+# What is known of the minimum that one start led to: a better one is likely to exist, none is, or it takes more tests.
+DOUBTED, ENOUGH, UNDECIDED = 0, 1, 2
 ANSWER = record(
     ("pose", POSE),
     ("T_palm_object", "f8", (4, 4)),
@@ -195,6 +197,7 @@ ANSWER = record(
     ("outside_gain", "f8"),  # by how much it falls when all outside evidence is left out
     ("width", "f8"),  # how uncertain the prior leaves a point of the surface [diameters]
     ("rows", "i8"),  # number of rows of contact evidence
+    ("verdict", "i8"),  # on the descent of one start
 )
 
 # One problem of a batch and its answer: its constraints, its contacts (from number `first` to `last`, exclusive), and,
@@ -253,6 +256,7 @@ FLAT_DIRECTIONS = record(
     ("proper", "i8"),  # whether the prior bounds every direction; without vision it may not
     ("bump_margin", "f8"),  # by how much bumps of a scanned model may lower the cost of contacts and walls
     ("level", "f8"),  # the cost below which lattice points therefore count as equal
+    ("hopeless", "f8"),  # the cost above which a point is given up
 )
 # Sums over points: of weights, relative to the largest, times deviations (δp, δθ) and their products.
 SUMS = record(
@@ -266,7 +270,9 @@ SUMS = record(
 LATTICE_POINT = record(
     ("index", "f8", (3,)),
     ("lateral", "f8", (6,)),
+    ("cost", "f8"),
     ("log_weight", "f8"),  # of the density there
+    ("bend", "f8"),  # half its second derivative along the line
     ("share", "f8"),  # of the integral, relative to the largest density
     ("moved", "f8", (6,)),  # from the mode, by (δp, δθ), and the covariance across the flat directions
     ("within", "f8", (6, 6)),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,6 @@ class Contacts:
     shared_covariance: Array
     """(g, 6, 6) covariance of each group's error, a shift [m] and a turn [rad] about the centroid of its contacts,
     along the palm's axes."""
-    _record: NDArray[np.void] | None = field(repr=False)
 
     __repr__ = short_repr
 
@@ -120,17 +119,15 @@ class Contacts:
         has_normal, of_residual = _default_flags(len(points_palm))
         return _unchecked(points_palm, normals_palm, has_normal, covariance, of_residual)
 
-    @property
+    @cached_property
     def record(self) -> NDArray[np.void]:
-        """(n,) the same values as records for the kernels, without the groups; built when they are first asked for."""
-        if self._record is None:
-            record = np.empty(len(self), dtype=CONTACT)
-            for name, attribute in _FIELDS.items():
-                record[name] = getattr(self, attribute)
-            record["used"] = True
-            object.__setattr__(self, "_record", record)
-            return record
-        return self._record
+        """(n,) CONTACT: the same values as records for the kernels, without the groups."""
+        # Set as numbers in the order of the record's fields: by their names it takes twice as long.
+        numbers = np.zeros((len(self), CONTACT.itemsize // 8))
+        numbers[:, :3], numbers[:, 3:6] = self.points_palm, self.normals_palm
+        numbers[:, 9:45], flags = self.covariance.reshape(-1, 36), numbers.view(np.int64)
+        flags[:, 6], flags[:, 7], flags[:, 8] = self.has_normal, True, self.of_residual
+        return numbers.view(CONTACT)[:, 0]
 
     def __len__(self) -> int:
         return len(self.points_palm)
@@ -176,16 +173,14 @@ class Contacts:
         if chosen.ndim != 1 or chosen.dtype.kind not in "iu" or not ((chosen >= -n) & (chosen < n)).all():
             came = checks.brief(mask_or_indices)
             raise InvalidInput(f"select: expected a mask of {n} or indices below {n}, got {came}")
-        arrays = [getattr(self, name)[chosen] for name in (*_FIELDS.values(), "group")]
+        arrays = [getattr(self, name)[chosen] for name in (*_EACH, "group")]
         return _unchecked(*arrays, self.shared_covariance)
 
 
 NO_GROUP = np.empty((0, 6, 6))
 MOST_GROUPS = 1000
-_FIELDS = {"point": "points_palm", "normal": "normals_palm"}
-_FIELDS |= {name: name for name in ("has_normal", "covariance", "of_residual")}
-"""Fields of a contact's record, and the arrays of `Contacts` that they come from."""
-_ARRAYS = (*_FIELDS.values(), "group", "shared_covariance")
+_EACH = "points_palm", "normals_palm", "has_normal", "covariance", "of_residual"
+_ARRAYS = (*_EACH, "group", "shared_covariance")
 
 
 @lru_cache
@@ -201,7 +196,7 @@ def _no_groups(n: int) -> Indices:
 
 
 def _unchecked(*arrays: Any) -> Contacts:
-    """Returns contacts of clean arrays, in the order of `_FIELDS`, and maybe their groups."""
+    """Returns contacts of clean arrays, in the order of `_EACH`, and maybe their groups."""
     return _filled(object.__new__(Contacts), *arrays)
 
 
@@ -219,7 +214,7 @@ def _filled(
     arrays = points, normals, has_normal, covariance, of_residual, groups, shared
     for array in arrays:
         array.flags.writeable = False
-    vars(contacts).update(zip(_ARRAYS, arrays, strict=True), _record=None)
+    vars(contacts).update(zip(_ARRAYS, arrays, strict=True))
     return contacts
 
 

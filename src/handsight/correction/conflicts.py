@@ -16,6 +16,7 @@ import numpy as np
 from handsight import se3
 from handsight._kernels import records
 from handsight._kernels.solve import batch
+from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Array, Mask
 from handsight.correction import modes
 from handsight.correction.estimate import Conflict
@@ -23,9 +24,10 @@ from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
 
 KINDS = ("vision", "weight", "depth", "skin", "outside")
-POOL, KIND, EACH = 0.5 * modes.MODES.alarm, 0.25 * modes.MODES.alarm / len(KINDS), 0.25 * modes.MODES.alarm
-"""Levels of the test of all evidence together, of that of one kind, and of those of single contacts together: their sum
-over all tests is `MODES.alarm`, so by Bonferroni's inequality at most so many honest answers are called inconsistent.
+POOL, KIND, EACH = ACCEPTANCE.pool, 0.25 * ACCEPTANCE.alarm / len(KINDS), ACCEPTANCE.each
+"""Levels of the test of all evidence together, of that of one kind, and of those of single contacts together: their
+sum over all tests is `ACCEPTANCE.alarm`, so by Bonferroni's inequality at most so many honest answers are called
+inconsistent.
 """
 TESTED = np.empty(0, records.ANSWER)[["chi2", "gain", "prior_gain", "outside_gain", "rows"]].dtype
 """The fields of an ANSWER by which it is tested, as a view of it; one by one they would take three times as long."""

@@ -43,7 +43,7 @@ from handsight.correction.problem import (
 )
 from handsight.correction.registration import is_registered, register
 from handsight.correction.skin import SkinEvidence
-from handsight.correction.solve import solve_batch, solve_single_start, summarize, summarize_pose
+from handsight.correction.solve import solve_batch, solve_single_start, solve_usual, summarize, summarize_pose
 from handsight.correction.weight import WeightEvidence
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
@@ -122,16 +122,30 @@ def correct_pose(
     `PaperMethod`. They start from `vision`, which they need, take neither `weight` nor `depth`, and do not use
     `answer`, `samples` and `budget`.
     """
-    options = _method(method)
+    options, doubted = _method(method), False
     if not isinstance(model, ObjectModel) or not isinstance(contacts, Contacts):
         raise InvalidInput(
             "correct_pose: expected an ObjectModel and Contacts, "
             f"got {type(model).__name__} and {type(contacts).__name__}"
         )
-    prior = checked_prior(vision)
-    samples, answer = checks.integer(samples, "samples", MOST_SAMPLES), checked_answer(answer)
+    prior, answer = checked_prior(vision), checked_answer(answer)
+    alone = outside is None and weight is None and depth is None and skin is None and budget is None
+    if (
+        prior is not None
+        and alone
+        and options is USUAL
+        and type(samples) is int
+        and not samples
+        and not is_registered(contacts)
+    ):
+        estimate, doubted = solve_usual(model, contacts, prior, KINDS[answer])
+        if estimate is not None:
+            return estimate
+    samples = checks.integer(samples, "samples", MOST_SAMPLES)
     limit = Budget.of(budget)
     problem, skin = problem_of(model, contacts, prior, outside, weight, depth, skin)
+    if doubted:
+        problem = replace(problem, doubted=True)
     if isinstance(options, PaperMethod):
         estimate = _by_paper(problem, options)
         return estimate if skin is None else estimate.inflated(skin.sigmas**2)
@@ -214,7 +228,8 @@ def _solved(
         widest = 100.0 / max(float(problem.vision.covariance.diagonal().max()), 1e-18)
         factor = max(min(wrong.chi2 / wrong.freedom, widest), 1.0)
         covariance = factor * problem.vision.covariance
-        problem = replace(problem, vision=PosePrior.trusted(problem.vision.T_palm_object, covariance))
+        wider = PosePrior.trusted(problem.vision.T_palm_object, covariance)
+        problem = replace(problem, vision=wider, doubted=False)
         estimate = yield from _searched(problem, options, limit, answer, samples)
     if estimate is first:
         return first
@@ -234,7 +249,7 @@ def _searched(
             raise InvalidInput("samples, method: expected neither with contacts that share errors, got some")
     answer = "maximum" if samples else answer
     kind = kind_of(problem, answer)
-    if options is USUAL and not samples and problem.starts is None:
+    if options is USUAL and not samples and problem.starts is None and not problem.doubted:
         estimate = solve_single_start(problem, mean=kind)
         if estimate is not None:
             yield

@@ -8,6 +8,7 @@ import numpy as np
 
 from handsight import se3
 from handsight._kernels.records import GRID, SHEET
+from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Array, Indices
 from handsight.objects import ObjectModel
 
@@ -20,30 +21,13 @@ much open, a mode has several."""
 
 
 class ModeOptions(NamedTuple):
-    """`ModeOptions` are the number of modes that are reported, and the levels of the tests on a mode."""
+    """`ModeOptions` say which modes are reported."""
 
     max_modes: int = 8  # modes that are reported
-    alarm: float = 1e-3  # level of the χ² test by which evidence is called inconsistent
-    recheck_p: float = 0.003
-    """Level of the χ² test by which a wrong contact is searched for; a false alarm costs nothing but time."""
-    doubt_p: float = 0.2
-    """Level of the χ² test by which the answer from one start is doubted, where the prior is the widest for which one
-    start may be enough. Two of three problems on an L-shaped mesh, with a prior of 0.22 diameters, raise no doubt.
-    """
-    doubt_coarse: float = 5.0  # factor by which the limit of the cost on the coarse field is larger
     max_minima: int = 16  # minima that are parts of modes
     unlikely: float = (
         7.0  # a minimum whose log weight is so much smaller than the largest is no part of a mode
     )
-    few_rows: int = (
-        9  # rows of evidence that leave so much open that there may be several minima: three contacts
-    )
-    few_contacts: int = 4  # contacts that may, with 12 rows or fewer
-    weak_width: float = 0.04
-    """Width of the prior [diameters] above which the one minimum that a start led to is then not enough. With 5 mm and
-    4° 10 % of the answers from one start on a tuna can were beyond their 99.9 % region, and 1 % from many."""
-    decisive: float = 16.27
-    """A contact is wrong when the cost falls by more than this without it: for a right one once in 1000 times."""
 
 
 MODES = ModeOptions()
@@ -84,22 +68,11 @@ def distinct(
     return chosen
 
 
-def beyond_doubt(cost: float, coarse_cost: float, freedom: int, wide: float) -> bool:
-    """Returns whether the minimum that one start led to fits so well that no other mode is likely to be better.
-
-    `wide`: the prior's width, divided by the widest for which one start may be enough. The probability of a missed mode
-    grows with its square.
-    """
-    doubt = round(wide * wide, 2)  # rounded, as the χ² limit of each value is computed once and cached
-    if coarse_cost * doubt > MODES.doubt_coarse * chi2_limit(max(freedom, 1), 0.1):
-        return False
-    return fits(cost, freedom, max(MODES.doubt_p * doubt, MODES.recheck_p))
-
-
 def several_minima(model: ObjectModel, rows: int, contacts: int) -> bool:
     """Returns whether so few rows of evidence, from so many contacts, may have several minima: on a surface that is
     bent in more than one way, unlike that of a box, a cylinder or a sphere."""
-    few = rows <= MODES.few_rows or (contacts <= MODES.few_contacts and rows <= 3 * MODES.few_contacts)
+    most = ACCEPTANCE.few_contacts
+    few = rows <= ACCEPTANCE.few_rows or (contacts <= most and rows <= 3 * most)
     return few and has_detail(model)
 
 
@@ -110,10 +83,10 @@ def has_detail(model: ObjectModel) -> bool:
 
 def unsuspicious(cost: float, freedom: int, gain: float) -> bool:
     """Returns whether contacts raise no suspicion: neither their cost, nor the gain of leaving one of them out."""
-    return fits(cost, freedom, MODES.recheck_p) and bool(gain < MODES.decisive)
+    return fits(cost, freedom, ACCEPTANCE.recheck_p) and bool(gain < ACCEPTANCE.decisive)
 
 
-def fits(chi2: float, freedom: int, alarm: float = MODES.alarm) -> bool:
+def fits(chi2: float, freedom: int, alarm: float = ACCEPTANCE.alarm) -> bool:
     """Returns whether a sum of squares passes the χ² test of level `alarm`, with `freedom` degrees of freedom."""
     return bool(chi2 <= chi2_limit(max(freedom, 1), alarm))
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight._kernels.records import DESCENT
+from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.correction import modes, starts
-from handsight.correction.modes import MODES
 from handsight.correction.problem import Budget, Problem, Records, Steps, TwoPhase, descents_at, plain
 from handsight.correction.solve import Candidates, gains, solve
 
@@ -52,7 +52,7 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Steps
         gain = 0.0 if without is None else found.cost - without.cost
         if (
             without is not None
-            and gain >= MODES.decisive
+            and gain >= ACCEPTANCE.decisive
             and (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost)
         ):
             # The pose that was found without this contact may fit it too, and only have been hard to reach.

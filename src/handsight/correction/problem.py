@@ -84,6 +84,8 @@ class Problem:
     """How many of the contacts, the last ones, are pressed taxels of tactile arrays."""
     starts: Array | None = None
     """(K, 4, 4) poses to descend from on the fine field; None: draws from the prior, in two phases."""
+    doubted: bool = False
+    """Whether one descent from vision's pose is known not to be enough."""
 
     def __post_init__(self) -> None:
         check_number(len(self.contacts), MOST_CONTACTS, "contacts", "contacts")

@@ -10,7 +10,7 @@ import numpy as np
 from handsight._kernels import records
 from handsight._kernels.runtime.threads import in_parts
 from handsight._kernels.solve import batch, search
-from handsight._kernels.solve.options import SEARCH
+from handsight._kernels.solve.options import ACCEPTANCE, SEARCH
 from handsight._kernels.touch import surface_at_contacts
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
@@ -34,10 +34,25 @@ class SolveOptions(NamedTuple):
 
 
 SOLVE = SolveOptions()
-ACCEPTED = np.empty(0, dtype=records.ANSWER)[
-    ["width", "converged", "cost", "coarse_cost", "chi2", "gain", "rows", "prior_gain", "outside_gain"]
-].dtype
-"""The fields of an ANSWER by which it is accepted, as a view of it."""
+
+
+def solve_usual(
+    model: ObjectModel, contacts: Contacts, vision: PosePrior, mean: int
+) -> tuple[PoseEstimate | None, bool]:
+    """Returns the answer to contacts and vision alone, where one descent is certainly enough; else None, and
+    whether it is certainly not.
+
+    It is `solve_single_start` for the usual call, in little more than the kernel's time: in a program that does other
+    work between two corrections, whatever Python does here is read from memory, which takes as long as the kernel.
+    """
+    if not model.record.symmetry_known:
+        return None, False
+    rows = _problem(vision.record, len(contacts.record), mean)
+    answer, residuals = _corrected(model, contacts, NO_OUTSIDE, rows)
+    verdict = answer["verdict"]
+    if verdict == records.ENOUGH:
+        return PoseEstimate(answer, (answer,), residuals, True), False
+    return None, bool(verdict == records.DOUBTED)
 
 
 def solve_single_start(
@@ -49,23 +64,35 @@ def solve_single_start(
     `T_start` (4, 4): a pose that was right a moment ago, at which the descent starts instead, however wide the prior.
     `mean`: that of its ANSWER.
     """
-    model, contacts, vision = problem.model, problem.contacts.record, problem.vision
-    if vision is None or not model.record.symmetry_known:
+    if problem.vision is None or not problem.model.record.symmetry_known:
         return None
-    # These zeros take a fifth of the time of np.zeros.
-    rows = np.frombuffer(bytearray(records.PROBLEM.itemsize), dtype=records.PROBLEM)
-    residuals, row = np.empty((len(contacts), 2)), rows[0]
-    given = vision.record if problem.weight is None and problem.depth is None else problem.constraints
-    row["constraints"], row["last"], row["answer"]["mean"] = given[0], len(contacts), mean
+    given = problem.vision.record if problem.weight is None and problem.depth is None else problem.constraints
+    rows = _problem(given, len(problem.contacts), mean)
     if T_start is not None:
+        row = rows[0]
         row["follows"] = True
         row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
-    batch.correct_all(model.record.model, model.record.nodes, contacts, problem.outside, rows, residuals)
-    estimate = _accepted(lambda: problem, row["answer"], residuals, searched=T_start is not None)
-    if estimate is not None and (problem.taxels or problem.depth is not None):
-        used = np.ones((1, len(contacts)), dtype=bool)
-        estimate = estimate if conflicts.judged(problem, row["answer"], used)[0] else None
-    return estimate
+    answer, residuals = _corrected(problem.model, problem.contacts, problem.outside, rows)
+    judged = problem.taxels > 0 or problem.depth is not None
+    return _accepted(lambda: problem, answer, residuals, judged=judged)
+
+
+def _problem(constraints: Records, contacts: int, mean: int) -> Records:
+    """Returns (1,) PROBLEM of CONSTRAINTS (1,) and so many contacts."""
+    # These zeros take a fifth of the time of np.zeros.
+    rows = np.frombuffer(bytearray(records.PROBLEM.itemsize), dtype=records.PROBLEM)
+    row = rows[0]
+    row["constraints"], row["last"], row["answer"]["mean"] = constraints[0], contacts, mean
+    return rows
+
+
+def _corrected(
+    model: ObjectModel, contacts: Contacts, outside: Records, rows: Records
+) -> tuple[np.void, Array]:
+    """Returns the ANSWER of the kernel to PROBLEM (1,), and the residuals (n, 2)."""
+    residuals, record = np.empty((len(contacts.record), 2)), model.record
+    batch.correct_all(record.model, record.nodes, contacts.record, outside, rows, residuals)
+    return rows[0]["answer"], residuals
 
 
 def solve_batch(
@@ -90,38 +117,27 @@ def solve_batch(
             partial(Problem, model, *pair, NO_OUTSIDE),
             row["answer"].copy(),
             residuals[row["first"] : row["last"]].copy(),
-            searched=False,
         )
         for pair, row in zip(problems, rows, strict=True)
     ]
 
 
 def _accepted(
-    problem: Callable[[], Problem], answer: np.void, residuals: Array, *, searched: bool
+    problem: Callable[[], Problem], answer: np.void, residuals: Array, *, judged: bool = False
 ) -> PoseEstimate | None:
     """Returns the estimate of an ANSWER that one start led to, or None where a search might find a better one.
 
-    `problem` returns the problem, which takes long to build for each of a batch. `searched`: whether a search has led
-    to this mode already; then it is enough that the evidence fits.
+    `problem` returns the problem, which takes long to build for each of a batch. `judged`: whether each kind of its
+    evidence is tested against the rest in any case.
     """
-    # One by one they would take three times as long.
-    width, converged, cost, coarse_cost, chi2, gain, freedom, prior, outside = answer.view(ACCEPTED).item()
-    if not width < SEARCH.single_start_width or not converged:
+    verdict = answer["verdict"]
+    if verdict == records.DOUBTED:
         return None
-    if searched:
-        accepted = modes.fits(cost, freedom)
-    else:
-        accepted = modes.beyond_doubt(cost, coarse_cost, freedom, width / SEARCH.single_start_width)
-        accepted = accepted and modes.unsuspicious(cost, freedom, gain)
-        if width > modes.MODES.weak_width:
-            accepted = accepted and not modes.several_minima(problem().model, freedom, len(residuals))
-    if not accepted:
-        return None
-    if chi2 > conflicts.LEAST and max(gain, prior, outside) > conflicts.LEAST:
+    if judged or verdict == records.UNDECIDED:
         used = np.ones((1, len(residuals)), dtype=bool)
         if not conflicts.judged(problem(), answer, used)[0]:
             return None
-    return PoseEstimate(answer, (answer,), residuals, modes.fits(chi2, freedom, conflicts.POOL))
+    return PoseEstimate(answer, (answer,), residuals, True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +161,7 @@ class Candidates:
         """Whether the descent to the cheapest minimum converged."""
         return bool(self.minima["converged"][0])
 
-    def fits(self, alarm: float = modes.MODES.alarm) -> bool:
+    def fits(self, alarm: float = ACCEPTANCE.alarm) -> bool:
         """Returns whether the cheapest minimum passes the χ² test of level `alarm`."""
         return modes.fits(self.cost, self.freedom, alarm)
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from handsight import se3
 from handsight._kernels.posterior.options import INTEGRATION
+from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Array
 from handsight.correction import PoseEstimate, PosePrior, bounded_covariance
 from handsight.correction.modes import MODES, SAME_MODE, chi2_limit, in_metres, pose_distances
@@ -134,7 +135,7 @@ def log_evidence(model: ObjectModel, estimate: PoseEstimate, prior: PosePrior) -
     log_weight -= math.log(row["weight"])
     used = max(len(estimate.residual_rows) - len(estimate.outliers), 1)
     log_spread = float(row["posterior_cost"] - row["chi2"]) / used
-    log_weight -= 0.5 * len(estimate.outliers) * (MODES.decisive + log_spread)
+    log_weight -= 0.5 * len(estimate.outliers) * (ACCEPTANCE.decisive + log_spread)
     log_weight -= 0.5 * CONTRADICTS * (estimate.weight_fits is False)
     for conflict in estimate.conflicts:  # the correction has widened a prior that touch contradicts
         if conflict.evidence == "vision":

@@ -78,7 +78,7 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
         for a in range(count):
             fall += u.values[a] * u.column[a]
             point.lateral[a] -= u.column[a]
-        if flat.count > 1 or fall < INTEGRATION.large_fall:
+        if flat.count > 1 or fall < INTEGRATION.large_fall or cost - fall > flat.hopeless:
             cost -= fall
             break
     for i in range(len(evidence.terms)):
@@ -87,8 +87,9 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
     coordinates_at(flat, point, u.row)
     pose = at_coordinates(mode, radius, u.row)
     half = 0.5 * norm((u.row[3], u.row[4], u.row[5])) / radius
+    point.cost = cost = without_bumps(evidence, flat, pose, cost)
     if count and half < 0.5 * np.pi:  # beyond, the pose is also reached by the turn the other way round
-        point.log_weight = -0.5 * without_bumps(evidence, flat, pose, cost)
+        point.log_weight = -0.5 * cost
         if half > 1e-6:  # the volume of rotations shrinks with the turn
             point.log_weight += 2 * np.log(np.sin(half) / half)
         for a in range(count):

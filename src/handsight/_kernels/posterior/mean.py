@@ -24,12 +24,16 @@ from handsight._kernels.math.simd import local
 from handsight._kernels.math.so3 import rotation_log
 from handsight._kernels.math.symmetry import nearest, pose_of
 from handsight._kernels.math.vec3 import matmul, scale, sub, tmul, transpose
+from handsight._kernels.posterior.density import posterior_cost
 from handsight._kernels.posterior.flat_directions import (
     build_lattice,
     choose,
+    coordinates_at,
     fine_enough,
     mark_spins,
     measure,
+    moved_to,
+    without_bumps,
 )
 from handsight._kernels.posterior.lattice import add_up, cover, visit
 from handsight._kernels.posterior.options import INTEGRATION
@@ -88,31 +92,99 @@ def _flood(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any, 
 
 
 @inner
+def _secant(points: Any, order: Any, n: int, floor: float) -> float:
+    """Returns the slope of the logarithm of the density between the n-th point in order and the next one; NaN where
+    there is none, or where a wall may be between them. What is below `floor` counts as there."""
+    if n < 0 or n > len(order) - 2:
+        return np.nan
+    a, b = points[order[n]], points[order[n + 1]]
+    rise = max(b.log_weight, floor) - max(a.log_weight, floor)
+    return rise / (b.index[0] - a.index[0]) if abs(rise) < INTEGRATION.wall_fall else np.nan
+
+
+@inner
+def _bend(points: Any, order: Any, floor: float) -> None:
+    """Fills in the bend of each point in order, half the second derivative of the parabola through the logarithm of the
+    density there and at its neighbours, and its slope; NaN where no parabola is."""
+    before = np.nan
+    for n in range(len(order)):
+        point, after = points[order[n]], _secant(points, order, n, floor)
+        point.bend = np.nan
+        if before == before and after == after:
+            left, right = (
+                point.index[0] - points[order[n - 1]].index[0],
+                points[order[n + 1]].index[0] - point.index[0],
+            )
+            point.bend = (after - before) / (left + right)
+        before = after
+
+
+@inner
+def _between(points: Any, a: int, b: int, point: Any) -> None:
+    """Fills in the coordinates across of a point of the line: on the straight line through two others, or, where a wall
+    may be between these, the likelier one's."""
+    first, second = points[a], points[b]
+    part = 0.0
+    if a != b:
+        part = (point.index[0] - first.index[0]) / (second.index[0] - first.index[0])
+        if abs(first.log_weight - second.log_weight) > INTEGRATION.wall_fall:
+            part = 0.0 if first.log_weight > second.log_weight else 1.0
+    for n in range(6):
+        point.lateral[n] = (1 - part) * first.lateral[n] + part * second.lateral[n]
+
+
+@inner
+def _wall(
+    evidence: Evidence,
+    mode: Pose,
+    flat: Any,
+    points: Any,
+    inside: int,
+    before: int,
+    beyond: float,
+    point: Any,
+    u: Any,
+) -> float:
+    """Returns the place beyond a wall, and makes a point of the line the place before it.
+
+    The wall is between a point `inside`, after another one `before` it, and the place `beyond`. It is found by halving,
+    by the cost alone, with the coordinates across on the straight line through the two points.
+    """
+    near, limit = points[inside].index[0], points[inside].cost + 2 * INTEGRATION.wall_depth
+    for _ in range(INTEGRATION.halvings):
+        point.index[0] = 0.5 * (near + beyond)
+        _between(points, before, inside, point)
+        coordinates_at(flat, point, u.row)
+        pose = moved_to(evidence, mode, u.row)
+        if without_bumps(evidence, flat, pose, posterior_cost(evidence, pose)) < limit:
+            near = point.index[0]
+        else:
+            beyond = point.index[0]
+    point.index[0] = near
+    return beyond
+
+
+@inner
 def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any, sums: Any) -> int:
     """Returns how many points of the one flat direction were visited.
 
-    From the mode on, to where there is no density. Then the gap in which most of it may be at the wrong place, which
-    is at a wall or on a slope, is halved until that is little. Between points the logarithm of the density is a
-    monotone cubic (Fritsch and Butland), and all else linear.
+    From the mode on, to where there is no density. Then the gap is divided in which most of it may be at the wrong
+    place: at a wall if it falls steeply, else in the middle where the parabolas through the points around it differ.
+    Between points the logarithm of the density is a cubic, and all else linear.
     """
     order, u = np.empty(len(points), np.int64), local(UNCERTAINTY)
-    low = high = flat.spacing[0]
-    count, best, at, place, passed = 0, -np.inf, 0, 0.0, 0
+    low = high = INTEGRATION.first_step * flat.spacing[0]
+    count, best, at, place, passed, pending, beyond = 0, -np.inf, 0, 0.0, 0, False, 0.0
     while True:
         point = points[count]
         point.index[:], point.lateral[:] = 0.0, 0.0
         point.index[0] = place
         if count:
-            a, b = points[order[max(at - 1, 0)]], points[order[min(at, count - 1)]]
-            flat.spacing[0] = abs(b.index[0] - place)
-            part = (
-                0.5
-                if abs(a.log_weight - b.log_weight) < 1.0
-                else (1.0 if a.log_weight > b.log_weight else 0.0)
-            )
-            for n in range(6):
-                point.lateral[n] = part * a.lateral[n] + (1 - part) * b.lateral[n]
+            n = min(max(at, 1), count - 1)  # outward, the last two
+            _between(points, order[n - 1 if count > 1 else 0], order[n], point)
+            flat.spacing[0] = abs(points[order[min(at, count - 1)]].index[0] - place)
         visit(evidence, mode, flat, point, u)
+        point.share = np.exp(point.log_weight - points[0].log_weight)
         if count and (at == 0 or at == count):
             beside = points[order[0 if at == 0 else count - 1]]
             if beside.log_weight - point.log_weight < INTEGRATION.small_fall:
@@ -120,24 +192,22 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
         for n in range(count, at, -1):
             order[n] = order[n - 1]
         order[at], count, best = count, count + 1, max(best, point.log_weight)
+        flat.hopeless = points[0].cost + 2 * (points[0].log_weight - best + INTEGRATION.hopeless)
         if point.log_weight > best - 0.5 * INTEGRATION.max_cost:
             cover(flat, others, u)
         first, last = points[order[0]], points[order[count - 1]]
         if count == len(points):
             break
-        if first.log_weight > best - INTEGRATION.max_fall:
+        if pending:
+            at, place, pending = at + (1 if beyond > place else 0), beyond, False
+        elif first.log_weight > best - INTEGRATION.max_fall:
             at, place = 0, first.index[0] - low
         elif last.log_weight > best - INTEGRATION.max_fall:
             at, place = count, last.index[0] + high
         else:
-            at, most, mass = 0, 0.0, 0.0
-            for n in range(1, count):
-                a, b = points[order[n - 1]], points[order[n]]
-                gap, p, q = b.index[0] - a.index[0], np.exp(a.log_weight - best), np.exp(b.log_weight - best)
-                mass += 0.5 * gap * (p + q)
-                if gap * abs(p - q) > most:
-                    at, most, place = n, gap * abs(p - q), 0.5 * (a.index[0] + b.index[0])
-            while not most > INTEGRATION.misplaced * mass and passed < len(others):
+            at, most = _worst_gap(points, order[:count], best - INTEGRATION.deepest)
+            place = 0.5 * (points[order[max(at - 1, 0)]].index[0] + points[order[at]].index[0])
+            while not most > INTEGRATION.misplaced and passed < len(others):
                 place = 0.0  # of another mode, whether it is beside the line
                 for i in range(6):
                     place += flat.along[i, 0] * others[passed, i]
@@ -145,11 +215,74 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
                 for n in range(1, count):
                     a, b = points[order[n - 1]].index[0], points[order[n]].index[0]
                     at, most = (n, np.inf) if min(place - a, b - place) > 1e-9 else (at, most)
-            if not most > INTEGRATION.misplaced * mass:
+            if not most > INTEGRATION.misplaced:
                 break
+            a, b = points[order[at - 1]], points[order[at]]
+            if (
+                most < np.inf
+                and abs(a.log_weight - b.log_weight) > INTEGRATION.wall_fall
+                and count + 1 < len(points)
+            ):
+                rising = b.log_weight > a.log_weight
+                inside, after = (
+                    order[at if rising else at - 1],
+                    order[min(at + 1, count - 1) if rising else max(at - 2, 0)],
+                )
+                beyond, pending = a.index[0] if rising else b.index[0], True
+                beyond = _wall(evidence, mode, flat, points, inside, after, beyond, points[count], u)
+                place = points[count].index[0]
+                if place == points[inside].index[0]:
+                    place, pending = beyond, False
     sums.best = best
     _share(points, order[:count], flat, evidence.model.radius, sums)
     return count
+
+
+@inner
+def _worst_gap(points: Any, order: Any, floor: float) -> tuple[int, float]:
+    """Returns the gap in which most of the density may be at the wrong place, by the number of its second point in
+    order, and how much that is, as a part of all: all that falls at a wall, else as much as bends around it differ."""
+    count, at, most, mass = len(order), 1, 0.0, 0.0
+    _bend(points, order, floor)
+    for n in range(1, count):
+        a, b = points[order[n - 1]], points[order[n]]
+        gap, fall, differ, bends = b.index[0] - a.index[0], abs(a.log_weight - b.log_weight), -1.0, 0
+        for m in range(max(n - 2, 0), min(n + 1, count - 1)):
+            first, second = points[order[m]].bend, points[order[m + 1]].bend
+            if first == first and second == second:
+                differ = max(differ, abs(first - second) * gap * gap)
+        for point in (a, b):
+            bends += 1 if point.bend == point.bend else 0
+        if fall > INTEGRATION.wall_fall:
+            differ = 1.0
+        elif differ < 0.0:
+            differ = 0.25 * fall if bends else fall
+        wrong = gap * abs(a.share - b.share) * min(1.0, differ)
+        mass += 0.5 * gap * (a.share + b.share)
+        if wrong > most:
+            at, most = n, wrong
+    return at, most / mass
+
+
+@inner
+def _slope(points: Any, order: Any, n: int, floor: float) -> float:
+    """Returns the slope of the logarithm of the density at the n-th point in order: that of the parabola through it and
+    its neighbours, on the same side of a wall, but no steeper than a monotone cubic has it (Fritsch and Carlson)."""
+    before, after = _secant(points, order, n - 1, floor), _secant(points, order, n, floor)
+    if before == before and after == after:
+        left = points[order[n]].index[0] - points[order[n - 1]].index[0]
+        slope, least = before + left * points[order[n]].bend, min(abs(before), abs(after))
+    elif before == before:
+        bend = points[order[n - 1]].bend
+        gap, least = points[order[n]].index[0] - points[order[n - 1]].index[0], abs(before)
+        slope = before + gap * (bend if bend == bend else 0.0)
+    elif after == after:
+        bend = points[order[n + 1]].bend
+        gap, least = points[order[n + 1]].index[0] - points[order[n]].index[0], abs(after)
+        slope = after - gap * (bend if bend == bend else 0.0)
+    else:
+        return 0.0
+    return min(max(slope, -3 * least), 3 * least)
 
 
 @inner
@@ -159,7 +292,9 @@ def _share(points: Any, order: Any, flat: Any, radius: float, sums: Any) -> None
 
     Beyond a wall a point's coordinates across mean nothing: up to it they are taken as those of the point before it.
     """
-    floor, slope = sums.best - INTEGRATION.deepest, 0.0
+    floor = sums.best - INTEGRATION.deepest
+    _bend(points, order, floor)
+    slope = _slope(points, order, 0, floor)
     for n in range(len(order)):
         point = points[order[n]]
         point.share = 0.0
@@ -174,15 +309,7 @@ def _share(points: Any, order: Any, flat: Any, radius: float, sums: Any) -> None
     for n in range(1, len(order)):
         a, b = points[order[n - 1]], points[order[n]]
         gap, low, high = b.index[0] - a.index[0], max(a.log_weight, floor), max(b.log_weight, floor)
-        rise, between = (high - low) / gap, 0.0
-        before, slope = slope if n > 1 else rise, rise
-        if n + 1 < len(order):
-            c = points[order[n + 1]]
-            next_gap = c.index[0] - b.index[0]
-            next_rise, part = (max(c.log_weight, floor) - high) / next_gap, gap / (gap + next_gap)
-            part = (2 - part) / 3
-            slope = rise * next_rise
-            slope = slope / (part * next_rise + (1 - part) * rise) if slope > 0 else 0.0
+        between, before, slope = 0.0, slope, _slope(points, order, n, floor)
         for m in range(INTEGRATION.parts if max(low, high) > floor else 0):
             x = (m + 0.5) / INTEGRATION.parts
             y = 1 - x
@@ -214,7 +341,7 @@ def _integrate_mode(evidence: Evidence, mode: Pose, cost: float, others: Any, fl
     flat.bump_margin = INTEGRATION.bump_sigmas * cost_deviation(evidence, mode)
     flat.level = cost - evidence_cost(evidence, PRIOR | FIXED_NOISE, mode) + flat.bump_margin
     points = np.empty(INTEGRATION.max_points[min(flat.count, 2) - 1], LATTICE_POINT)
-    one, cell = flat.count == 1, 0.0
+    one, cell, flat.hopeless = flat.count == 1, 0.0, np.inf
     if not one:
         measure(near, mode, flat, cost + flat.bump_margin)
     for _ in range(INTEGRATION.max_lattices):

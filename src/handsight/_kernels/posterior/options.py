@@ -33,6 +33,16 @@ class IntegrationOptions(NamedTuple):
     """Flat directions of one mode, the widest."""
     max_modes: int = 3
     """Modes that are integrated, the likeliest."""
+    first_step: float = 1.5
+    """The step from the mode to either side [standard deviations by the slopes there]."""
+    wall_fall: float = 4.0
+    """Between two points whose logarithms of the density differ by more there may be a wall."""
+    wall_depth: float = 2.0
+    """A place is beyond it where the logarithm, by the cost alone, is this much below that of the point before."""
+    halvings: int = 6
+    """How often the gap is halved in which a wall is."""
+    hopeless: float = 30.0
+    """Where it is this much below the largest, the other coordinates stay as they are."""
     max_fall: float = 5.0
     """A line ends where the logarithm of the density is this much below the largest."""
     small_fall: float = 0.3

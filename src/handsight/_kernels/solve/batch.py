@@ -26,8 +26,16 @@ from handsight._kernels.math.vec3 import Vec3, cross, dot, norm, vector
 from handsight._kernels.posterior.density import information, largest_gain, posterior_cost
 from handsight._kernels.posterior.mean import to_mean
 from handsight._kernels.posterior.uncertainty import summarize
-from handsight._kernels.records import FLAT_DIRECTIONS, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
+from handsight._kernels.records import (
+    DOUBTED,
+    FLAT_DIRECTIONS,
+    PRIOR_TERM,
+    TERM,
+    UNCERTAINTY,
+    WEAK_PRIOR,
+)
 from handsight._kernels.runtime.compilation import entry, inner
+from handsight._kernels.solve.doubt import verdict
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
 from handsight._kernels.solve.options import DESCENT, SEARCH
@@ -103,6 +111,7 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
         constraints = problem.constraints
         any_width = problem.follows or problem.pose_only
         answer.width = 0.0 if any_width else prior_width(model[0], constraints.prior)
+        answer.verdict = DOUBTED
         if not answer.width < SEARCH.single_start_width:
             continue
         terms = np.empty(problem.last - problem.first, TERM)
@@ -119,7 +128,9 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
             continue
         answer.first_order, answer.weight = 0, 1.0
         summarize(evidence, pose, answer, flat)
-        to_mean(evidence, problems[k : k + 1].answer, 0, flat, -np.inf)
+        answer.verdict = verdict(evidence, problem.follows != 0, answer)
+        if answer.verdict != DOUBTED:
+            to_mean(evidence, problems[k : k + 1].answer, 0, flat, -np.inf)
         pose = transform_of(answer.T_palm_object)
         for i in range(len(terms)):
             row = residuals[problem.first + i]

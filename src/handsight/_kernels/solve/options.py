@@ -38,6 +38,34 @@ class SearchOptions(NamedTuple):
     """Two descents on the coarse field that end nearer to each other are the same [m], [rad]."""
 
 
+class AcceptanceOptions(NamedTuple):
+    """`AcceptanceOptions` say when the minimum that one start led to is enough."""
+
+    alarm: float = 1e-3
+    """Level of the χ² test by which evidence is called inconsistent."""
+    pool: float = 0.5e-3
+    """The part of that level for the test of all evidence together."""
+    each: float = 0.25e-3
+    """The part of it for the tests of single contacts together."""
+    recheck_p: float = 0.003
+    """Level of the χ² test by which a wrong contact is searched for; a false alarm costs nothing but time."""
+    doubt_p: float = 0.2
+    """Level of the χ² test by which the answer from one start is doubted, where the prior is the widest for which one
+    start may be enough. Two of three problems on an L-shaped mesh, with a prior of 0.22 diameters, raise no doubt."""
+    coarse_p: float = 0.1
+    """The same of the cost on the coarse field, divided by `coarse_factor`."""
+    coarse_factor: float = 5.0
+    decisive: float = 16.27
+    """A contact is wrong when the cost falls by more than this without it: for a right one once in 1000 times."""
+    few_rows: int = 9
+    """Rows of evidence that leave so much open that there may be several minima: three contacts."""
+    few_contacts: int = 4
+    """Contacts that may, with 12 rows or fewer."""
+    weak_width: float = 0.04
+    """Width of the prior [diameters] above which the one minimum that a start led to is then not enough. With 5 mm and
+    4° 10 % of the answers from one start on a tuna can were beyond their 99.9 % region, and 1 % from many."""
+
+
 class RegistrationOptions(NamedTuple):
     """`RegistrationOptions` say how many contacts are registered, some of them wrong."""
 
@@ -63,4 +91,4 @@ class RegistrationOptions(NamedTuple):
 
 
 MATCH, DESCENT, SEARCH = MatchOptions(), DescentOptions(), SearchOptions()
-REGISTRATION = RegistrationOptions()
+ACCEPTANCE, REGISTRATION = AcceptanceOptions(), RegistrationOptions()
