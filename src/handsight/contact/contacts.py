@@ -129,6 +129,10 @@ class Contacts:
         flags[:, 6], flags[:, 7], flags[:, 8] = self.has_normal, True, self.of_residual
         return numbers.view(CONTACT)[:, 0]
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restores a copy or a pickle, whose arrays NumPy makes writable: for kernels these are of another type."""
+        _filled(self, *(state[name] for name in _ARRAYS))
+
     def __len__(self) -> int:
         return len(self.points_palm)
 
