@@ -39,8 +39,8 @@ def fits_at_once(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePr
 def stages(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -> dict[str, Call]:
     """Returns the parts of one correction as calls, by name."""
     rows, residuals = np.zeros(2, dtype=records.PROBLEM), np.empty((len(contacts), 2))
-    rows["constraints"], rows["last"], rows["answer"]["mean"] = vision.record, len(contacts), [1, 0]
-    given = model.record.model, model.record.nodes, contacts.record, NO_OUTSIDE
+    rows["answer"]["mean"] = [1, 0]
+    given = model.record.model, model.record.nodes, contacts.record, vision.record, NO_OUTSIDE
     answer = rows[0]["answer"]
     return {
         "kernel": lambda: batch.correct_all(*given, rows[:1], residuals),

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.optimize import least_squares
+from scipy.special import chdtrc
 
 import handsight as hs
 import scenes
@@ -21,7 +22,7 @@ from handsight._kernels.evidence import contact_term, prior_term, terms
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.runtime.threads import alone, in_parts
-from handsight._kernels.solve import batch, match
+from handsight._kernels.solve import batch, doubt, match
 from handsight._kernels.solve.options import SEARCH
 from handsight.correction import DepthPoints, WeightEvidence, modes, solve
 from handsight.correction.outside import NO_OUTSIDE, OUTSIDE
@@ -360,8 +361,8 @@ def test_the_largest_gain_is_the_drop_of_a_linear_fit_without_the_contact():
             step = scale * np.linalg.lstsq(J[rest] * scale, -r[rest], rcond=None)[0]
             left = r[rest] + J[rest] @ step
             best = max(best, r @ r - left @ left)
-        gain = solve.gains(given, descent, np.ones((1, 5), dtype=bool)).max()
-        assert gain == pytest.approx(best, rel=1e-3, abs=1e-4)
+        batch.weigh(*given.arguments(np.ones((1, 5), dtype=bool)), descent)
+        assert descent["gain"][0] == pytest.approx(best, rel=1e-3, abs=1e-4)
 
 
 def test_many_problems_are_answered_as_each_alone():
@@ -613,3 +614,20 @@ def test_the_nearest_equivalent_is_that_of_plain_numpy(name):
     expected = nearest(thing.symmetries, Ts, T, thing.radius)
     np.testing.assert_allclose(poses_of(descents), expected, atol=1e-9)
     assert name == "can" or 20 < np.isclose(expected, Ts, atol=1e-9).all(axis=(1, 2)).sum() < 180
+
+
+@kept
+def _survivals(chi2, freedom, out):
+    for i in range(len(chi2)):
+        for j in range(len(freedom)):
+            out[i, j] = doubt.chi2_survival(chi2[i], freedom[j])
+
+
+def test_the_probability_of_a_larger_chi_square_is_scipys():
+    chi2, freedom = np.array([0.0, 1e-9, 0.3, 1.0, 7.0, 40.0, 160.0, 400.0]), np.arange(1, 200)
+    found = np.empty((len(chi2), len(freedom)))
+    _survivals(chi2, freedom, found)
+    np.testing.assert_allclose(found, chdtrc(freedom[None], chi2[:, None]), rtol=1e-12)
+    never = np.empty((1, len(freedom)))
+    _survivals(np.array([np.nan]), freedom, never)
+    assert not never.any()  # so that such a descent is doubted

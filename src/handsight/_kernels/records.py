@@ -200,10 +200,9 @@ ANSWER = record(
     ("verdict", "i8"),  # on the descent of one start
 )
 
-# One problem of a batch and its answer: its constraints, its contacts (from number `first` to `last`, exclusive), and,
-# if `follows`, the pose `start` that was right a moment ago.
+# One problem of a batch and its answer: its contacts, from number `first` to `last`, exclusive (0: all), and, if
+# `follows`, the pose `start` that was right a moment ago.
 PROBLEM = record(
-    ("constraints", CONSTRAINTS),
     ("first", "i8"),
     ("last", "i8"),
     ("pose_only", "i8"),  # whether nothing but the pose is computed, for measuring

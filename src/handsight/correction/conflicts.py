@@ -21,7 +21,7 @@ from handsight.checks import Array, Mask
 from handsight.correction import modes
 from handsight.correction.estimate import Conflict
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import Problem
+from handsight.correction.problem import Problem, descents_at
 
 KINDS = ("vision", "weight", "depth", "skin", "outside")
 POOL, KIND, EACH = ACCEPTANCE.pool, 0.25 * ACCEPTANCE.alarm / len(KINDS), ACCEPTANCE.each
@@ -44,7 +44,7 @@ def judged(problem: Problem, answer: np.void, used: Mask) -> tuple[bool, tuple[C
     do not make the answer inconsistent.
     """
     conflicts: tuple[Conflict, ...] = ()
-    if suspicious(problem, answer):
+    if answer["chi2"] > LEAST:
         conflicts = _found(problem, answer, used)
     fits = modes.fits(answer["chi2"], problem.freedom(used), POOL) and not conflicts
     if not used.all():
@@ -52,20 +52,20 @@ def judged(problem: Problem, answer: np.void, used: Mask) -> tuple[bool, tuple[C
     return fits, conflicts
 
 
-def suspicious(problem: Problem, answer: np.void) -> bool:
-    """Returns whether a kind of evidence may contradict the rest, to first order; what is left out can lower χ² by no
-    more than all of it."""
+def suspects(problem: Problem, answer: np.void, n: int) -> list[str]:
+    """Returns the kinds of evidence, "contact" among them, that may contradict the rest, to first order where that is
+    known; what is left out can lower χ² by no more than all of it. `n`: contacts in use."""
     chi2, gain, prior, outside, rows = answer.view(TESTED).item()
-    if problem.taxels or problem.depth is not None:
-        return bool(chi2 > LEAST)
-    if chi2 <= LEAST or max(gain, prior, outside) <= LEAST:
-        return False
-    n = len(problem.contacts)
-    return bool(
-        prior > modes.chi2_limit(prior_freedom(problem, rows), KIND)
-        or outside > modes.chi2_limit(1, KIND)
-        or gain > modes.chi2_limit(3 if rows >= 3 * n else 1, EACH / n)
+    every = problem.taxels > 0 or problem.depth is not None
+    if chi2 <= LEAST or not (every or max(gain, prior, outside) > LEAST):
+        return []
+    first = (
+        ("vision", prior > modes.chi2_limit(prior_freedom(problem, rows), KIND)),
+        ("outside", outside > modes.chi2_limit(1, KIND)),
+        ("contact", gain > modes.chi2_limit(3 if rows >= 3 * n else 1, EACH / n)),
     )
+    known = [name for name, doubtful in first if every or doubtful]
+    return [*known, "weight", "depth", "skin"] if known else []
 
 
 def prior_freedom(problem: Problem, rows: int) -> int:
@@ -81,8 +81,9 @@ def excluded(problem: Problem, answer: np.void, used: Mask, name: str) -> Confli
     everyone = used.copy()
     if name != "weight":
         everyone[0, int(name.split()[1])] = True
-    both, _ = _solved(problem, everyone, _mode(answer))
-    _, residuals = _solved(*_without(problem, everyone, name), _mode(answer))
+    (both, _), residuals = _solved(problem, everyone, _mode(answer)), np.empty((used.size, 2))
+    model, mode = problem.model.record, descents_at(_mode(answer)[None])
+    batch.residuals_at(*model[:2], problem.contacts.record, mode, residuals)
     return _conflict(problem, everyone, name, both, (answer, residuals), excluded=True)
 
 
@@ -91,21 +92,29 @@ def _found(problem: Problem, answer: np.void, used: Mask) -> tuple[Conflict, ...
     found: list[Conflict] = []
     while len(found) < MOST_CONFLICTS:
         best, n = None, int(used.sum())
-        for name, level in (*((kind, KIND) for kind in KINDS), (_worst(problem, answer, used), EACH / n)):
-            if not _freedom(problem, used, name):
+        for kind in suspects(problem, answer, n):
+            name = _worst(problem, answer, used) if kind == "contact" else kind
+            if not (freedom := _freedom(problem, used, name)):
                 continue
             rest = _without(problem, used, name)
             if not rest[1].any():
                 continue
             other = _solved(*rest, _mode(answer))
-            conflict = _conflict(problem, used, name, answer, other)
-            if conflict.p_value < level and (best is None or conflict.p_value < best[0].p_value):
-                best = conflict, rest, other[0]
+            p_value = modes.chi2_survival(_fall(name, answer, other[0]), freedom)
+            if p_value < (EACH / n if kind == "contact" else KIND) and (best is None or p_value < best[0]):
+                best = p_value, name, other, rest
         if best is None:
             break
-        found.append(best[0])
-        (problem, used), answer = best[1:]
+        found.append(_conflict(problem, used, best[1], answer, best[2]))
+        (problem, used), answer = best[3], best[2][0]
     return tuple(found)
+
+
+def _fall(name: str, both: np.void, rest: np.void) -> float:
+    """Returns by how much χ² falls when some evidence is left out, by the answers with it and without."""
+    # The log determinants of the contacts' covariances count where both answers have the same contacts.
+    cost = "chi2" if name == "skin" or name.startswith("contact") else "posterior_cost"
+    return max(float(both[cost] - rest[cost]), 0.0)
 
 
 def _worst(problem: Problem, answer: np.void, used: Mask) -> str:
@@ -118,7 +127,6 @@ def _worst(problem: Problem, answer: np.void, used: Mask) -> str:
 
 def _freedom(problem: Problem, used: Mask, name: str) -> int:
     """Returns the degrees of freedom of evidence against the rest; 0 where there is none of it, or no rest."""
-    rows = used[0] * (1 + 2 * problem.contacts.has_normal)
     if name == "vision":
         return 0 if problem.blind else prior_freedom(problem, problem.freedom(used))
     if name == "weight":
@@ -126,10 +134,10 @@ def _freedom(problem: Problem, used: Mask, name: str) -> int:
     if name == "depth":
         return 0 if problem.depth is None else min(len(problem.depth), 6)
     if name == "skin":
-        return int(rows[-problem.taxels :].sum()) if problem.taxels else 0
+        return int(used[0, -problem.taxels :] @ problem.rows_each[-problem.taxels :]) if problem.taxels else 0
     if name == "outside":  # each link or plane is one row, and they move the pose in at most six directions
-        return min(len(np.unique(problem.outside[["is_plane", "link"]])), 6)
-    return int(rows[int(name.split()[1])])
+        return min(len(np.unique(rows)), 6) if len(rows := problem.outside[["is_plane", "link"]]) else 0
+    return int(problem.rows_each[int(name.split()[1])])
 
 
 def _without(problem: Problem, used: Mask, name: str) -> tuple[Problem, Mask]:
@@ -158,12 +166,12 @@ def _mode(answer: np.void) -> Array:
 def _solved(problem: Problem, used: Mask, T_start: Array) -> tuple[np.void, Array]:
     """Returns the ANSWER of a descent from a pose (4, 4) on the fine field, and the residuals (n, 2) there."""
     rows, residuals = np.zeros(1, dtype=records.PROBLEM), np.empty((used.size, 2))
-    row, contacts = rows[0], problem.sets(used)[0]
-    row["constraints"], row["last"], row["follows"] = problem.constraints[0], len(contacts), True
+    row, contacts, constraints = rows[0], problem.sets(used)[0], problem.constraints.copy()
+    row["follows"] = True
     row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
     if problem.blind:  # of equivalent poses the one nearest to the start is the answer
-        row["constraints"]["prior"]["pose"] = row["start"]
-    batch.correct_all(*problem.model.record[:2], contacts, problem.outside, rows, residuals)
+        constraints["prior"]["pose"] = row["start"]
+    batch.correct_all(*problem.model.record[:2], contacts, constraints, problem.outside, rows, residuals)
     return row["answer"], residuals
 
 
@@ -181,16 +189,14 @@ def _conflict(
     `problem` and `used` (1, n) are with it.
     """
     rest, residuals = without
-    # The log determinants of the contacts' covariances count where both answers have the same contacts.
-    cost = "chi2" if name == "skin" or name.startswith("contact") else "posterior_cost"
-    fall, freedom = max(float(both[cost] - rest[cost]), 0.0), _freedom(problem, used, name)
+    fall, freedom = _fall(name, both, rest), _freedom(problem, used, name)
     T, offset = _mode(rest), np.empty(0)
     if name == "vision" and problem.vision is not None:
         offset = se3.difference(T, problem.vision.T_palm_object)
     elif name == "weight" and problem.weight is not None:
         center = se3.apply(T, problem.weight.center_object[None])[0]
         offset = center - problem.weight.center_palm
-    elif cost == "chi2" and name != "skin":
+    elif name.startswith("contact"):
         offset = residuals[int(name.split()[1])]
     kinds = [kind for kind in KINDS if kind != name and _freedom(problem, used, kind)]
     taxels = problem.taxels if name == "skin" else 0

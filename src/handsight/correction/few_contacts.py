@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight import se3
+from handsight._kernels.solve.options import SEARCH
 from handsight.checks import Array, Mask
 from handsight.correction import modes, solve
 from handsight.correction.problem import Problem, Records
@@ -110,7 +111,7 @@ def with_draws(problem: Problem, rows: Records, used: Mask) -> Records:
     along = np.kron(np.eye(2), T[:3, :3].T) * scale[:, None]
     across = np.linalg.inv(along)
     places = se3.difference(rows["T_palm_object"], T) @ along.T
-    likely = rows["log_weight"] > rows["log_weight"].max() - modes.MODES.unlikely
+    likely = rows["log_weight"] > rows["log_weight"].max() - SEARCH.unlikely
     near = np.linalg.norm(places[:, 3:], axis=1) < np.pi / 2 * problem.model.radius
     chosen = np.flatnonzero(likely & near)[: DRAWS.most_minima]
     covariances = along @ rows["covariance"] @ along.T

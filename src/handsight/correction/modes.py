@@ -15,19 +15,12 @@ from handsight.objects import ObjectModel
 SAME_MODE = (0.015, float(np.deg2rad(20.0)))
 """Two modes are distinct when they differ by more than this shift [m] or by more than this turn [rad]."""
 
-SAME_MINIMUM = (0.002, float(np.deg2rad(3.0)))
-"""Two minima of one mode are distinct when they differ by more than this: on a scan, and where three contacts leave
-much open, a mode has several."""
-
 
 class ModeOptions(NamedTuple):
     """`ModeOptions` say which modes are reported."""
 
     max_modes: int = 8  # modes that are reported
     max_minima: int = 16  # minima that are parts of modes
-    unlikely: float = (
-        7.0  # a minimum whose log weight is so much smaller than the largest is no part of a mode
-    )
 
 
 MODES = ModeOptions()

@@ -6,9 +6,10 @@ import numpy as np
 
 from handsight._kernels.records import DESCENT
 from handsight._kernels.solve.options import ACCEPTANCE
+from handsight.checks import Indices
 from handsight.correction import modes, starts
 from handsight.correction.problem import Budget, Problem, Records, Steps, TwoPhase, descents_at, plain
-from handsight.correction.solve import Candidates, gains, solve
+from handsight.correction.solve import Candidates, solve
 
 
 class OutlierOptions(NamedTuple):
@@ -46,20 +47,19 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Steps
         return found
     may_draw = not problem.blind and options.starts is None and problem.starts is None
     while not budget.spent():
-        without = _leave_one_out(problem, found, budget) if options.reject_outliers and suspicious else None
-        if without is not None:
+        without = None
+        # First the worst one alone: often it has only led the descents astray, and fits at the pose without it.
+        for left_out in _suspects(problem, found) if options.reject_outliers and suspicious else ():
+            other = _leave_one_out(problem, found, left_out, budget)
             yield
-        gain = 0.0 if without is None else found.cost - without.cost
-        if (
-            without is not None
-            and gain >= ACCEPTANCE.decisive
-            and (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost)
-        ):
-            # The pose that was found without this contact may fit it too, and only have been hard to reach.
-            again = solve(problem, without.minima[None], found.used, budget)
-            yield
-            if again.fits(OUTLIERS.accept_p):
-                return again
+            if without is None or other.cost < without.cost:
+                without = other
+                if _better(without, found):
+                    again = solve(problem, without.minima[None], found.used, budget)
+                    yield
+                    if again.fits(OUTLIERS.accept_p):
+                        return again
+        if without is not None and _better(without, found):
             # A second wrong contact is rare: it is searched for only where the contacts left do not fit.
             found, suspicious = without, not without.fits()
             if not suspicious:
@@ -84,6 +84,22 @@ def _suspicious(problem: Problem, found: Candidates) -> bool:
     return not modes.unsuspicious(found.cost, found.freedom, gain)
 
 
+def _better(without: Candidates, found: Candidates) -> bool:
+    """Returns whether the cost falls so far without a contact that this is wrong."""
+    gain = found.cost - without.cost
+    return gain >= ACCEPTANCE.decisive and (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost)
+
+
+def _suspects(problem: Problem, found: Candidates) -> list[Indices]:
+    """Returns the contacts to leave out in turn: the one of the largest gain, to first order, and those after it; none
+    where no more may be left out."""
+    contacts, n = np.flatnonzero(found.used[0]), found.used.size
+    if n - len(contacts) >= most_outliers(n, blind=problem.blind):
+        return []
+    order = contacts[np.argsort(-found.gains[contacts], kind="stable")[: OUTLIERS.max_suspects]]
+    return [order[:1], order[1:]]
+
+
 def first_starts(problem: Problem, number: int) -> Records:
     """Returns (number,) DESCENT at starts for all contacts, or (K,) at the starts that the problem has itself."""
     if problem.starts is not None:
@@ -104,21 +120,12 @@ def most_outliers(n: int, *, blind: bool) -> int:
     return min(max((n - 2) // 2 if blind else (n - 1) // 2, 0), OUTLIERS.max_outliers)
 
 
-def _leave_one_out(problem: Problem, found: Candidates, budget: Budget) -> Candidates | None:
-    """Returns the minima with one more contact left out, the one without which the cheapest minimum is cheapest; None
-    where no more may be left out.
+def _leave_one_out(problem: Problem, found: Candidates, contacts: Indices, budget: Budget) -> Candidates:
+    """Returns the minima with one more of some contacts left out, that without which the cheapest minimum is cheapest.
 
     The descents without each suspect start at the minima found so far and at a few draws from the prior, the same for
     all suspects; without vision, at the starts that the other contacts fit best, out of one set that is scored once.
     """
-    contacts, n = np.flatnonzero(found.used[0]), found.used.size
-    if n - len(contacts) >= most_outliers(n, blind=problem.blind):
-        return None
-    if (
-        len(contacts) > OUTLIERS.max_suspects
-    ):  # those of the largest gain, to first order, at the best minimum
-        gain = gains(problem, found.minima[:1], found.used)
-        contacts = np.sort(contacts[np.argsort(-gain[contacts], kind="stable")[: OUTLIERS.max_suspects]])
     masks = np.repeat(found.used, len(contacts), axis=0)
     masks[np.arange(len(contacts)), contacts] = False
     here, number = found.minima[: OUTLIERS.kept_minima], OUTLIERS.blind_starts

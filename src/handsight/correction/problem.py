@@ -104,10 +104,14 @@ class Problem:
         return record
 
     @cached_property
+    def rows_each(self) -> Indices:
+        """(n,) the rows of evidence of each contact."""
+        return np.asarray(1 + 2 * self.contacts.has_normal)
+
+    @cached_property
     def rows(self) -> int:
         """The rows of evidence beside the prior."""
-        everyone = np.ones((1, len(self.contacts)), dtype=bool)
-        return self.freedom(everyone) + (6 if self.blind else 0)
+        return self.freedom(np.ones((1, len(self.contacts)), dtype=bool)) + (6 if self.blind else 0)
 
     def arguments(self, used: Mask) -> tuple[Records, Any, Records, Records, Records]:
         """Returns model, nodes, contacts, constraints and outside rows as kernels take them, the contacts once for each
@@ -123,7 +127,7 @@ class Problem:
 
     def freedom(self, used: Mask) -> int:
         """Returns the degrees of freedom of the χ² at a mode: the rows of evidence, less six if there is no prior."""
-        rows = int((used * (1 + 2 * self.contacts.has_normal)).sum()) + (0 if self.weight is None else 3)
+        rows = int(used[0] @ self.rows_each) + (0 if self.weight is None else 3)
         if self.depth is not None:
             rows += min(len(self.depth), 6)  # all of them together count as the one pose of their image
         return max(rows - 6, 1) if self.blind else rows

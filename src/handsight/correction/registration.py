@@ -8,7 +8,7 @@ import numpy as np
 from handsight import se3
 from handsight._kernels import records
 from handsight._kernels.solve import registration
-from handsight._kernels.solve.options import REGISTRATION
+from handsight._kernels.solve.options import REGISTRATION, SEARCH
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import conflicts, modes, outliers, starts
@@ -86,7 +86,7 @@ def register(problem: Problem, budget: Budget) -> PoseEstimate:
         poses = poses_of(solve(alone, begin[None], everyone, budget).minima[:MOST_CANDIDATES])
     if len(poses) > 1 and n > FEW:
         rows = np.array([registered(few, T).row for T in poses])
-        poses = rows["T_palm_object"][rows["cost"] < rows["cost"].min() + 2 * modes.MODES.unlikely]
+        poses = rows["T_palm_object"][rows["cost"] < rows["cost"].min() + 2 * SEARCH.unlikely]
     found = [registered(problem, T) for T in poses]
     found.sort(key=lambda each: -float(each.row["log_weight"]))
     # A descent may have ended with a group moved to a wrong place; from the same pose without errors it goes on.

@@ -45,14 +45,17 @@ def solve_usual(
     It is `solve_single_start` for the usual call, in little more than the kernel's time: in a program that does other
     work between two corrections, whatever Python does here is read from memory, which takes as long as the kernel.
     """
-    if not model.record.symmetry_known:
+    record, n = model.record, len(contacts.record)
+    if not record.symmetry_known:
         return None, False
-    rows = _problem(vision.record, len(contacts.record), mean)
-    answer, residuals = _corrected(model, contacts, NO_OUTSIDE, rows)
-    verdict = answer["verdict"]
+    rows, residuals = np.frombuffer(bytearray(BLANK[mean]), dtype=records.PROBLEM), np.empty((n, 2))
+    verdict = batch.correct_all(
+        record.model, record.nodes, contacts.record, vision.record, NO_OUTSIDE, rows, residuals
+    )
     if verdict == records.ENOUGH:
+        answer = rows[0]["answer"]
         return PoseEstimate(answer, (answer,), residuals, True), False
-    return None, bool(verdict == records.DOUBTED)
+    return None, verdict == records.DOUBTED
 
 
 def solve_single_start(
@@ -66,33 +69,28 @@ def solve_single_start(
     """
     if problem.vision is None or not problem.model.record.symmetry_known:
         return None
-    given = problem.vision.record if problem.weight is None and problem.depth is None else problem.constraints
-    rows = _problem(given, len(problem.contacts), mean)
+    alone = problem.weight is None and problem.depth is None
+    given = problem.vision.record if alone else problem.constraints
+    rows = np.frombuffer(bytearray(BLANK[mean]), dtype=records.PROBLEM)
+    residuals, row = np.empty((len(problem.contacts), 2)), rows[0]
     if T_start is not None:
-        row = rows[0]
         row["follows"] = True
         row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
-    answer, residuals = _corrected(problem.model, problem.contacts, problem.outside, rows)
+    contacts, outside = problem.contacts.record, problem.outside
+    batch.correct_all(*problem.model.record[:2], contacts, given, outside, rows, residuals)
     judged = problem.taxels > 0 or problem.depth is not None
-    return _accepted(lambda: problem, answer, residuals, judged=judged)
+    return _accepted(lambda: problem, row["answer"], residuals, judged=judged)
 
 
-def _problem(constraints: Records, contacts: int, mean: int) -> Records:
-    """Returns (1,) PROBLEM of CONSTRAINTS (1,) and so many contacts."""
-    # These zeros take a fifth of the time of np.zeros.
-    rows = np.frombuffer(bytearray(records.PROBLEM.itemsize), dtype=records.PROBLEM)
-    row = rows[0]
-    row["constraints"], row["last"], row["answer"]["mean"] = constraints[0], contacts, mean
-    return rows
+def _blank(mean: int) -> bytes:
+    """Returns the bytes of a PROBLEM of all contacts, whose answer is to be of a kind `mean`."""
+    row = np.zeros(1, dtype=records.PROBLEM)
+    row["answer"]["mean"] = mean
+    return row.tobytes()
 
 
-def _corrected(
-    model: ObjectModel, contacts: Contacts, outside: Records, rows: Records
-) -> tuple[np.void, Array]:
-    """Returns the ANSWER of the kernel to PROBLEM (1,), and the residuals (n, 2)."""
-    residuals, record = np.empty((len(contacts.record), 2)), model.record
-    batch.correct_all(record.model, record.nodes, contacts.record, outside, rows, residuals)
-    return rows[0]["answer"], residuals
+BLANK = tuple(_blank(mean) for mean in range(3))
+"""The bytes of a PROBLEM by its answer's `mean`: copied, they take a fifth of the time of an array that is filled."""
 
 
 def solve_batch(
@@ -104,13 +102,18 @@ def solve_batch(
     counts = np.array([len(contacts) for contacts, _ in problems])
     contacts = np.concatenate([contacts.record for contacts, _ in problems])
     rows, residuals = np.zeros(len(problems), dtype=records.PROBLEM), np.empty((len(contacts), 2))
-    # CONSTRAINTS are the first field of a PROBLEM; copied as plain numbers they take a hundredth of the time.
-    constraints = np.concatenate([plain(vision.record) for _, vision in problems])
-    plain(rows)[:, : constraints.shape[1]] = constraints
+    # Copied as plain numbers they take a hundredth of the time.
+    constraints = np.concatenate([plain(vision.record) for _, vision in problems]).view(records.CONSTRAINTS)[
+        :, 0
+    ]
     rows["last"], rows["answer"]["mean"] = np.cumsum(counts), kinds
     rows["first"] = rows["last"] - counts
-    given = (*model.record[:2], contacts, NO_OUTSIDE)
-    in_parts(lambda part: batch.correct_all(*given, part, residuals), (rows,), SOLVE.serial // 4)
+    model_, nodes = model.record[:2]
+
+    def work(given: Records, part: Records) -> None:
+        batch.correct_all(model_, nodes, contacts, given, NO_OUTSIDE, part, residuals)
+
+    in_parts(work, (constraints, rows), SOLVE.serial // 4)
     # Copied, so that an estimate does not keep the arrays of all problems in memory.
     return [
         _accepted(
@@ -150,6 +153,8 @@ class Candidates:
     """(1, n) whether each contact is in use."""
     freedom: int
     """Degrees of freedom of the χ² at a minimum."""
+    gains: Array
+    """(n,) by how much χ² falls, to first order, when each contact in use is left out, at the cheapest minimum."""
 
     @property
     def cost(self) -> float:
@@ -169,7 +174,8 @@ class Candidates:
         """Returns the minima of both, which must use the same contacts."""
         minima = np.concatenate([plain(self.minima), plain(other.minima)]).view(records.DESCENT)[:, 0]
         minima = taken(minima, np.argsort(minima["cost"], kind="stable"))
-        return Candidates(minima, self.used, self.freedom)
+        gains = self.gains if self.cost <= other.cost else other.gains
+        return Candidates(minima, self.used, self.freedom, gains)
 
 
 def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None = None) -> Candidates:
@@ -179,30 +185,29 @@ def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None =
     those that do not repeat another one go on to the fine field. When the budget is spent, the remaining starts are
     skipped, but never the first ones.
     """
-    model = problem.model
-    work = partial(search.search, *problem.arguments(used))
-    blocks = _searched(work, _blocks(starts, 2 if problem.blind else 1), budget)
-    descents, ends = blocks.reshape(-1), blocks.shape[2]
-    # The indices of the descents that ended at a minimum of their own; of these, the ones of the best set.
-    ended = ends * np.flatnonzero(descents["cost"][::ends] < np.inf)
-    best = descents["set"][ended[descents["cost"][ended].argmin()]]
+    model, arguments, ends = problem.model, problem.arguments(used), 2 if problem.blind else 1
+    descents = _searched(partial(search.search, *arguments), _blocks(starts, ends), budget).reshape(-1)
+    # The indices of the descents that ended at minima of their own, cheapest first; of these, those of the best set.
+    cost = descents["cost"][::ends]
+    ended = np.argsort(cost, kind="stable")[: np.count_nonzero(cost < np.inf)] * ends
+    best = int(descents["set"][ended[0]])
     if len(used) > 1:
         ended = ended[descents["set"][ended] == best]
     if len(ended) > SOLVE.block // 2:
-        order = ended[np.argsort(descents["cost"][ended], kind="stable")]
         most = SOLVE.kept_blind if problem.blind else SOLVE.kept
-        ended = distinct(model, descents, order, most, SEARCH.same_after_coarse)
+        ended = distinct(model, descents, ended, most, SEARCH.same_after_coarse)
     if problem.blind:
         # Along a flat direction every place is a minimum. The kernel has put the most likely one beside each minimum;
         # it comes first, so that the stable sort prefers it among equal costs.
         ended = np.concatenate([ended + 1, ended])
-    minima = taken(descents, ended[np.argsort(descents["cost"][ended], kind="stable")])
-    minima["set"], chosen = 0, used[best : best + 1]
+        ended = ended[np.argsort(descents["cost"][ended], kind="stable")]
+    minima, chosen, contacts = taken(descents, ended), used[best : best + 1], arguments[2][best : best + 1]
+    minima["set"] = 0
     if problem.vision is not None and not model.record.symmetry_known:
         Ts = nearest(model.symmetries, poses_of(minima), problem.vision.T_palm_object, model.radius)
         minima["pose"] = descents_at(Ts)["pose"]
-    batch.weigh(*problem.arguments(chosen), minima)
-    return Candidates(minima, chosen, problem.freedom(chosen))
+    batch.weigh(*arguments[:2], contacts, *arguments[3:], minima)
+    return Candidates(minima, chosen, problem.freedom(chosen), contacts["gain"][0])
 
 
 def _searched(work: Callable[[Records], None], blocks: Records, budget: Budget | None) -> Records:
@@ -249,17 +254,6 @@ def distinct(
     return rows[: batch.distinct(model.record.model, descents, order, np.array(limits), rows)]
 
 
-def gains(problem: Problem, minimum: Records, used: Mask) -> Array:
-    """Returns by how much χ² falls, to first order, when each contact is left out (n,), at a minimum (1,).
-
-    `used` (1, n): the contacts in use; the others have no gain.
-    """
-    arguments, answers = problem.arguments(used), np.zeros(1, dtype=records.ANSWER)
-    answers["pose"], answers["first_order"] = minimum["pose"], True
-    batch.summarize_all(*arguments, answers)
-    return np.where(used[0], arguments[2][0]["gain"], 0.0)
-
-
 def summaries(
     problem: Problem, descents: Records, used: Mask, *, first_order: bool = False, mean: int = 0
 ) -> Records:
@@ -283,10 +277,8 @@ def summarize(problem: Problem, found: Candidates, *, mean: int = 0) -> Records:
     if len(minima) > 1:
         each = distinct(problem.model, minima, order, modes.MODES.max_modes, modes.SAME_MODE)
         if not problem.blind:  # with those beside a mode, as they are parts of its mean
-            likely = order[
-                minima["log_weight"][order] > minima["log_weight"][order[0]] - modes.MODES.unlikely
-            ]
-            beside = distinct(problem.model, minima, likely, modes.MODES.max_minima, modes.SAME_MINIMUM)
+            likely = order[minima["log_weight"][order] > minima["log_weight"][order[0]] - SEARCH.unlikely]
+            beside = distinct(problem.model, minima, likely, modes.MODES.max_minima, SEARCH.same_minimum)
             among = np.zeros(len(minima), dtype=bool)
             among[each] = among[beside] = True
             each = order[among[order]]
@@ -334,9 +326,9 @@ def information_by_contact(
     return information, gradient
 
 
-def kernel_call(model: ObjectModel, contacts: Contacts, vision: PosePrior) -> Callable[[], None]:
+def kernel_call(model: ObjectModel, contacts: Contacts, vision: PosePrior) -> Callable[[], object]:
     """Returns a function that runs the two phases of one problem, and nothing else, for benchmarks."""
     rows = np.zeros(1, dtype=records.PROBLEM)
-    rows["constraints"], rows["last"], rows["pose_only"] = vision.record, len(contacts), True
-    given = (*model.record[:2], contacts.record, NO_OUTSIDE)
+    rows["pose_only"] = True
+    given = (*model.record[:2], contacts.record, vision.record, NO_OUTSIDE)
     return partial(batch.correct_all, *given, rows, np.empty((len(contacts), 2)))

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame, Pose, distance_row
-from handsight._kernels.math.dense6 import eigen, from_eigen, scale_turns
+from handsight._kernels.math.dense6 import eigen, factor, from_eigen, scale_turns
 from handsight._kernels.math.simd import accumulate
-from handsight._kernels.math.so3 import IDENTITY, log_derivative, rotation_log
+from handsight._kernels.math.so3 import IDENTITY, log_derivative, rotation_exp, rotation_log
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
@@ -178,3 +178,32 @@ def prior_width(model: Any, prior: Any) -> float:
         k, m = (i + 1) % 3, (i + 2) % 3
         spread += 2 * (C[i, 3 + k] * c[m] - C[i, 3 + m] * c[k])
     return np.sqrt(spread + model.radius * model.radius * turn) / (2 * model.radius)
+
+
+@inner
+def spread(prior: Any, u: Any) -> None:
+    """Writes what draws from a PRIOR need: the standard deviations along the object's own axes to `u.row`, and the
+    Cholesky factor of the correlation to `u.factor`."""
+    R = matrix(prior.pose.rotation)
+    for a in range(0, 6, 3):
+        for b in range(0, 6, 3):
+            turned = matmul(transpose(R), matmul(block(prior.covariance, a, b), R))
+            store33(turned, u.matrix[a : a + 3, b : b + 3])
+    for i in range(6):
+        u.row[i] = np.sqrt(max(u.matrix[i, i], 0.0)) + 1e-12
+        for j in range(i + 1):
+            u.wider[i, j] = u.matrix[i, j] / (u.row[i] * u.row[j])
+    factor(u.wider, 6, 1e-9, u.factor)
+
+
+@inner
+def drawn(prior: Any, draw: Any, u: Any) -> Pose:
+    """Returns a PRIOR's pose moved by a standard normal draw (6,) along the object's own axes, after `spread`."""
+    R, p = matrix(prior.pose.rotation), vector(prior.pose.position)
+    for i in range(6):
+        value = draw[i] / u.factor[i, i]
+        for j in range(i):
+            value += u.factor[i, j] * draw[j]
+        u.column[i] = value * u.row[i]
+    turn = mul(R, (u.column[3], u.column[4], u.column[5]))
+    return matmul(rotation_exp(turn), R), apply((R, p), vector(u.column))

@@ -59,7 +59,7 @@ def eigen(matrix: Any, values: Any, vectors: Any) -> None:
             for q in range(p + 1, 6):
                 entry = matrix[p, q]
                 # Relative to the two diagonal entries, so that eigenvalues of very different size keep their digits.
-                if entry * entry > 1e-31 * abs(matrix[p, p] * matrix[q, q]):
+                if entry * entry > 1e-26 * abs(matrix[p, p] * matrix[q, q]):
                     clean = False
                     _rotate(matrix, p, q, vectors)
         if clean:

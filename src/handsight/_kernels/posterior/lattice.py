@@ -40,7 +40,7 @@ def _relax(flat: Any, E: Mat33, u: Any) -> bool:
         for i in range(6):
             row = 0.0
             for j in range(6):
-                row += u.equations[max(i, j), min(i, j)] * u.wider[j, a]
+                row += u.equations[i, j] * u.wider[j, a]
             u.column[i] = row
             slope += u.equations[6, i] * u.wider[i, a]
         u.values[a] = slope

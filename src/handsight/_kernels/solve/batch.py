@@ -38,7 +38,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.doubt import verdict
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
-from handsight._kernels.solve.options import DESCENT, SEARCH
+from handsight._kernels.solve.options import DESCENT, MATCH, SEARCH
 
 LIMITS = DESCENT.coarse, DESCENT.fine
 
@@ -61,7 +61,7 @@ def _solve(evidence: Evidence, pose: Pose, follows: bool, answer: Any) -> Pose:
     costs, steps and convergence."""
     model, steps = evidence.model, 0
     if not follows:
-        pose, steps = match(evidence, pose)
+        pose, steps, _ = match(evidence, pose, MATCH.max_steps)
     cost, converged = 0.0, False
     for phase in range(1 if follows else 0, 2):
         answer.coarse_cost = cost
@@ -97,28 +97,29 @@ def equivalent(model: Any, Ts: Any, T_reference: Any, out: Any) -> None:
 
 
 @entry
-def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: Any, residuals: Any) -> None:
-    """Solves every problem whose prior is narrow enough for one start, at the prior's pose; of the others it fills in
-    the width only.
+def correct_all(
+    model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, problems: Any, residuals: Any
+) -> int:
+    """Solves every problem (K,) whose prior is narrow enough for one start, at the prior's pose; of the others it fills
+    in the width only. Returns the verdict on the last one.
 
     A problem that `follows` begins at its `start` instead, however wide the prior is; of one that is `pose_only` only
-    the pose is computed, for benchmarks. `contacts` (n,) are those of all problems one after another; `residuals`
-    (n, 2) are written: distance [m], angle [rad].
+    the pose is computed, for benchmarks. `contacts` (n,) are those of all problems one after another, `constraints`
+    (K,) those of each; `residuals` (n, 2) are written: distance [m], angle [rad].
     """
-    prior, flat = local(PRIOR_TERM), local(FLAT_DIRECTIONS)
+    prior, flat, found = local(PRIOR_TERM), local(FLAT_DIRECTIONS), DOUBTED
     for k in range(len(problems)):
-        problem, answer = problems[k], problems[k].answer
-        constraints = problem.constraints
+        problem, answer, given = problems[k], problems[k].answer, constraints[k]
         any_width = problem.follows or problem.pose_only
-        answer.width = 0.0 if any_width else prior_width(model[0], constraints.prior)
-        answer.verdict = DOUBTED
+        answer.width = 0.0 if any_width else prior_width(model[0], given.prior)
+        answer.verdict = found = DOUBTED
         if not answer.width < SEARCH.single_start_width:
             continue
-        terms = np.empty(problem.last - problem.first, TERM)
-        own = contacts[problem.first : problem.last]
-        center = load_evidence(model[0], own, constraints, terms, prior)
-        evidence = Evidence(model[0], nodes, terms, outside, constraints, prior, center)
-        prior_pose = pose_of(constraints.prior.pose)
+        own = contacts[problem.first : problem.last if problem.last else len(contacts)]
+        terms = np.empty(len(own), TERM)
+        center = load_evidence(model[0], own, given, terms, prior)
+        evidence = Evidence(model[0], nodes, terms, outside, given, prior, center)
+        prior_pose = pose_of(given.prior.pose)
         start = pose_of(problem.start) if problem.follows else prior_pose
         pose = _solve(evidence, start, problem.follows != 0, answer)
         pose = nearest(model[0], pose, prior_pose)
@@ -128,18 +129,20 @@ def correct_all(model: Any, nodes: Any, contacts: Any, outside: Any, problems: A
             continue
         answer.first_order, answer.weight = 0, 1.0
         summarize(evidence, pose, answer, flat)
-        answer.verdict = verdict(evidence, problem.follows != 0, answer)
-        if answer.verdict != DOUBTED:
+        answer.verdict = found = verdict(evidence, problem.follows != 0, answer)
+        if found != DOUBTED:
             to_mean(evidence, problems[k : k + 1].answer, 0, flat, -np.inf)
         pose = transform_of(answer.T_palm_object)
         for i in range(len(terms)):
             row = residuals[problem.first + i]
             row[0], row[1] = _residual(model[0], nodes, terms[i].contact, pose)
+    return found
 
 
 @entry
 def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, descents: Any) -> None:
-    """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, their cost, and the largest gain of a contact.
+    """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, their cost, and the largest gain of a contact;
+    the contacts' gains at the first minimum are written too.
 
     The first set of contacts is used. Σ is over the directions that are known better than by the prior or, without
     vision, better than the object's own size. With a prior the poses are replaced by their equivalents nearest to it.
@@ -165,6 +168,8 @@ def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any,
             volume -= 0.5 * np.log(max(u.values[i], floor))
         descent.log_weight, descent.posterior_cost = volume - cost / 2, cost
         descent.gain = largest_gain(evidence, u)
+        for i in range(len(terms) if k == 0 else 0):
+            contacts[0, i].gain = terms[i].contact.gain
 
 
 @entry

@@ -5,10 +5,19 @@ from typing import Any
 
 import numpy as np
 
+from handsight._kernels.evidence.prior_term import drawn, spread
 from handsight._kernels.evidence.terms import Evidence
-from handsight._kernels.records import DOUBTED, ENOUGH, GRID, SHEET, UNDECIDED
+from handsight._kernels.math.simd import local
+from handsight._kernels.math.symmetry import are_distinct, pose_of
+from handsight._kernels.records import DOUBTED, ENOUGH, GRID, SHEET, UNCERTAINTY, UNDECIDED
 from handsight._kernels.runtime.compilation import inner
-from handsight._kernels.solve.options import ACCEPTANCE, SEARCH
+from handsight._kernels.solve.levenberg import descend
+from handsight._kernels.solve.match import match
+from handsight._kernels.solve.options import ACCEPTANCE, DESCENT, MATCH, SEARCH
+
+LIMITS = DESCENT.coarse, DESCENT.fine
+DRAWS = np.random.default_rng(0).normal(size=(1 + ACCEPTANCE.confirming, 6))[1:]
+"""Standard normal draws, those that a search begins with after the prior's own pose."""
 
 
 @inner
@@ -29,12 +38,42 @@ def chi2_survival(chi2: float, freedom: int) -> float:
 
 
 @inner
+def _confirmed(evidence: Evidence, answer: Any) -> bool:
+    """Returns whether draws from the prior lead to no likely minimum but that of an ANSWER.
+
+    Each ends as soon as it is where the answer's minimum is, and all of them as soon as one leads elsewhere.
+    """
+    model, prior, found, u = (
+        evidence.model,
+        evidence.constraints.prior,
+        pose_of(answer.pose),
+        local(UNCERTAINTY),
+    )
+    spread(prior, u)
+    for k in range(len(DRAWS)):
+        pose, cost, done = drawn(prior, DRAWS[k], u), np.inf, False
+        for phase in range(4):
+            if phase > 1:
+                field = model.fine if phase == 3 else model.coarse
+                pose, cost, _, _ = descend(evidence, field, pose, LIMITS[phase - 2], True)
+            elif not done:
+                pose, _, done = match(evidence, pose, MATCH.max_steps if phase else SEARCH.first_steps)
+            limits = SEARCH.same_minimum if phase == 3 else SEARCH.same_after_coarse
+            if not are_distinct(model, pose, found, limits):
+                break
+            if phase == 3 and cost < answer.cost + 2 * SEARCH.unlikely:
+                return False
+    return True
+
+
+@inner
 def verdict(evidence: Evidence, follows: bool, answer: Any) -> int:
     """Returns whether an ANSWER of one descent is ENOUGH, DOUBTED, or UNDECIDED: then it is enough if no evidence
     contradicts the rest and few contacts leave one minimum only.
 
-    The probability of a missed mode grows with the square of the prior's width. A descent that `follows` started at a
-    mode that a search has led to; then it is enough that the evidence fits.
+    The probability of a missed mode grows with the square of the prior's width; where it is too large, though no
+    contact is suspicious, a few draws from the prior decide. A descent that `follows` started at a mode that a search
+    has led to; then it is enough that the evidence fits.
     """
     cost, rows = answer.cost, max(answer.rows, 1)
     if not answer.converged:
@@ -49,11 +88,13 @@ def verdict(evidence: Evidence, follows: bool, answer: Any) -> int:
         fits = chi2_survival(cost, rows) >= ACCEPTANCE.alarm
     else:
         wide = (answer.width / SEARCH.single_start_width) ** 2
-        least = max(ACCEPTANCE.doubt_p * wide, ACCEPTANCE.recheck_p)
+        level = ACCEPTANCE.doubt_p if fine in (GRID, SHEET) else ACCEPTANCE.doubt_plain_p
         coarse = chi2_survival(answer.coarse_cost * wide / ACCEPTANCE.coarse_factor, rows)
-        fits = coarse >= ACCEPTANCE.coarse_p and chi2_survival(cost, rows) >= least
-        fits = fits and answer.gain < ACCEPTANCE.decisive
+        p_value = chi2_survival(cost, rows)
+        fits = p_value >= ACCEPTANCE.recheck_p and answer.gain < ACCEPTANCE.decisive
         fits = fits and not (few and answer.width > ACCEPTANCE.weak_width)
+        if coarse < ACCEPTANCE.coarse_p or p_value < level * wide:
+            fits = fits and _confirmed(evidence, answer)
     if not fits:
         return DOUBTED
     gain = max(answer.gain, max(answer.prior_gain, answer.outside_gain))

@@ -70,12 +70,13 @@ def add_match(model: Any, term: Any, pose: Pose, frame: Frame, equations: Any) -
 
 
 @inner
-def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
-    """Returns the pose after Gauss-Newton steps on nearest samples, and the number of steps."""
+def match(evidence: Evidence, pose: Pose, most: int) -> tuple[Pose, int, bool]:
+    """Returns the pose after at most so many Gauss-Newton steps on nearest samples, the number of steps, and whether
+    they converged."""
     workspace = local(WORKSPACE)
     model, equations = evidence.model, workspace.now
     frame = (evidence.center, model.radius)
-    for taken in range(1, MATCH.max_steps + 1):
+    for taken in range(1, most + 1):
         equations[:] = 0.0
         for i in range(len(evidence.terms)):
             term = evidence.terms[i]
@@ -89,5 +90,5 @@ def match(evidence: Evidence, pose: Pose) -> tuple[Pose, int]:
         for k in range(3):
             longest = max(longest, max(abs(step[0][k]), abs(step[1][k])))
         if longest < MATCH.tolerance * model.radius:
-            return pose, taken
-    return pose, MATCH.max_steps
+            return pose, taken, True
+    return pose, most, False

@@ -36,6 +36,13 @@ class SearchOptions(NamedTuple):
     """Two poses after phase 1 that differ by less are the same [m], [rad]."""
     same_after_coarse: tuple[float, float] = (0.002, float(np.deg2rad(2.0)))
     """Two descents on the coarse field that end nearer to each other are the same [m], [rad]."""
+    same_minimum: tuple[float, float] = (0.002, float(np.deg2rad(3.0)))
+    """Two minima of one mode are distinct when they differ by more than this [m], [rad]: on a scan, and where three
+    contacts leave much open, a mode has several."""
+    unlikely: float = 7.0
+    """A minimum whose log weight is so much smaller than the largest is no part of a mode."""
+    first_steps: int = 2
+    """Steps of phase 1 after which a start may already be where another one ended."""
 
 
 class AcceptanceOptions(NamedTuple):
@@ -52,6 +59,11 @@ class AcceptanceOptions(NamedTuple):
     doubt_p: float = 0.2
     """Level of the χ² test by which the answer from one start is doubted, where the prior is the widest for which one
     start may be enough. Two of three problems on an L-shaped mesh, with a prior of 0.22 diameters, raise no doubt."""
+    doubt_plain_p: float = 0.02
+    """The same on a box, a cylinder or a sphere: of 900 answers there that only the level above doubts, 16 starts led
+    to a better one no more often than of those that it does not."""
+    confirming: int = 7
+    """Draws from the prior that all lead to a doubted answer before it is given after all."""
     coarse_p: float = 0.1
     """The same of the cost on the coarse field, divided by `coarse_factor`."""
     coarse_factor: float = 5.0

@@ -9,23 +9,20 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose, surface_at
+from handsight._kernels.evidence.prior_term import drawn, spread
 from handsight._kernels.evidence.terms import PRIOR, Evidence, evidence_cost
-from handsight._kernels.math.dense6 import factor
 from handsight._kernels.math.simd import local
-from handsight._kernels.math.so3 import rotation_exp
 from handsight._kernels.math.symmetry import are_distinct, pose_of, store_pose
 from handsight._kernels.math.vec3 import (
     Mat33,
     Vec3,
     apply,
-    block,
     cross,
     dot,
     matmul,
     mul,
     norm,
     scale,
-    store33,
     sub,
     transpose,
     vector,
@@ -35,7 +32,7 @@ from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import load_evidence
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
-from handsight._kernels.solve.options import DESCENT, SEARCH
+from handsight._kernels.solve.options import DESCENT, MATCH, SEARCH
 
 LIMITS = DESCENT.coarse, DESCENT.fine
 COSINE = float(np.cos(SEARCH.same_after_match[1]))
@@ -47,25 +44,9 @@ WORST = 1e300
 def draw(constraints: Any, draws: Any, descents: Any) -> None:
     """Puts descents (K,) at a prior's pose moved by standard normal draws (K, 6) along the object's own axes."""
     prior, u = constraints[0].prior, local(UNCERTAINTY)
-    R, p = pose_of(prior.pose)
-    for a in range(0, 6, 3):
-        for b in range(0, 6, 3):
-            turned = matmul(transpose(R), matmul(block(prior.covariance, a, b), R))
-            store33(turned, u.matrix[a : a + 3, b : b + 3])
-    # In `u.row` the standard deviations, in `u.factor` the Cholesky factor of the correlation.
-    for i in range(6):
-        u.row[i] = np.sqrt(max(u.matrix[i, i], 0.0)) + 1e-12
-        for j in range(i + 1):
-            u.wider[i, j] = u.matrix[i, j] / (u.row[i] * u.row[j])
-    factor(u.wider, 6, 1e-9, u.factor)
+    spread(prior, u)
     for k in range(len(descents)):
-        for i in range(6):
-            value = draws[k, i] / u.factor[i, i]
-            for j in range(i):
-                value += u.factor[i, j] * draws[k, j]
-            u.column[i] = value * u.row[i]
-        turn = mul(R, (u.column[3], u.column[4], u.column[5]))
-        store_pose((matmul(rotation_exp(turn), R), apply((R, p), vector(u.column))), descents[k].pose)
+        store_pose(drawn(prior, draws[k], u), descents[k].pose)
 
 
 @inner
@@ -198,8 +179,13 @@ def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any
                         row.cost = 0.0
                         store_pose(pose, earlier[k])
                         continue
-                    pose, steps = match(matching, pose)
-                    if _repeats(model[0], rows, k, pose, earlier):
+                    new, done = True, False
+                    while new and not done and steps < MATCH.max_steps:
+                        left = MATCH.max_steps - steps if steps else SEARCH.first_steps
+                        pose, more, done = match(matching, pose, left)
+                        steps += more
+                        new = not _repeats(model[0], rows, k, pose, earlier)
+                    if not new:
                         row.cost = np.inf
                         continue
                 evidence = matching if end else fitting
