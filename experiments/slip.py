@@ -30,8 +30,7 @@ from scipy.special import chdtri
 
 import handsight as hs
 from handsight import se3
-from handsight.forces import SlipDetector, slip_twist
-from handsight.forces.friction import FRICTION
+from handsight.forces import FRICTION, SlipDetector, slip_twist
 from handsight.simulation import SCENARIO, Nuisances, Sample, Scenario, model_of, rig_of, simulate
 from handsight.tracking import FingertipSensors
 from shared import figures, report, scenes, slips

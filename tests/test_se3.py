@@ -103,6 +103,8 @@ def test_neighbours_cancel():
 @given(finite_vectors, finite_vectors)
 def test_skew_is_the_cross_product(v, x):
     np.testing.assert_allclose(se3.skew(v) @ x, np.cross(v, x), atol=1e-14)
+    np.testing.assert_array_equal(se3.cross(v, x), np.cross(v, x))
+    np.testing.assert_array_equal(se3.cross(v, x[None]), np.cross(v, x[None]))
     np.testing.assert_array_equal(se3.skew(v).T, -se3.skew(v))
 
 

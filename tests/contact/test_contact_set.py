@@ -1,3 +1,5 @@
+import copy
+import pickle
 import re
 
 import numpy as np
@@ -171,3 +173,12 @@ def zero_but(i, j):
 def test_a_wrong_set_is_refused_by_entry(arguments, message):
     with pytest.raises(InvalidInput, match=f"^{re.escape(message)}"):
         Contacts(**{"points_palm": POINTS, **arguments})
+
+
+def test_copies_and_pickles_are_as_read_only_as_what_they_are_of():
+    """For kernels a writable array is of another type, which would be compiled in the middle of a track."""
+    one = Contacts(np.eye(3), np.eye(3))
+    for each in (copy.deepcopy(one), copy.copy(one), pickle.loads(pickle.dumps(one))):
+        assert not any(array.flags.writeable for array in vars(each).values())
+        np.testing.assert_array_equal(each.covariance, one.covariance)
+        assert each.record.tobytes() == one.record.tobytes()

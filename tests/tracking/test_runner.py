@@ -9,6 +9,7 @@ import pytest
 
 from handsight.correction.problem import finished
 from handsight.tracking import Tracker, runner
+from handsight.tracking.follower import Follower
 from handsight.tracking.runner import steps_in
 
 
@@ -71,3 +72,34 @@ def test_what_goes_on_is_lost_with_the_object_and_survives_a_copy(box, one_step)
     assert steps == [3, 3]
     assert tracker.track_state.progress is None
     assert tracker.track_state.correction is None
+
+
+def test_an_error_in_a_later_step_is_said_with_its_evidence_and_the_tracker_goes_on(can, one_step):
+    """Once: the next correction, of later observations, ends without it, and the answer is the old one until then."""
+    tracker = Tracker(can.rig, can.model)
+    judged, failed, before, reasons = Follower._judged, [], None, list[str]()
+
+    def raising(self, state, *given):
+        if state.corrections == 3 and not failed:
+            failed.append((state.stamp, state.fingertips.fingers))
+            raise np.linalg.LinAlgError("singular")
+        return (yield from judged(self, state, *given))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Follower, "_judged", raising)
+        for observation in can.observations:
+            answer = tracker.update(observation)
+            state = tracker.track_state
+            if state.failure is not None:
+                reasons.append(tracker.reason)
+                assert tracker.state != "tracking"
+                assert np.array_equal(answer.T_palm_object, before.T_palm_object)
+            before = answer
+    (stamp, fingers), named = failed[0], ", ".join(f"finger {name}" for name in failed[0][1])
+    assert fingers
+    assert len(set(reasons)) == 1
+    assert reasons[0].startswith(f"the correction by {named}, vision")
+    assert reasons[0].endswith(f"at {stamp:.3f} s failed: singular")
+    assert tracker.refused == 0
+    assert tracker.corrections > 3
+    assert tracker.state == "tracking", tracker.reason

@@ -124,8 +124,13 @@ def compensate(
     if F.shape != M.shape or (G.ndim > 1 and G.shape != F.shape):
         shapes = f"{F.shape}, {M.shape}, {G.shape}"
         raise InvalidInput(f"forces, torques, gravities: expected one shape, got {shapes}")
-    sign, weight = _sign(calibration.reading), calibration.mass * G
-    torque = sign * (M - calibration.bias_torque) - np.cross(calibration.center_of_mass, weight)
+    return compensated(F, M, G, calibration)
+
+
+def compensated(F: Array, M: Array, gravities: Array, calibration: WrenchCalibration) -> tuple[Array, Array]:
+    """Returns `compensate` of arrays that are not checked."""
+    sign, weight = 1.0 if calibration.reading == "on_sensor" else -1.0, calibration.mass * gravities
+    torque = sign * (M - calibration.bias_torque) - se3.cross(calibration.center_of_mass, weight)
     return sign * (F - calibration.bias_force) - weight, torque
 
 

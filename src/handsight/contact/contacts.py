@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 
 
-@dataclass(frozen=True, slots=True, init=False, eq=False)
+@dataclass(frozen=True, init=False, eq=False)
 class Contacts:
     """`Contacts` are the points where the hand touches the object, with or without normals, and their covariances."""
 
@@ -38,8 +38,6 @@ class Contacts:
     shared_covariance: Array
     """(g, 6, 6) covariance of each group's error, a shift [m] and a turn [rad] about the centroid of its contacts,
     along the palm's axes."""
-    record: NDArray[np.void] = field(repr=False)
-    """(n,) CONTACT: the same values as records for the kernels, without the groups."""
 
     __repr__ = short_repr
 
@@ -120,6 +118,20 @@ class Contacts:
         """
         has_normal, of_residual = _default_flags(len(points_palm))
         return _unchecked(points_palm, normals_palm, has_normal, covariance, of_residual)
+
+    @cached_property
+    def record(self) -> NDArray[np.void]:
+        """(n,) CONTACT: the same values as records for the kernels, without the groups."""
+        # Set as numbers in the order of the record's fields: by their names it takes twice as long.
+        numbers = np.zeros((len(self), CONTACT.itemsize // 8))
+        numbers[:, :3], numbers[:, 3:6] = self.points_palm, self.normals_palm
+        numbers[:, 9:45], flags = self.covariance.reshape(-1, 36), numbers.view(np.int64)
+        flags[:, 6], flags[:, 7], flags[:, 8] = self.has_normal, True, self.of_residual
+        return numbers.view(CONTACT)[:, 0]
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restores a copy or a pickle, whose arrays NumPy makes writable: for kernels these are of another type."""
+        _filled(self, *(state[name] for name in _ARRAYS))
 
     def __len__(self) -> int:
         return len(self.points_palm)
@@ -204,15 +216,9 @@ def _filled(
 ) -> Contacts:
     groups = _no_groups(len(points)) if group is None else group
     arrays = points, normals, has_normal, covariance, of_residual, groups, shared
-    for name, array in zip(_ARRAYS, arrays, strict=True):
+    for array in arrays:
         array.flags.writeable = False
-        object.__setattr__(contacts, name, array)
-    # Set as numbers in the order of the record's fields: by their names it takes twice as long.
-    numbers = np.zeros((len(points), CONTACT.itemsize // 8))
-    flags = numbers.view(np.int64)
-    numbers[:, :3], numbers[:, 3:6], numbers[:, 9:45] = points, normals, covariance.reshape(-1, 36)
-    flags[:, 6], flags[:, 7], flags[:, 8] = has_normal, True, of_residual
-    object.__setattr__(contacts, "record", numbers.view(CONTACT)[:, 0])
+    vars(contacts).update(zip(_ARRAYS, arrays, strict=True))
     return contacts
 
 

@@ -1,6 +1,6 @@
 """Forces: weight, centre of mass and slip of the object in the hand, from the loads on the fingertips."""
 
-from handsight.forces.friction import FRICTION
+from handsight._kernels.touch.slip_records import FRICTION, SLIP
 from handsight.forces.loads import (
     LINK_TAXELS,
     LOADS,
@@ -12,7 +12,7 @@ from handsight.forces.loads import (
     read_in_air,
 )
 from handsight.forces.object_motion import moved_with_tips, slip_twist
-from handsight.forces.slip import SLIP, Slip, SlipDetector
+from handsight.forces.slip import Slip, SlipDetector
 from handsight.forces.weigher import WEIGHER, ObjectWeight, Weigher, WeightSensor
 from handsight.forces.weight import Carried, Unknowns, Weighing, common_equations, weigh
 

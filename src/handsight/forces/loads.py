@@ -19,7 +19,8 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.contact import TactileSurface, WrenchCalibration, calibrate_wrench, compensate
+from handsight.contact import TactileSurface, WrenchCalibration, calibrate_wrench
+from handsight.contact.calibration import compensated
 from handsight.correction.modes import chi2_limit
 from handsight.errors import InvalidInput
 from handsight.hand import Hand
@@ -179,7 +180,7 @@ def load_sum(
     chains = _chains(rig.hand, tuple(sensor.frame for sensor in sensors))
     offsets = dict(zip(rig.hand.moving, joints.tolist(), strict=True))
     rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]
-    means = np.mean([[row[name] for name in chains.joints] for row in rows], axis=0).tolist()
+    means = np.mean([[*map(row.__getitem__, chains.joints)] for row in rows], axis=0).tolist()
     mean = {name: x - offsets.get(name, 0.0) for name, x in zip(chains.joints, means, strict=True)}
     Ts_palm_link, axes = chains.poses(mean)
     Ts_palm_sensor = Ts_palm_link @ np.array([sensor.T_frame_sensor for sensor in sensors])
@@ -240,11 +241,13 @@ def _second_derivative(n: int, length: int) -> Array:
     The windows at both ends are those of the samples there that are complete. It is what `scipy.signal.savgol_filter`
     makes of the identity, without loading `scipy.signal`, which takes as long as all else together.
     """
-    derivative = np.zeros((n, n))
+    derivative, steps = np.zeros((n, n)), np.arange(length)
+    rows = [
+        2 * np.linalg.pinv(np.vander(steps - float(i), LOADS.order + 1, increasing=True))[2] for i in steps
+    ]
     for i in range(n):
         first = min(max(i - length // 2, 0), n - length)
-        powers = np.vander(np.arange(first, first + length) - float(i), LOADS.order + 1, increasing=True)
-        derivative[i, first : first + length] = 2 * np.linalg.pinv(powers)[2]
+        derivative[i, first : first + length] = rows[i - first]
     return derivative
 
 
@@ -264,8 +267,8 @@ def _summed(
         reading = np.mean(sensor.readings(observations), axis=0)
         R, s = Ts_palm_sensor[i, :3, :3], Ts_palm_sensor[i, :3, 3]
         known, own = sensor.calibration, R.T @ gravity * sensor.calibration.mass
-        load = np.concatenate(compensate(reading[:3], reading[3:], R.T @ gravity, known))
-        readings[6 * i : 6 * i + 6] = load + np.concatenate([own, np.cross(known.center_of_mass, own)])
+        load = np.concatenate(compensated(reading[:3], reading[3:], R.T @ gravity, known))
+        readings[6 * i : 6 * i + 6] = load + np.concatenate([own, se3.cross(known.center_of_mass, own)])
         f, m = R @ load[:3], R @ load[3:]
         # The reading turns with the tip, the tip's own weight does not.
         F, S, M = se3.skew(f + known.mass * gravity), se3.skew(s), se3.skew(m)
@@ -296,7 +299,7 @@ def read_in_air(
             continue
         readings = sensor.readings(observations)
         gravity = last[i, :3, :3].T @ R_palm_world @ rig.gravity
-        loads = np.hstack(compensate(readings[:, :3], readings[:, 3:], gravity, sensor.calibration))
+        loads = np.hstack(compensated(readings[:, :3], readings[:, 3:], gravity, sensor.calibration))
         mean = loads.mean(axis=0)
         spread = ((loads[:, :3] - mean[:3]) ** 2).sum() / sensor.sigma[0] ** 2
         limit = chi2_limit(3 * (len(readings) - 1), LOADS.unsteady_p)

@@ -357,18 +357,10 @@ class WeightSensor:
         T = estimate.T_palm_object
         R, center = T[:3, :3], T[:3, :3].T @ (found.center_palm - T[:3, 3])
         by_pose = GaussianPose(T, estimate.bounded_covariance).at_point(center).covariance[:3, :3]
-        return ObjectWeight(
-            mass=found.mass,
-            sigma_mass=found.sigma_mass,
-            center_object=center,
-            covariance=R.T @ (found.covariance_center + by_pose) @ R,
-            center_palm=found.center_palm,
-            covariance_palm=found.covariance_center,
-            directions=found.directions,
-            reason=self.weigher.reason or self.elsewhere(estimate),
-            biased=self.weigher.biased,
-            assumed=self.weigher.assumed,
-        )
+        mass, in_palm = (found.mass, found.sigma_mass), (found.center_palm, found.covariance_center)
+        covariance, reason = R.T @ (in_palm[1] + by_pose) @ R, self.weigher.reason or self.elsewhere(estimate)
+        known = *mass, center, covariance, *in_palm, found.directions
+        return ObjectWeight(*known, reason, self.weigher.biased, self.weigher.assumed)
 
     @property
     def doubt(self) -> str:

@@ -33,7 +33,9 @@ class Units:
         self._largest: dict[str, tuple[float, str]] = {}
         hand = rig.hand
         limits = zip(hand.joint_names, np.abs(hand.limits).max(axis=1).tolist(), strict=True)
-        self._limits = [each for each in limits if each[0] in hand.moving and np.isfinite(each[1])]
+        # The hand's file may limit a joint too narrowly, hence the margin of a radian.
+        known = ((name, limit) for name, limit in limits if name in hand.moving and np.isfinite(limit))
+        self._limits = [(name, limit, 2 * limit + 1) for name, limit in known]
 
     def check_names(self, observation: Observation) -> None:
         """Raises InvalidInput where an observation names a finger or a tactile array that the rig lacks."""
@@ -68,10 +70,9 @@ class Units:
     def _found(self, observation: Observation) -> Iterator[tuple[str | None, str, float, str]]:
         """Yields topic, name, absolute value and a text for each value that seems to be in a wrong unit."""
         positions = observation.joint_positions or {}
-        for name, limit in self._limits:
+        for name, limit, most in self._limits:  # hinges turn by a radian or two
             value = abs(positions.get(name, 0.0))
-            # Hinges turn by a radian or two. The hand's file may limit one too narrowly, hence the margin of a radian.
-            if not value > 2 * limit + 1:
+            if not value > most:
                 continue
             radians = np.deg2rad(value)
             meant = f"degrees? {radians:.3g} rad"

@@ -90,10 +90,8 @@ class ImageProcess:
         # One core stays free for touch.
         threads, places = str(max((os.cpu_count() or 2) - 1, 1)), os.pathsep.join(filter(None, sys.path))
         environment = {**os.environ, "NUMBA_NUM_THREADS": threads, "PYTHONPATH": places}
-        command, pipe = (
-            [sys.executable, "-P", "-c", f"from {__name__} import serve; serve()"],
-            subprocess.PIPE,
-        )
+        command = [sys.executable, "-P", "-c", f"from {__name__} import serve; serve()"]
+        pipe = subprocess.PIPE
         while True:
             with (
                 contextlib.suppress(EOFError, OSError, pickle.UnpicklingError),

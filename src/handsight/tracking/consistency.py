@@ -142,11 +142,8 @@ class Reading:
         touch, T_world_palm = self.touches[k], observation.T_world_palm
         gravity = np.zeros(3) if T_world_palm is None else T_world_palm[:3, :3].T @ self.rig.gravity
         for i, (name, finger) in enumerate(self.rig.fingers.items()):
-            T, known, T_sensor = (
-                Ts_palm_tip[i] @ finger.T_frame_surface,
-                finger.calibration,
-                finger.tip.T_surface_sensor,
-            )
+            T, known = Ts_palm_tip[i] @ finger.T_frame_surface, finger.calibration
+            T_sensor = finger.tip.T_surface_sensor
             self.places[k, i] = T[:3, 3]
             if name in observation.wrenches:
                 R = T[:3, :3] if T_sensor is None else T[:3, :3] @ T_sensor[:3, :3]
@@ -234,10 +231,8 @@ class Reading:
     def off_object(self, model: ObjectModel) -> Array:
         """Returns for some grasps the share of the contacts that do not fit the object; 1 where vision does not."""
         camera, costs = self.rig.camera or MountedCamera(), list[float]()
-        sigmas = [
-            [camera.sigma_position, camera.sigma_rotation],
-            [camera.sigma_position_constant, camera.sigma_rotation_constant],
-        ]
+        sigmas = [[camera.sigma_position, camera.sigma_rotation]]
+        sigmas += [[camera.sigma_position_constant, camera.sigma_rotation_constant]]
         prior = np.diag(np.repeat(np.square(sigmas).sum(axis=0) + camera.drift[:2], 3))
         grasps: list[tuple[FingertipContacts, PosePrior | None]]
         grasps = [(self._touch(each), PosePrior(T, prior)) for each, T, _ in self.views]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.touch.contacts_to_palm import contacts_to_palm, mark_on_table, put_patches
+from handsight._kernels.touch import contacts_to_palm as kernels
 from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
 from handsight._kernels.touch.tip_to_tip import TIP_TO_TIP
 from handsight.checks import Array
@@ -99,7 +99,7 @@ class FingertipSensors:
         gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
         records, by_tip = np.empty(len(self.names), dtype=PALM_CONTACT), by_error
         by_error = by_error.copy() if skin.tips else by_error
-        contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, records)
+        kernels.contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, records)
         if observation.contacts:
             put_sensed(self.rig, observation.contacts, Ts_palm_tip, by_error, records)
         links = {touch.surface.frame for touch, _ in skin.touches.values()}
@@ -108,22 +108,22 @@ class FingertipSensors:
                 records["reason"][i] = FREE
         doubts = self._put_taxels(skin, Ts_palm_tip, by_tip, by_error, records) if skin.tips else {}
         if T is not None and self._table is not None:
-            mark_on_table(np.array(T), self._table, ON_TABLE, records)
+            kernels.mark_on_table(np.array(T), self._table, ON_TABLE, records)
 
         numbers = zip(self.names, records["reason"].tolist(), strict=True)
         reasons = {name: REASONS[k] for name, k in numbers if k}
-        fingers = tuple(name for name in self.names if name not in reasons)
+        fingers = tuple([name for name in self.names if name not in reasons]) if reasons else self.names
         if not fingers:
             return FingertipContacts((), None, reasons)
-        touching = records
-        if reasons:
-            touching, by_error = (each[records["reason"] == 0] for each in (records, by_error))
-        contacts = Contacts.trusted(*(touching[name].copy() for name in ("point", "normal", "covariance")))
-        gaps = zip(fingers, touching["gap"].tolist(), strict=True)
-        near = tuple(name for name, gap in gaps if gap < TIP_TO_TIP.max_gap)
-        loads = touching["load"].copy()
+        n, j = len(fingers), by_error.shape[2]
+        points, normals, covariance = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 6, 6))
+        loads, moved = np.empty((n, 5)), np.empty((n, 6, j))
+        kernels.gather_contacts(records, by_error, points, normals, covariance, loads, moved)
+        contacts = Contacts.trusted(points, normals, covariance)
+        gaps = zip(self.names, records["gap"].tolist(), strict=True)
+        near = tuple([name for name, gap in gaps if gap < TIP_TO_TIP.max_gap and name not in reasons])
         by_taxels = tuple(name for name in skin.tips if name not in observation.wrenches)
-        return FingertipContacts(fingers, contacts, reasons, by_error, near, loads, doubts, by_taxels)
+        return FingertipContacts(fingers, contacts, reasons, moved, near, loads, doubts, by_taxels)
 
     def _put_taxels(
         self,
@@ -140,17 +140,13 @@ class FingertipSensors:
         """
         fingers, i = list(skin.tips), np.array([self.names.index(finger) for finger in skin.tips])
         wrench, J_wrench, by_error[i] = records[i], by_error[i, :3], by_tip[i]
-        put_patches(i, skin.patches(), self._fingers, Ts_palm_tip, by_error, records)
+        kernels.put_patches(i, skin.patches(), self._fingers, Ts_palm_tip, by_error, records)
         if not (both := wrench["reason"] == 0).any():
             return {}
         away = np.where(both[:, None], wrench["point"] - records["point"][i], 0.0)
         common = J_wrench @ by_error[i, :3].swapaxes(1, 2)
-        S = (
-            wrench["covariance"][:, :3, :3]
-            + records["covariance"][i, :3, :3]
-            - common
-            - common.swapaxes(1, 2)
-        )
+        S = wrench["covariance"][:, :3, :3] + records["covariance"][i, :3, :3]
+        S = S - common - common.swapaxes(1, 2)
         S[~both] = np.eye(3)
         wrong = both & ((away * np.linalg.solve(S, away[:, :, None])[:, :, 0]).sum(axis=1) > CONFLICT)
         for k in np.flatnonzero(wrong):
@@ -165,18 +161,15 @@ class FingertipSensors:
             came = checks.brief(wrenches)
             raise InvalidInput(f"observation.wrenches: expected a mapping from finger to wrench, got {came}")
         rows = [wrenches.get(name, SILENT) for name in self.names]
-        if rows and all(type(row) is np.ndarray and row.dtype == FLOAT and row.shape == (6,) for row in rows):
+        clean = [type(row) is np.ndarray and row.dtype == FLOAT and row.shape == (6,) for row in rows]
+        if rows and all(clean):
             readings = np.array(rows)
             # A comparison with NaN is False: if there is one, each row is checked below.
             if np.abs(readings).max() <= checks.MAX_LOAD:
                 return readings
         named = zip(self.names, rows, strict=True)
-        return np.array(
-            [
-                row if row is SILENT else _reading(row, f"observation.wrenches[{name!r}]")
-                for name, row in named
-            ]
-        )
+        what = "observation.wrenches[{!r}]"
+        return np.array([row if row is SILENT else _reading(row, what.format(name)) for name, row in named])
 
 
 def _reading(wrench: ArrayLike, name: str) -> Array:
@@ -192,19 +185,12 @@ def _reading(wrench: ArrayLike, name: str) -> Array:
 def finger_record(finger: Finger) -> tuple[object, ...]:
     """Returns the fields of the kernel's FINGER."""
     T, known = finger.T_frame_surface, finger.calibration
-    return (
-        tuple(finger.tip.record[0]),
-        T[:3, :3],
-        T[:3, 3],
-        1.0 if known.reading == "on_sensor" else -1.0,
-        np.concatenate([known.bias_force, known.bias_torque]),
-        known.mass,
-        known.center_of_mass,
-        [finger.sigma_force] * 3 + [finger.sigma_torque] * 3,
-        finger.sigma_gain,
-        finger.sigma_point**2,
-        finger.sigma_normal**2,
-    )
+    sign = 1.0 if known.reading == "on_sensor" else -1.0
+    bias = np.concatenate([known.bias_force, known.bias_torque])
+    sigmas = np.repeat([finger.sigma_force, finger.sigma_torque], 3)
+    sensor = sign, bias, known.mass, known.center_of_mass, sigmas, finger.sigma_gain
+    tip = tuple(finger.tip.record[0])
+    return tip, T[:3, :3], T[:3, 3], *sensor, finger.sigma_point**2, finger.sigma_normal**2
 
 
 def put_sensed(
@@ -234,12 +220,8 @@ def put_sensed(
             continue
         T_palm_tip, J, row = Ts_palm_tip[i], by_error[i], records[i]
         T_palm_surface = T_palm_tip @ finger.T_frame_surface
-        frames = {
-            "tip": T_palm_surface,
-            "palm": np.eye(4),
-            rig.hand.palm: np.eye(4),
-            finger.frame: T_palm_tip,
-        }
+        frames = {"tip": T_palm_surface, "palm": np.eye(4), rig.hand.palm: np.eye(4)}
+        frames[finger.frame] = T_palm_tip
         if contact.frame not in frames:
             known, came = ", ".join(frames), checks.brief(repr(contact.frame))
             raise InvalidInput(f"{argument}.frame: expected one of {known}, got {came}")

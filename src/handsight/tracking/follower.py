@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight import se3
+from handsight._kernels.touch.contacts_to_palm import have_moved
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import Outside, PoseEstimate, PosePrior, refine_pose
@@ -36,7 +37,7 @@ from handsight.tracking.runner import CORRECTED, Runner, steps_in
 from handsight.tracking.settings import TrackerSettings
 from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
-from handsight.tracking.smoother import STILL, PoseBiasSmoother, process_variance
+from handsight.tracking.smoother import MAX_PROPAGATION, STILL, PoseBiasSmoother, process_variance
 from handsight.tracking.table import TableEstimate, TableEvidence, supports_of
 from handsight.tracking.track_state import NO_POSE, Correction, Progress, State, TrackState, point_uncertainty
 from handsight.vision import FirstPoseSource, locate
@@ -67,19 +68,16 @@ class _Next(TrackState):
 
     def __init__(self, state: TrackState) -> None:
         # All fields at once: to set one after the other, as a frozen dataclass does, takes three times as long.
-        vars(self).update(vars(state))
-        self.images, self.slip, self.weight = (
-            state.images.copied(),
-            state.slip.copied(),
-            state.weight.copied(),
-        )
+        self.__dict__ = vars(state).copy()
+        self.images, self.slip = state.images.copied(), state.slip.copied()
+        self.weight = state.weight.copied()
 
     __setattr__ = object.__setattr__
 
     def frozen(self) -> TrackState:
-        """Returns the next state, as a value."""
+        """Returns the next state, as a value; this object must not be changed any more."""
         state = object.__new__(TrackState)
-        vars(state).update(vars(self))
+        object.__setattr__(state, "__dict__", self.__dict__)
         return state
 
 
@@ -114,19 +112,14 @@ class Follower:
     def initial(self, start: PosePrior | None, offsets: JointOffsets) -> TrackState:
         """Returns the state before any observation; `start`: the object's pose in the palm, None where unknown."""
         vision = VisionUpdate(self.rig, self.model)
+        follow = ConcurrentImages if self.settings.concurrent_images else ObjectInImages
         return TrackState(
             start=start,
             smoother=_started(vision, start),
             grasp=GraspState(),
             memory=ContactMemory(self.settings.memory, self.process_noise),
             vision=vision,
-            images=ImageVision(
-                self.rig,
-                self.model,
-                self.source,
-                on=self.settings.images,
-                follow=ConcurrentImages if self.settings.concurrent_images else ObjectInImages,
-            ),
+            images=ImageVision(self.rig, self.model, self.source, on=self.settings.images, follow=follow),
             slip=SlipUpdate(self.rig, self.model),
             weight=WeightSensor(self.rig, self.model),
             offsets=offsets,
@@ -147,8 +140,8 @@ class Follower:
         """Returns the largest standard deviation of the position of the object's middle [m]; infinite before a pose."""
         last = state.correction
         if last is not None:
-            since = process_variance(self.process_noise, state.stamp - last.stamp)
-            return math.sqrt(last.variance + since[0])
+            since = min(self.settings.process_noise_position**2 * (state.stamp - last.stamp), MAX_PROPAGATION)
+            return math.sqrt(last.variance + since)
         if state.estimate is None:
             return math.inf
         return math.sqrt(point_uncertainty(state.estimate, self.model, self.model.center_object)[1])
@@ -186,17 +179,12 @@ class Follower:
         state.skin = skin = self.skin_sensors.observed(observation, state.skin, touched=touched)
         state.fingertips = touch = self.sensors.contacts(observation, state.offsets, skin)
         self._predict(state, observation.T_world_palm, stamp)
-        state.weight.update(
-            replace(observation, wrenches={**skin.wrenches, **observation.wrenches})
-            if skin.touches
-            else observation,
-            (touch.fingers, touch.contacts),
-            (state.offsets.mean, state.offsets.root),
-            grasped=state.grasp.grasped,
-            lifted=state.grasp.lifted,
-            finger_on_table="on the table" in touch.reasons.values(),
-            pivots=state.slip.now.pivots,
-        )
+        loaded, learnt = observation, (state.offsets.mean, state.offsets.root)
+        if skin.touches:
+            loaded = replace(observation, wrenches={**skin.wrenches, **observation.wrenches})
+        grip = {"grasped": state.grasp.grasped, "lifted": state.grasp.lifted, "pivots": state.slip.now.pivots}
+        on_table = "on the table" in touch.reasons.values()
+        state.weight.update(loaded, (touch.fingers, touch.contacts), learnt, finger_on_table=on_table, **grip)
 
         # Vision.
         before = state.smoother
@@ -215,8 +203,7 @@ class Follower:
 
         # The answer: corrected, or propagated from the last correction, or vision's alone.
         if state.progress is None and touch.contacts is not None and self._due(state, touch.contacts):
-            state.progress = Progress(state.frozen())
-            state.weight = state.weight.copied()
+            state.progress = Progress(_Next(state).frozen())
             state.weight.used()
         if state.progress is not None:
             self._continued(state, state.progress, elapsed)
@@ -273,7 +260,7 @@ class Follower:
             if touch is not None:
                 # What was measured of the pose up to now stays true; the object's motion from now on is unknown.
                 pose = pose.given_pose(touch.T_palm_object, touch.information)
-            state.correction = state.table = state.progress = None
+            state.correction = state.table = state.progress = state.failure = None
         pose = pose.inflated(self.regrasp_noise)
         if change != "released" and table is not None and T is not None and not state.grasp.lifted:
             state.table = TableEvidence.of(self.model, table, self.supports, pose, T, state.stamp)
@@ -316,8 +303,10 @@ class Follower:
 
     def _due(self, state: _Next, touched: Contacts) -> bool:
         """Returns whether a correction is due: after news of vision, touch, weight or a slip, or by the set rate."""
-        last = state.correction
-        if last is None:
+        last, failure = state.correction, state.failure
+        if failure is not None and state.stamp - failure.stamp < FOLLOWER.retry_period:
+            return False
+        if last is None or failure is not None:
             return True
         age, regrasped = state.stamp - last.stamp, state.fingertips.fingers != last.fingers
         if not last.estimate.consistent:
@@ -329,9 +318,9 @@ class Follower:
             return True
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
             return True
-        shift = np.abs(touched.points_palm - last.contacts.points_palm).max()
-        cosine = (touched.normals_palm * last.contacts.normals_palm).sum(axis=1).min()
-        return bool(shift > self.settings.moved or cosine < math.cos(self.settings.turned))
+        old, limits = last.contacts, (self.settings.moved, math.cos(self.settings.turned))
+        places = touched.points_palm, old.points_palm, touched.normals_palm, old.normals_palm
+        return bool(have_moved(*places, *limits))
 
     def _motion_since(self, last: Correction, state: TrackState) -> Array:
         """Returns the variance (6,) of the object's motion since a correction [m², rad²]."""
@@ -359,6 +348,7 @@ class Follower:
         """Returns the state after its pose was corrected, in steps: by all contacts, present or remembered, with the
         smoother's pose as prior."""
         state = _Next(started)
+        state.failure = None
         touch, now, last, skin = state.fingertips, state.stamp, state.correction, state.skin
         touched, smoother, observed = touch.contacts, state.smoother, state.processed
         assert touched is not None and smoother is not None  # noqa: PT018
@@ -506,6 +496,8 @@ class Follower:
         if (since := state.stamp - state.fits_at) > FOLLOWER.lost_without_fit:
             reason = f"the contacts have fitted no pose for {since:.1f} s"
             return "lost", f"{reason}: {other}" if other else reason
+        if state.failure is not None:
+            return "uncertain", state.failure.reason
         if state.slip.now.slipping:
             return "uncertain", "the object slips: every finger that holds it is at the limit of friction"
         if not estimate.consistent:

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -79,7 +80,7 @@ class LastContact(NamedTuple):
     """[s]"""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ContactMemory:
     """A `ContactMemory` keeps the last contact of each finger: after it lets go, the object stays there for a while."""
 
@@ -87,22 +88,32 @@ class ContactMemory:
     """How long a contact is kept; 0: not at all."""
     process_noise: Array
     """(6,) variance of the object's motion in the palm, per second."""
-    last: Mapping[str, LastContact] = field(default_factory=dict)
-    """By finger."""
+    before: Mapping[str, LastContact] = field(default_factory=dict)
+    """By finger; those of `now` are older ones."""
+    now: tuple[tuple[str, ...], Contacts, float] | None = None
+    """Fingers, their contacts and the stamp of the last observation with any."""
+
+    @cached_property
+    def last(self) -> dict[str, LastContact]:
+        """By finger."""
+        fingers, contacts, stamp = self.now or ((), None, 0.0)
+        now = {finger: LastContact(contacts, row, stamp) for row, finger in enumerate(fingers) if contacts}
+        return {**self.before, **now}
 
     def after(self, fingers: tuple[str, ...], contacts: Contacts | None, stamp: float) -> "ContactMemory":
         """Returns the memory with the contacts of fingers that touch, and without those that are too old."""
         if not self.seconds:
             return self
-        last = dict(self.last)
-        if contacts is not None:
-            last.update((finger, LastContact(contacts, row, stamp)) for row, finger in enumerate(fingers))
-        kept = {finger: old for finger, old in last.items() if stamp - old.stamp <= self.seconds}
-        return ContactMemory(self.seconds, self.process_noise, kept)
+        kept, now = self.before, None if contacts is None else (fingers, contacts, stamp)
+        if self.now is None or self.now[0] != fingers or not kept.keys() <= {*fingers}:
+            last = self.last.items()
+            kept = {f: old for f, old in last if f in fingers or stamp - old.stamp <= self.seconds}
+        return ContactMemory(self.seconds, self.process_noise, kept, now)
 
     def only(self, fingers: Iterable[str]) -> "ContactMemory":
         """Returns the memory with the contacts of these fingers alone."""
-        return replace(self, last={finger: old for finger, old in self.last.items() if finger in fingers})
+        kept = {finger: old for finger, old in self.last.items() if finger in fingers}
+        return ContactMemory(self.seconds, self.process_noise, kept)
 
     def added(self, fingers: tuple[str, ...], contacts: Contacts, stamp: float) -> tuple[Contacts, list[str]]:
         """Returns the given contacts followed by the remembered ones of other fingers, and the names of these fingers.

@@ -41,6 +41,8 @@ class SearchHints:
         """Returns the hints with those of an observation, and without those that are too old."""
         now, vision, (detected, estimated) = observation.stamp, observation.vision, self.stamps
         detections, T, new = self.detections, self.T_camera_object, observation.detections
+        if not detections and T is None and new is None and observation.mask is None and vision is None:
+            return self
         if new is not None or observation.mask is not None:
             found = [each for each in new or () if each.label in ("", self.label)]
             found += [] if observation.mask is None else mask_of(observation.mask, self.label)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -237,14 +238,8 @@ class ObjectInImages:
         expected = None if T_palm_object is None or T_camera_palm is None else T_camera_palm @ T_palm_object
 
         def updated(tracker: DepthTracker, hint: Array | None) -> Sighting:
-            return tracker.update(
-                stamp,
-                image,
-                hand=mask,
-                T_camera_palm=T_camera_palm,
-                gripped=expected is not None,
-                expected=hint,
-            )
+            known = partial(tracker.update, hand=mask, T_camera_palm=T_camera_palm, expected=hint)
+            return known(stamp, image, gripped=expected is not None)
 
         found = updated(self.tracker, expected if self.lost else None)
         if (
@@ -287,10 +282,8 @@ class ObjectInImages:
             T_camera_palm = T_camera_mount @ from_palm.confirmed[-1].expected(T_mount_palm)
         else:
             T_camera_palm = T_camera_mount @ T_mount_palm
-            sigmas = (
-                max(camera.sigma_position_constant, sigmas[0]),
-                max(camera.sigma_rotation_constant, sigmas[1]),
-            )
+            constant = camera.sigma_position_constant, camera.sigma_rotation_constant
+            sigmas = max(constant[0], sigmas[0]), max(constant[1], sigmas[1])
         found = None
         if not known or abs(stamp - self._palm_searched_at) >= IMAGES.palm_period:
             self._palm_searched_at = stamp

@@ -25,6 +25,7 @@ of vision, whose errors are states, is not.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -124,19 +125,19 @@ class Misfit:
         return Misfit(self.name, *(old + share * (new - old) for old, new in zip(means, now, strict=True)))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Innovations:
     """`Innovations` are how well all evidence has fitted the model, over a window."""
 
     misfits: dict[str, Misfit] = field(default_factory=dict)
     """By what is compared: fingers, "vision", "weight", "motion", "touch", "object"."""
 
-    @property
+    @cached_property
     def worst(self) -> Misfit | None:
         """What fits least of all that does not fit; None where everything fits."""
         return max((m for m in self.misfits.values() if m.contradicts), key=lambda m: m.factor, default=None)
 
-    @property
+    @cached_property
     def touch(self) -> str:
         """What contacts that have contradicted the model for a while suggest; empty where they have not."""
         for name, reason in SUSPICIONS.items():

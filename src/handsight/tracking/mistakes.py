@@ -308,11 +308,8 @@ def _tips(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
     tips = [name for name, finger in rig.fingers.items() if finger.frame not in pads]
     for names, axis in product(_each_and_all(tips) if tips else (), ("-z", "x", "-x", "y", "-y")):
         z = np.eye(3)["xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1)
-        R, fixes, fingers = (
-            next(R for _, R in TURNS if np.array_equal(R[:, 2], z)),
-            list[str](),
-            dict(rig.fingers),
-        )
+        R = next(R for _, R in TURNS if np.array_equal(R[:, 2], z))
+        fixes, fingers = list[str](), dict(rig.fingers)
         for name in names:
             finger, T = fingers[name], _turned(fingers[name].T_frame_surface, R)
             sensor = np.eye(4) if finger.tip.T_surface_sensor is None else finger.tip.T_surface_sensor
@@ -416,9 +413,8 @@ KINDS: dict[Callable[[Rig, Sequence[Observation]], Iterator[Mistake]], set[str]]
     _units: {"touch", "squeeze", "balance", "limits", "object"},
     _tips: {"touch", "squeeze", "outward", "object"},
     _cameras: {"vision", "object"},
-    _camera_poses: {
-        "object"
-    },  # without the object, turns about an axis of the palm's motion cannot be told apart
+    # Without the object, turns about an axis of the palm's motion cannot be told apart.
+    _camera_poses: {"object"},
     _palms: {"gravity", "vision", "object"},
     _joints: {"squeeze", "balance", "gravity", "limits", "object"},
 }

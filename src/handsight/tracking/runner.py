@@ -1,16 +1,17 @@
 """Corrections in steps: an update runs a few of them, so that none waits for a long search."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from handsight.correction.problem import Steps
-from handsight.tracking.track_state import Progress, TrackState
+from handsight.tracking.track_state import Failure, Progress, TrackState
 
 STEP_EVERY = 0.002
 """An update runs one step for so much time since the last observation [s]: most steps take less than half of it."""
 CORRECTED = (
     *("estimate", "propagated_to", "correction", "corrections", "innovations", "margins", "links_checked_at"),
-    *("recovered_at", "better_object", "objects_compared_at"),
+    *("recovered_at", "better_object", "objects_compared_at", "failure"),
 )
 """The fields of a state that corrections alone change."""
 
@@ -29,7 +30,11 @@ class Runner:
         self._begin = begin
 
     def run(self, progress: Progress, count: int) -> tuple[Progress | None, TrackState | None]:
-        """Returns a correction after `count` more steps; where it has ended, None and the state at its end."""
+        """Returns a correction after `count` more steps; where it has ended, None and the state at its end.
+
+        An error in its first steps is that of the observation by which it began, and is raised. After one in later
+        steps the state at its end is that at its beginning, with a `failure`.
+        """
         started, done = progress.started, progress.steps
         # At once, as copies of a tracker may be updated by several threads.
         kept = vars(self).pop("_kept", None)
@@ -43,6 +48,10 @@ class Runner:
                 next(steps)
         except StopIteration as end:
             return None, end.value
+        except Exception as error:
+            if not progress.steps:
+                raise
+            return None, replace(started, failure=Failure.of(started, error))
         after = Progress(started, done + count)
         self._kept = after, steps
         return after, None

@@ -121,10 +121,8 @@ class SlipUpdate:
         points = se3.apply(se3.inverse(pose.T_a_b) @ T_mount_palm, contacts.points_palm)
         variances, (*drift, lasts) = pose.covariance.diagonal(), vision.camera.drift.tolist()
         drifted = 1 - math.exp(-SLIP_UPDATE.slide_time / lasts)
-        position, rotation = (
-            variances[:3].max() + drifted * drift[0],
-            variances[3:].max() + drifted * drift[1],
-        )
+        position = variances[:3].max() + drifted * drift[0]
+        rotation = variances[3:].max() + drifted * drift[1]
         noise = 2 * (position + (points**2).sum(axis=1) * rotation)
         sliding, anchors = list[str](), dict[str, tuple[float, Array]]()
         for name, point, variance in zip(fingertips.fingers, points, noise, strict=True):

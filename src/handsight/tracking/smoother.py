@@ -211,18 +211,9 @@ class PoseBiasSmoother:
     def inflated(self, variance: Array, seconds: float = 0.0) -> "PoseBiasSmoother":
         """Returns the smoother after a step of the pose's random walk with `variance` (6,) [m², rad²], which took so
         many seconds."""
-        noise = np.minimum(self.process_noise + variance, MAX_PROPAGATION)
-        return PoseBiasSmoother(
-            self.prior,
-            self.pivot,
-            self.solved,
-            self.solved_noise,
-            noise,
-            self.measurements,
-            self.drift,
-            self.time + seconds,
-            self.solved_at,
-        )
+        noise, time = np.minimum(self.process_noise + variance, MAX_PROPAGATION), self.time + seconds
+        known = self.prior, self.pivot, self.solved, self.solved_noise
+        return PoseBiasSmoother(*known, noise, self.measurements, self.drift, time, self.solved_at)
 
     def restarted(self, prior: PoseAndBias) -> "PoseBiasSmoother":
         """Returns a smoother without measurements; `prior` must include what they have measured."""
@@ -287,27 +278,13 @@ class PoseBiasSmoother:
     def _measurement(self, pose: GaussianPose, T_mount_palm: Array, motion: Motion) -> tuple[object, ...]:
         """Returns the fields of a MEASUREMENT."""
         twist, latency, gain = motion
-        return (
-            T_mount_palm,
-            pose.T_a_b,
-            pose.covariance,
-            self.process_noise,
-            twist,
-            latency,
-            self.time,
-            self.time,
-            gain,
-        )
+        poses = T_mount_palm, pose.T_a_b, pose.covariance
+        return *poses, self.process_noise, twist, latency, self.time, self.time, gain
 
     def _solved(self, measurements: NDArray[np.void]) -> "PoseBiasSmoother":
         """Returns the smoother at the maximum a posteriori of its prior and these measurements."""
-        noise, Ts, rest, covariance = (
-            self.process_noise,
-            self.solved.Ts.copy(),
-            self.solved.rest.copy(),
-            EYE.copy(),
-        )
-        prior, drift, time = self.prior, self.drift, self.time
+        noise, prior, drift, time = self.process_noise, self.prior, self.drift, self.time
+        Ts, rest, covariance = self.solved.Ts.copy(), self.solved.rest.copy(), EYE.copy()
         given = prior.Ts, prior.rest, prior.covariance, self.pivot, drift, measurements
         if not pose_bias.smooth(*given, Ts, rest, covariance):
             raise np.linalg.LinAlgError("vision: expected positive definite covariances")

@@ -163,7 +163,7 @@ class TableEvidence:
         ):  # contacts at two instants are no independent measurements: their mean counts
             touch = (touch + self.touch) / 2
         now = vision.now
-        measured = [self.measured(now, support, drift) for support in self.supports]
+        measured = self.measured(now, self.supports, drift)
         shares = normalised(self.log_densities(now, measured) + touch)
         order = np.argsort(-shares, kind="stable")
         alternatives = Alternatives.of(self.model, [(float(shares[i]), estimates[i]) for i in order])
@@ -185,7 +185,7 @@ class TableEvidence:
         Negligible resting poses are left out.
         """
         every = cls(model, table, supports, (state,) * len(supports), T_world_palm, stamp)
-        measured = [every.measured(state, support) for support in supports]
+        measured = every.measured(state, supports)
         shares = normalised(every.log_densities(state, measured))
         kept = [i for i, share in enumerate(shares) if share > TABLE.negligible or supports[i].pose is None]
         return replace(
@@ -211,36 +211,45 @@ class TableEvidence:
         """Returns the evidence after vision's bias itself was measured (see `PoseBiasSmoother.informed`)."""
         return replace(self, priors=tuple(vision.with_prior(p).informed(bias).prior for p in self.priors))
 
-    def measured(self, state: PoseAndBias, support: Support, drift: Array | float = 0.0) -> Measured | None:
-        """Returns the three numbers of a support as a linear measurement of a state: the height of the centre of mass
-        [m], and two tilts [rad]. None where the object does not rest.
+    def measured(
+        self, state: PoseAndBias, supports: Sequence[Support], drift: Array | float = 0.0
+    ) -> list[Measured | None]:
+        """Returns the three numbers of each support as a linear measurement of a state: the height of the centre of
+        mass [m], and two tilts [rad]. None where the object does not rest.
 
         `drift` (6,): variance of the object's random walk since it was on the table [m², rad²].
         """
-        if support.pose is None:
-            return None
-        T, R, table = state.T_palm_object, self.T_world_palm[:3, :3], self.table
-        up = R[2]
-        arm = T[:3, :3] @ support.pose.center_object
-        side, height, spread = support.pose.near(-up @ T[:3, :3])
-        down = T[:3, :3] @ side
-        # The rotation that brings the side down, about two horizontal axes; a table does not measure the yaw.
-        axes = np.linalg.svd(up[None])[2][1:]
-        turn = np.cross(down, -up)
-        sine = float(np.linalg.norm(turn))
-        turn = turn * (np.arctan2(sine, -down @ up) / sine if sine > 1e-9 else 1.0)
-        H = np.zeros((3, 12))
-        H[0, :3], H[0, 3:6], H[1:, 3:6] = up, np.cross(arm, up), axes
-        z = up @ (T[:3, 3] + arm) + self.T_world_palm[2, 3]
-        residual = np.concatenate([[table.height + height - z], axes @ turn])
-        # A direction that differs by d turns the object by d x up.
-        by_side = axes @ se3.skew(up) @ T[:3, :3]
-        noise = np.zeros((3, 3))
-        sigmas = np.maximum((table.sigma_height, table.sigma_tilt), 1e-5)  # a covariance must be invertible
-        sigma_height, sigma_tilt = support.factors * sigmas
-        noise[0, 0] = sigma_height**2
-        noise[1:, 1:] = sigma_tilt**2 * np.eye(2) + by_side @ spread @ by_side.T
-        return H, residual, noise + H[:, :6] @ (self.moved + drift * np.eye(6)) @ H[:, :6].T
+        T, table, found = state.T_palm_object, self.table, list[Measured | None]()
+        up, rests = self.T_world_palm[2, :3], dict[int, tuple[Array, Array, Array]]()
+        # The rotation that brings a side down, about two horizontal axes; a table does not measure the yaw.
+        axes, motion = np.linalg.svd(up[None])[2][1:], self.moved + drift * np.eye(6)
+        for support in supports:
+            if (pose := support.pose) is None:
+                found.append(None)
+                continue
+            if id(pose) not in rests:  # supports that differ in the table's errors alone have the same
+                arm = T[:3, :3] @ pose.center_object
+                side, height, spread = pose.near(-up @ T[:3, :3])
+                down = T[:3, :3] @ side
+                turn = se3.cross(down, -up)
+                sine = float(np.linalg.norm(turn))
+                turn = turn * (np.arctan2(sine, -down @ up) / sine if sine > 1e-9 else 1.0)
+                H = np.zeros((3, 12))
+                H[0, :3], H[0, 3:6], H[1:, 3:6] = up, se3.cross(arm, up), axes
+                z = up @ (T[:3, 3] + arm) + self.T_world_palm[2, 3]
+                residual = np.concatenate([[table.height + height - z], axes @ turn])
+                # A direction that differs by d turns the object by d x up.
+                by_side = axes @ se3.skew(up) @ T[:3, :3]
+                rests[id(pose)] = H, residual, by_side @ spread @ by_side.T
+            H, residual, by_spread = rests[id(pose)]
+            sigmas = np.maximum(
+                (table.sigma_height, table.sigma_tilt), 1e-5
+            )  # a covariance must be invertible
+            sigma_height, sigma_tilt = support.factors * sigmas
+            noise = np.zeros((3, 3))
+            noise[0, 0], noise[1:, 1:] = sigma_height**2, sigma_tilt**2 * np.eye(2) + by_spread
+            found.append((H, residual, noise + H[:, :6] @ motion @ H[:, :6].T))
+        return found
 
     def estimated(self, estimate: PoseEstimate, drift: Array) -> TableEstimate | None:
         """Returns where the table must be, given the object's pose; None where no side of it may be on a table.
@@ -255,7 +264,7 @@ class TableEvidence:
         covariance = np.zeros((12, 12))
         covariance[:6, :6] = estimate.bounded_covariance + self.moved + drift * np.eye(6)
         now = PoseAndBias(np.stack([estimate.T_palm_object, np.eye(4)]), covariance)
-        measured = self.measured(now, support)
+        (measured,) = self.measured(now, [support])
         assert measured is not None
         H, off, _ = measured
         sigma = np.sqrt(np.einsum("ij,jk,ik->i", H, covariance, H))

@@ -40,6 +40,23 @@ class Progress:
     """How many of its steps were done."""
 
 
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A `Failure` says why a correction has ended without an answer."""
+
+    stamp: float
+    """Of the observation by which it began [s]."""
+    reason: str
+
+    @classmethod
+    def of(cls, started: "TrackState", error: Exception) -> "Failure":
+        """Returns the failure of a correction that began at a state; its reason names the evidence."""
+        evidence = [f"finger {name}" for name in started.fingertips.fingers]
+        evidence += ["skin"] * started.skin.pressed + ["vision"] + ["the table"] * (started.table is not None)
+        by = f"the correction by {', '.join(evidence)} at {started.stamp:.3f} s failed"
+        return cls(started.stamp, f"{by}: {str(error) or type(error).__name__}")
+
+
 NO_CONTACTS, NO_MARGINS = FingertipContacts((), None, {}), LinkMargins()
 
 
@@ -91,6 +108,8 @@ class TrackState:
     """The correction that goes on; None: none does."""
     corrections: int = 0
     """How often the pose was corrected."""
+    failure: Failure | None = None
+    """Why the last correction has no answer; None where it has one."""
     T_world_palm: Array | None = None
     """(4, 4) the last known pose of the palm; None before it was measured."""
     fingertips: FingertipContacts = NO_CONTACTS

@@ -71,17 +71,9 @@ class Diagnosed:
 
     def numbers(self) -> dict[str, object]:
         """Returns the value as it is written to a file; None where the recording tells nothing."""
-        known = math.isfinite(self.sigma_estimated)
-        return {
-            "name": self.name,
-            "unit": self.unit,
-            "declared": self.declared,
-            "sigma": self.sigma,
-            "estimated": self.estimated if known else None,
-            "sigma_estimated": self.sigma_estimated if known else None,
-            "chi2": self.chi2,
-            "verdict": self.verdict,
-        }
+        names = "name", "unit", "declared", "sigma", "estimated", "sigma_estimated", "chi2", "verdict"
+        unknown = () if math.isfinite(self.sigma_estimated) else ("estimated", "sigma_estimated")
+        return {name: None if name in unknown else getattr(self, name) for name in names}
 
     @property
     def verdict(self) -> str:
@@ -136,12 +128,5 @@ def diagnosed(name: str, unit: str, declared: float, prior: float, error: float,
         return Diagnosed(name, unit, factor * declared, factor * prior, math.nan, math.inf, 0.0)
     estimated, sigma_estimated = declared + error / sigma**2 / own, own**-0.5
     chi2 = error**2 / (prior**2 - sigma**2)
-    return Diagnosed(
-        name,
-        unit,
-        factor * declared,
-        factor * prior,
-        factor * estimated,
-        factor * sigma_estimated,
-        chi2,
-    )
+    known = factor * declared, factor * prior, factor * estimated, factor * sigma_estimated
+    return Diagnosed(name, unit, *known, chi2)

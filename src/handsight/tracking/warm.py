@@ -1,7 +1,7 @@
 """Kernels compiled, or loaded, ahead of their first use, by solving small problems through the functions users call."""
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -89,15 +89,9 @@ def track() -> None:
     inward = {"left": [0, np.pi / 2, 0], "right": [0, -np.pi / 2, 0], "back": [np.pi / 2, 0, 0]}
     zero = np.zeros(3)
     calibration = WrenchCalibration(zero, zero, 0.0, zero, zero, zero, condition=1.0)
-    fingers = {
-        name: Finger(
-            frame=name,
-            T_frame_surface=se3.compose(se3.rotation_exp(np.array(turn)), zero),
-            tip=Sphere(0.01),
-            calibration=calibration,
-        )
-        for name, turn in inward.items()
-    }
+    poses = {name: se3.compose(se3.rotation_exp(np.array(turn)), zero) for name, turn in inward.items()}
+    tip = partial(Finger, tip=Sphere(0.01), calibration=calibration)
+    fingers = {name: tip(frame=name, T_frame_surface=T) for name, T in poses.items()}
     T_frame_grid = fingers["left"].T_frame_surface @ se3.compose(np.eye(3), np.array([0, 0, 0.01]))
     taxels = TactileSurface.grid(
         frame="left", T_frame_grid=T_frame_grid, rows=2, columns=2, pitch=1e-3, threshold=0.1

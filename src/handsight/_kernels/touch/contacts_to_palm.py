@@ -163,3 +163,33 @@ def mark_on_table(T_world_palm: Any, table: Any, reason: int, contacts: Any) -> 
         variance_angle = (C[3, 3] + C[4, 4] + C[5, 5]) / 2 + table[2] ** 2
         if height**2 < 9.0 * variance_height and angle**2 < 9.0 * variance_angle:
             contact.reason = reason
+
+
+@entry
+def gather_contacts(
+    contacts: Any, by_error: Any, points: Any, normals: Any, covariance: Any, loads: Any, moved: Any
+) -> None:
+    """Writes points (k, 3), normals, covariance (k, 6, 6), loads (k, 5) and `moved` (k, 6, j), the rows of `by_error`
+    (n, 6, j), of the k among the contacts (n) PALM_CONTACT that are contacts. NumPy takes ten times as long."""
+    k = 0
+    for i in range(len(contacts)):
+        contact = contacts[i]
+        if contact.reason == 0:
+            points[k], normals[k], covariance[k] = contact.point, contact.normal, contact.covariance
+            loads[k], moved[k] = contact.load, by_error[i]
+            k += 1
+
+
+@entry
+def have_moved(
+    points: Any, before: Any, normals: Any, normals_before: Any, far: float, cosine: float
+) -> bool:
+    """Returns whether a coordinate of any of n points (n, 3) has changed by more than `far` [m], or any unit normal (n,
+    3) by more than the angle of that `cosine`."""
+    for i in range(len(points)):
+        for k in range(3):
+            if abs(points[i, k] - before[i, k]) > far:
+                return True
+        if dot(vector(normals[i]), vector(normals_before[i])) < cosine:
+            return True
+    return False

@@ -31,6 +31,8 @@ class TipToTip(NamedTuple):
     max_gap: float = 0.003
     """Below this distance a tip touches another with a probability above 5 % [m]. One degree of each joint is 1.3 mm
     per axis at each of two tips."""
+    far: float = 0.02
+    """Beyond this distance tips do not touch, with a probability below 1e-26, and it is not computed further [m]."""
     gap_scale: float = 1.645 / (math.sqrt(2.0) * max_gap)
     """Factor of a gap in the argument of `erfc` [1/m], by which `max_gap` is 1.645 of its standard deviations."""
     variance_point: float = 0.002**2
@@ -58,7 +60,7 @@ def _support(R: Mat33, axes: Vec3, u: Vec3) -> Vec3:
 @inner
 def _gap(T: Any, axes: Vec3, T_other: Any, axes_other: Vec3) -> tuple[float, Vec3]:
     """Returns the distance of two ellipsoids, below zero where they overlap, and the direction from the first to the
-    second.
+    second; of those that are `far` a lower bound.
 
     The distance of convex bodies is the width of the widest slab between them. Each step turns the slab's normal
     halfway towards the line between the two points that touch the slab.
@@ -72,7 +74,7 @@ def _gap(T: Any, axes: Vec3, T_other: Any, axes_other: Vec3) -> tuple[float, Vec
         if dot(u, v) > widest:
             widest, direction = dot(u, v), u
         length = norm(v)
-        if widest <= 0.0 or length < 1e-12:
+        if not 0.0 < widest < TIP_TO_TIP.far or length < 1e-12:
             break
         u = add(u, scale(v, 1.0 / length))
         u = scale(u, 1.0 / max(norm(u), 1e-12))
