@@ -2,12 +2,16 @@
 
 import json
 import shutil
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from cli.commands import called
 from cli.tracks import observations, poses_of, recorded
 from handsight.cli import track
+from handsight.recording import TrackRow
+from handsight.recording.track_log import TrackLog
 from handsight.rig.save import write as write_rig
 from handsight.tracking import Tracker
 
@@ -69,3 +73,32 @@ def test_a_track_that_was_interrupted_and_killed_has_the_results_of_one_that_was
     assert "killed 9/track.part: goes on after 29 poses" in capsys.readouterr().err
     assert results(tmp_path / "killed 9") == results(tmp_path / "at once")
     assert not (tmp_path / "killed 9" / "track.part").exists()
+
+
+def opened(folder, seal):
+    """The state and the stamps of a log, which stays as it is."""
+    log = TrackLog(folder, seal)
+    found = log.state, [row.stamp for row in log.rows()]
+    log.close(resumable=True)
+    return found
+
+
+def test_a_checkpoint_that_somebody_else_has_written_is_not_read(tmp_path):
+    row = TrackRow(0.0, np.eye(4), np.eye(6), "tracking", "", np.eye(6))
+    for changed in ("", "checkpoint", "rows"):
+        log = TrackLog(tmp_path / changed, "seal")
+        log.append(row)
+        log.save("mine")
+        log.append(replace(row, stamp=1.0))
+        log.close(resumable=True)
+        if changed:
+            file = tmp_path / changed / "track.part" / changed
+            content = bytearray(file.read_bytes())
+            content[-3] ^= 1
+            file.write_bytes(content)
+        assert opened(tmp_path / changed, "seal") == ((None, []) if changed else ("mine", [0.0]))
+    log = TrackLog(tmp_path / "other", "seal")
+    log.append(row)
+    log.save("mine")
+    log.close(resumable=True)
+    assert opened(tmp_path / "other", "another seal") == (None, [])
