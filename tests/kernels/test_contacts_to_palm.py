@@ -121,7 +121,9 @@ def test_a_contact_near_another_tip_may_be_what_the_other_presses_as_well(gap, o
     if gap > TIP_TO_TIP.max_gap:  # its contact is less certain, but no other one
         drawn, mean = 0.0, np.r_[alone["point"], alone["normal"]]
     np.testing.assert_allclose(np.r_[near["point"], near["normal"]], mean, atol=1e-7)
-    two = drawn * np.outer(change, change) + chance * np.diag(np.repeat(TIP_TO_TIP[2:4], 3))
+    two = drawn * np.outer(change, change) + chance * np.diag(
+        np.repeat([TIP_TO_TIP.variance_point, TIP_TO_TIP.variance_normal], 3)
+    )
     tangent = np.eye(6)
     tangent[3:, 3:] -= np.outer(near["normal"], near["normal"])
     expected = tangent @ two @ tangent

@@ -105,10 +105,10 @@ def test_what_corrections_keep_saying_counts_within_a_fifth_of_a_second(can):
     """All fingers but the first stay as they are; from some tick on that one reads as if it were elsewhere."""
     tracker, observations = next(held(can, [len(can.observations) - 12]))
     finger = tracker.fingertips.fingers[0]
-    for observation in observations[:2]:  # a search for the wrong finger takes longer than one update may
+    for observation in observations[:3]:  # a search for the wrong finger takes longer than two updates may
         tracker.update(bent(observation, finger))
     assert tracker.track_state.correction.disputed_at == observations[0].stamp
-    for observation in observations[2:11]:
+    for observation in observations[3:11]:
         tracker.update(bent(observation, finger))
     assert tracker.track_state.correction.disputed_at is None
     assert tracker.estimate.outliers or not tracker.estimate.consistent

@@ -326,9 +326,14 @@ def information_by_contact(
     return information, gradient
 
 
-def kernel_call(model: ObjectModel, contacts: Contacts, vision: PosePrior) -> Callable[[], object]:
+def kernel_call(model: ObjectModel, contacts: Contacts, vision: PosePrior) -> Callable[[], None]:
     """Returns a function that runs the two phases of one problem, and nothing else, for benchmarks."""
     rows = np.zeros(1, dtype=records.PROBLEM)
     rows["pose_only"] = True
     given = (*model.record[:2], contacts.record, vision.record, NO_OUTSIDE)
-    return partial(batch.correct_all, *given, rows, np.empty((len(contacts), 2)))
+    residuals = np.empty((len(contacts), 2))
+
+    def call() -> None:
+        batch.correct_all(*given, rows, residuals)
+
+    return call

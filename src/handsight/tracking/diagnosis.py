@@ -112,6 +112,8 @@ class Diagnoser:
         self._in_hand = False
         """Whether the last of these is of the current grasp."""
         self._instants = list[Instant]()
+        self._begun: Observation | None = None
+        """That by which the correction began that goes on, or the last one."""
         self._bias: tuple[Array, Array] | None = None
         """Vision's constant error (6,) and its covariance (6, 6), when they were known best."""
         self._table: TableEstimate | None = None
@@ -120,12 +122,20 @@ class Diagnoser:
     def watch(self) -> None:
         """Adds the tracker's last observation, if a finger touches elsewhere than in those that are kept."""
         observation, estimate = self.tracker.processed, self.tracker.estimate
-        corrected = self.tracker.track_state.correction
-        if observation is None or estimate is None or not estimate.consistent:
+        corrected, progress = self.tracker.track_state.correction, self.tracker.track_state.progress
+        if observation is None or estimate is None:
+            return
+        if progress is not None and progress.started.stamp == observation.stamp:
+            self._begun = observation
+        if not estimate.consistent:
             return
         self._add_loads()
-        if corrected is None or corrected.stamp != observation.stamp:
+        if corrected is None:
             return
+        if corrected.stamp != observation.stamp:  # its correction took several updates
+            if self._begun is None or corrected.stamp != self._begun.stamp:
+                return
+            observation, estimate, self._begun = self._begun, corrected.estimate, None
         table = self.tracker.table
         if table is not None and (self._table is None or table.sigma_height < self._table.sigma_height):
             self._table = table

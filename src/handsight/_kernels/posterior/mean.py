@@ -40,8 +40,10 @@ from handsight._kernels.posterior.options import INTEGRATION
 from handsight._kernels.posterior.spurious_information import cost_deviation
 from handsight._kernels.posterior.uncertainty import retract_body
 from handsight._kernels.records import (
+    GRID,
     LATTICE_POINT,
     OUTSIDE,
+    SHEET,
     SUMS,
     UNCERTAINTY,
     WEAK_PRIOR,
@@ -103,19 +105,15 @@ def _secant(points: Any, order: Any, n: int, floor: float) -> float:
 
 
 @inner
-def _bend(points: Any, order: Any, floor: float) -> None:
-    """Fills in the bend of each point in order, half the second derivative of the parabola through the logarithm of the
-    density there and at its neighbours, and its slope; NaN where no parabola is."""
+def _find_bends(points: Any, order: Any, floor: float) -> None:
+    """Fills in the bend of each point in order: half the second derivative of the parabola through the logarithm of the
+    density there and at its neighbours; NaN at an end and beside a wall."""
     before = np.nan
     for n in range(len(order)):
-        point, after = points[order[n]], _secant(points, order, n, floor)
-        point.bend = np.nan
+        after, points[order[n]].bend = _secant(points, order, n, floor), np.nan
         if before == before and after == after:
-            left, right = (
-                point.index[0] - points[order[n - 1]].index[0],
-                points[order[n + 1]].index[0] - point.index[0],
-            )
-            point.bend = (after - before) / (left + right)
+            both = points[order[n + 1]].index[0] - points[order[n - 1]].index[0]
+            points[order[n]].bend = (after - before) / both
         before = after
 
 
@@ -135,22 +133,19 @@ def _between(points: Any, a: int, b: int, point: Any) -> None:
 
 @inner
 def _wall(
-    evidence: Evidence,
-    mode: Pose,
-    flat: Any,
-    points: Any,
-    inside: int,
-    before: int,
-    beyond: float,
-    point: Any,
-    u: Any,
+    evidence: Evidence, mode: Pose, flat: Any, points: Any, order: Any, at: int, point: Any, u: Any
 ) -> float:
-    """Returns the place beyond a wall, and makes a point of the line the place before it.
+    """Returns the place beyond the wall in the gap before the point that is number `at` in order, and makes a point of
+    the line the place before the wall, that of the likelier end if the wall is there.
 
-    The wall is between a point `inside`, after another one `before` it, and the place `beyond`. It is found by halving,
-    by the cost alone, with the coordinates across on the straight line through the two points.
+    It is found by halving the gap, by the cost alone, with the coordinates across on the straight line through the last
+    two points before it.
     """
-    near, limit = points[inside].index[0], points[inside].cost + 2 * INTEGRATION.wall_depth
+    rising = points[order[at]].log_weight > points[order[at - 1]].log_weight
+    inside = order[at if rising else at - 1]
+    before = order[min(at + 1, len(order) - 1) if rising else max(at - 2, 0)]
+    near, beyond = points[inside].index[0], points[order[at - 1 if rising else at]].index[0]
+    limit = points[inside].cost + 2 * INTEGRATION.wall_depth
     for _ in range(INTEGRATION.halvings):
         point.index[0] = 0.5 * (near + beyond)
         _between(points, before, inside, point)
@@ -173,7 +168,9 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
     Between points the logarithm of the density is a cubic, and all else linear.
     """
     order, u = np.empty(len(points), np.int64), local(UNCERTAINTY)
-    low = high = INTEGRATION.first_step * flat.spacing[0]
+    # On a mesh a slide may be bent, and its density bumpy: steps are shorter, and all that falls is looked into.
+    smooth = evidence.model.fine.kind not in (GRID, SHEET)
+    low = high = (INTEGRATION.first_step if smooth else 1.0) * flat.spacing[0]
     count, best, at, place, passed, pending, beyond = 0, -np.inf, 0, 0.0, 0, False, 0.0
     while True:
         point = points[count]
@@ -205,7 +202,7 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
         elif last.log_weight > best - INTEGRATION.max_fall:
             at, place = count, last.index[0] + high
         else:
-            at, most = _worst_gap(points, order[:count], best - INTEGRATION.deepest)
+            at, most = _worst_gap(points, order[:count], best - INTEGRATION.deepest, smooth)
             place = 0.5 * (points[order[max(at - 1, 0)]].index[0] + points[order[at]].index[0])
             while not most > INTEGRATION.misplaced and passed < len(others):
                 place = 0.0  # of another mode, whether it is beside the line
@@ -218,32 +215,24 @@ def _follow(evidence: Evidence, mode: Pose, flat: Any, others: Any, points: Any,
             if not most > INTEGRATION.misplaced:
                 break
             a, b = points[order[at - 1]], points[order[at]]
-            if (
-                most < np.inf
-                and abs(a.log_weight - b.log_weight) > INTEGRATION.wall_fall
-                and count + 1 < len(points)
-            ):
-                rising = b.log_weight > a.log_weight
-                inside, after = (
-                    order[at if rising else at - 1],
-                    order[min(at + 1, count - 1) if rising else max(at - 2, 0)],
-                )
-                beyond, pending = a.index[0] if rising else b.index[0], True
-                beyond = _wall(evidence, mode, flat, points, inside, after, beyond, points[count], u)
+            steep = abs(a.log_weight - b.log_weight) > INTEGRATION.wall_fall
+            if smooth and steep and most < np.inf and count + 1 < len(points):
+                beyond = _wall(evidence, mode, flat, points, order[:count], at, points[count], u)
                 place = points[count].index[0]
-                if place == points[inside].index[0]:
-                    place, pending = beyond, False
+                pending = place not in (a.index[0], b.index[0])
+                place = place if pending else beyond
     sums.best = best
     _share(points, order[:count], flat, evidence.model.radius, sums)
     return count
 
 
 @inner
-def _worst_gap(points: Any, order: Any, floor: float) -> tuple[int, float]:
+def _worst_gap(points: Any, order: Any, floor: float, smooth: bool) -> tuple[int, float]:
     """Returns the gap in which most of the density may be at the wrong place, by the number of its second point in
-    order, and how much that is, as a part of all: all that falls at a wall, else as much as bends around it differ."""
+    order, and how much that is, as a part of all: all that falls there at a wall, or where the density is not known to
+    be smooth, else as much as bends around it differ."""
     count, at, most, mass = len(order), 1, 0.0, 0.0
-    _bend(points, order, floor)
+    _find_bends(points, order, floor)
     for n in range(1, count):
         a, b = points[order[n - 1]], points[order[n]]
         gap, fall, differ, bends = b.index[0] - a.index[0], abs(a.log_weight - b.log_weight), -1.0, 0
@@ -253,7 +242,7 @@ def _worst_gap(points: Any, order: Any, floor: float) -> tuple[int, float]:
                 differ = max(differ, abs(first - second) * gap * gap)
         for point in (a, b):
             bends += 1 if point.bend == point.bend else 0
-        if fall > INTEGRATION.wall_fall:
+        if fall > INTEGRATION.wall_fall or not smooth:
             differ = 1.0
         elif differ < 0.0:
             differ = 0.25 * fall if bends else fall
@@ -293,7 +282,7 @@ def _share(points: Any, order: Any, flat: Any, radius: float, sums: Any) -> None
     Beyond a wall a point's coordinates across mean nothing: up to it they are taken as those of the point before it.
     """
     floor = sums.best - INTEGRATION.deepest
-    _bend(points, order, floor)
+    _find_bends(points, order, floor)
     slope = _slope(points, order, 0, floor)
     for n in range(len(order)):
         point = points[order[n]]
@@ -385,8 +374,11 @@ def _store_mean(model: Any, mode: Pose, flat: Any, sums: Any, row: Any) -> None:
     scale_turns(row.covariance, radius, u.matrix)
     limit = mark_spins(model, R, u.matrix)
     eigen(u.matrix, u.values, u.vectors)
+    largest = 0.0
     for k in range(6):
-        u.values[k] = 1 / u.values[k] if u.values[k] < limit else 0.0
+        largest = max(largest, u.values[k] if u.values[k] < limit else 0.0)
+    for k in range(6):  # what is smaller than rounding leaves of it is none
+        u.values[k] = 1 / max(u.values[k], 1e-14 * largest) if u.values[k] < limit else 0.0
     from_eigen(u.values, u.vectors, radius, row.information)
 
 

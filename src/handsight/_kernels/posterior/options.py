@@ -34,7 +34,7 @@ class IntegrationOptions(NamedTuple):
     max_modes: int = 3
     """Modes that are integrated, the likeliest."""
     first_step: float = 1.5
-    """The step from the mode to either side [standard deviations by the slopes there]."""
+    """The step from the mode to either side, on an exact surface [standard deviations by the slopes there]."""
     wall_fall: float = 4.0
     """Between two points whose logarithms of the density differ by more there may be a wall."""
     wall_depth: float = 2.0
