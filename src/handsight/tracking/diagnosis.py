@@ -112,7 +112,7 @@ class Diagnoser:
         self._in_hand = False
         """Whether the last of these is of the current grasp."""
         self._instants = list[Instant]()
-        self._begun: Observation | None = None
+        self._beginning: Observation | None = None
         """That by which the correction began that goes on, or the last one."""
         self._bias: tuple[Array, Array] | None = None
         """Vision's constant error (6,) and its covariance (6, 6), when they were known best."""
@@ -126,16 +126,16 @@ class Diagnoser:
         if observation is None or estimate is None:
             return
         if progress is not None and progress.started.stamp == observation.stamp:
-            self._begun = observation
+            self._beginning = observation
         if not estimate.consistent:
             return
         self._add_loads()
         if corrected is None:
             return
         if corrected.stamp != observation.stamp:  # its correction took several updates
-            if self._begun is None or corrected.stamp != self._begun.stamp:
+            if self._beginning is None or corrected.stamp != self._beginning.stamp:
                 return
-            observation, estimate, self._begun = self._begun, corrected.estimate, None
+            observation, estimate, self._beginning = self._beginning, corrected.estimate, None
         table = self.tracker.table
         if table is not None and (self._table is None or table.sigma_height < self._table.sigma_height):
             self._table = table
