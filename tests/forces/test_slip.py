@@ -281,7 +281,7 @@ def test_memory_stays_flat():
             normal, x, y, torque = 10.0 ** rng.uniform(-1, 1.5, 4) * [1, 0.3, 0.3, 0.002]
             clock.run([np.array([[x, y, 0, normal, torque]] * 3)])
         sizes.append(len(pickle.dumps((vars(clock.detector), vars(clock.detector.friction)))))
-    assert sizes[2] < 12_000
+    assert sizes[2] < 8200
     assert sizes[2] - sizes[1] < 500
 
 

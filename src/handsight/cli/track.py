@@ -172,8 +172,9 @@ def tracked(
         with result.part() as end:
             for step in replay(logged(), tracker, result.tally):
                 diagnoser.watch()
-                T, S, information = (e := step.estimate).T_palm_object, e.covariance, e.information
-                log.append(TrackRow(step.stamp, T, S, step.state, step.reason, information))
+                e = step.estimate
+                pose = e.T_palm_object, e.covariance
+                log.append(TrackRow(step.stamp, *pose, step.state, step.reason, e.information))
                 result.add(step.summary())
                 result.weight = tracker.weight or result.weight
                 watch(result.tally, step, tracker)

@@ -129,19 +129,12 @@ def correct_pose(
             f"got {type(model).__name__} and {type(contacts).__name__}"
         )
     prior, answer = checked_prior(vision), checked_answer(answer)
+    samples = checks.integer(samples, "samples", MOST_SAMPLES)
     alone = outside is None and weight is None and depth is None and skin is None and budget is None
-    if (
-        prior is not None
-        and alone
-        and options is USUAL
-        and type(samples) is int
-        and not samples
-        and not is_registered(contacts)
-    ):
+    if prior is not None and alone and options is USUAL and not samples and not is_registered(contacts):
         estimate, doubted = solve_usual(model, contacts, prior, KINDS[answer])
         if estimate is not None:
             return estimate
-    samples = checks.integer(samples, "samples", MOST_SAMPLES)
     limit = Budget.of(budget)
     problem, skin = problem_of(model, contacts, prior, outside, weight, depth, skin)
     if doubted:

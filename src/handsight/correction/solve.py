@@ -103,15 +103,13 @@ def solve_batch(
     contacts = np.concatenate([contacts.record for contacts, _ in problems])
     rows, residuals = np.zeros(len(problems), dtype=records.PROBLEM), np.empty((len(contacts), 2))
     # Copied as plain numbers they take a hundredth of the time.
-    constraints = np.concatenate([plain(vision.record) for _, vision in problems]).view(records.CONSTRAINTS)[
-        :, 0
-    ]
+    numbers = np.concatenate([plain(vision.record) for _, vision in problems])
+    constraints = numbers.view(records.CONSTRAINTS)[:, 0]
     rows["last"], rows["answer"]["mean"] = np.cumsum(counts), kinds
     rows["first"] = rows["last"] - counts
-    model_, nodes = model.record[:2]
 
     def work(given: Records, part: Records) -> None:
-        batch.correct_all(model_, nodes, contacts, given, NO_OUTSIDE, part, residuals)
+        batch.correct_all(*model.record[:2], contacts, given, NO_OUTSIDE, part, residuals)
 
     in_parts(work, (constraints, rows), SOLVE.serial // 4)
     # Copied, so that an estimate does not keep the arrays of all problems in memory.

@@ -27,7 +27,7 @@ class FastReader:
 
     def __init__(self, encoding: Literal["cdr", "ros1"]) -> None:
         self._cdr = encoding == "cdr"
-        self._stamp_format = struct.Struct("<iI" if self._cdr else "<II")
+        self._stamp_format = "<iI" if self._cdr else "<II"
         self._named, self._names = b"", list[str]()
 
     def wrench(self, data: bytes) -> tuple[float, Sequence[float]] | None:
@@ -87,7 +87,7 @@ class FastReader:
         return self._cdr and data[:2] != b"\0\1"
 
     def _stamp(self, data: bytes, at: int) -> float:
-        sec, nanosec = self._stamp_format.unpack_from(data, at)
+        sec, nanosec = struct.unpack_from(self._stamp_format, data, at)
         return float(sec + nanosec * 1e-9)
 
     def _aligned(self, at: int, size: int) -> int:

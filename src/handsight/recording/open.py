@@ -122,9 +122,8 @@ class Recording(AbstractContextManager["Recording"]):
             ended = self._at == len(self._files)
             messages = () if ended else self._files[self._at].messages(self._stream.topics)
             last = [self._stream.finish()] if ended else []
-            for found in chain(
-                [[]], map(self._stream.put, messages), last
-            ):  # first, what was ready at `place`
+            # First, what was ready at `place`.
+            for found in chain([[]], map(self._stream.put, messages), last):
                 self._ready.extend(found)
                 while self._ready:
                     yield self._ready.popleft()

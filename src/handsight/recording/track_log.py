@@ -1,13 +1,11 @@
 """A track on disk, so that memory is constant, and a checkpoint from which tracking goes on after its process ended."""
 
 import contextlib
-import copyreg
 import hashlib
 import hmac
 import os
 import pickle
 import shutil
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,8 +13,6 @@ from typing import Any
 from handsight import cache_folder
 from handsight.files import atomic_file, write_errors
 from handsight.recording.write import TrackRow
-
-copyreg.pickle(struct.Struct, lambda each: (struct.Struct, (each.format,)))
 
 
 class TrackLog:

@@ -13,7 +13,24 @@ from handsight.tracking.tracker import State, Tracker
 from handsight.tracking.verdicts import Diagnosed, Diagnosis
 
 __all__ = [
-    "HAND_VIEWS", "Diagnosed", "Diagnoser", "Diagnosis", "FingertipContacts", "FingertipSensors", "HandViews",
-    "JointOffsets", "PoseBiasSmoother", "SkinContacts", "SkinSensors", "State", "Step", "Tally", "TrackState",
-    "Tracker", "TrackerSettings", "best_weight", "calibrate_camera", "diagnose",
-]  # fmt: skip
+    "HAND_VIEWS",
+    "Diagnosed",
+    "Diagnoser",
+    "Diagnosis",
+    "FingertipContacts",
+    "FingertipSensors",
+    "HandViews",
+    "JointOffsets",
+    "PoseBiasSmoother",
+    "SkinContacts",
+    "SkinSensors",
+    "State",
+    "Step",
+    "Tally",
+    "TrackState",
+    "Tracker",
+    "TrackerSettings",
+    "best_weight",
+    "calibrate_camera",
+    "diagnose",
+]

@@ -242,9 +242,8 @@ class TableEvidence:
                 by_side = axes @ se3.skew(up) @ T[:3, :3]
                 rests[id(pose)] = H, residual, by_side @ spread @ by_side.T
             H, residual, by_spread = rests[id(pose)]
-            sigmas = np.maximum(
-                (table.sigma_height, table.sigma_tilt), 1e-5
-            )  # a covariance must be invertible
+            # A covariance must be invertible.
+            sigmas = np.maximum((table.sigma_height, table.sigma_tilt), 1e-5)
             sigma_height, sigma_tilt = support.factors * sigmas
             noise = np.zeros((3, 3))
             noise[0, 0], noise[1:, 1:] = sigma_height**2, sigma_tilt**2 * np.eye(2) + by_spread

@@ -64,7 +64,7 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
 
     The cost is that which the step across predicts: the contacts' covariances are taken as before the step. After a
     step that changes much another one follows, and of the last one nothing that it predicts is believed; not so on a
-    lattice, whose points are near each other.
+    lattice, whose points are near each other, nor where the cost is above `flat.most_cost`.
     """
     radius, count, cost = evidence.model.radius, 0, 0.0
     point.log_weight = -np.inf

@@ -2,8 +2,8 @@
 
 Coordinates are (s, radius θ) [m], straight along the object (`retract_body`). Along the few directions in which the
 posterior departs from a Gaussian points are visited from the mode on, as far as there is density: along one direction
-more of them where the density changes, along several a lattice. At each of them a Gauss-Newton step leads to the best
-of the other directions, which count as Gaussian there (Laplace):
+more of them at walls and where the density is not smooth, along several a lattice. At each of them a Gauss-Newton step
+leads to the best of the other directions, which count as Gaussian there (Laplace):
 
     weight = exp(-cost / 2) / √det H,    H: Gauss-Newton Hessian across the flat directions, walls in it
 

@@ -48,7 +48,8 @@ class IntegrationOptions(NamedTuple):
     small_fall: float = 0.3
     """Where it falls by less from one point to the next, the line's end goes on by twice as far."""
     misplaced: float = 0.06
-    """Part of the integral that may be at the wrong place in one gap: its length times the densities' difference."""
+    """Part of the integral that may be at the wrong place in one gap: its length times the densities' difference, and,
+    where that falls smoothly, times how much the bends around it differ."""
     deepest: float = 8.0
     """The logarithm is interpolated as if it fell no further below the largest: a wall is then amid its gap."""
     steps_across: int = 3

@@ -48,10 +48,10 @@ class AcceptanceOptions(NamedTuple):
 
     alarm: float = 1e-3
     """Level of the χ² test by which evidence is called inconsistent."""
-    pool: float = 0.5e-3
-    """The part of that level for the test of all evidence together."""
-    each: float = 0.25e-3
-    """The part of it for the tests of single contacts together."""
+    pool: float = 0.5 * alarm
+    """The part of that level that is for the test of all evidence together."""
+    each: float = 0.25 * alarm
+    """The part of it that is for the tests of single contacts together."""
     recheck_p: float = 0.003
     """Level of the χ² test by which a wrong contact is searched for; a false alarm costs nothing but time."""
     doubt_p: float = 0.2
