@@ -17,13 +17,14 @@ from handsight._kernels.solve import batch
 from handsight.correction import PoseEstimate
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
-from handsight.correction.solve import kernel_call, solve_single_start
+from handsight.correction.solve import solve_single_start
 from handsight.tracking.warm import GROUPS
 
 __all__ = ["GROUPS", "Evaluation", "alone", "fits_at_once", "kernel_call", "stages"]
 
 Call = Callable[[], Any]
-PRIOR_TERM, TERM, UNCERTAINTY, WORKSPACE = (
+MEASURED, PRIOR_TERM, TERM, UNCERTAINTY, WORKSPACE = (
+    records.MEASURED,
     records.PRIOR_TERM,
     records.TERM,
     records.UNCERTAINTY,
@@ -34,6 +35,14 @@ PRIOR_TERM, TERM, UNCERTAINTY, WORKSPACE = (
 def fits_at_once(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -> bool:
     """Returns whether a single start is enough; else a wrong contact is searched for."""
     return solve_single_start(Problem(model, contacts, vision, NO_OUTSIDE)) is not None
+
+
+def kernel_call(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -> Call:
+    """Returns a function that runs the two phases of one problem, and nothing else."""
+    rows, residuals = np.zeros(1, dtype=records.PROBLEM), np.empty((len(contacts), 2))
+    rows["pose_only"] = True
+    given = model.record.model, model.record.nodes, contacts.record, vision.record, NO_OUTSIDE
+    return lambda: batch.correct_all(*given, rows, residuals)
 
 
 def stages(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -> dict[str, Call]:
@@ -65,9 +74,10 @@ class Evaluation:
 
 @numba.njit(error_model="numpy", fastmath=FAST)
 def _evaluations(n, model, nodes, contacts, constraints, outside):
-    prior, workspace, rows = local(PRIOR_TERM), local(WORKSPACE), np.empty(len(contacts), TERM)
-    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior)
-    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0], prior, center)
+    prior, measured, workspace = local(PRIOR_TERM), local(MEASURED), local(WORKSPACE)
+    rows = np.empty(len(contacts), TERM)
+    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior, measured)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, measured, constraints[0], prior, center)
     R, p = pose_of(constraints[0].prior.pose)
     for k in range(n):
         pose = R, (p[0] + 1e-9 * k, p[1], p[2])

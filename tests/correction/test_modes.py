@@ -12,7 +12,7 @@ from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
 from handsight._kernels.posterior import uncertainty
 from handsight._kernels.posterior.options import CALIBRATION
-from handsight._kernels.records import OUTSIDE, PRIOR_TERM, TERM, UNCERTAINTY
+from handsight._kernels.records import MEASURED, OUTSIDE, PRIOR_TERM, TERM, UNCERTAINTY
 from handsight.correction import modes
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import descents_at
@@ -40,8 +40,10 @@ def _second_order(model, values, vectors, answers):
 def _calibrated(model, nodes, constraints, outside, descents, values, vectors):
     prior = local(PRIOR_TERM)
     prior_term.vision_prior(model[0], constraints[0].prior, prior, local(UNCERTAINTY))
+    contacts, measured, hand = np.empty(0, TERM), local(MEASURED), outside.copy()
+    measured.nodes = -1
     evidence = terms.Evidence(
-        model[0], nodes, np.empty(0, TERM), outside, constraints[0], prior, (0.0, 0.0, 0.0)
+        model[0], nodes, contacts, hand, measured, constraints[0], prior, (0.0, 0.0, 0.0)
     )
     pose, rises = pose_of(descents[0].pose), np.empty(6)
     uncertainty.calibrated_information(evidence, pose, CALIBRATION.stride, values, vectors, rises)

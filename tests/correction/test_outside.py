@@ -11,7 +11,9 @@ from handsight import se3
 from handsight._kernels.evidence import outside_term, terms
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
-from handsight._kernels.records import OBJECT_WEIGHT, OUTSIDE, PRIOR_TERM, TERM
+from handsight._kernels.math.vec3 import apply_inverse, vector
+from handsight._kernels.mesh.field import field_at
+from handsight._kernels.records import MEASURED, OBJECT_WEIGHT, PRIOR_TERM, TERM
 from handsight.correction import Outside, solve
 from handsight.correction.outside import NO_OUTSIDE, outside_records
 from handsight.correction.problem import Problem, descents_at
@@ -42,19 +44,26 @@ def hand(thing, rng, count=60, links=6):
 
 @kept
 def _costs(model, nodes, outside, descents, coarse, costs):
-    """Of a walk through poses: what all points cost, and what is left of them by `nearby`."""
+    """Of a walk through poses: what all points cost, each pose by itself, and what those cost that are reachable."""
     contacts, nothing, center = np.empty(0, TERM), local(PRIOR_TERM), (0.0, 0.0, 0.0)
-    weight = local(OBJECT_WEIGHT)
+    weight, measured, hand = local(OBJECT_WEIGHT), local(MEASURED), outside.copy()
+    measured.nodes = -1
     field = model[0].coarse if coarse else model[0].fine
-    evidence = terms.Evidence(model[0], nodes, contacts, outside, weight, nothing, center)
-    clearances, rows = outside_term.NEVER_MEASURED, np.empty(len(outside), OUTSIDE)
+    evidence = terms.Evidence(model[0], nodes, contacts, hand, measured, weight, nothing, center)
     for k in range(len(descents)):
         pose = pose_of(descents[k].pose)
-        clearances = outside_term.nearby(evidence, field, pose, clearances, rows)
-        near = terms.Evidence(model[0], nodes, contacts, rows[: clearances[1]], weight, nothing, center)
-        costs[k, 0] = outside_term.outside_cost(evidence, field, pose)
-        costs[k, 1] = outside_term.outside_cost(near, field, pose)
-        costs[k, 2] = clearances[1]
+        costs[k, 1] = outside_term.outside_cost(evidence, field, pose)
+        costs[k, 2] = 0
+        for i in range(len(hand)):
+            costs[k, 2] += hand[i].clearance <= measured.move
+        costs[k, 0], total = 0.0, 0.0
+        for i in range(len(hand)):  # the points of a link follow each other
+            place = apply_inverse(pose, vector(outside[i].point))
+            depth = -(field_at(nodes, field, place)[0] + outside[i].slack) / outside[i].sigma
+            total += max(depth, 0.0) ** outside_term.POWER
+            if i == len(hand) - 1 or outside[i + 1].link != outside[i].link:
+                costs[k, 0] += total ** (2 / outside_term.POWER)
+                total = 0.0
 
 
 @pytest.mark.parametrize("name", ["box", "can", "mustard"])

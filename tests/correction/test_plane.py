@@ -12,7 +12,7 @@ from handsight import se3
 from handsight._kernels.evidence import plane_term, terms
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.symmetry import pose_of
-from handsight._kernels.records import OBJECT_WEIGHT, PRIOR_TERM, TERM
+from handsight._kernels.records import MEASURED, OBJECT_WEIGHT, PRIOR_TERM, TERM
 from handsight.correction import Outside, Plane, solve
 from handsight.correction.outside import NO_OUTSIDE, outside_records
 from handsight.correction.problem import Problem, descents_at
@@ -100,8 +100,9 @@ def test_on_a_scan_the_lowest_point_is_nearer_than_the_lowest_sample(name):
 def _planes(model, nodes, planes, descents, equations):
     """Equations of planes by (τ, radius ω) about (0.1, 0.2, 0.3)."""
     contacts, nothing, center = np.empty(0, TERM), local(PRIOR_TERM), (0.1, 0.2, 0.3)
-    weight = local(OBJECT_WEIGHT)
-    evidence = terms.Evidence(model[0], nodes, contacts, planes, weight, nothing, center)
+    weight, measured = local(OBJECT_WEIGHT), local(MEASURED)
+    measured.points = 0
+    evidence = terms.Evidence(model[0], nodes, contacts, planes, measured, weight, nothing, center)
     equations[:] = 0.0
     frame = center, model[0].radius
     plane_term.add_planes(evidence, pose_of(descents[0].pose), frame, equations)

@@ -32,7 +32,12 @@ from handsight.objects.symmetry import kept_center, nearest
 from kept_kernels import kept
 from oracles import correction as oracle
 
-PRIOR_TERM, TERM, UNCERTAINTY = records.PRIOR_TERM, records.TERM, records.UNCERTAINTY
+MEASURED, PRIOR_TERM, TERM, UNCERTAINTY = (
+    records.MEASURED,
+    records.PRIOR_TERM,
+    records.TERM,
+    records.UNCERTAINTY,
+)
 NOISE = 1e-3, np.deg2rad(3)
 NAMES = ["can", "box", "egg", "ball"]
 
@@ -100,11 +105,11 @@ def problem(
 @kept
 def _evaluate(model, nodes, contacts, constraints, outside, descents, equations):
     """Normal equations at the second of two poses, whitened as at the first; the center."""
-    prior, rows = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior)
+    prior, measured, rows = local(PRIOR_TERM), local(MEASURED), np.empty(len(contacts), TERM)
+    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior, measured)
     if not constraints[0].has_prior:
         prior.kind = 0
-    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0], prior, center)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, measured, constraints[0], prior, center)
     for k in range(2):
         equations[:] = 0.0
         pose, frame = pose_of(descents[k].pose), (center, model[0].radius)

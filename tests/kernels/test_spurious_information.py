@@ -21,7 +21,12 @@ from handsight.objects import Symmetries
 from kept_kernels import kept
 from oracles import correction as oracle
 
-PRIOR_TERM, TERM, UNCERTAINTY = records.PRIOR_TERM, records.TERM, records.UNCERTAINTY
+MEASURED, PRIOR_TERM, TERM, UNCERTAINTY = (
+    records.MEASURED,
+    records.PRIOR_TERM,
+    records.TERM,
+    records.UNCERTAINTY,
+)
 
 
 @functools.cache
@@ -48,9 +53,9 @@ def problem(model, seed, *, bare=False):
 @kept
 def _information(model, nodes, contacts, constraints, outside, descents, by_touch, total):
     """Information of touch alone and of all, at a pose, and the sum of the contacts' own equations."""
-    prior, rows = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior)
-    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0], prior, center)
+    prior, measured, rows = local(PRIOR_TERM), local(MEASURED), np.empty(len(contacts), TERM)
+    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior, measured)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, measured, constraints[0], prior, center)
     u = local(UNCERTAINTY)
     density.information(evidence, pose_of(descents[0].pose), total, u)
     by_touch[:] = u.by_touch
@@ -99,9 +104,9 @@ def test_a_model_without_bumps_has_none():
 
 @kept
 def _cost_deviation(model, nodes, contacts, constraints, outside, descents):
-    prior, rows = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior)
-    evidence = terms.Evidence(model[0], nodes, rows, outside, constraints[0], prior, center)
+    prior, measured, rows = local(PRIOR_TERM), local(MEASURED), np.empty(len(contacts), TERM)
+    center = batch.load_evidence(model[0], contacts, constraints[0], rows, prior, measured)
+    evidence = terms.Evidence(model[0], nodes, rows, outside, measured, constraints[0], prior, center)
     return spurious_information.cost_deviation(evidence, pose_of(descents[0].pose))
 
 

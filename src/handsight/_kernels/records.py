@@ -114,7 +114,14 @@ OUTSIDE = record(
     ("link", "i8"),  # number of its link, whose points share one error
     ("slack", "f8"),  # how deep inside it may be [m], as the link may be that much smaller than its shape
     ("clearance", "f8"),  # from the object, when it was last computed [m]
-    ("far", "i8"),  # whether it is certainly outside
+)
+# At which pose of the object, and on which field, the clearances of points outside were measured.
+MEASURED = record(
+    ("pose", POSE),
+    ("nodes", "i8"),
+    ("points", "i8"),  # number of points, which come before planes
+    ("least", "f8"),  # the smallest clearance [m]
+    ("move", "f8"),  # how far the object has moved since, at most [m]
 )
 
 # What a correction computes from a contact.

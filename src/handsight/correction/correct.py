@@ -130,11 +130,14 @@ def correct_pose(
         )
     prior, answer = checked_prior(vision), checked_answer(answer)
     samples = checks.integer(samples, "samples", MOST_SAMPLES)
-    alone = outside is None and weight is None and depth is None and skin is None and budget is None
+    alone = weight is None and depth is None and skin is None and budget is None
+    alone = alone and not (isinstance(outside, Outside) and outside.skin is not None)
     if prior is not None and alone and options is USUAL and not samples and not is_registered(contacts):
-        estimate, doubted = solve_usual(model, contacts, prior, KINDS[answer])
-        if estimate is not None:
+        rows = outside_records(model, contacts, outside)
+        estimate, enough = solve_usual(model, contacts, prior.record, rows, KINDS[answer])
+        if estimate is not None and enough:
             return estimate
+        doubted = estimate is None
     limit = Budget.of(budget)
     problem, skin = problem_of(model, contacts, prior, outside, weight, depth, skin)
     if doubted:
@@ -381,10 +384,9 @@ def correct_poses(model: ObjectModel, problems: Iterable[object]) -> list[PoseEs
     at_once = 4096  # problems in one call of the kernels
     for begin in range(0, len(usual), at_once):
         rows = usual[begin : begin + at_once]
-        pairs = [(each[i]["contacts"], each[i]["vision"]) for i in rows]
-        alone = [Problem(model, *pair, NO_OUTSIDE) for pair in pairs]
+        alone = [Problem(model, each[i]["contacts"], each[i]["vision"], NO_OUTSIDE) for i in rows]
         kinds = [kind_of(problem, "best") for problem in alone]
-        for i, one, estimate in zip(rows, alone, solve_batch(model, pairs, kinds), strict=True):
+        for i, one, estimate in zip(rows, alone, solve_batch(model, alone, kinds), strict=True):
             found[i] = None if estimate is None else after_draws(one, estimate, "best")
     answers = []
     for i, (problem, estimate) in enumerate(zip(each, found, strict=True)):

@@ -136,8 +136,8 @@ def _points(value: ArrayLike) -> Array:
     if isinstance(value, np.ndarray | list | tuple) and not len(value):
         return np.empty((0, 3))
     usual = isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape[1:] == (3,)
-    # This test is quick, and fails for NaN too; only then is the full check made.
-    if not (usual and value.min() >= -checks.MAX_DISTANCE and value.max() <= checks.MAX_DISTANCE):  # type: ignore[union-attr]
+    # The sum of squares is quick, and fails for NaN too; only then is the full check made.
+    if not (usual and np.vdot(value, value) <= checks.MAX_DISTANCE**2):  # type: ignore[arg-type]
         value = checks.position(value, "outside", (None, 3))
     check_number(len(value), MOST_POINTS, "outside", "points")  # type: ignore[arg-type]
     return value  # type: ignore[return-value]
@@ -174,15 +174,15 @@ def outside_records(
     if outside is None and skin is None:
         return NO_OUTSIDE
     given: Any = outside if isinstance(outside, Outside) else None
+    planes: Sequence[Plane] = () if given is None else given.planes
     places: Any = (
         outside.points_palm if isinstance(outside, Outside) else _points(() if outside is None else outside)
     )
-    planes: Sequence[Plane] = () if given is None else given.planes
-    untouched = np.empty((0, 3)) if skin is None else skin.untouched_palm
+    untouched = () if skin is None else skin.untouched_palm
     n, m = (len(places), len(untouched)) if model.closed else (0, 0)
     rows = np.zeros(n + m + len(planes), dtype=OUTSIDE)
     if n:
-        points = rows[:n] if len(rows) > n else rows
+        points = rows[:n]
         points["point"], points["link"] = places, _EACH[:n]
         if given is None or given.sigmas is None:
             points["sigma"] = _usual_sigma(model, contacts)
@@ -209,9 +209,8 @@ def _usual_sigma(model: ObjectModel, contacts: Contacts) -> float:
     Points are as uncertain as contacts, because of the same kinematics; the factor is for the common error of points
     near each other.
     """
-    covariance = contacts.covariance
-    variances = sorted((covariance[:, 0, 0] + covariance[:, 1, 1] + covariance[:, 2, 2]).tolist())
-    # This is much faster than np.median.
+    # This is much faster than np.median; the first three of a covariance's diagonal are of the point.
+    variances = sorted(map(sum, contacts.covariance.reshape(-1, 36)[:, :15:7].tolist()))
     middle = variances[(len(variances) - 1) // 2], variances[len(variances) // 2]
     median = (math.sqrt(middle[0] / 3) + math.sqrt(middle[1] / 3)) / 2
     return 1.5 * max(median, 1e-3 * model.diameter)

@@ -15,7 +15,7 @@ from handsight._kernels.touch import surface_at_contacts
 from handsight.checks import Array, Indices, Mask
 from handsight.contact import Contacts
 from handsight.correction import conflicts, modes
-from handsight.correction.estimate import PoseEstimate, PosePrior
+from handsight.correction.estimate import PoseEstimate
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Budget, Problem, Records, descents_at, plain, poses_of, taken
 from handsight.objects import ObjectModel
@@ -37,25 +37,36 @@ SOLVE = SolveOptions()
 
 
 def solve_usual(
-    model: ObjectModel, contacts: Contacts, vision: PosePrior, mean: int
+    model: ObjectModel,
+    contacts: Contacts,
+    constraints: Records,
+    outside: Records,
+    mean: int,
+    T_start: Array | None = None,
 ) -> tuple[PoseEstimate | None, bool]:
-    """Returns the answer to contacts and vision alone, where one descent is certainly enough; else None, and
-    whether it is certainly not.
+    """Returns the answer of one descent, None where it is not enough, and whether it is certainly enough.
 
-    It is `solve_single_start` for the usual call, in little more than the kernel's time: in a program that does other
-    work between two corrections, whatever Python does here is read from memory, which takes as long as the kernel.
+    The arguments are those of the kernel, and `solve_single_start`'s: in a program that does other work between two
+    corrections, whatever Python does here is read from memory, which takes as long as the kernel.
     """
-    record, n = model.record, len(contacts.record)
+    record = model.record
     if not record.symmetry_known:
         return None, False
-    rows, residuals = np.frombuffer(bytearray(BLANK[mean]), dtype=records.PROBLEM), np.empty((n, 2))
-    verdict = batch.correct_all(
-        record.model, record.nodes, contacts.record, vision.record, NO_OUTSIDE, rows, residuals
+    rows, residuals = (
+        np.frombuffer(bytearray(BLANK[mean]), dtype=records.PROBLEM),
+        np.empty((len(contacts), 2)),
     )
-    if verdict == records.ENOUGH:
-        answer = rows[0]["answer"]
-        return PoseEstimate(answer, (answer,), residuals, True), False
-    return None, verdict == records.DOUBTED
+    row = rows[0]
+    if T_start is not None:
+        row["follows"] = True
+        row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
+    verdict = batch.correct_all(
+        record.model, record.nodes, contacts.record, constraints, outside, rows, residuals
+    )
+    if verdict == records.DOUBTED:
+        return None, False
+    answer = row["answer"]
+    return PoseEstimate(answer, (answer,), residuals, True), verdict == records.ENOUGH
 
 
 def solve_single_start(
@@ -67,19 +78,18 @@ def solve_single_start(
     `T_start` (4, 4): a pose that was right a moment ago, at which the descent starts instead, however wide the prior.
     `mean`: that of its ANSWER.
     """
-    if problem.vision is None or not problem.model.record.symmetry_known:
+    if problem.vision is None:
         return None
-    alone = problem.weight is None and problem.depth is None
-    given = problem.vision.record if alone else problem.constraints
-    rows = np.frombuffer(bytearray(BLANK[mean]), dtype=records.PROBLEM)
-    residuals, row = np.empty((len(problem.contacts), 2)), rows[0]
-    if T_start is not None:
-        row["follows"] = True
-        row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
-    contacts, outside = problem.contacts.record, problem.outside
-    batch.correct_all(*problem.model.record[:2], contacts, given, outside, rows, residuals)
-    judged = problem.taxels > 0 or problem.depth is not None
-    return _accepted(lambda: problem, row["answer"], residuals, judged=judged)
+    estimate, enough = solve_usual(
+        problem.model, problem.contacts, problem.constraints, problem.outside, mean, T_start
+    )
+    enough = enough and not problem.taxels and problem.depth is None
+    return estimate if estimate is None or enough or _fits(problem, estimate) else None
+
+
+def _fits(problem: Problem, estimate: PoseEstimate) -> bool:
+    """Returns whether no evidence contradicts the rest at an estimate with all contacts in use."""
+    return conflicts.judged(problem, estimate.answer, np.ones((1, len(problem.contacts)), dtype=bool))[0]
 
 
 def _blank(mean: int) -> bytes:
@@ -94,16 +104,17 @@ BLANK = tuple(_blank(mean) for mean in range(3))
 
 
 def solve_batch(
-    model: ObjectModel, problems: Sequence[tuple[Contacts, PosePrior]], kinds: Sequence[int]
+    model: ObjectModel, problems: Sequence[Problem], kinds: Sequence[int]
 ) -> list[PoseEstimate | None]:
-    """Returns the answer of `solve_single_start` to each of many problems of one object, each with its own `mean`."""
+    """Returns the answer of `solve_single_start` to each of many problems of one object, of nothing but contacts and
+    vision, each with its own `mean`."""
     if not model.record.symmetry_known:
         return [None] * len(problems)
-    counts = np.array([len(contacts) for contacts, _ in problems])
-    contacts = np.concatenate([contacts.record for contacts, _ in problems])
+    counts = np.array([len(problem.contacts) for problem in problems])
+    contacts = np.concatenate([problem.contacts.record for problem in problems])
     rows, residuals = np.zeros(len(problems), dtype=records.PROBLEM), np.empty((len(contacts), 2))
     # Copied as plain numbers they take a hundredth of the time.
-    numbers = np.concatenate([plain(vision.record) for _, vision in problems])
+    numbers = np.concatenate([plain(problem.constraints) for problem in problems])
     constraints = numbers.view(records.CONSTRAINTS)[:, 0]
     rows["last"], rows["answer"]["mean"] = np.cumsum(counts), kinds
     rows["first"] = rows["last"] - counts
@@ -112,33 +123,14 @@ def solve_batch(
         batch.correct_all(*model.record[:2], contacts, given, NO_OUTSIDE, part, residuals)
 
     in_parts(work, (constraints, rows), SOLVE.serial // 4)
-    # Copied, so that an estimate does not keep the arrays of all problems in memory.
-    return [
-        _accepted(
-            partial(Problem, model, *pair, NO_OUTSIDE),
-            row["answer"].copy(),
-            residuals[row["first"] : row["last"]].copy(),
-        )
-        for pair, row in zip(problems, rows, strict=True)
-    ]
-
-
-def _accepted(
-    problem: Callable[[], Problem], answer: np.void, residuals: Array, *, judged: bool = False
-) -> PoseEstimate | None:
-    """Returns the estimate of an ANSWER that one start led to, or None where a search might find a better one.
-
-    `problem` returns the problem, which takes long to build for each of a batch. `judged`: whether each kind of its
-    evidence is tested against the rest in any case.
-    """
-    verdict = answer["verdict"]
-    if verdict == records.DOUBTED:
-        return None
-    if judged or verdict == records.UNDECIDED:
-        used = np.ones((1, len(residuals)), dtype=bool)
-        if not conflicts.judged(problem(), answer, used)[0]:
-            return None
-    return PoseEstimate(answer, (answer,), residuals, True)
+    found: list[PoseEstimate | None] = []
+    for problem, row in zip(problems, rows, strict=True):
+        # Copied, so that an estimate does not keep the arrays of all problems in memory.
+        answer, verdict = row["answer"].copy(), row["answer"]["verdict"]
+        estimate = PoseEstimate(answer, (answer,), residuals[row["first"] : row["last"]].copy(), True)
+        enough = verdict == records.ENOUGH or (verdict != records.DOUBTED and _fits(problem, estimate))
+        found.append(estimate if enough else None)
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,16 +314,3 @@ def information_by_contact(
     given = (*model.record[:2], contacts.record, descents_at(T_palm_object[None]))
     surface_at_contacts.information_by_contact(*given, information, gradient)
     return information, gradient
-
-
-def kernel_call(model: ObjectModel, contacts: Contacts, vision: PosePrior) -> Callable[[], None]:
-    """Returns a function that runs the two phases of one problem, and nothing else, for benchmarks."""
-    rows = np.zeros(1, dtype=records.PROBLEM)
-    rows["pose_only"] = True
-    given = (*model.record[:2], contacts.record, vision.record, NO_OUTSIDE)
-    residuals = np.empty((len(contacts), 2))
-
-    def call() -> None:
-        batch.correct_all(*given, rows, residuals)
-
-    return call

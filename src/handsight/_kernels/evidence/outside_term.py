@@ -13,15 +13,13 @@ import numpy as np
 
 from handsight._kernels.evidence.contact_term import Frame, Pose
 from handsight._kernels.math.simd import accumulate
+from handsight._kernels.math.symmetry import pose_of, store_pose
 from handsight._kernels.math.vec3 import Vec3, add, apply, apply_inverse, cross, mul, norm, scale, sub, vector
 from handsight._kernels.mesh.field import field_at
 from handsight._kernels.runtime.compilation import inner
 
 POWER = 8
 """Exponent of the norm, an even number; a hundred points of the same depth count as 1.8 times one of them."""
-_NAN = np.nan, np.nan, np.nan
-NEVER_MEASURED: tuple[Pose, int] = ((_NAN, _NAN, _NAN), _NAN), 0
-"""The state of `nearby` before its first call."""
 CLEARANCE_REACH = 0.2
 """Clearances are measured again when the object has moved by this many radii."""
 MAX_FIELD_SLOPE = 1.25
@@ -54,56 +52,42 @@ def largest_move(model: Any, pose: Pose, other: Pose) -> float:
 
 
 @inner
-def nearby(evidence: Any, field: Any, pose: Pose, state: tuple[Pose, int], near: Any) -> tuple[Pose, int]:
-    """Fills `near` with the rows of OUTSIDE that can matter at a pose; returns the pose at which their clearances were
-    measured, and the number of rows. `state` is what the last call returned.
+def reachable(evidence: Any, field: Any, pose: Pose) -> int:
+    """Returns how many rows of OUTSIDE, the points, can matter at a pose: all or, where that is certain, none.
 
-    A point that was farther from the object than any part of the object has moved since then is outside. So each
-    point's `clearance` is measured only when the object has moved by CLEARANCE_REACH; until then points beyond that
-    reach are left out of `near`, and of the others those that the object cannot have reached are marked `far`. Neither
-    changes the cost, as long as the distance of a grid rises by at most MAX_FIELD_SLOPE per metre. Planes are always
-    in `near`.
+    A point that was farther from the object than any part of the object has moved since then is outside. So clearances
+    are measured only when the object has moved by CLEARANCE_REACH, or on another field; `measured.move` tells how far
+    it has moved since. To leave out points that are farther away does not change the cost, as long as the distance of a
+    grid rises by at most MAX_FIELD_SLOPE per metre.
     """
-    measured_at, count = state
-    move, reach = largest_move(evidence.model, pose, measured_at), CLEARANCE_REACH * evidence.model.radius
-    if not move <= reach:
-        measured_at, count, move = pose, measure_clearances(evidence, field, pose, reach, near), 0.0
-    mark_far(near[:count], move)
-    return measured_at, count
-
-
-@inner
-def mark_far(near: Any, move: float) -> None:
-    """Marks the points that the object cannot reach, having moved this far [m] since they were measured."""
-    for i in range(len(near)):
-        near[i].far = near[i].clearance > move
-
-
-@inner
-def measure_clearances(evidence: Any, field: Any, pose: Pose, reach: float, near: Any) -> int:
-    """Fills `near` with the rows of OUTSIDE that are nearer to the object than a reach [m]; returns their number."""
-    count = 0
-    for i in range(len(evidence.outside)):
-        row, clearance = evidence.outside[i], 0.0
-        if not row.is_plane:
-            place = apply_inverse(pose, vector(row.point))
+    rows, measured = evidence.outside, evidence.measured
+    if len(rows) == 0:
+        return 0
+    move = largest_move(evidence.model, pose, pose_of(measured.pose))
+    if not move <= CLEARANCE_REACH * evidence.model.radius or measured.nodes != field.nodes:
+        move, measured.least, measured.points, measured.nodes = 0.0, np.inf, 0, field.nodes
+        store_pose(pose, measured.pose)
+        for i in range(len(rows)):
+            if rows[i].is_plane:
+                break
+            place = apply_inverse(pose, vector(rows[i].point))
             clearance = _beyond_bounds(evidence.model, place)
             if clearance == 0.0:
                 clearance = field_at(evidence.nodes, field, place)[0] / MAX_FIELD_SLOPE
-        if clearance <= reach:
-            near[count] = row
-            near[count].clearance = clearance
-            count += 1
-    return count
+            rows[i].clearance = clearance
+            measured.least = min(measured.least, clearance)
+            measured.points += 1
+    measured.move = move
+    return measured.points if measured.least <= move else 0
 
 
 @inner
 def _depth(evidence: Any, field: Any, pose: Pose, point: Any) -> tuple[float, Vec3]:
     """Returns how deep a point of OUTSIDE is in the object, in its sigmas, and the field's gradient there; a depth of 0
-    for a plane, and where the point is certainly outside."""
-    nothing, place = (0.0, 0.0, 0.0), apply_inverse(pose, vector(point.point))
-    if point.far or point.is_plane or _beyond_bounds(evidence.model, place) > 0:
-        return 0.0, nothing
+    where the point is beyond the object's bounds."""
+    place = apply_inverse(pose, vector(point.point))
+    if _beyond_bounds(evidence.model, place) > 0:
+        return 0.0, (0.0, 0.0, 0.0)
     distance, g, _ = field_at(evidence.nodes, field, place)
     return -(distance + point.slack) / point.sigma, g
 
@@ -112,13 +96,15 @@ def _depth(evidence: Any, field: Any, pose: Pose, point: Any) -> tuple[float, Ve
 def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     """Adds the row of every link: the norm ρ of its points' depths u, with dρ = Σ (u / ρ)^(POWER - 1) du."""
     outside, (center, radius) = evidence.outside, frame
-    n, link, total = len(outside), 0, 0.0
+    n, link, total = reachable(evidence, field, pose), 0, 0.0
     if n == 0:
         return
-    by_shift, by_turn = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    by_shift, by_turn, move = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), evidence.measured.move
     for i in range(n + 1):  # one more, for the last link's row
         u, g, point = 0.0, (0.0, 0.0, 0.0), outside[min(i, n - 1)]
         if i < n:
+            if point.clearance > move:
+                continue
             u, g = _depth(evidence, field, pose, point)
             if u <= 0:
                 continue
@@ -139,8 +125,10 @@ def add_outside(evidence: Any, field: Any, pose: Pose, frame: Frame, equations: 
 def outside_cost(evidence: Any, field: Any, pose: Pose) -> float:
     """Returns the squared residuals of all links."""
     cost, total, link = 0.0, 0.0, 0
-    for i in range(len(evidence.outside)):
+    for i in range(reachable(evidence, field, pose)):
         point = evidence.outside[i]
+        if point.clearance > evidence.measured.move:
+            continue
         u, _ = _depth(evidence, field, pose, point)
         if u > 0:
             if point.link != link:

@@ -68,23 +68,21 @@ def add_planes(evidence: Any, pose: Pose, frame: Frame, equations: Any) -> None:
     pose changes, another point may become the lowest; the derivative of the height is that of the present lowest
     point's all the same (envelope theorem).
     """
-    for i in range(len(evidence.outside)):
+    for i in range(evidence.measured.points, len(evidence.outside)):
         plane = evidence.outside[i]
-        if plane.is_plane:
-            height, point = _height(evidence, pose, plane)
-            if height < 0:
-                row = distance_row(point, vector(plane.normal), height, frame)
-                accumulate((1 / (plane.sigma * plane.sigma),), (row,), equations)
+        height, point = _height(evidence, pose, plane)
+        if height < 0:
+            row = distance_row(point, vector(plane.normal), height, frame)
+            accumulate((1 / (plane.sigma * plane.sigma),), (row,), equations)
 
 
 @inner
 def plane_cost(evidence: Any, pose: Pose) -> float:
     """Returns squared residuals of all planes."""
     total = 0.0
-    for i in range(len(evidence.outside)):
+    for i in range(evidence.measured.points, len(evidence.outside)):
         plane = evidence.outside[i]
-        if plane.is_plane:
-            height, _ = _height(evidence, pose, plane)
-            deep = min(height, 0.0) / plane.sigma
-            total += deep * deep
+        height, _ = _height(evidence, pose, plane)
+        deep = min(height, 0.0) / plane.sigma
+        total += deep * deep
     return total

@@ -33,7 +33,9 @@ class Evidence(NamedTuple):
     terms: Any
     """(n,) TERM, the contacts."""
     outside: Any
-    """(m,) OUTSIDE, points of the hand and planes."""
+    """(m,) OUTSIDE, points of the hand and then planes; their clearances are written."""
+    measured: Any
+    """MEASURED: where these were measured."""
     constraints: Any
     """CONSTRAINTS: the weight and the depth points of it are used here; its prior is in `prior`."""
     prior: Any

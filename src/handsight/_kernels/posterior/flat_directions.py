@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.outside_term import largest_move, mark_far
 from handsight._kernels.evidence.terms import FIXED_NOISE, PRIOR, Evidence, evidence_cost
 from handsight._kernels.math.vec3 import Mat33, cross, mul, norm, scale, vector
 from handsight._kernels.posterior.density import posterior_cost
@@ -126,16 +125,6 @@ def at_coordinates(mode: Pose, radius: float, six: Any) -> Pose:
 
 
 @inner
-def moved_to(evidence: Evidence, mode: Pose, six: Any) -> Pose:
-    """Returns the pose at coordinates (6) from a mode, and marks the outside points, measured at the mode, that are too
-    far away to matter there."""
-    pose = at_coordinates(mode, evidence.model.radius, six)
-    if len(evidence.outside):
-        mark_far(evidence.outside, largest_move(evidence.model, pose, mode))
-    return pose
-
-
-@inner
 def without_bumps(evidence: Evidence, flat: Any, pose: Pose, cost: float) -> float:
     """Returns the cost of a pose without the dents of a scan: there contacts fit by chance, so that all costs below the
     level that chance explains count the same."""
@@ -162,7 +151,7 @@ def measure(evidence: Evidence, mode: Pose, flat: Any, here: float) -> None:
             for _ in range(INTEGRATION.max_probes):
                 for i in range(6):
                     six[i] = middle[i] + flat.along[i, n] * (-length if side else length)
-                pose = moved_to(evidence, mode, six)
+                pose = at_coordinates(mode, radius, six)
                 rise = without_bumps(evidence, flat, pose, posterior_cost(evidence, pose)) - here
                 if 0.5 * INTEGRATION.rise < rise < 2 * INTEGRATION.rise:
                     break

@@ -14,7 +14,6 @@ from handsight._kernels.math.vec3 import Mat33, add, cross, matmul, mul, norm, s
 from handsight._kernels.posterior.flat_directions import (
     at_coordinates,
     coordinates_at,
-    moved_to,
     without_bumps,
 )
 from handsight._kernels.posterior.options import INTEGRATION
@@ -70,7 +69,7 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
     point.log_weight = -np.inf
     for _ in range(INTEGRATION.steps_across):
         coordinates_at(flat, point, u.row)
-        pose = moved_to(evidence, mode, u.row)
+        pose = at_coordinates(mode, radius, u.row)
         u.equations[:] = 0.0
         add_evidence(evidence, ALL, evidence.model.fine, pose, (evidence.center, radius), True, u.equations)
         count = flat.count_across if _relax(flat, matmul(pose[0], transpose(mode[0])), u) else 0

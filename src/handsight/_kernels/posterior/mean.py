@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.outside_term import measure_clearances
 from handsight._kernels.evidence.prior_term import prior_cost
 from handsight._kernels.evidence.terms import FIXED_NOISE, PRIOR, Evidence, evidence_cost
 from handsight._kernels.math.dense6 import eigen, from_eigen, scale_turns
@@ -26,13 +25,13 @@ from handsight._kernels.math.symmetry import nearest, pose_of
 from handsight._kernels.math.vec3 import matmul, scale, sub, tmul, transpose
 from handsight._kernels.posterior.density import posterior_cost
 from handsight._kernels.posterior.flat_directions import (
+    at_coordinates,
     build_lattice,
     choose,
     coordinates_at,
     fine_enough,
     mark_spins,
     measure,
-    moved_to,
     without_bumps,
 )
 from handsight._kernels.posterior.lattice import add_up, cover, visit
@@ -42,7 +41,6 @@ from handsight._kernels.posterior.uncertainty import retract_body
 from handsight._kernels.records import (
     GRID,
     LATTICE_POINT,
-    OUTSIDE,
     SHEET,
     SUMS,
     UNCERTAINTY,
@@ -150,7 +148,7 @@ def _wall(
         point.index[0] = 0.5 * (near + beyond)
         _between(points, before, inside, point)
         coordinates_at(flat, point, u.row)
-        pose = moved_to(evidence, mode, u.row)
+        pose = at_coordinates(mode, evidence.model.radius, u.row)
         if without_bumps(evidence, flat, pose, posterior_cost(evidence, pose)) < limit:
             near = point.index[0]
         else:
@@ -323,10 +321,8 @@ def _integrate_mode(evidence: Evidence, mode: Pose, cost: float, others: Any, fl
     cost: minus two log of the density at the mode.
     """
     choose(evidence, mode, flat)
-    rows = np.empty(len(evidence.outside), OUTSIDE)
-    measure_clearances(evidence, evidence.model.fine, mode, np.inf, rows)
-    nodes, terms, given = evidence.nodes, evidence.terms, evidence.constraints
-    near = Evidence(evidence.model, nodes, terms, rows, given, evidence.prior, mode[1])
+    nodes, terms, hand, given = evidence.nodes, evidence.terms, evidence.outside, evidence.constraints
+    near = Evidence(evidence.model, nodes, terms, hand, evidence.measured, given, evidence.prior, mode[1])
     flat.bump_margin = INTEGRATION.bump_sigmas * cost_deviation(evidence, mode)
     flat.level = cost - evidence_cost(evidence, PRIOR | FIXED_NOISE, mode) + flat.bump_margin
     points = np.empty(INTEGRATION.max_points[min(flat.count, 2) - 1], LATTICE_POINT)

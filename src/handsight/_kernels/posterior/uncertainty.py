@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.outside_term import NEVER_MEASURED, nearby
 from handsight._kernels.evidence.prior_term import about_point
 from handsight._kernels.evidence.terms import Evidence
 from handsight._kernels.math.dense6 import eigen, factor, from_eigen, in_metres, solve
@@ -29,7 +28,7 @@ from handsight._kernels.math.vec3 import (
 )
 from handsight._kernels.posterior.density import group_gain, information, largest_gain, posterior_cost
 from handsight._kernels.posterior.options import CALIBRATION, INTEGRATION
-from handsight._kernels.records import OUTSIDE, UNCERTAINTY, VISION_PRIOR
+from handsight._kernels.records import UNCERTAINTY, VISION_PRIOR
 from handsight._kernels.runtime.compilation import inner
 
 
@@ -60,9 +59,7 @@ def calibrated_information(
     two, and again where that more than halved it. Written to `rises` (6) is that ratio on the steeper side: infinite
     where a deviation is as large as in an unobservable direction, and 0 where nothing is known.
     """
-    model, largest, here = evidence.model, 0.0, 0.0
-    radius, nodes, terms = model.radius, evidence.nodes, evidence.terms
-    near, clearances, rows = evidence, NEVER_MEASURED, np.empty(len(evidence.outside), OUTSIDE)
+    radius, largest, here = evidence.model.radius, 0.0, 0.0
     for k in range(6):
         largest = max(largest, values[k])
     for k in range(-1, 6):
@@ -75,14 +72,7 @@ def calibrated_information(
             for side in range(2):
                 # The mode itself comes first, as k = -1: only one place evaluates, for it is long to compile.
                 step = column(vectors, max(k, 0), (-length if side else length) if k >= 0 else 0.0, radius)
-                beside = retract_body(pose, step)
-                if len(rows):
-                    clearances = nearby(evidence, model.fine, beside, clearances, rows)
-                    left = rows[: clearances[1]]
-                    near = Evidence(
-                        model, nodes, terms, left, evidence.constraints, evidence.prior, evidence.center
-                    )
-                there = posterior_cost(near, beside)
+                there = posterior_cost(evidence, retract_body(pose, step))
                 if k < 0:
                     here = there
                     break

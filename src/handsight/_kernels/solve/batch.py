@@ -29,6 +29,7 @@ from handsight._kernels.posterior.uncertainty import summarize
 from handsight._kernels.records import (
     DOUBTED,
     FLAT_DIRECTIONS,
+    MEASURED,
     PRIOR_TERM,
     TERM,
     UNCERTAINTY,
@@ -44,9 +45,10 @@ LIMITS = DESCENT.coarse, DESCENT.fine
 
 
 @inner
-def load_evidence(model: Any, contacts: Any, constraints: Any, terms: Any, prior: Any) -> Vec3:
+def load_evidence(model: Any, contacts: Any, constraints: Any, terms: Any, prior: Any, measured: Any) -> Vec3:
     """Returns the centroid of the contacts (n,); fills in their TERM (n,), and the PRIOR_TERM of the constraints' prior
-    or, where they have none, of the weak prior on the position."""
+    or, where they have none, of the weak prior on the position. Nothing is `measured` then."""
+    measured.nodes, measured.points = -1, 0
     center = load_terms(contacts, terms)
     if constraints.has_prior:
         vision_prior(model, constraints.prior, prior, local(UNCERTAINTY))
@@ -107,7 +109,8 @@ def correct_all(
     the pose is computed, for benchmarks. `contacts` (n,) are those of all problems one after another, `constraints`
     (K,) those of each; `residuals` (n, 2) are written: distance [m], angle [rad].
     """
-    prior, flat, found = local(PRIOR_TERM), local(FLAT_DIRECTIONS), DOUBTED
+    prior, measured, flat, found = local(PRIOR_TERM), local(MEASURED), local(FLAT_DIRECTIONS), DOUBTED
+    hand = outside.copy()
     for k in range(len(problems)):
         problem, answer, given = problems[k], problems[k].answer, constraints[k]
         any_width = problem.follows or problem.pose_only
@@ -117,8 +120,8 @@ def correct_all(
             continue
         own = contacts[problem.first : problem.last if problem.last else len(contacts)]
         terms = np.empty(len(own), TERM)
-        center = load_evidence(model[0], own, given, terms, prior)
-        evidence = Evidence(model[0], nodes, terms, outside, given, prior, center)
+        center = load_evidence(model[0], own, given, terms, prior, measured)
+        evidence = Evidence(model[0], nodes, terms, hand, measured, given, prior, center)
         prior_pose = pose_of(given.prior.pose)
         start = pose_of(problem.start) if problem.follows else prior_pose
         pose = _solve(evidence, start, problem.follows != 0, answer)
@@ -147,11 +150,11 @@ def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any,
     The first set of contacts is used. Σ is over the directions that are known better than by the prior or, without
     vision, better than the object's own size. With a prior the poses are replaced by their equivalents nearest to it.
     """
-    term, u, terms = local(PRIOR_TERM), local(UNCERTAINTY), np.empty(contacts.shape[1], TERM)
-    radius = model[0].radius
+    term, measured, u, radius = local(PRIOR_TERM), local(MEASURED), local(UNCERTAINTY), model[0].radius
+    terms = np.empty(contacts.shape[1], TERM)
     floor = (1e-9 if constraints[0].has_prior else 1.0) / (radius * radius)
-    center = load_evidence(model[0], contacts[0], constraints[0], terms, term)
-    evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, center)
+    center = load_evidence(model[0], contacts[0], constraints[0], terms, term, measured)
+    evidence = Evidence(model[0], nodes, terms, outside.copy(), measured, constraints[0], term, center)
     for k in range(len(descents)):
         descent = descents[k]
         pose = pose_of(descent.pose)
@@ -178,10 +181,10 @@ def summarize_all(
 ) -> None:
     """Completes answers (K,) whose pose is filled in, with the first set of contacts, and turns them into means where
     they ask for it; the contacts' gains at the first pose are written too."""
-    term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
+    term, measured, terms = local(PRIOR_TERM), local(MEASURED), np.empty(contacts.shape[1], TERM)
     flat, best = local(FLAT_DIRECTIONS), -np.inf
-    center = load_evidence(model[0], contacts[0], constraints[0], terms, term)
-    evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, center)
+    center = load_evidence(model[0], contacts[0], constraints[0], terms, term, measured)
+    evidence = Evidence(model[0], nodes, terms, outside.copy(), measured, constraints[0], term, center)
     for k in range(len(answers)):
         pose = pose_of(answers[k].pose)
         store_transform(pose, answers[k].T_palm_object)
@@ -194,9 +197,9 @@ def summarize_all(
 @entry
 def cost_all(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, descents: Any) -> None:
     """Fills in minus two log of the posterior density of descents (K,), with the first set of contacts."""
-    term, terms = local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
-    center = load_evidence(model[0], contacts[0], constraints[0], terms, term)
-    evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, center)
+    term, measured, terms = local(PRIOR_TERM), local(MEASURED), np.empty(contacts.shape[1], TERM)
+    center = load_evidence(model[0], contacts[0], constraints[0], terms, term, measured)
+    evidence = Evidence(model[0], nodes, terms, outside.copy(), measured, constraints[0], term, center)
     for k in range(len(descents)):
         descents[k].posterior_cost = posterior_cost(evidence, pose_of(descents[k].pose))
 

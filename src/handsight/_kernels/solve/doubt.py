@@ -44,9 +44,8 @@ def _confirmed(evidence: Evidence, answer: Any) -> bool:
     """
     model, given, found, u = evidence.model, evidence.constraints, pose_of(answer.pose), local(UNCERTAINTY)
     terms, ends, count = evidence.terms.copy(), np.empty(len(DRAWS), POSE), 0
-    evidence = Evidence(
-        model, evidence.nodes, terms, evidence.outside, given, evidence.prior, evidence.center
-    )
+    nodes, hand, measured = evidence.nodes, evidence.outside, evidence.measured
+    evidence = Evidence(model, nodes, terms, hand, measured, given, evidence.prior, evidence.center)
     spread(given.prior, u)
     for k in range(len(DRAWS)):
         pose, new, done = drawn(given.prior, DRAWS[k], u), True, False

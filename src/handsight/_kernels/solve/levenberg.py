@@ -5,12 +5,11 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.evidence.contact_term import Pose
-from handsight._kernels.evidence.outside_term import NEVER_MEASURED, nearby
 from handsight._kernels.evidence.terms import ALL, Evidence, add_evidence
 from handsight._kernels.math.dense6 import factor, solve
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.vec3 import Vec3, add, matmul, mul, norm, scale, sub
-from handsight._kernels.records import OUTSIDE, WORKSPACE
+from handsight._kernels.records import WORKSPACE
 from handsight._kernels.runtime.compilation import inner
 from handsight._kernels.solve.options import DESCENT
 
@@ -81,22 +80,15 @@ def descend(
     cost; only a step that was taken can end a descent as converged. `rewhiten`: whether the contacts are weighted by
     their covariance at the first pose; otherwise they keep their last weights.
     """
-    workspace, model, center = local(WORKSPACE), evidence.model, evidence.center
-    radius = model.radius
+    workspace, radius, center = local(WORKSPACE), evidence.model.radius, evidence.center
     now, new = workspace.now, workspace.next
     most, small = limits
     step = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     candidate, damping, tried, converged = pose, 1e-6, -1, False
-    near, clearances, rows = evidence, NEVER_MEASURED, np.empty(len(evidence.outside), OUTSIDE)
     while True:
-        if len(rows):
-            clearances = nearby(evidence, field, candidate, clearances, rows)
-            # Built here, for no function can return it: it holds records.
-            left, nodes, terms = rows[: clearances[1]], evidence.nodes, evidence.terms
-            near = Evidence(model, nodes, terms, left, evidence.constraints, evidence.prior, center)
         # Only this place evaluates, the first pose as well as every candidate: it takes most of the time to compile.
         new[:] = 0.0
-        add_evidence(near, ALL, field, candidate, (center, radius), rewhiten and tried < 0, new)
+        add_evidence(evidence, ALL, field, candidate, (center, radius), rewhiten and tried < 0, new)
         tried += 1
         # A change of the cost within rounding is neither better nor worse; such a step is taken.
         if tried == 0 or new[6, 6] <= now[6, 6] + 1e-12 * (1 + now[6, 6]):

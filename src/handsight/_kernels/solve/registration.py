@@ -33,7 +33,15 @@ from handsight._kernels.posterior.spurious_information import (
     subtract_spurious_information,
 )
 from handsight._kernels.posterior.uncertainty import column, second_order_information, unobservable
-from handsight._kernels.records import NO_PRIOR, PRIOR_TERM, TERM, UNCERTAINTY, VISION_PRIOR, WORKSPACE
+from handsight._kernels.records import (
+    MEASURED,
+    NO_PRIOR,
+    PRIOR_TERM,
+    TERM,
+    UNCERTAINTY,
+    VISION_PRIOR,
+    WORKSPACE,
+)
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import load_evidence
 from handsight._kernels.solve.levenberg import LONGEST_STEP, damped_step, retract, step_size
@@ -339,14 +347,14 @@ def register(
     `squares` (n, 3) are written: squared residuals, and the probabilities that the contact is right, and that its
     distance alone is.
     """
-    term, terms = local(PRIOR_TERM), np.empty(len(contacts), TERM)
-    load_evidence(model[0], contacts, constraints[0], terms, term)
+    term, measured, terms = local(PRIOR_TERM), local(MEASURED), np.empty(len(contacts), TERM)
+    load_evidence(model[0], contacts, constraints[0], terms, term, measured)
     if not constraints[0].has_prior:
         term.kind = NO_PRIOR
     for i in range(len(terms)):
         terms[i].crowd = crowds[i]
-    evidence = Evidence(model[0], nodes, terms, outside, constraints[0], term, vector(center))
-    row = answer[0]
+    hand, given, row = outside.copy(), constraints[0], answer[0]
+    evidence = Evidence(model[0], nodes, terms, hand, measured, given, term, vector(center))
     pose, tried, done = pose_of(row.pose), 0, False
     add_registered(
         evidence, contacts, of_group, groups, pose, (vector(center), model[0].radius), ANEW, squares,

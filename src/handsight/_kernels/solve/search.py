@@ -26,7 +26,15 @@ from handsight._kernels.math.vec3 import (
     transpose,
     vector,
 )
-from handsight._kernels.records import NO_PRIOR, POSE, PRIOR_TERM, TERM, UNCERTAINTY, WEAK_PRIOR
+from handsight._kernels.records import (
+    MEASURED,
+    NO_PRIOR,
+    POSE,
+    PRIOR_TERM,
+    TERM,
+    UNCERTAINTY,
+    WEAK_PRIOR,
+)
 from handsight._kernels.runtime.compilation import entry, inner
 from handsight._kernels.solve.batch import load_evidence
 from handsight._kernels.solve.levenberg import descend
@@ -148,15 +156,15 @@ def search(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any
     any place is a minimum, and the second of each is moved on to the most likely one by the weak prior.
     """
     term, nothing, terms = local(PRIOR_TERM), local(PRIOR_TERM), np.empty(contacts.shape[1], TERM)
-    nothing.kind, given = NO_PRIOR, constraints[0]
+    nothing.kind, given, hand, measured = NO_PRIOR, constraints[0], outside.copy(), local(MEASURED)
     chosen, earlier = np.empty(blocks.shape[1], np.int64), np.empty(blocks.shape[1], POSE)
     for b in range(len(blocks)):
         rows = blocks[b]
-        center = load_evidence(model[0], contacts[rows[0, 0].set], given, terms, term)
-        matching = Evidence(model[0], nodes, terms, outside, given, term, center)
+        center = load_evidence(model[0], contacts[rows[0, 0].set], given, terms, term, measured)
+        matching = Evidence(model[0], nodes, terms, hand, measured, given, term, center)
         # The weak prior keeps phase 1 from running away, but is no part of the cost by which minima are compared.
         weak = term.kind == WEAK_PRIOR
-        fitting = Evidence(model[0], nodes, terms, outside, given, nothing if weak else term, center)
+        fitting = Evidence(model[0], nodes, terms, hand, measured, given, nothing if weak else term, center)
         count, ends = len(rows), 1
         for phase in range(2):
             if phase == 1:
