@@ -44,19 +44,17 @@ def solve_usual(
     mean: int,
     T_start: Array | None = None,
 ) -> tuple[PoseEstimate | None, bool]:
-    """Returns the answer of one descent, None where it is not enough, and whether it is certainly enough.
+    """Returns the answer of one descent, None where it is certainly not enough, and whether it certainly is.
 
-    The arguments are those of the kernel, and `solve_single_start`'s: in a program that does other work between two
-    corrections, whatever Python does here is read from memory, which takes as long as the kernel.
+    It is `solve_single_start` of records that are there already (`constraints` (1,) CONSTRAINTS, `outside` (m,)
+    OUTSIDE): in a program that does other work between two corrections, whatever Python does here is read from memory,
+    which takes as long as the kernel.
     """
     record = model.record
     if not record.symmetry_known:
         return None, False
-    rows, residuals = (
-        np.frombuffer(bytearray(BLANK[mean]), dtype=records.PROBLEM),
-        np.empty((len(contacts), 2)),
-    )
-    row = rows[0]
+    rows = np.frombuffer(bytearray(BLANK[mean]), dtype=records.PROBLEM)
+    residuals, row = np.empty((len(contacts), 2)), rows[0]
     if T_start is not None:
         row["follows"] = True
         row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
