@@ -36,4 +36,5 @@ def test_arrays_of_any_layout_are_read_and_written_without_another_compilation(l
 def test_numbers_of_another_type_are_compiled_for():
     before, out = len(doubled_into.signatures), np.zeros((1, 2), dtype=np.int64)
     doubled_into(np.array([[1, 2]]), out)
-    assert out.tolist() == [[2, 4]] and len(doubled_into.signatures) == before + 1
+    assert out.tolist() == [[2, 4]]
+    assert len(doubled_into.signatures) == before + 1

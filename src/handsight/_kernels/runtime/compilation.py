@@ -54,7 +54,7 @@ def entry(function: F) -> F:
     compile_for = dispatcher._compile_for_args
 
     def called(*arguments: Any) -> Any:
-        usual = [np.require(a, None, "CAW") if isinstance(a, np.ndarray) else a for a in arguments]
+        usual = [np.require(a, None, ["C", "A", "W"]) if isinstance(a, np.ndarray) else a for a in arguments]
         result = dispatcher(*usual)
         for array, copy in zip(arguments, usual, strict=True):
             if array is not copy and array.flags.writeable:
