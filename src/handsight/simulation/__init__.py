@@ -2,8 +2,7 @@
 
 from handsight._deprecated import renamed
 from handsight.simulation.camera import add_depth_noise, camera_facing, true_camera
-from handsight.simulation.grasp_file import read_grasp, write_grasp
-from handsight.simulation.grasp_search import GraspSearchResult, find_grasp
+from handsight.simulation.grasp_search import GraspSearchResult, find_grasp, read_grasp, write_grasp
 from handsight.simulation.motion import MOTION, Grasp
 from handsight.simulation.probe import PROBE, Probe
 from handsight.simulation.rendering import render
