@@ -26,10 +26,7 @@ class TouchSearchOptions(NamedTuple):
     """`TouchSearchOptions` configure the search for an object on a table by touch."""
 
     area_side: float = 0.3  # of the square that contains the object [m]
-    sigma_table_height: float = 0.0015  # of the table after it is touched: the error of a finger's joints [m]
-    sigma_table_tilt: float = float(np.deg2rad(0.5))  # of the object on it, after the table is touched [rad]
     max_touches: int = 12  # before the search gives up
-    pause: float = 0.5  # from the search to the open hand beside the object, which is not simulated [s]
 
 
 TOUCH_SEARCH = TouchSearchOptions()
@@ -66,7 +63,7 @@ def start_search(
     T_world_table = se3.compose(se3.rotation_exp(np.array([0.0, 0.0, turn])), np.array([x, y, 0.0]))
     probe = Probe(scenario, R, T_world_table, recording=recording)
     height, R_world_table = probe.measure_table(TABLE_PROBES)
-    sigma_height, sigma_tilt = TOUCH_SEARCH.sigma_table_height, TOUCH_SEARCH.sigma_table_tilt
+    sigma_height, sigma_tilt = 0.0015, float(np.deg2rad(0.5))
     table = Table(height=height, sigma_height=sigma_height, sigma_tilt=sigma_tilt)
     area = Area(np.full(2, -half), np.full(2, half), table, R[None], R_world_table)
     return probe, Belief(with_symmetries_of_touch(model, PROBE.sigma), area, seed)
@@ -97,7 +94,7 @@ def simulate_touch_search(
     if watch is not None:
         watch(belief, probe.T_world_object)
     # The hand closes at the estimated pose, the object is at the true one.
-    found, begins = belief.pose, probe.time + TOUCH_SEARCH.pause
+    found, begins = belief.pose, probe.time + 0.5  # [s]; the hand's way to the object is not simulated
     T_object_middle = se3.compose(np.eye(3), belief.model.center_object)
     off = se3.inverse(found.T_a_b @ T_object_middle) @ probe.T_world_object @ T_object_middle
     T_palm_middle = grasp.T_palm_middle @ off

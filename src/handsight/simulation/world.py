@@ -1,7 +1,7 @@
 """The simulated world, a step at a time: the hand closes on the object, lets its holder go, and moves."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,19 +17,8 @@ from handsight.simulation.scene import PALM_GEOM, mujoco_module
 if TYPE_CHECKING:
     from mujoco import MjData
 
-
-class WorldOptions(NamedTuple):
-    """`WorldOptions` say when a simulated grasp has failed, and what then becomes of the object."""
-
-    servo_time: float = 0.15  # before time 0, in which the servos reach the open hand [s]
-    max_shift: float = 0.03  # shift of the object in the palm above which it is dropped [m]
-    max_rotation: float = 0.5  # rotation above which it is dropped [rad]
-    flying_speed: float = 3.0  # sideways or upwards [m/s]: no hand of this strength throws an object as fast
-    floor: float = -1.0  # height on which a dropped object comes to rest [m]
-    max_overlap: float = 0.003  # of the open hand and the object; with more, the object does not fit in [m]
-
-
-WORLD = WorldOptions()
+FLYING_SPEED = 3.0  # sideways or upwards [m/s]: no hand of this strength throws an object as fast
+FLOOR = -1.0  # height on which a dropped object comes to rest [m]
 
 
 class World:
@@ -68,14 +57,14 @@ class World:
         self.data.joint("mount").qpos[:] = self._arm[0]
         # The object waits far above until the servos have opened the hand.
         waiting = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
-        for _ in range(round(WORLD.servo_time * SCENARIO.steps_per_second)):
+        for _ in range(round(0.15 * SCENARIO.steps_per_second)):  # [s]
             self._hold_object(waiting)
             self._mujoco.mj_step(self.scene.model, self.data)
         self.refresh()
         body_of, object_body = self.scene.model.geom_bodyid, self.scene.model.body("object").id
         contacts = self.data.contact[: self.data.ncon]
         between = [c.dist for c in contacts if object_body in body_of[c.geom] and 0 not in body_of[c.geom]]
-        if min(between, default=0.0) < -WORLD.max_overlap:
+        if min(between, default=0.0) < -0.003:  # with more, the object does not fit in [m]
             size = " x ".join(f"{1000 * side:.0f}" for side in high - low)
             raise InvalidObject(f"object: expected one that fits in the open hand, got {size} mm")
 
@@ -119,8 +108,8 @@ class World:
             self._load.press(self.data)
         self._mujoco.mj_step(self.scene.model, self.data)
         fallen = self.data.joint("object")
-        if fallen.qpos[2] < WORLD.floor:
-            fallen.qpos[2], fallen.qvel[:] = WORLD.floor, 0.0
+        if fallen.qpos[2] < FLOOR:
+            fallen.qpos[2], fallen.qvel[:] = FLOOR, 0.0
         self.steps += 1
 
     def refresh(self) -> None:
@@ -153,7 +142,7 @@ class World:
     def dropped(self) -> bool:
         """Returns whether the object has left the grasp since it became free."""
         shift, turn = self.moved()
-        return shift > WORLD.max_shift or turn > WORLD.max_rotation
+        return shift > 0.03 or turn > 0.5  # [m, rad]
 
     def touches(self) -> list[tuple[str, float, float]]:
         """Returns the hand's contacts with the object: the hand's geom, the force [N], and the overlap [m]."""
@@ -168,7 +157,7 @@ class World:
     def thrown(self) -> bool:
         """Returns whether the object flies faster than this hand can throw it: the simulation has failed."""
         velocity = self.data.joint("object").qvel[:3]
-        return not (np.linalg.norm(velocity[:2]) < WORLD.flying_speed and velocity[2] < WORLD.flying_speed)
+        return not (np.linalg.norm(velocity[:2]) < FLYING_SPEED and velocity[2] < FLYING_SPEED)
 
     def tip_contacts(self) -> tuple[TipContact, ...]:
         """Returns the fingertips' contacts with everything that they touch."""

@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
@@ -20,18 +20,8 @@ from handsight.viewer.moment import Moment
 from handsight.viewer.page import PAGE
 from handsight.viewer.timeline import Curves, in_mm, slips_of
 
-
-class LiveViewerOptions(NamedTuple):
-    """`LiveViewerOptions` say how often a live view is drawn."""
-
-    curve_period: float = 0.25  # between two plots [s]
-    idle_pause: float = 0.1  # between checks for a new estimate of an idle tracker [s]
-    end_timeout: float = 5.0  # given to a page to end [s]
-    note_period: float = 0.1  # between notes for the curves [s]
-    max_notes: int = 600  # notes that are kept: a minute
-
-
-LIVE_VIEWER = LiveViewerOptions()
+END_TIMEOUT = 5.0  # given to a page to end [s]
+NOTE_PERIOD = 0.1  # between notes for the curves [s]
 
 
 def view(tracker: Tracker, *, port: int = PAGE.port, say: Callable[[str], None] = print) -> "Viewer":
@@ -95,7 +85,7 @@ class Viewer(NullViewer):
         """The tracker to be shown, and its moment if a browser is open."""
         self._shot: viewer_process.Shot | None = None
         self._sent: tuple[object, object] = None, None  # the newest and the shot that the page has
-        self._past = deque[tuple[float, float, State, Slip]](maxlen=LIVE_VIEWER.max_notes)
+        self._past = deque[tuple[float, float, State, Slip]](maxlen=600)  # a minute
         """Stamp [s], sigma [m], state and slip of the last minute, since `_origin`, when the clock was set back."""
         self._noted = self._plotted = self._origin = -math.inf
         self._thread = threading.Thread(target=self._run, name="handsight viewer", daemon=True)
@@ -110,7 +100,7 @@ class Viewer(NullViewer):
         if observation.stamp != tracker.stamp:
             return  # the observation came late, and the tracker has ignored it
         now = time.monotonic()
-        if now - self._noted >= LIVE_VIEWER.note_period:
+        if now - self._noted >= NOTE_PERIOD:
             self._noted = now
             if not self._past or tracker.stamp < self._past[-1][0]:
                 self._origin = tracker.stamp
@@ -128,7 +118,7 @@ class Viewer(NullViewer):
         self._closed = True
         self._changed.set()
         self._send(None)
-        self._thread.join(LIVE_VIEWER.end_timeout)
+        self._thread.join(END_TIMEOUT)
         self._end_process()
 
     def _end_process(self) -> None:
@@ -136,7 +126,7 @@ class Viewer(NullViewer):
         if self._process is None:
             return
         try:
-            self._process.wait(LIVE_VIEWER.end_timeout)
+            self._process.wait(END_TIMEOUT)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -152,7 +142,7 @@ class Viewer(NullViewer):
             while True:
                 self.watched = self._pipe.recv()
                 while self.watched and not self._closed:
-                    self._changed.wait(LIVE_VIEWER.idle_pause)
+                    self._changed.wait(0.1)  # [s]
                     self._changed.clear()
                     newest, shot = self._newest, self._shot
                     if newest is None or newest is self._sent[0]:
@@ -170,7 +160,7 @@ class Viewer(NullViewer):
     def _curves(self) -> Curves | None:
         """Returns the curves of the last minute; None if they were just plotted."""
         now = time.monotonic()
-        if now - self._plotted < LIVE_VIEWER.curve_period:
+        if now - self._plotted < 0.25:  # [s]
             return None
         self._plotted = now
         notes, origin = list(self._past), self._origin
