@@ -239,8 +239,8 @@ def record(
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
     from handsight.simulation import rig_of, simulate, simulate_touch_search, touch_search_rig
-    from handsight.simulation.loads import pulls
     from handsight.simulation.taxels import messages
+    from handsight.simulation.world import pulls
 
     rig = touch_search_rig(scenario) if blind else rig_of(scenario)
     # With one object only, `track` needs no name.

@@ -17,12 +17,11 @@ from handsight._deprecated import renamed_members
 from handsight.errors import InvalidFile, InvalidInput, InvalidObject, NotFound
 from handsight.files import read_bytes, text_file
 from handsight.rig import Rig
-from handsight.simulation.grasp_candidates import Body, body_of, grasp_candidates
 from handsight.simulation.grasp_fit import HandFit
 from handsight.simulation.motion import BOX, CAN, LEGS, MOTION, POWER_CAN, Grasp
-from handsight.simulation.posture import Posture
 from handsight.simulation.scenario import SCENARIO, Scenario
 from handsight.simulation.scene import SimulatedScene, convex_hull, scene
+from handsight.simulation.shadow_grasps import Body, Posture, body_of, grasp_candidates
 from handsight.simulation.world import World
 
 
