@@ -320,9 +320,9 @@ def with_a_pipe(tracker, monkeypatch):
     """A viewer, and the page's end of its pipe."""
 
     ours, theirs = Pipe()
-    from handsight.viewer import viewer_process
+    from handsight.viewer import live_viewer
 
-    monkeypatch.setattr(viewer_process, "begin", lambda: (ours, None))
+    monkeypatch.setattr(live_viewer, "begin", lambda: (ours, None))
     page = threading.Thread(target=lambda: (theirs.recv(), theirs.send("http://nowhere")))
     page.start()
     viewer = Viewer(tracker)
