@@ -326,7 +326,7 @@ def write_slips(writer: "McapFile", stamp: float, sample: "Sample", rig: "Rig") 
 def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     """Returns the object as the robot describes it, with the size error `object_scale`."""
     from handsight.objects import Library, ObjectSpec
-    from handsight.objects.library.bop import METRES
+    from handsight.objects.library.documents import METRES
     from handsight.simulation.robot import declared_weight
 
     mesh = Path(scenario.object)
