@@ -28,26 +28,6 @@ from handsight.objects.surface import SURFACE, ObjectWarning, Triangles
 from handsight.objects.symmetry import Symmetries, check_kept, kept_center, nearest
 
 
-class RecordOptions(NamedTuple):
-    """`RecordOptions` are the errors that an object's model is assumed to have, and the weights of phase 1. Phase 1 of
-    a correction matches contacts with samples of the surface."""
-
-    edge: float = 0.75  # radius of curvature below which the surface counts as an edge [coarse cells]
-    facet_margin: float = 0.01  # how far facets may be within the surface that they approximate [diameters]
-    normal_weight: float = 1.3
-    """Distance that a difference of 1 between unit normals counts as, when a contact is matched [diameters]."""
-    band: float = 1.6  # tangential distance to a sample that costs nothing [spacings of the samples]
-    tangential: float = 0.32  # standard deviation of the distance beyond it [spacings]
-    patch: float = 0.02  # standard deviation of the surface about a sample's plane [spacings]
-    least_distance: float = 1e-4  # least standard deviation that is assumed for a model's surface [diameters]
-    least_normal: float = 2e-3  # least standard deviation that is assumed for a model's normal [rad]
-    coarse_distance: float = 0.03  # standard deviation of the coarse field's distance on faces [coarse cells]
-    coarse_normal: float = 0.03  # standard deviation of the coarse field's normal on faces [rad]
-
-
-RECORD = RecordOptions()
-
-
 class ModelRecord(NamedTuple):
     """A `ModelRecord` is an object as kernels take it."""
 
@@ -66,14 +46,15 @@ def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
     row, spacing, diameter = record[0], geometry.sample_spacing, geometry.diameter
     coarse = geometry.coarse.fill(row["coarse"], 0)
     nodes = [coarse, geometry.fine.fill(row["fine"], len(coarse))]
-    row["coarse"]["variance_distance"] = (RECORD.coarse_distance * geometry.coarse.cell) ** 2
-    row["coarse"]["variance_normal"] = RECORD.coarse_normal**2
+    row["coarse"]["variance_distance"] = (0.03 * geometry.coarse.cell) ** 2  # on faces
+    row["coarse"]["variance_normal"] = 0.03**2  # [rad]
     row["radius"], row["center"] = geometry.radius, geometry.center_object
-    row["bounds"] = geometry.bounds_object + RECORD.facet_margin * diameter * np.array([[-1.0], [1.0]])
-    row["edge_curvature2"] = 1 / (RECORD.edge * geometry.coarse.cell) ** 2
+    # Facets are within the surface that they approximate, by at most so much.
+    row["bounds"] = geometry.bounds_object + 0.01 * diameter * np.array([[-1.0], [1.0]])
+    row["edge_curvature2"] = 1 / (0.75 * geometry.coarse.cell) ** 2  # a surface that is bent more is an edge
     error, place_by_place = row["error"], geometry.field_error
-    error["least_distance"] = (RECORD.least_distance * diameter) ** 2
-    error["least_normal"] = RECORD.least_normal**2
+    error["least_distance"] = (1e-4 * diameter) ** 2
+    error["least_normal"] = 2e-3**2  # [rad]
     if place_by_place is not None:
         error["inverse_cell"], error["origin"] = 1 / place_by_place.cell, place_by_place.origin
         error["shape"], error["nodes"] = place_by_place.values.shape[:3], sum(map(len, nodes))
@@ -89,9 +70,11 @@ def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
         symmetry["pivot"], symmetry["axis"][k] = point, direction
     symmetry["kind"], symmetry["axes"] = kind, len(symmetries.axes)
     symmetry["rotations"], symmetry["rotation"][:count] = count, symmetries.rotations[:, :3]
-    row["normal_weight2"] = (RECORD.normal_weight * diameter) ** 2
-    row["band"], row["tangential_weight"] = RECORD.band * spacing, 1 / (RECORD.tangential * spacing) ** 2
-    row["sample_variance_distance"] = (RECORD.patch * spacing) ** 2
+    # In the distance of a contact from a sample, a difference of 1 between unit normals counts as much as this length.
+    row["normal_weight2"] = (1.3 * diameter) ** 2
+    # A tangential distance within the band costs nothing; beyond it, this is its standard deviation.
+    row["band"], row["tangential_weight"] = 1.6 * spacing, 1 / (0.32 * spacing) ** 2
+    row["sample_variance_distance"] = (0.02 * spacing) ** 2
     row["sample_variance_normal"] = geometry.sigma_normal**2
     row["samples"][:, 0], row["samples"][:, 1] = geometry.points_object, geometry.normals_object
     row["scan"][0] = (geometry.points_object**2).sum(axis=1)
