@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 import handsight as hs
-from handsight._kernels.mesh.patches import blended
+from handsight._kernels.mesh.quadrics import blended
 from handsight.objects import ObjectModel, Triangles, diameter
 from handsight.objects.scans.patches import (
     Noise,

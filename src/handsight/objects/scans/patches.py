@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from handsight import se3
 from handsight._kernels.mesh import quadrics as kernel
-from handsight._kernels.mesh.patches import PATCH, blended, neighbours
+from handsight._kernels.mesh.quadrics import PATCH, blended, neighbours
 from handsight._kernels.runtime.threads import in_parts
 from handsight.checks import Array, Indices
 from handsight.objects.scans.normals import enough_neighbours, outwards, planes
