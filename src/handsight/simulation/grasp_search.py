@@ -30,14 +30,6 @@ class GraspSearchOptions(NamedTuple):
 
     max_fitted: int = 90  # candidates to which the hand is fitted before the search gives up
     max_trials: int = 24  # grasps that are simulated
-    failure_penalty: float = 0.1  # subtracted from a candidate's merit for each failure with the same `kin`
-    check_period: float = 0.05  # between checks of a trial [s]
-    max_shift: float = 0.024  # of the object in the palm in a trial: well below what counts as dropped [m]
-    max_rotation: float = 0.42  # of the object in the palm in a trial [rad]
-    min_force: float = 0.1  # of a tip in contact [N]
-    min_contact_share: float = 0.9  # of the time, for which thumb and a finger must touch the object
-    max_depth: float = 0.002  # how far the hand may be pressed into the object [m]
-    max_other_force: float = 2.0  # of all links without a sensor on the object [N]
 
 
 GRASP_SEARCH = GraspSearchOptions()
@@ -107,7 +99,7 @@ def _shadow_grasps(built: SimulatedScene, body: Body) -> Iterator[tuple[Grasp | 
     """Yields the Shadow hand's grasps and their names, and the reason where there is none; see `HandFit.grasps`."""
     left, failed = grasp_candidates(body), Counter[tuple[int, float, float]]()
     while left:  # each that was yielded before has failed, and lowers the merit of those of its `kin`
-        hold = max(left, key=lambda each: each.merit - GRASP_SEARCH.failure_penalty * failed[each.kin])
+        hold = max(left, key=lambda each: each.merit - 0.1 * failed[each.kin])
         left.remove(hold)
         failed[hold.kin] += 1
         fingers = ", ".join(finger for finger in hold.points if finger != "th")
@@ -129,7 +121,7 @@ def _trial(scenario: Scenario, grasp: Grasp, pressing: str) -> tuple[float, str]
         (MOTION.at_rest + float(LEGS[:5, 0].sum()), "slipped when lifted"),
         (np.inf, "slipped when turned"),
     )
-    every, checked, in_contact = round(GRASP_SEARCH.check_period * SCENARIO.steps_per_second), 0, 0
+    every, checked, in_contact = round(0.05 * SCENARIO.steps_per_second), 0, 0  # a check every 0.05 s
     while world.time < world.duration:
         world.step()
         if world.steps % every or world.time <= MOTION.free:
@@ -137,17 +129,17 @@ def _trial(scenario: Scenario, grasp: Grasp, pressing: str) -> tuple[float, str]
         if world.thrown():
             return 0.0, "thrown by the simulator"
         shift, turn = world.moved()
-        if shift > GRASP_SEARCH.max_shift or turn > GRASP_SEARCH.max_rotation:
+        if shift > 0.024 or turn > 0.42:  # well below what counts as dropped [m, rad]
             return world.time, next(reason for end, reason in slips if world.time <= end)
         touches = world.touches()
-        if max((depth for _, _, depth in touches), default=0.0) > GRASP_SEARCH.max_depth:
+        if max((depth for _, _, depth in touches), default=0.0) > 0.002:  # [m]
             return world.time, "pressed in"
         unsensed = sum(force for geom, force, _ in touches if not geom.endswith("_tip"))
-        if unsensed > GRASP_SEARCH.max_other_force:
+        if unsensed > 2.0:  # [N]
             return world.time, "pressed by links without a sensor"
-        tips = {tip for tip, force, _ in touches if force > GRASP_SEARCH.min_force and tip.endswith("_tip")}
+        tips = {tip for tip, force, _ in touches if force > 0.1 and tip.endswith("_tip")}  # [N]
         checked, in_contact = checked + 1, in_contact + (f"{pressing}_tip" in tips and len(tips) > 1)
-    return world.time, "" if in_contact >= GRASP_SEARCH.min_contact_share * checked else "hardly in contact"
+    return world.time, "" if in_contact >= 0.9 * checked else "hardly in contact"
 
 
 def _text(failures: Counter[str]) -> str:

@@ -119,22 +119,8 @@ def with_declared_noise(geometry: Geometry, points: Array, sigmas: Array) -> Geo
     return with_error(geometry, at)
 
 
-class ScanOptions(NamedTuple):
-    """`ScanOptions` say when points, or the vertices of a mesh, are a noisy scan."""
-
-    max_points: int = 20_000  # more add little about an object that fits into a hand
-    min_points: int = 200  # with fewer, noise and shape cannot be separated
-    clean: float = 5e-4  # noise below which points with normals are used as they are [diameters]
-    min_vertices: int = 1000  # a mesh with fewer was drawn, not scanned
-    flat_angle: float = 1e-3  # angle below which two triangles are in one plane [rad]
-    flat_share: float = 0.1
-    """A mesh with more than this share of its edges between triangles in one plane was drawn: noise bends all edges."""
-    outlying: float = 5.0  # standard deviations of noise beyond which a vertex is an outlier
-    own_noise: float = 0.7  # least share of a scan's noise that neighbouring vertices do not have in common
-    gaussian_quarter: float = 0.3186  # standard deviations within which a quarter of a Gaussian's draws are
-
-
-SCAN = ScanOptions()
+CLEAN = 5e-4  # noise below which points with normals are used as they are [diameters]
+OWN_NOISE = 0.7  # least share of a scan's noise that neighbouring vertices do not have in common
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,14 +138,15 @@ def scanned(points: Array, normals: Array | None, diameter: float) -> Scan | Non
     Returns None for points that are used as they are: they have normals and hardly any noise, or are too few to measure
     their noise.
     """
-    if len(points) < SCAN.min_points:
+    if len(points) < 200:  # too few to separate noise from shape
         return None
-    order = np.random.default_rng(5).permutation(len(points))[: SCAN.max_points]
+    # More add little about an object that fits into a hand.
+    order = np.random.default_rng(5).permutation(len(points))[:20_000]
     places = points[order]
     unknown = np.full_like(places, np.nan)
     given = Points(places, unknown if normals is None else normals[order], spacing_of(places), diameter)
     given, noise = estimated_noise(given)
-    if normals is not None and (noise.is_shape or noise.sigma < SCAN.clean * diameter):
+    if normals is not None and (noise.is_shape or noise.sigma < CLEAN * diameter):
         return None
     surface = fitted(given, noise)
     return Scan(noise, surface, roughness_of(surface, given, noise))
@@ -169,12 +156,13 @@ def smoothed(mesh: Triangles, diameter: float) -> tuple[Triangles, Roughness | N
     """Returns a mesh with its vertices moved onto the surface behind their noise, and the error of that surface. A mesh
     that is no noisy scan is returned as it is, with None."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
-    if len(used) < SCAN.min_vertices:
+    if len(used) < 1000:  # it was drawn, not scanned
         return mesh, None
     i, j = mesh.shared
     face_normals = mesh.doubled_normals / np.maximum(2 * mesh.areas, 1e-300)[:, None]
     differences = np.linalg.norm(face_normals[i // 3] - face_normals[j // 3], axis=1)
-    if not len(differences) or (differences < SCAN.flat_angle).mean() > SCAN.flat_share:
+    # Noise bends all edges; a mesh with many between triangles in one plane was drawn.
+    if not len(differences) or (differences < 1e-3).mean() > 0.1:
         return mesh, None
     vertices, faces = mesh.vertices[used], faces.reshape(mesh.faces.shape)
     normals = np.zeros_like(vertices)  # means of the triangles' normals, weighted by area
@@ -191,13 +179,14 @@ def smoothed(mesh: Triangles, diameter: float) -> tuple[Triangles, Roughness | N
     difference = diags_array(np.ones(count)) - diags_array(1 / adjacent.sum(axis=1)) @ adjacent
     twice = (difference @ difference).tocsr()
     residual = np.abs(((twice @ vertices) * normals).sum(axis=1)) / np.sqrt(twice.multiply(twice).sum(axis=1))
-    own = float(np.quantile(residual, NOISE.smoothest) / SCAN.gaussian_quarter)
-    scan = scanned(vertices, normals, diameter) if own > SCAN.own_noise * SCAN.clean * diameter else None
-    if scan is None or own < SCAN.own_noise * scan.noise.sigma:
+    # A quarter of a Gaussian's draws are within that many standard deviations.
+    own = float(np.quantile(residual, NOISE.smoothest) / 0.3186)
+    scan = scanned(vertices, normals, diameter) if own > OWN_NOISE * CLEAN * diameter else None
+    if scan is None or own < OWN_NOISE * scan.noise.sigma:
         return mesh, None
     there = scan.surface.blended(vertices, scan.surface.tree.query(vertices)[1])
     way = there[:, 1:] / np.linalg.norm(there[:, 1:], axis=1, keepdims=True)
     off = there[:, :1]
     # A vertex farther from the surface is no noise: it is at a corner that no quadric reaches, and stays where it is.
-    vertices = np.where(np.abs(off) < SCAN.outlying * scan.noise.sigma, vertices - off * way, vertices)
+    vertices = np.where(np.abs(off) < 5.0 * scan.noise.sigma, vertices - off * way, vertices)
     return Triangles(vertices, faces), scan.roughness
