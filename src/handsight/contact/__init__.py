@@ -4,6 +4,7 @@
 """
 
 from handsight.contact.calibration import WrenchCalibration, calibrate_wrench, compensate
+from handsight.contact.contact import REASON_NAMES, Contact, ContactBatch, NoContact, Reason
 from handsight.contact.contacts import Contacts
 from handsight.contact.fingertips import (
     FINGERTIP_HELP,
@@ -15,15 +16,7 @@ from handsight.contact.fingertips import (
 )
 from handsight.contact.gels import Gel
 from handsight.contact.pads import Pad
-from handsight.contact.sensing import (
-    REASON_NAMES,
-    Contact,
-    ContactBatch,
-    NoContact,
-    Reason,
-    contact_from_wrench,
-    contacts_from_wrenches,
-)
+from handsight.contact.sensing import contact_from_wrench, contacts_from_wrenches
 from handsight.contact.tables import COLUMNS_HELP, convert
 from handsight.contact.taxels import SkinTouch, TactileSurface, TaxelArray
 

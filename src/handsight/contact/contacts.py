@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from handsight import checks, se3
 from handsight._kernels.records import CONTACT
 from handsight.checks import Array, Indices, Mask
-from handsight.contact.sensing import Contact, symmetric
+from handsight.contact.contact import Contact, symmetric
 from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 

@@ -21,14 +21,9 @@ from numpy.typing import ArrayLike
 
 from handsight import checks
 from handsight.checks import Array
+from handsight.contact.contact import REASON_NAMES, ContactBatch
 from handsight.contact.fingertips import Fingertip
-from handsight.contact.sensing import (
-    REASON_NAMES,
-    SIGMA_FORCE,
-    SIGMA_TORQUE,
-    ContactBatch,
-    contacts_from_wrenches,
-)
+from handsight.contact.sensing import SIGMA_FORCE, SIGMA_TORQUE, contacts_from_wrenches
 from handsight.errors import InvalidFile, InvalidInput
 from handsight.files import check_not_overwritten, stream_name, text_file, write_errors
 from handsight.msgspec_errors import explain, field_name
