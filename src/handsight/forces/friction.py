@@ -13,13 +13,9 @@ import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from handsight._kernels.touch.slip_records import FRICTION
-
-FIRST = round(math.log(FRICTION.min_ratio) / FRICTION.bin_width)
-BINS = round(math.log(FRICTION.max_ratio) / FRICTION.bin_width) - FIRST + 1
-"""Number of the first bin, and how many there are."""
+from handsight._kernels.touch.slip import highest_heap
+from handsight._kernels.touch.slip_records import BINS, FIRST, FRICTION
 
 
 class Friction:
@@ -70,7 +66,10 @@ class Friction:
         self._turns = self._turns.copy()
         for ratio, turns in counted:
             self._turns[round(math.log(ratio) / FRICTION.bin_width) - FIRST] += turns
-        self._heap = _highest_heap(self._turns, FRICTION.near_heap * self._kept_up, self._error)
+        shared = FRICTION.near_heap * self._kept_up
+        shared_bin = math.log(shared) / FRICTION.bin_width - FIRST if shared > 0 else -math.inf
+        mean, total = highest_heap(self._turns, shared_bin, self._error)
+        self._heap = (math.exp(FRICTION.bin_width * mean), total) if total else None
 
 
 def joined(estimates: Iterable[tuple[float, float]]) -> tuple[float, float]:
@@ -78,28 +77,3 @@ def joined(estimates: Iterable[tuple[float, float]]) -> tuple[float, float]:
     logs, weights = zip(*((math.log(mu), (mu / sigma) ** 2) for mu, sigma in estimates), strict=True)
     mu = math.exp(sum(m * w for m, w in zip(logs, weights, strict=True)) / sum(weights))
     return mu, mu / math.sqrt(sum(weights))
-
-
-def _highest_heap(turns: NDArray[np.int64], shared: float, error: int) -> tuple[float, int] | None:
-    """Returns the mean ratio of the highest heap, with the bins just below it, and its turns; None without a heap.
-
-    `turns` (BINS,); `shared` is the ratio up to which two fingers have kept one up, `error` the standard deviation of
-    ratios in bins. A few turns that are spread over higher ratios, as by a tip that touches at two places, are not the
-    limit.
-    """
-    band, spread = FRICTION.band + 2 * error, FRICTION.spread + error
-    shared_bin = math.log(shared) / FRICTION.bin_width - FIRST if shared > 0 else -math.inf
-    through = np.concatenate([[0], np.cumsum(turns)])
-    occupied = np.flatnonzero(turns)
-    heaps = np.zeros(BINS, dtype=np.int64)
-    heaps[occupied] = through[np.minimum(occupied + band, BINS)] - through[occupied]
-    for at in occupied[::-1].tolist():
-        below = FRICTION.max_below if at <= shared_bin else FRICTION.max_below_alone
-        near = heaps[max(at - below, 0) : at + 1].max()
-        if heaps[at] >= max(FRICTION.min_turns, FRICTION.min_share * near):
-            first = max(at - spread, 0)
-            heap = turns[first : at + band]
-            total = int(heap.sum())
-            mean = FIRST + first + float(np.arange(len(heap)) @ heap) / total
-            return math.exp(FRICTION.bin_width * mean), total
-    return None

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from handsight._kernels.runtime.compilation import entry, inner
-from handsight._kernels.touch.slip_records import FRICTION, MOST_READINGS, SLIP
+from handsight._kernels.touch.slip_records import FIRST, FRICTION, MOST_READINGS, SLIP
 
 
 @inner
@@ -121,3 +121,30 @@ def follow_loads(
             count += 1
             first, second = max(first, kept), max(second, min(first, kept))
     return news, first if count == 1 else second, gain
+
+
+@entry
+def highest_heap(turns: Any, shared_bin: float, error: int) -> tuple[float, int]:
+    """Returns the mean number of the highest heap's bins, with those just below it, and its turns; 0 of them where there
+    is no heap among the turns (n,) in bins from number `FIRST` on.
+
+    `shared_bin`: up to which two fingers have kept ratios up; `error`: the standard deviation of ratios in bins. A few
+    turns that are spread over higher ratios, as by a tip that touches at two places, are not the limit.
+    """
+    band, spread = FRICTION.band + 2 * error, FRICTION.spread + error
+    heaps = np.zeros(len(turns), np.int64)
+    for at in range(len(turns)):
+        if turns[at]:
+            for k in range(at, min(at + band, len(turns))):
+                heaps[at] += turns[k]
+    for at in range(len(turns) - 1, -1, -1):
+        below, near = FRICTION.max_below if at <= shared_bin else FRICTION.max_below_alone, 0
+        for k in range(max(at - below, 0), at + 1 if turns[at] else 0):
+            near = max(near, heaps[k])
+        if turns[at] and heaps[at] >= max(FRICTION.min_turns, FRICTION.min_share * near):
+            total, moment, first = 0, 0, max(at - spread, 0)
+            for k in range(first, min(at + band, len(turns))):
+                total += turns[k]
+                moment += turns[k] * (k - first)
+            return FIRST + first + moment / total, total
+    return 0.0, 0

@@ -1,5 +1,6 @@
 """Options of slip detection, and the records of its kernel: loads over time, sensor by sensor."""
 
+import math
 from typing import NamedTuple
 
 from handsight._kernels.records import record
@@ -41,6 +42,9 @@ class FrictionOptions(NamedTuple):
 
 
 FRICTION = FrictionOptions()
+FIRST = round(math.log(FRICTION.min_ratio) / FRICTION.bin_width)
+BINS = round(math.log(FRICTION.max_ratio) / FRICTION.bin_width) - FIRST + 1
+"""Number of the first bin of ratios, and how many there are."""
 
 
 class SlipOptions(NamedTuple):
