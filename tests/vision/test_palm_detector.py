@@ -25,7 +25,7 @@ from handsight.vision import STRUCTURED_LIGHT, HandAppearance
 from handsight.vision.candidates import candidates_at, poses_of
 from handsight.vision.palm.hand_appearance import APPEARANCE
 from handsight.vision.palm.hand_in_image import HandInImage
-from handsight.vision.palm.palm_search import PALM_SEARCH, Picture, _shifts, _turns, picture_of
+from handsight.vision.palm.palm_detector import PALM_SEARCH, Picture, _shifts, _turns, picture_of
 
 if find_spec("gymnasium_robotics") is None:  # it is not imported: only its files are used
     pytest.skip("the Shadow hand's files come with handsight[sim]", allow_module_level=True)
