@@ -414,7 +414,7 @@ def _found_beside(
     that of each of the best detections by itself."""
     from handsight.observation import Detection2D
     from handsight.vision import locate_detected
-    from handsight.vision.object.first_pose_source import MAX_DETECTIONS
+    from handsight.vision.object.locate import MAX_DETECTIONS
 
     known = (Detection2D(),) if frame.detections is None else frame.detections
     mine = sorted((one for one in known if one.label in ("", name)), key=lambda one: -(one.score or 1.0))
