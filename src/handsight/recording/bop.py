@@ -11,7 +11,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -35,14 +35,8 @@ ImageNumber = tuple[int, int]
 """BOP's numbers of the scene and of the image."""
 
 
-class BopLimits(NamedTuple):
-    """`BopLimits` bound what a file may hold, and how much of it is used."""
-
-    max_bytes: int = 1 << 29
-    max_starts: int = 10  # poses of an object in an image, those with the highest scores
-
-
-BOP = BopLimits()
+MAX_BYTES = 1 << 29  # of a file of detections or targets
+MAX_STARTS = 10  # poses of an object in an image that are used, those with the highest scores
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,12 +176,12 @@ class TargetForm(msgspec.Struct):
 
 def read_detections(path: str | os.PathLike[str]) -> list[DetectionForm]:
     """Returns the detections of a JSON file as CNOS writes it; raises InvalidFile."""
-    return decode(read_bytes(path, BOP.max_bytes), list[DetectionForm], str(path))
+    return decode(read_bytes(path, MAX_BYTES), list[DetectionForm], str(path))
 
 
 def read_targets(path: str | os.PathLike[str]) -> list[TargetForm]:
     """Returns which objects to find, of a file such as `test_targets_bop19.json`; raises InvalidFile."""
-    return decode(read_bytes(path, BOP.max_bytes), list[TargetForm], str(path))
+    return decode(read_bytes(path, MAX_BYTES), list[TargetForm], str(path))
 
 
 Rows = dict[ImageNumber, list[tuple[str, int, Any]]]
@@ -279,7 +273,7 @@ class Hints:
             return None
         for name, _, result in sorted(self._of(frame, self._starts), key=lambda row: -row[2].score):
             Ts[name].append(result.T_camera_object)
-        starts = {name: np.array(poses[: BOP.max_starts]) for name, poses in Ts.items()}
+        starts = {name: np.array(poses[:MAX_STARTS]) for name, poses in Ts.items()}
         if detections is not None:
             names = {str(number): name for number, name in self._names.items()}
             detections = tuple(replace(each, label=names.get(each.label, each.label)) for each in detections)
