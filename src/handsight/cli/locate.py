@@ -170,7 +170,7 @@ def locate(
     from handsight.checks import suggestion
     from handsight.objects.library import Library, NoLibrary
     from handsight.recording.bop import Hints
-    from handsight.recording.frames import Beside, Frame, is_recording, open_frames, within
+    from handsight.recording.frames import Beside, Frame, is_recording, open_frames, recorded_frames, within
     from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 
     announce_compiling()
@@ -188,10 +188,13 @@ def locate(
         alone = {"depth-camera": depth_camera, "detections": detections, "start": start, "targets": targets}
         for option in (option for option, given in alone.items() if given is not None):
             raise InvalidInput(f"--{option}: expected beside depth images, got it beside {images}")
+        if beside != Beside():
+            what = "expected no camera, colour, mask or depth scale beside a recording"
+            raise InvalidInput(f"{images}: {what}")
         robot, rig_path = find_rig(images, rig)
         models = find_models(names, robot, rig_path)
         noise = STRUCTURED_LIGHT if robot.camera is None else PRESETS[robot.camera.depth_camera]
-        frames = open_frames(images, beside, robot)
+        frames = recorded_frames(images, robot)
     else:
         if rig is not None:
             raise InvalidInput(f"--rig: expected beside a recording, got it beside {images}")

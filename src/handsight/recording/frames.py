@@ -149,19 +149,12 @@ def is_recording(path: Path) -> bool:
     return path.suffix.lower() in (".mcap", ".bag", ".db3") or (path / "metadata.yaml").exists()
 
 
-def open_frames(path: Path, beside: Beside, rig: Rig | None = None) -> Frames:
-    """Returns the frames of a depth image, a folder of them, a BOP scene or split, or, with a rig, a recording.
+def open_frames(path: Path, beside: Beside) -> Frames:
+    """Returns the frames of a depth image, a folder of them, or a BOP scene or split.
 
     Raises InvalidFile for any other path, and the errors of the readers.
     """
     try:
-        if is_recording(path):
-            if rig is None:
-                raise InvalidInput(f"rig: expected beside the recording {path}, got none")
-            if beside != Beside():
-                what = "expected no camera, colour, mask or depth scale beside a recording"
-                raise InvalidInput(f"{path}: {what}")
-            return recorded_frames(path, rig)
         if path.is_dir():
             # The folder itself is a scene, else the folders in it may be.
             scenes = [path] if (path / CAMERAS).is_file() else sorted(path.iterdir())

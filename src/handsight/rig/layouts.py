@@ -208,17 +208,12 @@ def from_urdf(name: str, hand: Hand) -> Layout:
 
 def _origin(element: Element | None) -> Array:
     """Returns the pose (4, 4) of `xyz` and `rpy`."""
+    from scipy.spatial.transform import Rotation  # its import is long
+
     if element is None:
         return np.eye(4)
-    xyz, (roll, pitch, yaw) = (
-        _numbers(element, key, 3) if element.get(key) else np.zeros(3) for key in ("xyz", "rpy")
-    )
-    turns = (
-        se3.rotation_exp(angle * axis)
-        for angle, axis in zip((yaw, pitch, roll), np.eye(3)[::-1], strict=True)
-    )
-    first, second, third = turns
-    return se3.compose(first @ second @ third, xyz)
+    xyz, rpy = (_numbers(element, key, 3) if element.get(key) else np.zeros(3) for key in ("xyz", "rpy"))
+    return se3.compose(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
 
 
 def _numbers(element: Element, key: str, count: int) -> Array:
