@@ -31,6 +31,8 @@ MAX_INSTANCES = 100
 """Most instances of one object in an image."""
 MOST_PANELS = 6
 """Number of images in the picture."""
+COLUMNS = "x, y, z in the camera [mm]", "± [mm]", "± [°]", "explained", "weight", "others", "ms"
+"""Columns of the table, behind those of the image and of the object."""
 MAX_MESSAGES = 5
 """Number of messages about unreadable images, and about images without the object."""
 
@@ -281,7 +283,7 @@ def _locate_each(
 
     done, found, locate_in, several = 0, 0, None, len(models) > 1 or bool(counts)
     panels, cells = list["Located | LocatedAll"](), list[list[str]]()  # for the picture, and for the table
-    unread, missed = list[str](), list[str]()  # messages about images
+    unread, missed = list[str](), list[str]()  # why images cannot be read, or do not show an object
     as_table = output is None and sys.stdout.isatty()
     with (
         terminal.kept_going() as end,
@@ -301,7 +303,7 @@ def _locate_each(
             row: Row
             if isinstance(frame, Unread):
                 row = frame
-                unread.append(f"handsight: {frame.reason}")
+                unread.append(frame.reason)
             else:
                 locate_in = locate_in or locator(models, noise, counts)
                 row = locate_in(frame)
@@ -318,29 +320,23 @@ def _locate_each(
             move(done / frames.total if frames.total else None, f"{done} of {frames.total or '?'} images")
     if cells:
         title = (f"{len(models)} objects" if len(models) > 1 else next(iter(models))) + " in depth images"
-        columns = [
-            "image",
-            *["object"] * several,
-            "x, y, z in the camera [mm]",
-            "± [mm]",
-            "± [°]",
-            "explained",
-        ]
-        columns += ["weight", "others", "ms"]
+        columns = ["image", *["object"] * several, *COLUMNS]
         terminal.print_out(terminal.table(columns, cells, texts=1 + several, title=title))
     if isinstance(end.error, HandsightError) and not done:
         raise end.error
-    drawn = [draw(panels, plot)] if plot is not None and panels else []
-    if more := unread[MAX_MESSAGES:]:
-        unread[MAX_MESSAGES:] = [f"handsight: {len(more)} more images cannot be read"]
-    wrote = (
-        []
-        if output is None or isinstance(end.error, NotWritten)
-        else [f"wrote {output}: found in {found} of {done} images"]
-    )
-    stopped = f"handsight: stopped after {done} images; what was found is kept"
-    ended = [end.message or stopped] if end.exit_code else []
-    for sentence in (*unread, *wrote, *missed[: MAX_MESSAGES if cells else 0], *ended, *drawn):
+    sentences = [f"handsight: {reason}" for reason in unread[:MAX_MESSAGES]]
+    if more := len(unread[MAX_MESSAGES:]):
+        sentences.append(f"handsight: {more} more images cannot be read")
+    if output is not None and not isinstance(end.error, NotWritten):
+        sentences.append(f"wrote {output}: found in {found} of {done} images")
+    if cells:
+        sentences += missed[:MAX_MESSAGES]
+    if end.exit_code:
+        stopped = f"handsight: stopped after {done} images; what was found is kept"
+        sentences.append(end.message or stopped)
+    if plot is not None and panels:
+        sentences.append(draw(panels, plot))
+    for sentence in sentences:
         terminal.say(sentence)
     if end.exit_code or not unread:
         return end.exit_code
