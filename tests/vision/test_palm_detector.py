@@ -126,7 +126,7 @@ def laid(seed, bound=0.012):
     """A picture, the hand in it, the points that are seen, and the pose at which a descent on them ends."""
     drawn = scene(seed, held=False)
     hand = shadow()[2].placed(drawn.joints)
-    picture = picture_of(CAMERA, drawn.depth, hand, drawn.T_camera_palm, 0.01)
+    picture = picture_of(CAMERA, drawn.depth, hand, drawn.T_camera_palm, (0.01, 0.01))
     skin = np.ascontiguousarray(hand.skin[:, hand.visible_from(CAMERA, drawn.T_camera_palm)])
     look = candidates_at(off(hand, drawn.T_camera_palm, np.random.default_rng(seed), 0.003, 0.01)[None])
     stages = np.array([(0, bound, bound, 60, 1)], dtype=STAGE)
