@@ -411,7 +411,9 @@ def _print_rig(rig: "Rig", name: str) -> None:
     hand = rig.hand
     title = f"{name}: {len(hand.tips)} fingers on {hand.palm}, {len(hand.joint_names)} joints"
     print_out(printable(title) + "\n", soft_wrap=True)
-    shapes, sensors = [], []
+    joints = dict(zip(hand.joint_names, np.clip(0.0, *hand.limits.T).tolist(), strict=True))
+    poses = dict(zip(hand.tips, hand.Ts_palm_tip(joints), strict=True))
+    shapes, places, sensors = list[tuple[str, ...]](), list[tuple[str, ...]](), list[tuple[str, ...]]()
     for finger, of in rig.fingers.items():
         tip, topics = of.tip, rig.topics
         sizes = " x ".join(f"{1e3 * a:g}" for a in tip.semi_axes)
@@ -420,30 +422,23 @@ def _print_rig(rig: "Rig", name: str) -> None:
         friction = "any" if tip.max_friction is None else f"{tip.max_friction:g}"
         sigmas = f"{1e3 * of.sigma_point:g}", f"{math.degrees(of.sigma_normal):.2g}"
         shapes.append((finger, of.frame, shape, cap, friction, *sigmas))
+        T = poses[finger] @ of.T_frame_surface
+        center, along = np.round(1e3 * T[:3, 3], 1) + 0.0, np.round(T[:3, 2], 2) + 0.0  # no -0
+        places.append(
+            (finger, "{:.1f}, {:.1f}, {:.1f}".format(*center), "{:.2f}, {:.2f}, {:.2f}".format(*along))
+        )
         topic = topics.wrenches.get(finger, topics.contacts.get(finger, "none"))
         noise = f"{1e3 * of.sigma_force:g}", f"{1e3 * of.sigma_torque:g}"
         ranges = ("?", "?") if of.full_scale is None else (f"{value:g}" for value in of.full_scale)
-        if topic == "none" and not of.calibration.mass:
-            continue
-        sensors.append((finger, topic, *noise, *ranges, f"{1e3 * of.calibration.mass:g}"))
-    joints = dict(zip(hand.joint_names, np.clip(0.0, *hand.limits.T).tolist(), strict=True))
-    poses = dict(zip(hand.tips, hand.Ts_palm_tip(joints), strict=True))
-    places = []
-    for finger, of in rig.fingers.items():
-        T = poses[finger] @ of.T_frame_surface
-        center, along = (
-            [f"{x:.{digits}f}" for x in np.round(row, digits) + 0.0]
-            for digits, row in ((1, 1e3 * T[:3, 3]), (2, T[:3, 2]))
-        )
-        places.append((finger, ", ".join(center), ", ".join(along)))
-    bold = {"header_style": "bold underline"}
-    columns = ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")
-    print_out(plain_table(columns, shapes, texts=2, **bold), "")
-    at_zero = ("with joints at 0", "centre in the palm [mm]", "points along")
-    print_out(plain_table(at_zero, places, texts=1, **bold), "")
-    columns = ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")
-    if sensors:
-        print_out(plain_table(columns, sensors, texts=2, **bold), "")
+        if topic != "none" or of.calibration.mass:
+            sensors.append((finger, topic, *noise, *ranges, f"{1e3 * of.calibration.mass:g}"))
+    for table, texts, columns in (
+        (shapes, 2, ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")),
+        (places, 1, ("with joints at 0", "centre in the palm [mm]", "points along")),
+        (sensors, 2, ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")),
+    ):
+        if table:
+            print_out(plain_table(columns, table, texts=texts, header_style="bold underline"), "")
     constant, random = math.degrees(rig.sigma_joint_offset), math.degrees(rig.sigma_joint)
     sources = {"tf": f"from {rig.topics.tf}", "joints": "from the joints", None: "not known"}
     rows = [
