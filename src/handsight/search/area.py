@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from handsight import checks, se3
-from handsight._deprecated import renamed_keywords, renamed_members
+from handsight._deprecated import renamed_arguments, renamed_members
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
@@ -68,7 +68,7 @@ class Area:
         """Returns (n,) whether each of the placements (n, 4) is within the rectangle."""
         return np.asarray(((placements[:, :2] >= self.low) & (placements[:, :2] <= self.high)).all(axis=1))
 
-    @renamed_keywords(places="placements")
+    @renamed_arguments(places="placements")
     def poses(self, model: ObjectModel, placements: Array) -> Array:
         """Returns Ts_world_object (n, 4, 4) of the object at placements (n, 4)."""
         vertical = np.zeros((len(placements), 3))

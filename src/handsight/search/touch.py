@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handsight import checks, se3
-from handsight._deprecated import renamed_keywords
+from handsight._deprecated import renamed_arguments
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.errors import InvalidInput
@@ -38,7 +38,7 @@ class Sweep:
         """Returns the point (3,) of the path at a distance from its start [m]."""
         return np.asarray(self.start_world + distance * self.direction_world)
 
-    @renamed_keywords(begin="start")
+    @renamed_arguments(begin="start")
     def part(self, start: float, end: float) -> "Sweep":
         """Returns the part of the path between two distances from its start [m]."""
         return Sweep(self.at(start), self.direction_world, end - start)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks, se3
-from handsight._deprecated import renamed_keywords, reordered
+from handsight._deprecated import renamed_arguments
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
@@ -53,8 +53,7 @@ LOCATE = LocateOptions()
 MAX_DETECTIONS = 8  # detections of an object in an image that are searched, those with the highest scores
 
 
-@renamed_keywords(wanted="mask")
-@reordered("model", "camera", "depth", former=lambda args: len(args) > 1 and isinstance(args[1], Camera))
+@renamed_arguments("model", "camera", "depth", second=Camera, wanted="mask")
 def locate(
     model: ObjectModel,
     depth: Depth,
@@ -189,8 +188,7 @@ class Recognition:
         return best if best is not None and self.scores[best] > self.none else None
 
 
-@renamed_keywords(wanted="mask")
-@reordered("models", "camera", "depth", former=lambda args: len(args) > 1 and isinstance(args[1], Camera))
+@renamed_arguments("models", "camera", "depth", second=Camera, wanted="mask")
 def recognise(
     models: Mapping[str, ObjectModel],
     depth: Depth,
