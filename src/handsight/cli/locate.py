@@ -356,9 +356,8 @@ def locator(
 
     from handsight.camera import Camera
     from handsight.recording.detections import Located, LocatedAll
-    from handsight.vision import locate_all
+    from handsight.vision import ObjectDetection, locate_all, recognise
     from handsight.vision.object.first_pose import first_pose
-    from handsight.vision.object.locate import LOCATE, recognise, recognition_of
     from handsight.vision.object.region import scene_of
     from handsight.vision.object.shape_index import ShapeIndex
 
@@ -378,21 +377,15 @@ def locator(
         beside = frame.detections is not None or frame.starts is not None
         most = {name: n for name, n in (frame.targets or counts or {}).items() if n is not None}
         if counts is None or (len(models) == 1 and not counts and max(most.values(), default=1) == 1):
-            recognition = None
+            here, which = dict[str, ObjectDetection](), None
             if beside or len(models) == 1:
-                each = {name: _found_beside(frame, model, name, noise)[0] for name, model in asked.items()}
-                if len(models) > 1:
-                    extent = LOCATE.max_plane * max(model.diameter for model in asked.values())
-                    here = scene_of(camera, depth, wanted=mask, hand=hand, extent=extent)
-                    recognition = recognition_of(asked, each, here)
-            else:
-                recognition = recognise(asked, depth, camera, mask=mask, hand=hand, noise=noise)
-                each = recognition.found
-            name = next(iter(recognition.scores)) if recognition else next(iter(each))
-            model, seconds = models[name], time.perf_counter() - started
-            return Located(
-                frame=frame, model=model, found=each[name], seconds=seconds, recognition=recognition
-            )
+                here = {name: _found_beside(frame, model, name, noise)[0] for name, model in asked.items()}
+            if len(models) > 1:
+                which = recognise(asked, depth, camera, found=here, mask=mask, hand=hand, noise=noise)
+                here = which.found
+            name, seconds = next(iter(here)), time.perf_counter() - started
+            model, one = models[name], here[name]
+            return Located(frame=frame, model=model, found=one, seconds=seconds, recognition=which)
         if beside:
             found = {
                 name: _found_beside(frame, model, name, noise, each=True) for name, model in asked.items()

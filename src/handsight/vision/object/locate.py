@@ -194,6 +194,7 @@ def recognise(
     depth: Depth,
     camera: Camera,
     *,
+    found: Mapping[str, ObjectDetection] | None = None,
     box: Box | None = None,
     mask: Mask | None = None,
     hand: Mask | None = None,
@@ -203,7 +204,8 @@ def recognise(
     """Returns which of the models (by name) a depth image shows in a box or a mask; arguments are as `locate`'s.
 
     Each is searched in the same segments of the image; of a `ShapeIndex` those that it names, and only they are in the
-    answer. Raises InvalidInput as `locate` does, and for no models.
+    answer. found: what `locate` answers of each in the boxes of a detector or from the poses of an estimator, in place
+    of a search. Raises InvalidInput as `locate` does, and for no models.
     """
     if not models:
         raise InvalidInput("models: expected at least one, got none")
@@ -211,19 +213,10 @@ def recognise(
     largest = index.max_diameter if index else max(model.diameter for model in models.values())
     wanted, extent = search_mask(camera, box, mask), LOCATE.max_plane * largest
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
-    models = index.nearest(scene) if index else models
-    found = {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
-    return recognition_of(models, found, scene)
-
-
-def recognition_of(
-    models: Mapping[str, ObjectModel], found: Mapping[str, ObjectDetection], scene: Scene
-) -> Recognition:
-    """Returns which of several objects a scene shows, by where each would be.
-
-    Poses are compared by their log odds, added to their object's, and by the same pixels of the scene, because odds are
-    of shares of each object's own. None of them is there as probably as the likeliest is not.
-    """
+    models = index.nearest(scene) if index and not found else models
+    found = found or {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
+    # Poses are compared by their log odds, added to their object's, and by the same pixels of the scene, because odds
+    # are of shares of each object's own. None of them is there as probably as the likeliest is not.
     detected = [name for name, one in found.items() if len(one.candidates)]
     step = max(1, round(np.sqrt((scene.labels >= 0).sum() / LOCATE.compared)))
     inside = scene.labels[::step, ::step] >= 0
