@@ -94,7 +94,7 @@ def demo(
         vision, tracked = (result.errors[name].summary() for name in ("vision", "tracked"))
         errors = [f"{mm:.1f} mm" for mm in (vision["base_mean"], tracked["base_mean"], tracked["base_last"])]
         faster = result.tally.recorded / result.tally.wall
-        tracks.append((result.name, *errors, str(result.corrections), f"{faster:.0f}x"))
+        tracks.append((result.name, *errors, str(result.tracker.corrections), f"{faster:.0f}x"))
     columns = ("recording", "vision", "tracked", "at the end", "corrections", "real time")
     title = "Recordings replayed: error of the base's centre on the table, as the paper measures it"
     out.print(table(columns, tracks, title=title))

@@ -290,9 +290,8 @@ def _print_values(run: "Run") -> None:
         for _ in replay(opened.observations(), tracker, Tally()):
             diagnoser.watch()
     print_diagnosis(diagnoser.diagnosis())
-    if (latency := tracker.vision_latency()) is not None:
-        for sentence in latency_text(latency, tracker.vision.camera.latency):
-            typer.echo(printable(sentence))
+    for sentence in latency_text(tracker):
+        typer.echo(printable(sentence))
     if not tracker.links:
         lacks = "the hand's file has no shapes" if run.model.closed else "the object has no inside"
         typer.echo(printable(f"No link keeps the object out: {lacks}."))
