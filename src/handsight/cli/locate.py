@@ -219,9 +219,7 @@ def locate(
                 known = {entry.name: entry.number for entry in Library(library).entries()}
             except NoLibrary:
                 known = {}
-            asked = {name: known[name] for name in models if name in known}
-            files = {"detections": detections, "start": start, "targets": targets}
-            hints = Hints(list(models), asked, known.values(), **files)
+            hints = Hints(list(models), known, detections=detections, start=start, targets=targets)
             for sentence in hints.sentences:
                 terminal.say(f"handsight: {sentence}")
             frames = frames._replace(
