@@ -109,10 +109,8 @@ class Beside:
         found, truth = list[Detection2D](), place.parent / "scene_gt.json"
         objects = _objects(truth).get(str(int(stem)), []) if stem.isdecimal() and truth.is_file() else []
         for path in several:
-            pixels, index = (
-                np.asarray(read_color(path, camera=camera).any(axis=2)),
-                path.stem.rpartition("_")[2],
-            )
+            pixels = np.asarray(read_color(path, camera=camera).any(axis=2))
+            index = path.stem.rpartition("_")[2]
             number = objects[int(index)] if index.isdecimal() and int(index) < len(objects) else ""
             if pixels.any():  # else it is hidden
                 found.append(Detection2D(number, mask=pixels))
