@@ -422,10 +422,9 @@ def _print_rig(rig: "Rig", name: str) -> None:
         sigmas = f"{1e3 * of.sigma_point:g}", f"{math.degrees(of.sigma_normal):.2g}"
         shapes.append((finger, of.frame, shape, cap, friction, *sigmas))
         T = poses[finger] @ of.T_frame_surface
-        center, along = np.round(1e3 * T[:3, 3], 1) + 0.0, np.round(T[:3, 2], 2) + 0.0  # no -0
-        places.append(
-            (finger, "{:.1f}, {:.1f}, {:.1f}".format(*center), "{:.2f}, {:.2f}, {:.2f}".format(*along))
-        )
+        center = ", ".join(f"{x:.1f}" for x in np.round(1e3 * T[:3, 3], 1) + 0.0)  # no -0
+        along = ", ".join(f"{x:.2f}" for x in np.round(T[:3, 2], 2) + 0.0)
+        places.append((finger, center, along))
         topic = topics.wrenches.get(finger, topics.contacts.get(finger, "none"))
         noise = f"{1e3 * of.sigma_force:g}", f"{1e3 * of.sigma_torque:g}"
         ranges = ("?", "?") if of.full_scale is None else (f"{value:g}" for value in of.full_scale)

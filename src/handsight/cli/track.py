@@ -372,9 +372,8 @@ class TrackResult:
             lines.append(spent + (f"; at the end: {self.reason}" if self.reason else ""))
         lines += refusals(tally)
         lines += self._touch_sentences()
-        if re.search("contacts and vision have differed", self.reason) or (
-            "vision" in self.reason and not tally.answered
-        ):
+        differed = "contacts and vision have differed" in self.reason
+        if differed or ("vision" in self.reason and not tally.answered):
             lines.append(
                 "vision: check its topic, the order of its quaternion (x, y, z, w), camera.pose and frames.palm"
             )

@@ -1,6 +1,7 @@
 """A YAML file as plain values that know their lines: errors read `file:line: field: expected ..., got ...`."""
 
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -87,16 +88,9 @@ class YamlFile:
             return [self._plain(part, (*field, i)) for i, part in enumerate(value)]
         if isinstance(value, float) and not math.isfinite(value):
             raise self.error(field, f"expected a finite number, got {float(value)}")
-        for kind in (bool, int, float, str):
-            if isinstance(value, kind):
-                if (
-                    isinstance(value, str)
-                    and not value.isprintable()
-                    and any("\ud800" <= c <= "\udfff" for c in value)
-                ):
-                    raise self.error(field, "expected text, got half of a surrogate pair")
-                return kind(value)
-        return value
+        if isinstance(value, str) and re.search("[\ud800-\udfff]", value):
+            raise self.error(field, "expected text, got half of a surrogate pair")
+        return next((kind(value) for kind in (bool, int, float, str) if isinstance(value, kind)), value)
 
 
 def _parse(path: Path) -> "CommentedMap":
