@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, cast
 
 import typer
 from typer import Option
@@ -20,6 +20,7 @@ from handsight.errors import MissingExtra
 if TYPE_CHECKING:
     from handsight.batch.problems import Problem
     from handsight.cli.track import TrackResult
+    from handsight.evaluation import CorrectionErrors
     from handsight.recording.detections import Located
     from handsight.recording.frames import Frame
     from handsight.rig import Rig
@@ -51,7 +52,18 @@ def demo(
 
     announce_compiling()
     out = Console(width=None if sys.stdout.isatty() else 110, markup=False, highlight=False)
-    problems, answers, rows = zip(*examples(), strict=True)
+    found = list(examples())
+    rows = [
+        (
+            row.name,
+            f"{1e3 * row.vision.shift:.1f} → {1e3 * row.corrected.shift:.1f} mm",
+            f"{1e3 * row.vision.shift_observable:.1f} → {1e3 * row.corrected.shift_observable:.1f} mm",
+            f"{math.degrees(row.vision.turn):.1f} → {math.degrees(row.corrected.turn):.1f}°",
+            f"{1e3 * row.vision.gap:.1f} → {1e3 * row.corrected.gap:.2f} mm",
+            f"{len(row.answer['unobservable'])} of 6",
+        )
+        for row in found
+    ]
     columns = ("object", "position", "of it, by touch", "rotation", "contacts off the surface", "open")
     title = "Error against the truth, vision → corrected (synthetic example)"
     out.print(table(columns, rows, title=title))
@@ -60,7 +72,7 @@ def demo(
         "there the answer is vision's, and the estimate says so."
     )
     try:
-        draw_corrections(zip(problems, answers, strict=True), plot)
+        draw_corrections([(row.problem, row.answer) for row in found], plot)
         out.print(f"wrote {plot}")
     except MissingExtra as error:
         out.print(f"no picture: {error}")
@@ -86,9 +98,19 @@ def demo(
     out.print(table(columns, tracks, title=title))
 
 
-def examples() -> "Iterator[tuple[Problem, dict[str, Any], tuple[str, ...]]]":
-    """Yields the problems of `data/demo.jsonl`, their answers in the form of `handsight correct`, and the row of the
-    table in which both are compared with `data/demo_truth.jsonl`."""
+class Comparison(NamedTuple):
+    """A `Comparison` has the errors of an example's poses against the truth."""
+
+    name: str
+    problem: "Problem"
+    answer: dict[str, Any]
+    """In the form of `handsight correct`."""
+    vision: "CorrectionErrors"
+    corrected: "CorrectionErrors"
+
+
+def examples() -> Iterator[Comparison]:
+    """Yields the problems of `data/demo.jsonl`, solved and compared with `data/demo_truth.jsonl`."""
     import numpy as np
 
     from handsight import se3
@@ -109,15 +131,7 @@ def examples() -> "Iterator[tuple[Problem, dict[str, Any], tuple[str, ...]]]":
             correction_errors(problem.model, T, T_true, problem.contacts.points_palm, unobservable)
             for T in (T_vision, T_corrected)
         )
-        row = (
-            name,
-            f"{1e3 * vision.shift:.1f} → {1e3 * corrected.shift:.1f} mm",
-            f"{1e3 * vision.shift_observable:.1f} → {1e3 * corrected.shift_observable:.1f} mm",
-            f"{math.degrees(vision.turn):.1f} → {math.degrees(corrected.turn):.1f}°",
-            f"{1e3 * vision.gap:.1f} → {1e3 * corrected.gap:.2f} mm",
-            f"{len(answered['unobservable'])} of 6",
-        )
-        yield problem, answered, row
+        yield Comparison(name, problem, answered, vision, corrected)
 
 
 def find_can(plot: Path) -> str:
