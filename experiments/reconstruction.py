@@ -93,7 +93,7 @@ def trial(
     row: Row = {"object": name, "motion": motion, "fitted": fitted / len(Ts), "ms": 1e3 * taken / len(Ts)}
     row |= judged(model, points[found.measured], found.points[found.measured, 2])
     row["guessed mm"] = 1e3 * float(np.abs(model.evaluate(points[~found.measured]).distance).mean())
-    row["seen"] = found.share_measured
+    row["seen"] = float(found.measured.mean())
     thing, own = Thing(model, scenes.anywhere_on(model)), as_a_file(replace(found, points=points))
     corrected = [grasp(thing, own, rng) for _ in range(grasps)]
     for key in ("exact mm", "scan mm", "exact in 95%", "scan in 95%"):

@@ -14,8 +14,7 @@ from scipy.special import logit
 
 from handsight.vision import recognise
 from handsight.vision.object.first_pose import probabilities
-from handsight.vision.object.locate import LOCATE, recognition_of
-from handsight.vision.object.region import scene_of
+from handsight.vision.object.locate import LOCATE
 from shared import figures, report, sight, ycb
 from shared import sight_scenes as scenes
 from testbed.report import Array
@@ -27,12 +26,11 @@ THRESHOLDS = sorted({0.02, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9, LOCATE.min_probability}
 def trial(name: str, k: int, seed: int) -> report.Row:
     """Returns the log odds of each of ten objects in one picture."""
     of, picture = sight.picture(name, k, seed)
-    models = sight.objects()
-    answer = recognise(models, picture.depth, scenes.WIDE, mask=picture.wanted, hand=picture.hand)
+    models, image = sight.objects(), (picture.depth, scenes.WIDE)
+    answer = recognise(models, *image, mask=picture.wanted, hand=picture.hand)
     # Of an absent object nothing else changes than that it is not compared.
-    extent = LOCATE.max_plane * max(model.diameter for model in models.values())
-    scene = scene_of(scenes.WIDE, picture.depth, wanted=picture.wanted, hand=picture.hand, extent=extent)
     others = {each: found for each, found in answer.found.items() if each != of}
+    absent = recognise(models, *image, found=others, mask=picture.wanted, hand=picture.hand)
     odds = {
         each: float(logit(np.clip(found.probability, 1e-12, 1 - 1e-12)))
         for each, found in answer.found.items()
@@ -45,7 +43,7 @@ def trial(name: str, k: int, seed: int) -> report.Row:
         "seed": seed,
         "k": k,
         "named": answer.name or "none",
-        "absent": recognition_of(models, others, scene).name or "none",
+        "absent": absent.name or "none",
         "likeliest": next(iter(answer.scores)),
         "add_s": add_s,
     } | odds

@@ -49,44 +49,26 @@ def renamed_members(**names: str) -> Callable[[type[T]], type[T]]:
     return decorate
 
 
-def renamed_keywords(**names: str) -> Callable[[F], F]:
-    """Returns a decorator under which former names of a function's keywords still work.
+def renamed_arguments(*order: str, second: type | tuple[()] = (), **names: str) -> Callable[[F], F]:
+    """Returns a decorator under which former names of a function's keywords, and a former order, still work.
 
-    `names` maps an old name to the new one. Each use issues a DeprecationWarning.
+    `names` maps an old name to the new one. `order`: the names of the first arguments in their former order, in which
+    the second one was of the type `second`. Each use issues a DeprecationWarning.
     """
 
     def decorate(function: F) -> F:
+        new_order = ", ".join(function.__code__.co_varnames[: len(order)])
+
         @functools.wraps(function)
         def call(*args: object, **keywords: object) -> object:
+            name = function.__qualname__
+            if len(args) > 1 and isinstance(args[1], second):
+                _warn(f"{name}({', '.join(order)})", f"{name}({new_order})", stacklevel=3)
+                args, keywords = (), dict(zip(order, args, strict=False)) | keywords
             for old, new in names.items():
                 if old in keywords:
-                    name = function.__qualname__
                     _warn(f"{name}({old}=)", f"{name}({new}=)", stacklevel=3)
                     keywords[new] = keywords.pop(old)
-            return function(*args, **keywords)
-
-        return cast(F, call)
-
-    return decorate
-
-
-def reordered(*old: str, former: Callable[[tuple[object, ...]], bool]) -> Callable[[F], F]:
-    """Returns a decorator under which a function's first arguments may still come in a former order.
-
-    `old`: their names in that order; `former`: whether positional arguments are in it. Each use issues a
-    DeprecationWarning.
-    """
-
-    def decorate(function: F) -> F:
-        code = function.__code__
-        new = ", ".join(code.co_varnames[: len(old)])
-
-        @functools.wraps(function)
-        def call(*args: object, **keywords: object) -> object:
-            if former(args):
-                name = function.__qualname__
-                _warn(f"{name}({', '.join(old)})", f"{name}({new})", stacklevel=3)
-                args, keywords = (), dict(zip(old, args, strict=False)) | keywords
             return function(*args, **keywords)
 
         return cast(F, call)

@@ -125,15 +125,8 @@ def _type_text(form: object) -> str:
     if get_origin(first) is Literal:
         return " or ".join(map(str, get_args(first)))
     origin = get_origin(first) or first
-    names: dict[object, str] = {
-        tuple: "array",
-        list: "array",
-        float: "float",
-        int: "int",
-        str: "str",
-        bool: "bool",
-    }
-    return _kind_text(names.get(origin, "object"), form)
+    names = {str: "str", float: "float", int: "int", bool: "bool", tuple: "array", list: "array"}
+    return _kind_text(next((name for kind, name in names.items() if kind is origin), "object"), form)
 
 
 def alternatives(form: object) -> list[object]:

@@ -15,7 +15,7 @@ import handsight as hs
 from cli.commands import called, run
 from handsight import se3
 from handsight.cli.locate import MAX_INSTANCES
-from handsight.vision.object import first_pose_source
+from handsight.vision.object import locate as locating
 from handsight.vision.object.appearance import appearance_of
 from handsight.vision.object.locate import LOCATE
 from pictures import (
@@ -450,14 +450,14 @@ def test_what_is_no_picture_is_said(asked, tmp_path, monkeypatch):
 
 
 def test_ctrl_c_keeps_what_was_found(frames, monkeypatch, capsys):
-    calls, locate = iter(range(9)), first_pose_source.locate
+    calls, locate = iter(range(9)), locating.locate
 
     def interrupted(*args, **options):
         if next(calls) == 1:
             raise KeyboardInterrupt
         return locate(*args, **options)
 
-    monkeypatch.setattr(first_pose_source, "locate", interrupted)
+    monkeypatch.setattr(locating, "locate", interrupted)
     folder = frames.parent
     assert called(monkeypatch, folder, "locate", "frames", "--object", "letter.ply", "-o", "a.jsonl") == 130
     assert len(answers((folder / "a.jsonl").read_text())) == 1

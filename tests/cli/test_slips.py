@@ -21,8 +21,14 @@ def steps():
     return [SimpleNamespace(stamp=1000 + k / 10, slip=slip, **nothing) for k, slip in enumerate(said)]
 
 
+def tracker():
+    """A tracker that has done nothing but follow."""
+    nothing = {"corrections": 0, "images": {}, "link_margins": {}, "skin": SimpleNamespace(faults={})}
+    return SimpleNamespace(vision_latency=lambda: None, **nothing)
+
+
 def result_of(steps):
-    result = TrackResult("pulled", Tally(), [])
+    result = TrackResult("pulled", Tally(), [], tracker())
     for step in steps:
         result.add(step)
     return result
@@ -51,7 +57,7 @@ def test_where_nothing_slipped_nothing_is_said():
     run = result_of(steps()[:3])
     assert not run.slips
     assert not any("slip" in sentence for sentence in run.sentences())
-    assert TrackResult("nothing", Tally(), []).friction is None
+    assert TrackResult("nothing", Tally(), [], tracker()).friction is None
 
 
 def test_the_grip_is_said_while_it_goes_on():

@@ -146,7 +146,7 @@ def hints(kind: str, content: bytes, good: bool = False) -> None:
     """Reads a file of another program, and asserts what an image has of it, or that a sentence says why nothing."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "a").write_bytes(content)
-        given = Hints(["cup"], {"cup": 5}, [5], **{kind: Path(folder) / "a"})
+        given = Hints(["cup"], {"cup": 5}, **{kind: Path(folder) / "a"})
     lens = Camera(np.array([[30.5, 0, 15.5], [0, 30, 11.5], [0, 0, 1]]), (32, 24))
     for number in ((1, 0), None):
         frame = Frame(name="000000.png", camera=lens, depth=np.ones((24, 32), np.float32), number=number)

@@ -79,8 +79,9 @@ def written(path, content):
     return path
 
 
-def hints(path, content, kind="detections", names=("cup",), numbers=None, known=(3, 7)):
-    return Hints(names, {"cup": 3} if numbers is None else numbers, known, **{kind: written(path, content)})
+def hints(path, content, kind="detections", names=("cup",), numbers=None):
+    known = {"cup": 3, "can": 7} if numbers is None else numbers
+    return Hints(names, known, **{kind: written(path, content)})
 
 
 def test_detections_are_those_of_the_object_in_the_image(tmp_path):
@@ -108,13 +109,13 @@ def test_detections_are_those_of_the_object_in_the_image(tmp_path):
 
 
 def test_one_object_without_a_number_is_the_one_of_a_file_that_has_only_one(tmp_path):
-    alone = hints(tmp_path / "a.json", [entry(category_id=0)], numbers={}, known=())
+    alone = hints(tmp_path / "a.json", [entry(category_id=0)], numbers={})
     assert alone.beside(frame()).detections[0].label == "cup"
     with pytest.raises(
         InvalidFile,
         match="category_id: expected one object only, as cup has no number in a library, got 0, 1",
     ):
-        hints(tmp_path / "a.json", [entry(category_id=0), entry(category_id=1)], numbers={}, known=())
+        hints(tmp_path / "a.json", [entry(category_id=0), entry(category_id=1)], numbers={})
 
 
 def test_starts_are_the_best_poses_of_each_object(tmp_path):

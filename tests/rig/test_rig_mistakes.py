@@ -8,10 +8,10 @@ import pytest
 
 from handsight.errors import HandsightError, InvalidFile, InvalidInput
 from handsight.rig import Rig
-from handsight.rig.yaml_file import YAML_LIMITS
+from handsight.rig.yaml_file import MAX_BYTES, MAX_NAME_LENGTH, MAX_VALUES
 from rig.rigs import URDF, full, rig_text
 
-TOO_MANY = f"expected at most {YAML_LIMITS.max_values} values, got more (aliases of aliases?)"
+TOO_MANY = f"expected at most {MAX_VALUES} values, got more (aliases of aliases?)"
 
 
 @pytest.fixture(scope="module")
@@ -188,8 +188,8 @@ def test_a_rig_without_fingers_is_reported(folder):
         (b"\xff\xfe\x00", "expected YAML in UTF-8, got other bytes"),
         (b"version: 1 # \xe9", "expected YAML in UTF-8, got other bytes"),
         (
-            "#" * (YAML_LIMITS.max_bytes + 1),
-            f"expected at most {YAML_LIMITS.max_bytes} bytes, got {YAML_LIMITS.max_bytes + 1}",
+            "#" * (MAX_BYTES + 1),
+            f"expected at most {MAX_BYTES} bytes, got {MAX_BYTES + 1}",
         ),
         ("version: [1", "expected YAML, got: expected ',' or ']', but got '<stream end>'"),
         ("version: 1\n---\nversion: 1", "expected YAML, got: but found another document"),
@@ -198,11 +198,11 @@ def test_a_rig_without_fingers_is_reported(folder):
             "- " * 400 + "1",
             "expected a mapping of keys to values, got ",
         ),  # how deep Python says, its versions differ
-        ("a: [" + "1," * YAML_LIMITS.max_values, TOO_MANY),
-        ("a: 1\n" * (YAML_LIMITS.max_values + 1), TOO_MANY),
+        ("a: [" + "1," * MAX_VALUES, TOO_MANY),
+        ("a: 1\n" * (MAX_VALUES + 1), TOO_MANY),
         ("a: &a\n  <<: *a\n  b: 1\n", "expected YAML, got tags, merges or aliases that stand for nothing"),
         ("a: " + "9" * 5000, "expected YAML, got: Exceeds the limit"),
-        ("version: 1\n" + "x" * 900 + ": 1\n", "x" * YAML_LIMITS.max_name_length + ": unknown key"),
+        ("version: 1\n" + "x" * 900 + ": 1\n", "x" * MAX_NAME_LENGTH + ": unknown key"),
         ("version: \0", "expected YAML, got: "),
         ("? [a]\n: 1\n", "file: expected names as keys, got "),
         ("version: *a", "expected YAML, got: found undefined alias 'a'"),

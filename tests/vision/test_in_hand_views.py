@@ -27,6 +27,11 @@ SIGMA_JOINT = float(np.deg2rad(1.0))
 LETTER = ObjectModel.from_mesh(*letter())
 
 
+def middle_of(hand, joint_positions):
+    """The mean of the fingertips in the palm."""
+    return hand.Ts_palm_tip(joint_positions)[:, :3, 3].mean(axis=0)
+
+
 @functools.cache
 def grip():
     """Joints as believed, the hand's true triangles, the can's in the palm, and its pose there."""
@@ -34,7 +39,7 @@ def grip():
     believed, shape = curled(hand, rng), hand.shape()
     true = {name: value + SIGMA_JOINT * rng.normal() for name, value in believed.items()}
     vertices = shape.vertices_palm(true)
-    middle = InHandView(hand, SIGMA_JOINT).middle(believed)
+    middle = middle_of(hand, believed)
     away = middle - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     T_palm_object = se3.compose(se3.random(rng)[:3, :3], middle + 0.35 * away)
     return hand, believed, (vertices, shape.faces), T_palm_object
@@ -74,7 +79,7 @@ def test_what_is_turned_in_the_hand_is_found_without_a_piece_of_the_hand():
     hand, believed, _, T_palm_object = grip()
     held = InHandView(hand, SIGMA_JOINT)
     Ts, images = scene(12)
-    T_palm_middle = se3.compose(np.eye(3), held.middle(believed))
+    T_palm_middle = se3.compose(np.eye(3), middle_of(hand, believed))
     rec = Reconstruction(CAMERA, IN_HAND_BOUNDS / 1.5)
     for T, depth in zip(Ts, images, strict=True):
         alone = held.without_hand(CAMERA, depth, believed, T)
@@ -93,7 +98,7 @@ def grip_of(model, seed, n=14, share=0.7):
     vertices = shape.vertices_palm(
         {name: value + SIGMA_JOINT * rng.normal() for name, value in believed.items()}
     )
-    middle = InHandView(hand, SIGMA_JOINT).middle(believed)
+    middle = middle_of(hand, believed)
     R, away = se3.random(rng)[:3, :3], middle - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     T_palm_object = se3.compose(R, middle + 0.25 * away - R @ model.center_object)
     there = se3.apply(T_palm_object, np.array(model.vertices))

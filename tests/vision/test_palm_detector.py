@@ -25,7 +25,7 @@ from handsight.vision import STRUCTURED_LIGHT, HandAppearance
 from handsight.vision.candidates import candidates_at, poses_of
 from handsight.vision.palm.hand_appearance import APPEARANCE
 from handsight.vision.palm.hand_in_image import HandInImage
-from handsight.vision.palm.palm_search import PALM_SEARCH, Picture, _shifts, _turns, picture_of
+from handsight.vision.palm.palm_detector import PALM_SEARCH, Picture, _shifts, _turns, picture_of
 
 if find_spec("gymnasium_robotics") is None:  # it is not imported: only its files are used
     pytest.skip("the Shadow hand's files come with handsight[sim]", allow_module_level=True)
@@ -126,7 +126,7 @@ def laid(seed, bound=0.012):
     """A picture, the hand in it, the points that are seen, and the pose at which a descent on them ends."""
     drawn = scene(seed, held=False)
     hand = shadow()[2].placed(drawn.joints)
-    picture = picture_of(CAMERA, drawn.depth, hand, drawn.T_camera_palm, 0.01)
+    picture = picture_of(CAMERA, drawn.depth, hand, drawn.T_camera_palm, (0.01, 0.01))
     skin = np.ascontiguousarray(hand.skin[:, hand.visible_from(CAMERA, drawn.T_camera_palm)])
     look = candidates_at(off(hand, drawn.T_camera_palm, np.random.default_rng(seed), 0.003, 0.01)[None])
     stages = np.array([(0, bound, bound, 60, 1)], dtype=STAGE)

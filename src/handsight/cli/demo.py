@@ -80,21 +80,19 @@ def demo(
         out.print(find_can(plot.with_name(f"{plot.stem}-picture{plot.suffix}")))
     except MissingExtra as error:
         out.print(f"no image searched: {error}")
-    results = []
+    tracks = []
     try:
         for name in NAMES:
             result, sentence = replayed(name, plot.with_name(f"{plot.stem}-{name}{plot.suffix}"))
-            results.append(result)
             out.print(sentence)
+            vision, tracked = (result.errors[which].summary() for which in ("vision", "tracked"))
+            errors = vision["base_mean"], tracked["base_mean"], tracked["base_last"]
+            faster = f"{result.tally.recorded / result.tally.wall:.0f}x"
+            texts = (*(f"{mm:.1f} mm" for mm in errors), str(result.tracker.corrections), faster)
+            tracks.append((result.name, *texts))
     except MissingExtra as error:
         out.print(f"no recordings replayed: {error}")
         return
-    tracks = []
-    for result in results:
-        vision, tracked = (result.errors[name].summary() for name in ("vision", "tracked"))
-        errors = [f"{mm:.1f} mm" for mm in (vision["base_mean"], tracked["base_mean"], tracked["base_last"])]
-        faster = result.tally.recorded / result.tally.wall
-        tracks.append((result.name, *errors, str(result.corrections), f"{faster:.0f}x"))
     columns = ("recording", "vision", "tracked", "at the end", "corrections", "real time")
     title = "Recordings replayed: error of the base's centre on the table, as the paper measures it"
     out.print(table(columns, tracks, title=title))

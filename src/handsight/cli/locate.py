@@ -31,6 +31,8 @@ MAX_INSTANCES = 100
 """Most instances of one object in an image."""
 MOST_PANELS = 6
 """Number of images in the picture."""
+COLUMNS = "x, y, z in the camera [mm]", "± [mm]", "± [°]", "explained", "weight", "others", "ms"
+"""Columns of the table, behind those of the image and of the object."""
 MAX_MESSAGES = 5
 """Number of messages about unreadable images, and about images without the object."""
 
@@ -170,7 +172,7 @@ def locate(
     from handsight.checks import suggestion
     from handsight.objects.library import Library, NoLibrary
     from handsight.recording.bop import Hints
-    from handsight.recording.frames import Beside, Frame, is_recording, open_frames, within
+    from handsight.recording.frames import Beside, Frame, is_recording, open_frames, recorded_frames, within
     from handsight.vision.depth_noise import PRESETS, STRUCTURED_LIGHT
 
     announce_compiling()
@@ -188,10 +190,13 @@ def locate(
         alone = {"depth-camera": depth_camera, "detections": detections, "start": start, "targets": targets}
         for option in (option for option, given in alone.items() if given is not None):
             raise InvalidInput(f"--{option}: expected beside depth images, got it beside {images}")
+        if beside != Beside():
+            what = "expected no camera, colour, mask or depth scale beside a recording"
+            raise InvalidInput(f"{images}: {what}")
         robot, rig_path = find_rig(images, rig)
         models = find_models(names, robot, rig_path)
         noise = STRUCTURED_LIGHT if robot.camera is None else PRESETS[robot.camera.depth_camera]
-        frames = open_frames(images, beside, robot)
+        frames = recorded_frames(images, robot)
     else:
         if rig is not None:
             raise InvalidInput(f"--rig: expected beside a recording, got it beside {images}")
@@ -214,9 +219,7 @@ def locate(
                 known = {entry.name: entry.number for entry in Library(library).entries()}
             except NoLibrary:
                 known = {}
-            asked = {name: known[name] for name in models if name in known}
-            files = {"detections": detections, "start": start, "targets": targets}
-            hints = Hints(list(models), asked, known.values(), **files)
+            hints = Hints(list(models), known, detections=detections, start=start, targets=targets)
             for sentence in hints.sentences:
                 terminal.say(f"handsight: {sentence}")
             frames = frames._replace(
@@ -278,7 +281,7 @@ def _locate_each(
 
     done, found, locate_in, several = 0, 0, None, len(models) > 1 or bool(counts)
     panels, cells = list["Located | LocatedAll"](), list[list[str]]()  # for the picture, and for the table
-    unread, missed = list[str](), list[str]()  # messages about images
+    unread, missed = list[str](), list[str]()  # why images cannot be read, or do not show an object
     as_table = output is None and sys.stdout.isatty()
     with (
         terminal.kept_going() as end,
@@ -298,7 +301,7 @@ def _locate_each(
             row: Row
             if isinstance(frame, Unread):
                 row = frame
-                unread.append(f"handsight: {frame.reason}")
+                unread.append(frame.reason)
             else:
                 locate_in = locate_in or locator(models, noise, counts)
                 row = locate_in(frame)
@@ -315,29 +318,23 @@ def _locate_each(
             move(done / frames.total if frames.total else None, f"{done} of {frames.total or '?'} images")
     if cells:
         title = (f"{len(models)} objects" if len(models) > 1 else next(iter(models))) + " in depth images"
-        columns = [
-            "image",
-            *["object"] * several,
-            "x, y, z in the camera [mm]",
-            "± [mm]",
-            "± [°]",
-            "explained",
-        ]
-        columns += ["weight", "others", "ms"]
+        columns = ["image", *["object"] * several, *COLUMNS]
         terminal.print_out(terminal.table(columns, cells, texts=1 + several, title=title))
     if isinstance(end.error, HandsightError) and not done:
         raise end.error
-    drawn = [draw(panels, plot)] if plot is not None and panels else []
-    if more := unread[MAX_MESSAGES:]:
-        unread[MAX_MESSAGES:] = [f"handsight: {len(more)} more images cannot be read"]
-    wrote = (
-        []
-        if output is None or isinstance(end.error, NotWritten)
-        else [f"wrote {output}: found in {found} of {done} images"]
-    )
-    stopped = f"handsight: stopped after {done} images; what was found is kept"
-    ended = [end.message or stopped] if end.exit_code else []
-    for sentence in (*unread, *wrote, *missed[: MAX_MESSAGES if cells else 0], *ended, *drawn):
+    sentences = [f"handsight: {reason}" for reason in unread[:MAX_MESSAGES]]
+    if more := len(unread[MAX_MESSAGES:]):
+        sentences.append(f"handsight: {more} more images cannot be read")
+    if output is not None and not isinstance(end.error, NotWritten):
+        sentences.append(f"wrote {output}: found in {found} of {done} images")
+    if cells:
+        sentences += missed[:MAX_MESSAGES]
+    if end.exit_code:
+        stopped = f"handsight: stopped after {done} images; what was found is kept"
+        sentences.append(end.message or stopped)
+    if plot is not None and panels:
+        sentences.append(draw(panels, plot))
+    for sentence in sentences:
         terminal.say(sentence)
     if end.exit_code or not unread:
         return end.exit_code
@@ -357,9 +354,8 @@ def locator(
 
     from handsight.camera import Camera
     from handsight.recording.detections import Located, LocatedAll
-    from handsight.vision import locate_all
+    from handsight.vision import ObjectDetection, locate_all, recognise
     from handsight.vision.object.first_pose import first_pose
-    from handsight.vision.object.locate import LOCATE, recognise, recognition_of
     from handsight.vision.object.region import scene_of
     from handsight.vision.object.shape_index import ShapeIndex
 
@@ -379,21 +375,15 @@ def locator(
         beside = frame.detections is not None or frame.starts is not None
         most = {name: n for name, n in (frame.targets or counts or {}).items() if n is not None}
         if counts is None or (len(models) == 1 and not counts and max(most.values(), default=1) == 1):
-            recognition = None
+            here, which = dict[str, ObjectDetection](), None
             if beside or len(models) == 1:
-                each = {name: _found_beside(frame, model, name, noise)[0] for name, model in asked.items()}
-                if len(models) > 1:
-                    extent = LOCATE.max_plane * max(model.diameter for model in asked.values())
-                    here = scene_of(camera, depth, wanted=mask, hand=hand, extent=extent)
-                    recognition = recognition_of(asked, each, here)
-            else:
-                recognition = recognise(asked, depth, camera, mask=mask, hand=hand, noise=noise)
-                each = recognition.found
-            name = next(iter(recognition.scores)) if recognition else next(iter(each))
-            model, seconds = models[name], time.perf_counter() - started
-            return Located(
-                frame=frame, model=model, found=each[name], seconds=seconds, recognition=recognition
-            )
+                here = {name: _found_beside(frame, model, name, noise)[0] for name, model in asked.items()}
+            if len(models) > 1:
+                which = recognise(asked, depth, camera, found=here, mask=mask, hand=hand, noise=noise)
+                here = which.found
+            name, seconds = next(iter(here)), time.perf_counter() - started
+            model, one = models[name], here[name]
+            return Located(frame=frame, model=model, found=one, seconds=seconds, recognition=which)
         if beside:
             found = {
                 name: _found_beside(frame, model, name, noise, each=True) for name, model in asked.items()
@@ -414,7 +404,7 @@ def _found_beside(
     that of each of the best detections by itself."""
     from handsight.observation import Detection2D
     from handsight.vision import locate_detected
-    from handsight.vision.object.first_pose_source import MAX_DETECTIONS
+    from handsight.vision.object.locate import MAX_DETECTIONS
 
     known = (Detection2D(),) if frame.detections is None else frame.detections
     mine = sorted((one for one in known if one.label in ("", name)), key=lambda one: -(one.score or 1.0))

@@ -66,10 +66,8 @@ def show(name: Name, library: LibraryPlace = None) -> None:
         if facts.mass is not None:
             known["mass"] = f"{1e3 * facts.mass:.4g} g"
         if facts.center_of_mass is not None:
-            place, sigma = (
-                ", ".join(f"{1e3 * x:.1f}" for x in facts.center_of_mass),
-                facts.sigma_center_of_mass,
-            )
+            place = ", ".join(f"{1e3 * x:.1f}" for x in facts.center_of_mass)
+            sigma = facts.sigma_center_of_mass
             known["centre of mass"] = f"[{place}] mm" + (f" ± {1e3 * sigma:.1f} mm per axis" if sigma else "")
         known |= {key: text for key in ("licence", "source") if (text := getattr(facts, key))}
         known["SHA-256"] = facts.sha256

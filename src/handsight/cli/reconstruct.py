@@ -73,8 +73,6 @@ def reconstruct(
 
     After an error or Ctrl-C, the model from the views until then is written.
     """
-    import numpy as np
-
     from handsight.objects.files import Shape, ply_bytes
     from handsight.recording import open_recording
 
@@ -96,17 +94,11 @@ def reconstruct(
         messages = [f"{recording}: cut: {cut}; what lies before was read"] if cut else []
         messages += [end.message] if end.message else []
     try:
-        model = fusion.model()
+        model, sentences = fusion.model()
         content = ply_bytes(Shape(model.points, sigmas=model.sigmas), 1.0, model.measured)
         with write_errors(output), atomic_file(output) as file:
             file.write(content)
-        size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(model.points, axis=0))
-        guessed = "; ".join(model.guesses) or "nothing"
-        messages += [
-            *fusion.sentences(),
-            f"{size} mm, at most {100 * fusion.observed:.0f} % of the closed surface measured; guessed: {guessed}",
-            f"wrote {output}: {len(model.points)} points",
-        ]
+        messages += [*sentences, f"wrote {output}: {len(model.points)} points"]
     finally:
         for sentence in messages:
             say(sentence)
@@ -132,10 +124,6 @@ class Fusion:
     """Number of depth images that were left out, by reason."""
     fitted: int = 0
     """Number of depth images that fitted the surface."""
-    grips: "list[str]" = field(default_factory=list)
-    """Sentences on the grips."""
-    observed: float = 0.0
-    """At most which share of the closed surface is measured."""
 
     def add_recording(self, recording: "Recording", rig: "Rig", watch: "Callable[[Fusion], None]") -> None:
         """Fuses the depth images of a recording; raises InvalidInput where there are none."""
@@ -170,30 +158,30 @@ class Fusion:
             self.images += 1
             watch(self)
 
-    def model(self) -> "ReconstructedModel":
-        """Returns the object's model; raises InvalidInput where too little of it was measured."""
-        from handsight.vision.reconstruction.completion import (
-            closed,
-            one_object,
-            share_observed,
-        )
+    def model(self) -> "tuple[ReconstructedModel, list[str]]":
+        """Returns the object's model, and sentences about it; raises InvalidInput where too little was measured."""
+        import numpy as np
+
+        from handsight.vision.reconstruction.completion import closed, one_object, share_observed
         from handsight.vision.reconstruction.grips import InHandReconstruction
 
         min_views, min_points = 5, 100
         if self.reconstruction is None:
             where = (
-                f"in the hand, got none in {self.images}"
-                if self.in_hand
-                else f"on a table, got none in {self.images}"
+                f"{'in the hand' if self.in_hand else 'on a table'}, got none in {self.images} depth images"
             )
-            raise InvalidInput(f"recording: expected an object {where} depth images{self.reasons}")
+            raise InvalidInput(f"recording: expected an object {where}{self.reasons}")
         if self.views < min_views:
             raise InvalidInput(
                 f"recording: expected at least {min_views} views of different sides, got {self.views} "
                 f"in {self.images} depth images, of which {self.fitted} fitted{self.reasons}"
             )
+        misfits = self.images - self.skipped.total() - self.fitted
+        used = f"{self.views} views fused of {self.images} depth images, {misfits} did not fit"
+        sentences = [used + (f"; left out{self.reasons}" if self.skipped else "")]
         if isinstance(self.reconstruction, InHandReconstruction):
-            volume, surface, self.grips = self.reconstruction.merged()
+            volume, surface, grips = self.reconstruction.merged()
+            sentences += grips
         else:
             volume = self.reconstruction.volume
             surface = one_object(volume.surface(), volume, table=True)
@@ -202,8 +190,11 @@ class Fusion:
                 f"recording: expected a surface of at least {min_points} points, got {len(surface.points)} "
                 "(do depth, intrinsics and the camera's pose belong together?)"
             )
-        self.observed = share_observed(surface, volume)
-        return closed(surface, volume, table=not self.in_hand, symmetries=self.guesses)
+        model = closed(surface, volume, table=not self.in_hand, symmetries=self.guesses)
+        size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(model.points, axis=0))
+        observed, guessed = 100 * share_observed(surface, volume), "; ".join(model.guesses) or "nothing"
+        shown = f"{size} mm, at most {observed:.0f} % of the closed surface measured; guessed: {guessed}"
+        return model, [*sentences, shown]
 
     @property
     def views(self) -> int:
@@ -215,12 +206,6 @@ class Fusion:
         """Why images were left out, in brackets, or nothing."""
         counted = ", ".join(f"{reason}: {count}" for reason, count in self.skipped.most_common())
         return f" ({counted})" if counted else ""
-
-    def sentences(self) -> list[str]:
-        """Returns how many images were used, and why not the others."""
-        misfits = self.images - self.skipped.total() - self.fitted
-        used = f"{self.views} views fused of {self.images} depth images, {misfits} did not fit"
-        return [used + (f"; left out{self.reasons}" if self.skipped else ""), *self.grips]
 
     def progress(self) -> list[tuple[str, str]]:
         """Returns names and values that show the progress."""

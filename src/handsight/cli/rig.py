@@ -1,8 +1,9 @@
-"""`handsight rig check` and `handsight calibrate`: a rig file compared with a recording."""
+"""`handsight rig` and `handsight calibrate`: a first rig file, and a rig file compared with a recording."""
 
 import contextlib
 import math
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,20 +11,21 @@ import typer
 from typer import Argument, Option
 
 from handsight.cli.options import ObjectName, RecordingPath, RigPath, Run, find_rig
-from handsight.cli.rig_new import new
 from handsight.cli.terminal import kept_going, plain_table, print_out, say
 from handsight.cli.track import latency_text, print_diagnosis, refusals
-from handsight.errors import HandsightError, InvalidInput, printable
+from handsight.errors import HandsightError, InvalidFile, InvalidInput, printable
+from handsight.files import write_errors
 
 if TYPE_CHECKING:
     from handsight.checks import Array
+    from handsight.hand.guess import GuessedTip
     from handsight.rig import Rig
 
 rig_app = typer.Typer(
     help="Check the file that describes a robot: hand, fingertips, camera.", no_args_is_help=True
 )
 calibrate_app = typer.Typer(help="Estimate a robot's constant errors from a recording.", no_args_is_help=True)
-rig_app.command("new")(new)
+EXAMPLES = Path(__file__).parents[1] / "data" / "rigs"
 INTO_FINGER = -0.5
 """A tip whose +z has a smaller cosine with the way from its last joint to it points into its finger."""
 WHY_UNTOUCHED = {
@@ -32,7 +34,135 @@ WHY_UNTOUCHED = {
 }
 
 
-@rig_app.command("check")
+@rig_app.command()
+def new(
+    hand: Annotated[Path | None, Argument(help="The hand's URDF or MJCF.")] = None,
+    recording: Annotated[Path | None, Argument(help="A recording, whose topics the rig is to have.")] = None,
+    output: Annotated[
+        Path | None, Option("--output", "-o", help="File for the rig. Default: HAND.rig.yaml in this folder.")
+    ] = None,
+    like: Annotated[
+        str | None, Option(metavar="NAME", help="Copy the example rig of this hand, such as allegro.")
+    ] = None,
+) -> None:
+    """Write the first rig of a hand, with a comment beside each key, to be checked and completed.
+
+    The palm and the fingertips are guessed from the hand's file: fingers end in the last links that move, tips are
+    spheres that fit the ends of their meshes. Topics are matched by the types of their messages and by their names;
+    those of taxels, and a URDF's tactile sensors, give `skin`. All that was guessed is printed, and at the head of the
+    file. What no file says has to be filled in: each sensor's pose, `reading` and noise, the camera's pose, the object.
+    A file that exists is never overwritten.
+
+    ```
+    handsight rig new my_hand.urdf grasp.mcap
+    handsight rig new --like allegro
+    ```
+    """
+    examples = {path.name.removesuffix(".rig.yaml"): path for path in sorted(EXAMPLES.glob("*.rig.yaml"))}
+    if hand is not None and like is None:
+        text, name = _guessed(hand, recording), hand.stem
+    elif hand is None and like is not None:
+        if like not in examples:
+            raise InvalidInput(f"--like: expected one of {', '.join(examples)}, got {like!r:.60}")
+        text, name = examples[like].read_text(encoding="utf-8"), like
+    else:
+        came = "neither" if like is None else "both"
+        raise InvalidInput(f"expected the hand's file, or --like and the name of an example, got {came}")
+    path = output or Path(f"{name}.rig.yaml")
+    with write_errors(path):
+        try:
+            with path.open("x", encoding="utf-8") as file:
+                file.write(text)
+        except FileExistsError:
+            raise InvalidFile(
+                f"{path}: expected a new file, got one that exists; --output names another"
+            ) from None
+    say(
+        f"wrote {path}; next: handsight rig check {path}{'' if recording is None else f' {recording}'} --plot hand.png"
+    )
+
+
+def _guessed(file: Path, recording: Path | None) -> str:
+    """Returns the text of a rig, with what was guessed at its head, and prints that; raises InvalidFile."""
+    import numpy as np
+
+    from handsight import se3
+    from handsight.contact import Sphere, WrenchCalibration
+    from handsight.hand import Hand
+    from handsight.hand.guess import guess_hand
+    from handsight.messages.match import match_taxels, match_topics
+    from handsight.recording.open import open_files
+    from handsight.rig import Finger, MountedCamera, Rig, Topics, save
+
+    palm, tips = guess_hand(file)
+    types = dict[str, str]()
+    for source in open_files(recording) if recording is not None else ():
+        types |= source.topics
+        source.close()
+    topics, used = match_topics(types, list(tips))
+    skin = _skin(file, tips, match_taxels(types, list(tips)))
+    if recording is None:
+        topics = Topics(wrenches={name: f"/{name}/wrench" for name in tips})
+    unread = WrenchCalibration(*(np.zeros(3), np.zeros(3), 0.0, np.zeros(3)), reading="on_sensor")
+    fingers = {
+        name: Finger(
+            frame=tip.link,
+            T_frame_surface=tip.T_link_surface,
+            tip=Sphere(tip.radius, cap=-tip.radius / 2, T_surface_sensor=se3.inverse(tip.T_link_surface)),
+            calibration=unread,
+        )
+        for name, tip in tips.items()
+    }
+    in_images = topics.vision is not None or topics.depth is not None
+    rig = Rig(
+        hand=Hand.from_file(file, palm=palm, tips={name: tip.link for name, tip in tips.items()}),
+        fingers=fingers,
+        camera=MountedCamera() if in_images else None,
+        world_from="tf" if topics.tf is not None else None,
+        topics=topics,
+    )
+    lines = [f"palm: {palm}, the last link that all fingers hang on"]
+    lines += [
+        f"finger {name}: {tip.link} is its tip, a sphere of {1e3 * tip.radius:.1f} mm by its mesh: measure it"
+        for name, tip in tips.items()
+    ]
+    lines += [f"topic {topic}: {what}" for topic, what in used.items()]
+    lines += [f"skin {name}: of {entry.get('topic', 'a topic to fill in')}" for name, entry in skin.items()]
+    if others := sorted(types.keys() - used.keys() - {entry.get("topic") for entry in skin.values()}):
+        lines.append(f"not used: {', '.join(others)}")
+    if topics.wrenches:
+        lines.append(
+            "to fill in: each sensor's pose, reading (on_sensor or on_tip), noise, bias and tip_mass"
+        )
+    lines.append("to fill in: the camera's pose, and objects" if in_images else "to fill in: objects")
+    for line in lines:
+        say(line)
+    head = "".join(f"# Guessed: {line}\n" for line in lines).replace("Guessed: to fill", "To fill")
+    guess = "# Each at the end of its tip, z out of the skin, y along its columns: measure, count, see docs/sensors.md"
+    surfaces = [f"  {save.inline(name)}: {save.inline(entry)}" for name, entry in skin.items()]
+    return head + save.text(rig) + "".join(f"{line}\n" for line in [guess, "skin:", *surfaces] if surfaces)
+
+
+def _skin(
+    file: Path, tips: "Mapping[str, GuessedTip]", taxels: "Mapping[str, Mapping[str, object]]"
+) -> dict[str, dict[str, object]]:
+    """Returns the rig's entries of tactile surfaces: those of the hand's URDF, else one at the end of each tip."""
+    from handsight import se3
+    from handsight.rig.layouts import tactile_sensors
+
+    topic = {"topic": entry["topic"] for entry in taxels.values()}  # noqa: B035 - the last one
+    skin = {name: {"urdf": name, "threshold": 0.1, **topic} for name in tactile_sensors(file)}
+    for finger, entry in taxels.items() if not skin else ():
+        T, radius = tips[finger].T_link_surface, tips[finger].radius
+        end = {
+            "position": T[:3, 3] + radius * T[:3, 2],
+            "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3]),
+        }
+        skin[f"{finger}_tip"] = {"frame": tips[finger].link, "pose": end, **entry}
+    return skin
+
+
+@rig_app.command()
 def check(
     rig: Annotated[Path, Argument(help="A rig file, such as rig.yaml.")],
     recording: Annotated[Path | None, Argument(help="A recording to check it against.")] = None,
@@ -160,9 +290,8 @@ def _print_values(run: "Run") -> None:
         for _ in replay(opened.observations(), tracker, Tally()):
             diagnoser.watch()
     print_diagnosis(diagnoser.diagnosis())
-    if (latency := tracker.vision_latency()) is not None:
-        for sentence in latency_text(latency, tracker.vision.camera.latency):
-            typer.echo(printable(sentence))
+    for sentence in latency_text(tracker):
+        typer.echo(printable(sentence))
     if not tracker.links:
         lacks = "the hand's file has no shapes" if run.model.closed else "the object has no inside"
         typer.echo(printable(f"No link keeps the object out: {lacks}."))
@@ -281,7 +410,9 @@ def _print_rig(rig: "Rig", name: str) -> None:
     hand = rig.hand
     title = f"{name}: {len(hand.tips)} fingers on {hand.palm}, {len(hand.joint_names)} joints"
     print_out(printable(title) + "\n", soft_wrap=True)
-    shapes, sensors = [], []
+    joints = dict(zip(hand.joint_names, np.clip(0.0, *hand.limits.T).tolist(), strict=True))
+    poses = dict(zip(hand.tips, hand.Ts_palm_tip(joints), strict=True))
+    shapes, places, sensors = list[tuple[str, ...]](), list[tuple[str, ...]](), list[tuple[str, ...]]()
     for finger, of in rig.fingers.items():
         tip, topics = of.tip, rig.topics
         sizes = " x ".join(f"{1e3 * a:g}" for a in tip.semi_axes)
@@ -290,30 +421,22 @@ def _print_rig(rig: "Rig", name: str) -> None:
         friction = "any" if tip.max_friction is None else f"{tip.max_friction:g}"
         sigmas = f"{1e3 * of.sigma_point:g}", f"{math.degrees(of.sigma_normal):.2g}"
         shapes.append((finger, of.frame, shape, cap, friction, *sigmas))
+        T = poses[finger] @ of.T_frame_surface
+        center = ", ".join(f"{x:.1f}" for x in np.round(1e3 * T[:3, 3], 1) + 0.0)  # no -0
+        along = ", ".join(f"{x:.2f}" for x in np.round(T[:3, 2], 2) + 0.0)
+        places.append((finger, center, along))
         topic = topics.wrenches.get(finger, topics.contacts.get(finger, "none"))
         noise = f"{1e3 * of.sigma_force:g}", f"{1e3 * of.sigma_torque:g}"
         ranges = ("?", "?") if of.full_scale is None else (f"{value:g}" for value in of.full_scale)
-        if topic == "none" and not of.calibration.mass:
-            continue
-        sensors.append((finger, topic, *noise, *ranges, f"{1e3 * of.calibration.mass:g}"))
-    joints = dict(zip(hand.joint_names, np.clip(0.0, *hand.limits.T).tolist(), strict=True))
-    poses = dict(zip(hand.tips, hand.Ts_palm_tip(joints), strict=True))
-    places = []
-    for finger, of in rig.fingers.items():
-        T = poses[finger] @ of.T_frame_surface
-        center, along = (
-            [f"{x:.{digits}f}" for x in np.round(row, digits) + 0.0]
-            for digits, row in ((1, 1e3 * T[:3, 3]), (2, T[:3, 2]))
-        )
-        places.append((finger, ", ".join(center), ", ".join(along)))
-    bold = {"header_style": "bold underline"}
-    columns = ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")
-    print_out(plain_table(columns, shapes, texts=2, **bold), "")
-    at_zero = ("with joints at 0", "centre in the palm [mm]", "points along")
-    print_out(plain_table(at_zero, places, texts=1, **bold), "")
-    columns = ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")
-    if sensors:
-        print_out(plain_table(columns, sensors, texts=2, **bold), "")
+        if topic != "none" or of.calibration.mass:
+            sensors.append((finger, topic, *noise, *ranges, f"{1e3 * of.calibration.mass:g}"))
+    for table, texts, columns in (
+        (shapes, 2, ("fingertip", "moves with", "shape [mm]", "cap [mm]", "friction", "± [mm]", "± [°]")),
+        (places, 1, ("with joints at 0", "centre in the palm [mm]", "points along")),
+        (sensors, 2, ("sensor", "topic", "noise [mN]", "[mN m]", "range [N]", "[N m]", "tip [g]")),
+    ):
+        if table:
+            print_out(plain_table(columns, table, texts=texts, header_style="bold underline"), "")
     constant, random = math.degrees(rig.sigma_joint_offset), math.degrees(rig.sigma_joint)
     sources = {"tf": f"from {rig.topics.tf}", "joints": "from the joints", None: "not known"}
     rows = [

@@ -155,7 +155,8 @@ def tracked(
     with run.opened() as (recording, tracker):
         files = [(file.path, file.path.stat().st_mtime_ns) for file in recording.report.files]
         seal = hashlib.sha256(pickle.dumps((run, files, STAMP, version("handsight")))).hexdigest()
-        log, result = TrackLog(folder, seal), TrackResult(printable(run.recording.name), Tally(), Truths([]))
+        log = TrackLog(folder, seal)
+        result = TrackResult(printable(run.recording.name), Tally(), Truths([]), tracker)
         place, tracker, diagnoser, result = log.state or (None, tracker, Diagnoser(tracker), result)
         if place is not None:
             say(f"{log.folder}: goes on after {result.poses} poses, where it had ended early")
@@ -186,14 +187,7 @@ def tracked(
             raise end.error
         result.messages = [*recording.report.sentences(), *recording.lacks()]
         result.truths = Truths(recording.truth)
-    result.images, result.corrections, result.faults = (
-        tracker.images,
-        tracker.corrections,
-        tracker.skin.faults,
-    )
-    result.margins, result.reason = tracker.link_margins, tracker.reason
-    result.diagnosis = diagnoser.diagnosis()
-    result.latency, result.latency_declared = tracker.vision_latency(), tracker.vision.camera.latency
+    result.reason, result.diagnosis = tracker.reason, diagnoser.diagnosis()
     if not tally.answered and not tally.observations:
         result.reason = "the recording has no observation"
     elif not tally.answered and tally.refused.total() == tally.observations:
@@ -257,6 +251,7 @@ class TrackResult:
     """Name of the recording."""
     tally: "Tally"
     truths: "Truths"
+    tracker: "Tracker"
     steps: "list[Step]" = field(default_factory=list)
     """The first step, and each `every`-th after it: less than `MAX_STEPS` for the picture and the errors."""
     every: int = 1
@@ -275,23 +270,12 @@ class TrackResult:
     """The coefficient of friction between object and fingertips as estimated at the end."""
     messages: list[str] = field(default_factory=list)
     """Sentences about what is wrong with the recording."""
-    corrections: int = 0
     reason: str = ""
     """The reason for the tracker's last state, or why there is no pose."""
     errors: "dict[str, TrackErrors]" = field(default_factory=dict)
     """Errors of "vision" and "tracked" against the truth, if the recording has it."""
     untouched: dict[str, dict[str, int]] = field(default_factory=dict)
     """For each finger that never touched anything: the number of observations without a contact, by reason."""
-    margins: dict[str, float] = field(default_factory=dict)
-    """For each link of the hand whose shape in the hand's file is too large: by how much [m]."""
-    images: dict[str, int] = field(default_factory=dict)
-    """Counts of depth images, if any were used: searched, object found, searched for the hand, hand found."""
-    faults: dict[str, str] = field(default_factory=dict)
-    """What is wrong with tactile arrays at the end, by name."""
-    latency: tuple[float, float] | None = None
-    """How much older vision's poses are than their stamps, and its standard deviation [s]; None without vision."""
-    latency_declared: float = 0.0
-    """What the rig says of it [s]."""
     weight: "ObjectWeight | None" = None
     """The object's weight, as measured last in the air."""
     diagnosis: "Diagnosis | None" = None
@@ -335,12 +319,12 @@ class TrackResult:
 
     def summary(self) -> dict[str, object]:
         """Returns the result in numbers, ready for JSON."""
-        tally, weight = self.tally, self.weight
+        tally, tracker, weight, latency = self.tally, self.tracker, self.weight, self.tracker.vision_latency()
         return {
             "recording": self.name,
             "observations": tally.observations,
             "poses": tally.answered,
-            "corrections": self.corrections,
+            "corrections": tracker.corrections,
             "seconds_recorded": tally.recorded,
             "seconds_taken": tally.wall,
             "real_time_factor": tally.recorded / tally.wall if tally.wall else None,
@@ -349,10 +333,12 @@ class TrackResult:
             "refused": dict(tally.refused),
             "fingers_without_contact": self.untouched,
             "fingers_rejected": {finger: round(part, 3) for finger, part in self.rejected.items()},
-            "link_margins_mm": {link: round(1e3 * margin, 1) for link, margin in self.margins.items()},
-            "depth_images": self.images,
+            "link_margins_mm": {
+                link: round(1e3 * margin, 1) for link, margin in tracker.link_margins.items()
+            },
+            "depth_images": tracker.images,
             "diagnosis": [value.numbers() for value in self.diagnosis.values] if self.diagnosis else [],
-            "vision_latency_ms": None if self.latency is None else [round(1e3 * x, 1) for x in self.latency],
+            "vision_latency_ms": None if latency is None else [round(1e3 * x, 1) for x in latency],
             "weight": weight
             and {
                 "mass_kg": weight.mass,
@@ -373,10 +359,10 @@ class TrackResult:
 
     def sentences(self) -> list[str]:
         """Returns the result as sentences for a person."""
-        tally = self.tally
+        tally, tracker = self.tally, self.tracker
         factor = f"{tally.recorded / tally.wall:.0f}x real time" if tally.wall else "nothing to time"
         lines = [
-            f"{tally.answered} poses of {tally.observations} observations, {self.corrections} corrections; "
+            f"{tally.answered} poses of {tally.observations} observations, {tracker.corrections} corrections; "
             f"{tally.recorded:.1f} s in {tally.wall:.1f} s ({factor})"
         ]
         if not tally.answered:
@@ -386,20 +372,18 @@ class TrackResult:
             lines.append(spent + (f"; at the end: {self.reason}" if self.reason else ""))
         lines += refusals(tally)
         lines += self._touch_sentences()
-        if re.search("contacts and vision have differed", self.reason) or (
-            "vision" in self.reason and not tally.answered
-        ):
+        differed = "contacts and vision have differed" in self.reason
+        if differed or ("vision" in self.reason and not tally.answered):
             lines.append(
                 "vision: check its topic, the order of its quaternion (x, y, z, w), camera.pose and frames.palm"
             )
-        if self.images:
-            searched, detected, searched_hand, hands = self.images.values()
+        if tracker.images:
+            searched, detected, searched_hand, hands = tracker.images.values()
             hand = f"the hand in {hands} of {searched_hand} searched for it"
             lines.append(f"{searched} depth images: the object was found in {detected}, {hand}")
-        if self.latency is not None:
-            lines += latency_text(self.latency, self.latency_declared)
-        if self.margins:
-            by = ", ".join(f"{link} by {1e3 * margin:.1f} mm" for link, margin in self.margins.items())
+        lines += latency_text(tracker)
+        if margins := tracker.link_margins:
+            by = ", ".join(f"{link} by {1e3 * margin:.1f} mm" for link, margin in margins.items())
             lines.append(
                 "these shapes in the hand's file are too large, as they would be inside the object although the "
                 f"contacts fit, and were shrunk: {by}"
@@ -432,7 +416,7 @@ class TrackResult:
             yield f"tactile arrays: pressed in {self.pressed} of {self.poses} poses"
         if self.unmeasured:
             yield f"no evidence of slips, as no force is measured there: {', '.join(sorted(self.unmeasured))}"
-        for name, faults in self.faults.items():
+        for name, faults in self.tracker.skin.faults.items():
             yield f"skin {name}: {faults}"
         if slips := self.slips:
             first = next(iter(slips)) - self.steps[0].stamp
@@ -443,10 +427,12 @@ class TrackResult:
             )
 
 
-def latency_text(known: tuple[float, float], declared: float) -> list[str]:
-    """Returns a sentence where vision's poses are older than `declared` [s] by more than 20 ms and by more than the
-    error of what is `known` (latency and its sigma [s]), with a level of one in twenty; else none."""
-    latency, sigma = known
+def latency_text(tracker: "Tracker") -> list[str]:
+    """Returns a sentence where vision's poses are older than the rig declares by more than 20 ms, and by more than the
+    error of what is known with a level of one in twenty; else none."""
+    if (known := tracker.vision_latency()) is None:
+        return []
+    (latency, sigma), declared = known, tracker.vision.camera.latency
     if abs(latency - declared) <= 0.02 + 2 * sigma:
         return []
     return [

@@ -86,7 +86,7 @@ def decode(
                 topic.messages += len(found)
                 stamp = stamp or max(map(_seconds, getattr(message, "contacts", ())), default=0.0)
                 return [Measurement(topic, stamp, raw.log_time, each, finger) for finger, each in found]
-            value = READERS[role](message, topic, frames)
+            value = READERS[role](message) if role in READERS else _pose(message, role, frames)
         topic.messages += 1
         return [Measurement(topic, stamp, raw.log_time, value, topic.finger)]
     except (MessageRejected, InvalidInput) as error:
@@ -254,7 +254,7 @@ def _rigid_transform(*numbers: float) -> Array:
     ])  # fmt: skip
 
 
-def _pose(message: RosMessage, topic: TopicReport, frames: Mapping[str, str]) -> PoseMeasurement | Array:
+def _pose(message: RosMessage, role: Role, frames: Mapping[str, str]) -> PoseMeasurement | Array:
     """Returns a pose of vision or, on the topic of the truth, `T_palm_object` (4, 4)."""
     pose, covariance = message.pose, None
     if hasattr(pose, "covariance"):
@@ -270,7 +270,7 @@ def _pose(message: RosMessage, topic: TopicReport, frames: Mapping[str, str]) ->
         known = ", ".join(f"{frames[role]!r} ({role})" for role in VISION_FRAMES if role in frames)
         raise MessageRejected(f"unknown frame {named[:60]!r}; valid: {known}")
     measured = PoseMeasurement(T, roles[named], covariance)
-    if topic.role != "truth":
+    if role != "truth":
         return measured
     if measured.frame != "palm":
         palm = frames.get("palm")
@@ -278,15 +278,13 @@ def _pose(message: RosMessage, topic: TopicReport, frames: Mapping[str, str]) ->
     return measured.T_frame_object
 
 
-READERS: dict[Role, Callable[[RosMessage, TopicReport, Mapping[str, str]], object]] = {
-    "joints": lambda message, *_: _positions(message.name, message.position.tolist()),
-    "wrench": lambda message, *_: _wrench((*_xyz(message.wrench.force), *_xyz(message.wrench.torque))),
-    "vision": _pose,
-    "truth": _pose,
-    "color": lambda message, *_: images.color(message),
-    "depth": lambda message, *_: images.depth(message),
-    "detections": lambda message, *_: detections(message),
-    "mask": lambda message, *_: images.labels(message),
-    "info": lambda message, *_: images.camera(message),
+READERS: dict[Role, Callable[[RosMessage], object]] = {
+    "joints": lambda message: _positions(message.name, message.position.tolist()),
+    "wrench": lambda message: _wrench((*_xyz(message.wrench.force), *_xyz(message.wrench.torque))),
+    "color": images.color,
+    "depth": images.depth,
+    "detections": detections,
+    "mask": images.labels,
+    "info": images.camera,
 }
 """The function that reads a decoded message, by its topic's role; raises MessageRejected or InvalidInput."""

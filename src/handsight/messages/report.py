@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from handsight.checks import nearest_name
 from handsight.errors import printable
-from handsight.messages.topics import TOPICS, RosType, TopicReport
+from handsight.messages.topics import MAX_GAP, RosType, TopicReport
 from handsight.rig import Rig
 from handsight.rig.units import Units
 
@@ -63,7 +63,7 @@ class Report:
             messages += topic.sentences()
         joints = self.topics.get(self.joint_states)
         if joints is not None and joints.gaps:
-            longer = f"of more than {TOPICS.max_gap} s, the longest {joints.gap:.3f} s"
+            longer = f"of more than {MAX_GAP} s, the longest {joints.gap:.3f} s"
             messages.append(f"{joints.name}: {joints.gaps} gaps {longer}")
         of = f"of {self.observations} observations"
         fingers, arrays = self.without.items(), self.without_skin.items()

@@ -8,7 +8,7 @@ from handsight.checks import Array
 from handsight.contact import TactileSurface
 from handsight.observation import Observation
 from handsight.rig import Rig
-from handsight.rig.units import UNITS
+from handsight.rig.units import MAX_FORCE
 
 SOME, FEW = 256, 5
 """Readings of a sensor that are kept, spread over the recording; with fewer than `FEW` nothing is judged."""
@@ -90,8 +90,8 @@ class SensorFaults:
             reads = f"reads {rest:g} at rest and {low / scale:g} where it is touched, which is inverted"
             return f"{reads}: set skin.{name}.offset: {rest:g} and scale: {-scale:g} in place of {scale:g}"
         in_newtons = surface.components == 3 or (scale == 1 and surface.threshold < 1)
-        if in_newtons and (rise := rise_of(surface, read)) > UNITS.max_force:
-            more = f"rises by up to {rise:.4g} where at most {UNITS.max_force:g} N on a taxel are expected"
+        if in_newtons and (rise := rise_of(surface, read)) > MAX_FORCE:
+            more = f"rises by up to {rise:.4g} where at most {MAX_FORCE:g} N on a taxel are expected"
             return f"{more} (counts?): set skin.{name}.scale: newtons a count"
         return ""
 

@@ -11,7 +11,7 @@ from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.messages import images
 from handsight.messages.topics import MessageRejected, RosMessage, TaxelSource
-from handsight.rig.message_field import steps
+from handsight.rig.rig import message_steps
 
 NUMBERS = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), start=1))
 """NumPy's types of the columns of a PointCloud2, by their number there."""
@@ -72,7 +72,7 @@ def _at(message: object, field: str) -> tuple[Any, float]:
     """Returns what a path leads to in a message, and the last `time` on its way [s], 0 without one. Raises InvalidInput
     that names the step which leads nowhere."""
     value, time = message, 0.0
-    for step in steps(field):
+    for step in message_steps(field):
         try:
             value = _after(value, step)
         except InvalidInput as error:

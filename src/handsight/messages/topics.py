@@ -47,15 +47,9 @@ class OwnTopic:
     RESET = "/handsight/reset"
 
 
-class TopicOptions(NamedTuple):
-    """`TopicOptions` are the limits from which a report mentions something about a topic."""
-
-    max_gap: float = 0.1  # a longer time between two joint states is counted as a gap [s]
-    max_clock_difference: float = 0.1  # a larger difference of clocks is reported [s]
-    max_reasons: int = 8  # reasons that are kept for a topic; bounded, as one may quote its message
-
-
-TOPICS = TopicOptions()
+MAX_GAP = 0.1  # a longer time between two joint states is counted as a gap [s]
+MAX_CLOCK_DIFFERENCE = 0.1  # a larger difference of clocks is reported [s]
+MAX_REASONS = 8  # reasons that are kept for a topic; bounded, as one may quote its message
 
 
 class RosMessage(Protocol):
@@ -121,7 +115,7 @@ class TopicReport:
     reasons: Counter[str] = field(default_factory=Counter)  # number of `nan` and `bad` messages, by reason
     last: float | None = None  # stamp of the last used message, in the clock of the joint states [s]
     gap: float = 0.0  # longest time between two used messages [s]
-    gaps: int = 0  # number of times between two used messages above `TopicOptions.max_gap`
+    gaps: int = 0  # number of times between two used messages above `MAX_GAP`
     difference: float = 0.0
     """Its offset minus that of the joint states [s]; offset: median of log time minus stamp over the first second."""
     shifted: bool = False  # whether the difference was added to its stamps, because they are of another clock
@@ -150,7 +144,7 @@ class TopicReport:
         """Counts a message as `nan` or `bad`, with its reason."""
         self.nan, self.bad = self.nan + error.nan, self.bad + (not error.nan)
         reason = str(error)
-        if reason not in self.reasons and len(self.reasons) >= TOPICS.max_reasons:
+        if reason not in self.reasons and len(self.reasons) >= MAX_REASONS:
             reason = "other reasons"
         self.reasons[reason] += 1
 
@@ -158,7 +152,7 @@ class TopicReport:
         """Counts a message of that stamp [s] as used; stamps must come in order."""
         self.used += 1
         gap = 0.0 if self.last is None else stamp - self.last
-        self.gap, self.gaps, self.last = max(self.gap, gap), self.gaps + (gap > TOPICS.max_gap), stamp
+        self.gap, self.gaps, self.last = max(self.gap, gap), self.gaps + (gap > MAX_GAP), stamp
 
     def sentences(self) -> Iterator[str]:
         """Yields a sentence for each problem of this topic that a user should know about."""
@@ -172,7 +166,7 @@ class TopicReport:
                 yield f"{self.name}: {count} of {self.messages} messages {sentence}"
         if self.unstamped and not self.type.endswith("MultiArray"):  # which cannot have a stamp
             yield f"{self.name}: no stamps (all 0); timed by when it was recorded"
-        if abs(self.difference) > TOPICS.max_clock_difference:
+        if abs(self.difference) > MAX_CLOCK_DIFFERENCE:
             what = "shifted by that: another clock" if self.shifted else "left as they are"
             yield f"{self.name}: stamps {self.difference:+.3f} s off the joint states' clock, {what}"
 

@@ -11,7 +11,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -35,14 +35,8 @@ ImageNumber = tuple[int, int]
 """BOP's numbers of the scene and of the image."""
 
 
-class BopLimits(NamedTuple):
-    """`BopLimits` bound what a file may hold, and how much of it is used."""
-
-    max_bytes: int = 1 << 29
-    max_starts: int = 10  # poses of an object in an image, those with the highest scores
-
-
-BOP = BopLimits()
+MAX_BYTES = 1 << 29  # of a file of detections or targets
+MAX_STARTS = 10  # poses of an object in an image that are used, those with the highest scores
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,12 +176,12 @@ class TargetForm(msgspec.Struct):
 
 def read_detections(path: str | os.PathLike[str]) -> list[DetectionForm]:
     """Returns the detections of a JSON file as CNOS writes it; raises InvalidFile."""
-    return decode(read_bytes(path, BOP.max_bytes), list[DetectionForm], str(path))
+    return decode(read_bytes(path, MAX_BYTES), list[DetectionForm], str(path))
 
 
 def read_targets(path: str | os.PathLike[str]) -> list[TargetForm]:
     """Returns which objects to find, of a file such as `test_targets_bop19.json`; raises InvalidFile."""
-    return decode(read_bytes(path, BOP.max_bytes), list[TargetForm], str(path))
+    return decode(read_bytes(path, MAX_BYTES), list[TargetForm], str(path))
 
 
 Rows = dict[ImageNumber, list[tuple[str, int, Any]]]
@@ -201,7 +195,6 @@ class Hints:
         self,
         names: Sequence[str],
         numbers: Mapping[str, int],
-        known: Iterable[int] = (),
         *,
         detections: Path | None = None,
         start: Path | None = None,
@@ -209,23 +202,23 @@ class Hints:
     ) -> None:
         """Reads the files; raises InvalidFile, also where a file has none of the objects that there are.
 
-        names: of the objects to locate; numbers: those of them that BOP's files call by a number, by name; known: the
-        numbers of all objects that there are. One object without a number is the one of a file that has only one.
+        names: of the objects to locate; numbers: those by which BOP's files call all objects that there are, by name.
+        One object without a number is the one of a file that has only one.
         """
-        self._name, self._alone = names[0], len(names) == 1 and not numbers
-        self._names = {number: name for name, number in numbers.items()}
-        self._known = {*known, *numbers.values()}
+        self._name, self._alone = names[0], len(names) == 1 and names[0] not in numbers
+        self._names = {number: name for name, number in numbers.items() if name in names}
+        self._known = set(numbers.values())
         self.sentences: list[str] = []
         """What a user should know of the files."""
-        self._place, by_image = detections, self._by_image
+        self._place, self._chosen, by_image = detections, targets is not None, self._by_image
         self._detections = by_image(detections, "category_id", read_detections)
         self._starts = by_image(start, "obj_id", read_bop_results)
         self._targets = by_image(targets, "obj_id", read_targets)
 
-    def _by_image(self, path: Path | None, key: str, read: Callable[[Path], list[Any]]) -> Rows | None:
-        """Returns the entries of a file that are of the objects to locate, by image; None: there is no file."""
+    def _by_image(self, path: Path | None, key: str, read: Callable[[Path], list[Any]]) -> Rows:
+        """Returns the entries of a file that are of the objects to locate, by image; none if there is no file."""
         if path is None:
-            return None
+            return {}
         rows, names = read(path), self._names
         came, known = {row.object for row in rows}, ", ".join(map(str, sorted(self._known)[:10]))
         if self._alone and len(came) == 1:
@@ -243,13 +236,13 @@ class Hints:
             found[row.scene, row.image] += [(names[row.object], k, row)] if row.object in names else []
         return dict(found)
 
-    def _of(self, frame: Frame, rows: Rows | None) -> list[tuple[str, int, Any]]:
+    def _of(self, frame: Frame, rows: Rows) -> list[tuple[str, int, Any]]:
         """Returns the entries about an image; raises InvalidInput where its number is unknown.
 
         An image of a folder has the last number in its name, and is of the only scene that there is.
         """
-        if rows is None or frame.number is not None:
-            return [] if rows is None else rows.get(frame.number or (0, 0), [])
+        if frame.number is not None:
+            return rows.get(frame.number, [])
         scenes, digits = sorted({scene for scene, _ in rows}), re.findall(r"[0-9]+", Path(frame.name).stem)
         if len(scenes) > 1:
             listed, expected = ", ".join(map(str, scenes[:5])), "files of one scene beside images of none"
@@ -275,15 +268,15 @@ class Hints:
         targets, Ts, detections = Counter[str](), defaultdict[str, list[Array]](list), frame.detections
         for name, _, target in self._of(frame, self._targets):
             targets[name] += target.inst_count
-        if self._targets is not None and not targets:
+        if self._chosen and not targets:
             return None
         for name, _, result in sorted(self._of(frame, self._starts), key=lambda row: -row[2].score):
             Ts[name].append(result.T_camera_object)
-        starts = {name: np.array(poses[: BOP.max_starts]) for name, poses in Ts.items()}
+        starts = {name: np.array(poses[:MAX_STARTS]) for name, poses in Ts.items()}
         if detections is not None:
             names = {str(number): name for number, name in self._names.items()}
             detections = tuple(replace(each, label=names.get(each.label, each.label)) for each in detections)
-        if self._detections is not None:
+        if self._place is not None:
             found = (self._detection(frame, *row) for row in self._of(frame, self._detections))
             detections = (*(detections or ()), *found)
         return replace(frame, detections=detections, starts=starts or None, targets=dict(targets) or None)

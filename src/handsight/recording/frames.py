@@ -91,32 +91,28 @@ class Beside:
     """An image that is not 0 where the object may be, for all depth images; or a folder with one for each by
     name, or with one for each instance by BOP's names."""
 
-    def where(
-        self, folder: Path, stem: str, camera: Camera
-    ) -> tuple[Mask | None, tuple[Detection2D, ...] | None]:
-        """Returns where the object may be in the image of that name: pixels (h, w), None: anywhere; and instances.
+    def masked(self, frame: Frame, folder: Path, stem: str) -> Frame:
+        """Returns the frame of the image of that name, searched only where the mask is, or the instances are.
 
         folder: of the images, in which the folder of masks may be. With BOP's names (`mask_visib/000000_000001.png`) it
         has the pixels of each instance, whose object `scene_gt.json` beside it names. Raises InvalidFile, MissingExtra.
         """
         if self.mask is None:
-            return None, None
+            return frame
         place = folder / self.mask if not self.mask.exists() else self.mask
         one = place / f"{stem}.png" if place.is_dir() else place
         several = sorted(place.glob(f"{glob.escape(stem)}_[0-9]*.png")) if not one.exists() else []
         if not several:
-            return np.asarray(read_color(one, camera=camera).any(axis=2)), None
+            return replace(frame, wanted=np.asarray(read_color(one, camera=frame.camera).any(axis=2)))
         found, truth = list[Detection2D](), place.parent / "scene_gt.json"
         objects = _objects(truth).get(str(int(stem)), []) if stem.isdecimal() and truth.is_file() else []
         for path in several:
-            pixels, index = (
-                np.asarray(read_color(path, camera=camera).any(axis=2)),
-                path.stem.rpartition("_")[2],
-            )
+            pixels = np.asarray(read_color(path, camera=frame.camera).any(axis=2))
+            index = path.stem.rpartition("_")[2]
             number = objects[int(index)] if index.isdecimal() and int(index) < len(objects) else ""
             if pixels.any():  # else it is hidden
                 found.append(Detection2D(number, mask=pixels))
-        return None, tuple(found)
+        return replace(frame, detections=tuple(found))
 
 
 def read_each(files: list[Path], read: Callable[[Path], Frame]) -> Iterator[Frame | Unread]:
@@ -149,19 +145,12 @@ def is_recording(path: Path) -> bool:
     return path.suffix.lower() in (".mcap", ".bag", ".db3") or (path / "metadata.yaml").exists()
 
 
-def open_frames(path: Path, beside: Beside, rig: Rig | None = None) -> Frames:
-    """Returns the frames of a depth image, a folder of them, a BOP scene or split, or, with a rig, a recording.
+def open_frames(path: Path, beside: Beside) -> Frames:
+    """Returns the frames of a depth image, a folder of them, or a BOP scene or split.
 
     Raises InvalidFile for any other path, and the errors of the readers.
     """
     try:
-        if is_recording(path):
-            if rig is None:
-                raise InvalidInput(f"rig: expected beside the recording {path}, got none")
-            if beside != Beside():
-                what = "expected no camera, colour, mask or depth scale beside a recording"
-                raise InvalidInput(f"{path}: {what}")
-            return recorded_frames(path, rig)
         if path.is_dir():
             # The folder itself is a scene, else the folders in it may be.
             scenes = [path] if (path / CAMERAS).is_file() else sorted(path.iterdir())
@@ -188,15 +177,10 @@ def _depth_images(path: Path, beside: Beside) -> Frames:
 
     def read(file: Path) -> Frame:
         color = color_beside(folder, file.stem, ("rgb", "color")) if in_folders else beside.color
-        wanted, detections = beside.where(folder, file.stem, camera)
-        return Frame(
-            name=file.name,
-            camera=camera,
-            depth=read_depth(file, beside.depth_scale, camera=camera),
-            color=None if color is None else read_color(color, camera=camera),
-            wanted=wanted,
-            detections=detections,
-        )
+        depth = read_depth(file, beside.depth_scale, camera=camera)
+        shown = None if color is None else read_color(color, camera=camera)
+        frame = Frame(name=file.name, camera=camera, depth=depth, color=shown)
+        return beside.masked(frame, folder, file.stem)
 
     return Frames(len(files), read_each(files, read) if folder is path else iter([read(path)]))
 
@@ -238,16 +222,11 @@ def _bop_frames(path: Path, scenes: list[Path], beside: Beside) -> Frames:
             message = str(error).removeprefix("matrix: ")
             raise InvalidFile(f"{scene / CAMERAS}: {image}.cam_K: {message}") from None
         color = color_beside(scene, file.stem, ("rgb", "gray"))
-        wanted, detections = beside.where(scene, file.stem, camera)
-        return Frame(
-            name=f"{scene.name}/{file.stem}",
-            camera=camera,
-            depth=depth,
-            color=None if color is None else read_color(color, camera=camera),
-            wanted=wanted,
-            detections=detections,
-            number=(int(scene.name) if _is_number(scene.name) else 0, image),
-        )
+        shown = None if color is None else read_color(color, camera=camera)
+        number = int(scene.name) if _is_number(scene.name) else 0, image
+        name = f"{scene.name}/{file.stem}"
+        frame = Frame(name=name, camera=camera, depth=depth, color=shown, number=number)
+        return beside.masked(frame, scene, file.stem)
 
     # The data set's folder is two levels above a scene (data set, split, scene), and may have models.
     above = scenes[0].resolve().parents[1:2]

@@ -18,7 +18,7 @@ from handsight.observation import Observation
 from handsight.rig import Rig
 from handsight.tracking.fingertips import FingertipSensors
 from handsight.vision import PalmDetection
-from handsight.vision.object.region import REGION
+from handsight.vision.object.region import check_metres
 from handsight.vision.palm.hand_in_image import HandInImage
 from handsight.vision.reconstruction.reconstruct import View, within
 from handsight.vision.reconstruction.segmentation import (
@@ -98,18 +98,15 @@ def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera)
     """
     if rig.camera is None:
         raise InvalidInput("camera: expected one in the rig, to find the hand in the images, got none")
-    pixels, in_hand, sensors = (
-        HandPixels(rig),
-        InHandView(rig.hand, rig.sigma_joint_offset),
-        FingertipSensors(rig),
-    )
+    pixels, sensors = HandPixels(rig), FingertipSensors(rig)
+    in_hand = InHandView(rig.hand, rig.sigma_joint_offset)
     T_palm_object: Array | None = None
     for observation in observations:
         joints = observation.joint_positions
         if observation.depth is None:
             continue
         depth = _depth(observation.depth, camera)
-        if joints is None or not in_hand.has_all_joints(joints):
+        if joints is None or not joints.keys() >= in_hand.joints:
             yield "no joint positions"
             continue
         touching = sensors.contacts(observation).fingers
@@ -120,8 +117,8 @@ def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera)
         if T is None or not pixels.found:
             yield "the palm was not found" if T is not None else "no pose of the palm in the world"
             continue
-        at_middle = se3.compose(np.eye(3), in_hand.middle(joints)) if T_palm_object is None else T_palm_object
         tips = rig.hand.Ts_palm_tip(joints)[:, :3, 3]
+        at_middle = se3.compose(np.eye(3), tips.mean(axis=0)) if T_palm_object is None else T_palm_object
         if len(touching) > 1:
             tips = tips[[list(rig.hand.tips).index(name) for name in touching]]
         alone = without_table(camera, in_hand.without_hand(camera, depth, joints, T))
@@ -136,10 +133,8 @@ def in_hand_views(observations: Iterable[Observation], rig: Rig, camera: Camera)
 def _depth(depth: Depth, camera: Camera) -> Depth:
     """Returns a copy of the depth (h, w) [m], 0 where unknown; raises InvalidInput for another size or unit."""
     depth = camera.check_depth(depth)
-    depth = np.where((depth > 0) & (depth < np.inf), depth, 0).astype(np.float32)
-    if depth.any() and (middle := np.median(depth[depth > 0])) > REGION.max_range:
-        raise InvalidInput(f"depth: expected metres, got a median of {middle:.4g} (millimetres?)")
-    return depth
+    check_metres(depth)
+    return np.where((depth > 0) & (depth < np.inf), depth, 0).astype(np.float32)
 
 
 def _in_camera(body: Literal["palm", "world"], rig: Rig, observation: Observation) -> Array | None:

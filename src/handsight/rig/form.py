@@ -25,8 +25,8 @@ from handsight.errors import HandsightError, InvalidInput
 from handsight.hand import Hand
 from handsight.msgspec_errors import alternatives
 from handsight.objects import ObjectSpec
-from handsight.rig import layouts, message_field
-from handsight.rig.rig import DepthCamera, Finger, MountedCamera
+from handsight.rig import layouts
+from handsight.rig.rig import DepthCamera, Finger, MountedCamera, message_steps
 
 VERSION = 1
 Values = dict[str, Any]
@@ -266,7 +266,7 @@ class SkinForm(Form, kw_only=True):
     def __post_init__(self) -> None:
         super().__post_init__()
         try:
-            message_field.steps(self.message_field or "data")
+            message_steps(self.message_field or "data")
         except InvalidInput as error:
             raise ValueError(f"field: {error}") from None
         kinds = [

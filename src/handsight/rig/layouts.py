@@ -166,10 +166,10 @@ def _fitted_normals(points: Array) -> Array:
     return np.asarray(normals * np.sign((normals * (points - solution[:3])).sum(axis=1))[:, None])
 
 
-def tactile_sensors(file: str | Path) -> dict[str, Element]:
-    """Returns each `<sensor>` with a `<tactile>` of a hand's URDF by its name; raises InvalidFile."""
-    root = read_xml(find_file(file))
-    return {each.get("name"): each for each in root.all("sensor") if each.find("tactile") is not None}
+def tactile_sensors(file: str | Path) -> dict[str, tuple[Element, Element]]:
+    """Returns each `<sensor>` of a hand's URDF and its `<tactile>`, by its name; raises InvalidFile."""
+    sensors = ((each, each.find("tactile")) for each in read_xml(find_file(file)).all("sensor"))
+    return {each.get("name"): (each, tactile) for each, tactile in sensors if tactile is not None}
 
 
 def from_urdf(name: str, hand: Hand) -> Layout:
@@ -180,12 +180,9 @@ def from_urdf(name: str, hand: Hand) -> Layout:
     found = tactile_sensors(hand.file)
     if name not in found:
         raise InvalidInput(f"urdf: unknown tactile sensor {name!r}{checks.suggestion(name, found)}")
-    sensor, tactile, parent = found[name], found[name].find("tactile"), found[name].find("parent")
-    assert tactile is not None
-    array, taxels = (
-        tactile.find("array"),
-        sorted(tactile.all("taxel"), key=lambda each: _numbers(each, "idx", 1)[0]),
-    )
+    (sensor, tactile), parent = found[name], found[name][0].find("parent")
+    array = tactile.find("array")
+    taxels = sorted(tactile.all("taxel"), key=lambda each: _numbers(each, "idx", 1)[0])
     T = _origin(sensor.find("origin"))
     fields: Any = {"frame": "" if parent is None else parent.get("link"), "T_frame_sensor": T}
     if not taxels and array is not None:
@@ -208,17 +205,12 @@ def from_urdf(name: str, hand: Hand) -> Layout:
 
 def _origin(element: Element | None) -> Array:
     """Returns the pose (4, 4) of `xyz` and `rpy`."""
+    from scipy.spatial.transform import Rotation  # its import is long
+
     if element is None:
         return np.eye(4)
-    xyz, (roll, pitch, yaw) = (
-        _numbers(element, key, 3) if element.get(key) else np.zeros(3) for key in ("xyz", "rpy")
-    )
-    turns = (
-        se3.rotation_exp(angle * axis)
-        for angle, axis in zip((yaw, pitch, roll), np.eye(3)[::-1], strict=True)
-    )
-    first, second, third = turns
-    return se3.compose(first @ second @ third, xyz)
+    xyz, rpy = (_numbers(element, key, 3) if element.get(key) else np.zeros(3) for key in ("xyz", "rpy"))
+    return se3.compose(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
 
 
 def _numbers(element: Element, key: str, count: int) -> Array:

@@ -41,17 +41,14 @@ def load(path: Path) -> Rig:
         )
     except NotUnique as error:
         raise file.error(error.field, error.message) from None
-    except InvalidInput as error:
-        for name in form.skin or ():  # only the rig knows whether the hand has its link
-            if str(error).startswith(place := f"skin[{name!r}].frame: "):
-                raise file.error(("skin", name, "frame"), str(error).removeprefix(place)) from None
-        raise
 
 
 def _surface(name: str, form: SkinForm, file: YamlFile, hand: Hand) -> TactileSurface:
     """Returns a tactile surface; an error is about the key that it begins with."""
     try:
-        return form.surface(file.path.parent, hand)
+        surface = form.surface(file.path.parent, hand)
+        hand.chains_to({"frame": surface.frame})  # whether the hand has its link
+        return surface
     except (InvalidInput, InvalidFile) as error:
         argument, _, message = str(error).partition(": ")
         if argument in (key.text for key in keys(SkinForm)):

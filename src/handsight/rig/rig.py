@@ -3,6 +3,7 @@
 Every sigma is one standard deviation per axis.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import combinations
@@ -22,10 +23,19 @@ from handsight.msgspec_errors import field_name
 from handsight.objects import ObjectSpec
 from handsight.objects.model import check_friction
 from handsight.representation import short_repr
-from handsight.rig import message_field
 
 DepthCamera = Literal["structured_light", "time_of_flight", "stereo"]
 """How a camera measures depth; `handsight.vision.depth_noise` has the errors of each."""
+STEP = re.compile(
+    r"\.?(?P<name>[A-Za-z]\w*)"
+    r"|\[(?P<index>\d{1,6})\]"
+    r"|\[(?P<first>\d{0,6}):(?P<end>\d{0,6})\]"
+    r"|\[(?P<key>[A-Za-z]\w*)=(?P<value>[^\[\]=]+)\]"
+    r"|\[(?P<columns>[A-Za-z]\w*(?:,[A-Za-z]\w*)*)\]"
+)
+"""A step into a message. `data` is a field; `data[3]` its fourth element, `data[0:9]` nine of them;
+`sensors[name=thumb]` the element whose `name` is thumb; `taxels[x,y,z]` three numbers of each element, or of each point
+of a PointCloud2."""
 
 
 class NotUnique(InvalidInput):
@@ -203,7 +213,7 @@ class Topics:
         """Raises InvalidInput for a path that cannot lead into a message."""
         for name, path in self.skin_fields.items():
             try:
-                message_field.steps(path)
+                message_steps(path)
             except InvalidInput as error:
                 raise InvalidInput(f"skin_fields[{name!r}]: {error}") from None
 
@@ -263,6 +273,17 @@ class Rig:
         if not isinstance(path, str | Path):
             raise InvalidInput(f"path: expected a path, got {checks.brief(path)}")
         return load(Path(path))
+
+
+def message_steps(field: str) -> list[re.Match[str]]:
+    """Returns the steps of a path into a message; raises InvalidInput for a text that is none."""
+    found, at = list[re.Match[str]](), 0
+    while step := STEP.match(field, at):
+        found, at = [*found, step], step.end()
+    if at < len(field) or not 0 < len(field) <= 200:
+        example = "such as sensors[sensor_pos=3].forces[0:30] or [fx,fy,fz]"
+        raise InvalidInput(f"expected a path into a message, {example}, got {checks.brief(field)}")
+    return found
 
 
 def _check_unique(rig: Rig) -> None:

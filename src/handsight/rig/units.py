@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from math import hypot
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,16 +11,9 @@ from handsight.errors import InvalidInput
 from handsight.observation import Observation
 from handsight.rig.rig import Rig
 
-
-class UnitLimits(NamedTuple):
-    """`UnitLimits` are the values above which the unit seems to be wrong."""
-
-    max_range: float = 10.0  # from a camera or the palm to the object [m]
-    max_force: float = 300.0  # on a fingertip [N]
-    min_share: float = 0.1  # share of a recording's observations with such values; fewer are outliers
-
-
-UNITS = UnitLimits()
+MAX_RANGE, MAX_FORCE = 10.0, 300.0
+"""From a camera or the palm to the object [m], and on a fingertip [N]; above that, the unit seems to be wrong."""
+MIN_SHARE = 0.1  # of a recording's observations with such values; fewer are outliers
 
 
 class Units:
@@ -82,7 +74,7 @@ class Units:
             yield self._topics.joint_states, f"joint {name!r}", value, text
         for name, wrench in observation.wrenches.items():
             force = hypot(*np.asarray(wrench).tolist()[:3])
-            if force > UNITS.max_force:
+            if force > MAX_FORCE:
                 yield None, f"finger {name}", force, f"{force:.4g} N (millinewtons? {1e-3 * force:.3g} N)"
         vision, T_world_palm = observation.vision, observation.T_world_palm
         if vision is not None and (vision.frame != "world" or T_world_palm is not None):
@@ -90,11 +82,11 @@ class Units:
             if vision.frame == "world" and T_world_palm is not None:
                 place = place - T_world_palm[:3, 3]
             distance = float(np.linalg.norm(place))
-            if distance > UNITS.max_range:
+            if distance > MAX_RANGE:
                 text = f"{distance:.4g} m away (millimetres? {1e-3 * distance:.3g} m)"
                 yield self._topics.vision, "poses", distance, text
 
     def sentences(self) -> list[str]:
         """Returns a sentence for each kind of value that was often above its limit."""
-        often = [what for what, count in self._beyond.items() if count >= UNITS.min_share * self._count]
+        often = [what for what, count in self._beyond.items() if count >= MIN_SHARE * self._count]
         return [f"{what} up to {self._largest[what][1]}" for what in often]

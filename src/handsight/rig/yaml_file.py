@@ -1,8 +1,9 @@
 """A YAML file as plain values that know their lines: errors read `file:line: field: expected ..., got ...`."""
 
 import math
+import re
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
@@ -15,20 +16,11 @@ if TYPE_CHECKING:
     from ruamel.yaml.comments import CommentedMap
 
 
-class YamlLimits(NamedTuple):
-    """`YamlLimits` bound what a YAML file may hold."""
-
-    max_bytes: int = 1 << 20  # of a file; a rig is a page or two
-    max_values: int = 5_000
-    """Of a file, aliases written out, of which a few lines can make billions. A hand of twenty fingers has a thousand,
-    and the parser takes a second or two for 5000.
-    """
-    max_name_length: int = 200  # characters of a field's name in a message
-
-
-YAML_LIMITS = YamlLimits()
-
-
+MAX_BYTES = 1 << 20  # of a file; a rig is a page or two
+MAX_VALUES = 5_000
+"""Values of a file, aliases written out, of which a few lines can make billions. A hand of twenty fingers has a
+thousand, and the parser takes a second or two for 5000."""
+MAX_NAME_LENGTH = 200  # characters of a field's name in a message
 Form = TypeVar("Form", bound=msgspec.Struct)
 
 
@@ -57,7 +49,7 @@ class YamlFile:
 
     def error(self, field: FieldPath, message: str) -> InvalidFile:
         """Returns the error of a message about a field, with its line."""
-        name = field_name(field)[: YAML_LIMITS.max_name_length] or "file"
+        name = field_name(field)[:MAX_NAME_LENGTH] or "file"
         return InvalidFile(f"{self.path}:{self.line(field)}: {name}: {message}")
 
     def line(self, field: FieldPath) -> int:
@@ -81,7 +73,7 @@ class YamlFile:
         Raises InvalidFile for too many values, tags, keys that are not texts, and numbers that are not finite.
         """
         self._count += 1
-        if self._count > YAML_LIMITS.max_values:
+        if self._count > MAX_VALUES:
             raise _too_many(self.path)
         tag = getattr(getattr(value, "tag", None), "value", None)
         if tag is not None:
@@ -96,16 +88,9 @@ class YamlFile:
             return [self._plain(part, (*field, i)) for i, part in enumerate(value)]
         if isinstance(value, float) and not math.isfinite(value):
             raise self.error(field, f"expected a finite number, got {float(value)}")
-        for kind in (bool, int, float, str):
-            if isinstance(value, kind):
-                if (
-                    isinstance(value, str)
-                    and not value.isprintable()
-                    and any("\ud800" <= c <= "\udfff" for c in value)
-                ):
-                    raise self.error(field, "expected text, got half of a surrogate pair")
-                return kind(value)
-        return value
+        if isinstance(value, str) and re.search("[\ud800-\udfff]", value):
+            raise self.error(field, "expected text, got half of a surrogate pair")
+        return next((kind(value) for kind in (bool, int, float, str) if isinstance(value, kind)), value)
 
 
 def _parse(path: Path) -> "CommentedMap":
@@ -117,12 +102,12 @@ def _parse(path: Path) -> "CommentedMap":
     except ImportError:
         raise MissingExtra("rig files need ruamel.yaml: pip install 'handsight[robot]'") from None
     try:
-        text = read_bytes(path, YAML_LIMITS.max_bytes).decode("utf-8")
+        text = read_bytes(path, MAX_BYTES).decode("utf-8")
     except UnicodeDecodeError:
         raise InvalidFile(f"{path}: expected YAML in UTF-8, got other bytes") from None
     # Each value takes a comma or a line; counting these takes no time.
     lines = (line for line in text.splitlines() if not line.lstrip().startswith("#"))
-    if sum(line.count(",") + 1 for line in lines) > YAML_LIMITS.max_values:
+    if sum(line.count(",") + 1 for line in lines) > MAX_VALUES:
         raise _too_many(path)
     try:
         value = YAML(typ="rt", pure=True).load(text)
@@ -141,6 +126,4 @@ def _parse(path: Path) -> "CommentedMap":
 
 
 def _too_many(path: Path) -> InvalidFile:
-    return InvalidFile(
-        f"{path}: expected at most {YAML_LIMITS.max_values} values, got more (aliases of aliases?)"
-    )
+    return InvalidFile(f"{path}: expected at most {MAX_VALUES} values, got more (aliases of aliases?)")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from handsight import checks, se3
-from handsight._deprecated import renamed_keywords, renamed_members
+from handsight._deprecated import renamed_arguments, renamed_members
 from handsight.checks import Array, Mask
 from handsight.contact import Contacts
 from handsight.errors import InvalidInput
@@ -43,7 +43,7 @@ class Sweep:
         """Returns the point (3,) of the path at a distance from its start [m]."""
         return np.asarray(self.start_world + distance * self.direction_world)
 
-    @renamed_keywords(begin="start")
+    @renamed_arguments(begin="start")
     def part(self, start: float, end: float) -> "Sweep":
         """Returns the part of the path between two distances from its start [m]."""
         return Sweep(self.at(start), self.direction_world, end - start)
@@ -181,7 +181,7 @@ class Area:
         """Returns (n,) whether each of the placements (n, 4) is within the rectangle."""
         return np.asarray(((placements[:, :2] >= self.low) & (placements[:, :2] <= self.high)).all(axis=1))
 
-    @renamed_keywords(places="placements")
+    @renamed_arguments(places="placements")
     def poses(self, model: ObjectModel, placements: Array) -> Array:
         """Returns Ts_world_object (n, 4, 4) of the object at placements (n, 4)."""
         vertical = np.zeros((len(placements), 3))

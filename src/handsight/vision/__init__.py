@@ -5,8 +5,7 @@ from handsight.vision.depth_noise import PRESETS, STEREO, STRUCTURED_LIGHT, TIME
 from handsight.vision.object.depth_points import depth_points
 from handsight.vision.object.depth_tracker import DepthTracker, Sighting
 from handsight.vision.object.first_pose import JudgedStarts, ObjectDetection
-from handsight.vision.object.first_pose_source import FirstPoseSource, locate_detected
-from handsight.vision.object.locate import Recognition, locate, recognise
+from handsight.vision.object.locate import FirstPoseSource, Recognition, locate, locate_detected, recognise
 from handsight.vision.object.locate_all import ObjectInstance, SceneDetection, locate_all
 from handsight.vision.object.shape_index import ShapeIndex
 from handsight.vision.palm.hand_appearance import HandAppearance, PlacedHand

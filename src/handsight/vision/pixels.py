@@ -6,7 +6,7 @@ import warnings
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import msgspec
 import numpy as np
@@ -26,22 +26,10 @@ if TYPE_CHECKING:
 Color = NDArray[np.uint8]
 Pixel = TypeVar("Pixel", bound=np.generic)
 MILLIMETRE = 1e-3
-
-
-class ImageLimits(NamedTuple):
-    """`ImageLimits` bound what images and the files of images and cameras may hold."""
-
-    max_image: int = 200_000_000  # bytes of an image's file
-    max_camera: int = 100_000  # bytes of a camera's file
-    max_pixels: int = 20_000_000  # of a compressed image, which a kilobyte may hold
-    min_scale: float = 1e-7  # least size of one step of a depth image [m]
-    max_scale: float = 1.0  # and largest [m]
-    min_median: float = 0.02  # of a depth image: below it the unit is another [m]
-    max_median: float = 20.0  # and above it [m]
-
-
-LIMITS = ImageLimits()
-
+MAX_IMAGE, MAX_CAMERA = 200_000_000, 100_000  # bytes of the files of an image and of a camera
+MOST_PIXELS = 20_000_000  # of a compressed image, which a kilobyte may hold
+MIN_SCALE, MAX_SCALE = 1e-7, 1.0  # of one step of a depth image [m]
+MIN_MEDIAN, MAX_MEDIAN = 0.02, 20.0  # of a depth image, below and above which its unit is another [m]
 Pixels = Annotated[float, Meta(gt=0, le=1e6)]
 Side = Annotated[int, Meta(gt=0, le=MAX_PIXELS)]
 
@@ -67,7 +55,7 @@ def read_camera(path: str | Path) -> Camera:
     Its keys: fx, fy, cx, cy, width, height [pixels], and where images are not rectified `lens`: k1, k2, p1, p2[, k3[,
     k4, k5, k6]] of OpenCV.
     """
-    form = decode(read_bytes(path, LIMITS.max_camera), CameraForm, str(path))
+    form = decode(read_bytes(path, MAX_CAMERA), CameraForm, str(path))
     K = np.array([[form.fx, 0, form.cx], [0, form.fy, form.cy], [0, 0, 1.0]])
     try:
         return Camera(K, (form.width, form.height), np.array(form.lens))
@@ -83,10 +71,10 @@ def read_depth(path: str | Path, scale: float = MILLIMETRE, *, camera: Camera | 
     median depth (below 2 cm or beyond 20 m) says that the unit is another; InvalidInput for the scale; MissingExtra.
     """
     unit = checks.positive(scale, "scale")
-    if not LIMITS.min_scale <= unit <= LIMITS.max_scale:
-        expected = f"expected metres from {LIMITS.min_scale:g} to {LIMITS.max_scale:g}"
+    if not MIN_SCALE <= unit <= MAX_SCALE:
+        expected = f"expected metres from {MIN_SCALE:g} to {MAX_SCALE:g}"
         raise InvalidInput(f"scale: {expected}, got {unit:g} (millimetres?)")
-    data = read_bytes(path, LIMITS.max_image)
+    data = read_bytes(path, MAX_IMAGE)
     try:
         depth = metres(_of_size(sixteen_bits(data), camera), unit)
     except InvalidInput as error:
@@ -98,7 +86,7 @@ def read_depth(path: str | Path, scale: float = MILLIMETRE, *, camera: Camera | 
 
 def read_color(path: str | Path, *, camera: Camera | None = None) -> Color:
     """Returns red, green, blue (h, w, 3) of a PNG or JPEG of the size of `camera`; raises InvalidFile, MissingExtra."""
-    data = read_bytes(path, LIMITS.max_image)
+    data = read_bytes(path, MAX_IMAGE)
     try:
         return _of_size(color(data), camera)
     except InvalidInput as error:
@@ -116,9 +104,9 @@ def metres(pixels: NDArray[np.generic], scale: float = MILLIMETRE) -> Depth:
     sample = depth[::4, ::4]
     known = sample[~np.isnan(sample)]
     median = float(np.median(known)) if known.size else np.nan
-    if unit * median < LIMITS.min_median or unit * median > LIMITS.max_median:
-        guess = "another unit?" if is_integer or median < LIMITS.min_median else "millimetres?"
-        if is_integer and unit == MILLIMETRE and median > LIMITS.max_median:
+    if unit * median < MIN_MEDIAN or unit * median > MAX_MEDIAN:
+        guess = "another unit?" if is_integer or median < MIN_MEDIAN else "millimetres?"
+        if is_integer and unit == MILLIMETRE and median > MAX_MEDIAN:
             guess += " --depth-scale 0.0001 is for tenths of millimetres"
         names = {1.0: "metres (32FC1)", MILLIMETRE: "millimetres (16UC1)"}
         expected = names.get(unit, f"units of {1e3 * unit:g} mm")
@@ -152,8 +140,8 @@ def _opened(data: bytes, read: Callable[["Image"], NDArray[Pixel]]) -> NDArray[P
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
-                if image.width * image.height > LIMITS.max_pixels:
-                    raise InvalidInput(f"expected at most {LIMITS.max_pixels} pixels, got {image.size}")
+                if image.width * image.height > MOST_PIXELS:
+                    raise InvalidInput(f"expected at most {MOST_PIXELS} pixels, got {image.size}")
                 pixels = read(image)
                 # Pillow leaves rows black that a PNG lacks, and says nothing.
                 last = image.crop((0, image.height - 1, image.width, image.height))

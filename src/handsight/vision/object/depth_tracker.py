@@ -22,8 +22,7 @@ from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.vision.candidates import UNKNOWN, candidates_at, center_depths
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
-from handsight.vision.object.first_pose_source import FirstPoseSource
-from handsight.vision.object.locate import locate
+from handsight.vision.object.locate import FirstPoseSource, locate
 from handsight.vision.object.pose_refiner import PoseRefiner, RefinedPose, against, support_share
 from handsight.vision.object.region import check_metres
 

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, cast
+from functools import partial
+from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from handsight import checks, se3
-from handsight._deprecated import renamed_keywords, reordered
+from handsight._deprecated import renamed_arguments
 from handsight.camera import Camera, Depth
 from handsight.checks import Array, Mask
 from handsight.errors import InvalidInput
 from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
+from handsight.observation import Detection2D
 from handsight.vision.candidates import NOTHING_KNOWN, Candidates, candidates_at, poses_of, surface_distances
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.object.first_pose import JudgedStarts, ObjectDetection, first_pose, log_odds, logit
@@ -48,10 +50,10 @@ class LocateOptions(NamedTuple):
 
 
 LOCATE = LocateOptions()
+MAX_DETECTIONS = 8  # detections of an object in an image that are searched, those with the highest scores
 
 
-@renamed_keywords(wanted="mask")
-@reordered("model", "camera", "depth", former=lambda args: len(args) > 1 and isinstance(args[1], Camera))
+@renamed_arguments("model", "camera", "depth", second=Camera, wanted="mask")
 def locate(
     model: ObjectModel,
     depth: Depth,
@@ -111,6 +113,65 @@ def _too_near(
     return "" if found.reason else "; ten times as far it is found: depth in another unit (--depth-scale)?"
 
 
+class FirstPoseSource(Protocol):
+    """A `FirstPoseSource` is a function that finds an object in a depth image, without a guess; `locate` is one.
+
+    Another one usually asks a detector or an estimator, and passes what it answers to `locate` as box, mask, score or
+    start, with the keywords that it was called with.
+    """
+
+    def __call__(
+        self,
+        model: ObjectModel,
+        depth: Depth,
+        camera: Camera,
+        /,
+        *,
+        hand: Mask | None = None,
+        table: Array | None = None,
+        noise: DepthNoise = STRUCTURED_LIGHT,
+    ) -> ObjectDetection:
+        """Returns the poses that the object may have, the likeliest first; none, with the reason, if it is not there.
+
+        depth (h, w) [m], 0 or NaN where there is none; hand (h, w): pixels of the hand; table (4,): `n·P + offset = 0`
+        in the camera; noise: of the depth.
+        """
+
+
+def locate_detected(
+    model: ObjectModel,
+    depth: Depth,
+    camera: Camera,
+    *,
+    detections: Sequence[Detection2D],
+    elsewhere: FirstPoseSource | None = None,
+    mask: Mask | None = None,
+    start: Start | None = None,
+    hand: Mask | None = None,
+    table: Array | None = None,
+    noise: DepthNoise = STRUCTURED_LIGHT,
+) -> ObjectDetection:
+    """Returns the likeliest answer of `locate` of those in the boxes and masks in which the object was detected.
+
+    Detections that cannot be of the camera's images are left out. elsewhere: finds the object where none of them is
+    right. Other arguments and errors are as `locate`'s; with `functools.partial` it is a `FirstPoseSource`.
+    """
+    located = partial(locate, model, depth, camera, start=start, hand=hand, table=table, noise=noise)
+    found = list[ObjectDetection]()
+    for each in sorted(detections, key=lambda each: -(each.score or 1.0))[:MAX_DETECTIONS]:
+        try:
+            inside = search_mask(camera, each.box, each.mask)
+        except InvalidInput:
+            continue
+        if mask is not None:
+            inside = mask if inside is None else inside & np.asarray(mask, dtype=bool)
+        found.append(located(mask=inside, score=each.score))
+    best = max(found, key=lambda each: each.probability, default=None)
+    if elsewhere is not None and (best is None or best.reason is not None):
+        return elsewhere(model, depth, camera, hand=hand, table=table, noise=noise)
+    return best or ObjectDetection.nowhere(f"{model.name or 'the object'} was not detected in the image")
+
+
 @dataclass(frozen=True, eq=False)
 class Recognition:
     """A `Recognition` says which object a depth image shows, and where."""
@@ -127,13 +188,13 @@ class Recognition:
         return best if best is not None and self.scores[best] > self.none else None
 
 
-@renamed_keywords(wanted="mask")
-@reordered("models", "camera", "depth", former=lambda args: len(args) > 1 and isinstance(args[1], Camera))
+@renamed_arguments("models", "camera", "depth", second=Camera, wanted="mask")
 def recognise(
     models: Mapping[str, ObjectModel],
     depth: Depth,
     camera: Camera,
     *,
+    found: Mapping[str, ObjectDetection] | None = None,
     box: Box | None = None,
     mask: Mask | None = None,
     hand: Mask | None = None,
@@ -143,7 +204,8 @@ def recognise(
     """Returns which of the models (by name) a depth image shows in a box or a mask; arguments are as `locate`'s.
 
     Each is searched in the same segments of the image; of a `ShapeIndex` those that it names, and only they are in the
-    answer. Raises InvalidInput as `locate` does, and for no models.
+    answer. found: what `locate` answers of each in the boxes of a detector or from the poses of an estimator, in place
+    of a search. Raises InvalidInput as `locate` does, and for no models.
     """
     if not models:
         raise InvalidInput("models: expected at least one, got none")
@@ -151,19 +213,10 @@ def recognise(
     largest = index.max_diameter if index else max(model.diameter for model in models.values())
     wanted, extent = search_mask(camera, box, mask), LOCATE.max_plane * largest
     scene = scene_of(camera, depth, wanted=wanted, hand=hand, table=table, extent=extent)
-    models = index.nearest(scene) if index else models
-    found = {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
-    return recognition_of(models, found, scene)
-
-
-def recognition_of(
-    models: Mapping[str, ObjectModel], found: Mapping[str, ObjectDetection], scene: Scene
-) -> Recognition:
-    """Returns which of several objects a scene shows, by where each would be.
-
-    Poses are compared by their log odds, added to their object's, and by the same pixels of the scene, because odds are
-    of shares of each object's own. None of them is there as probably as the likeliest is not.
-    """
+    models = index.nearest(scene) if index and not found else models
+    found = found or {name: first_pose(model, scene, noise=noise) for name, model in models.items()}
+    # Poses are compared by their log odds, added to their object's, and by the same pixels of the scene, because odds
+    # are of shares of each object's own. None of them is there as probably as the likeliest is not.
     detected = [name for name, one in found.items() if len(one.candidates)]
     step = max(1, round(np.sqrt((scene.labels >= 0).sum() / LOCATE.compared)))
     inside = scene.labels[::step, ::step] >= 0

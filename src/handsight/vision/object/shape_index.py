@@ -91,9 +91,8 @@ class ShapeIndex(Mapping[str, ObjectModel]):
         owners = self._tree.query(rows, k=range(1, count + 1))[1] // (self._tree.n // len(names))
         ranked = list[tuple[float, int]]()
         for part, each in zip(parts, owners, strict=True):
-            share = len(part) / len(
-                parts[0]
-            )  # something may divide an object, whose parts say less than both
+            # Something may divide an object, whose parts say less than both.
+            share = len(part) / len(parts[0])
             ranked += [(k / share, owner) for k, owner in enumerate(dict.fromkeys(each.tolist()), 1)]
         found = list(dict.fromkeys(names[owner] for _, owner in sorted(ranked)))
         return {name: self[name] for name in found[: self.shortlist]}
@@ -131,10 +130,7 @@ def described_views(vertices: Array, faces: Indices) -> Floats:
         points = points[points[..., 2] > 0]
         points = points if len(points) else placed  # thinner than a pixel
         view[:] = points[np.linspace(0, len(points) - 1, len(view)).astype(int)]
-    found = [
-        described(views),
-        *(described(parts) for parts in partly_hidden(views, np.random.default_rng(0))),
-    ]
+    found = list(map(described, [views, *partly_hidden(views, np.random.default_rng(0))]))
     return np.concatenate([each.reshape(-1, each.shape[-1]) for each in found])
 
 
@@ -164,10 +160,8 @@ def described(points: Floats) -> Floats:
     depth = away @ ray.swapaxes(-1, -2)
     across = away - depth * ray
     variances, axes = np.linalg.eigh(across.swapaxes(-1, -2) @ across / n)
-    coordinates, sigmas = (
-        (across @ axes[..., :0:-1]).swapaxes(-1, -2),
-        np.sqrt(variances[..., :0:-1].clip(1e-18)),
-    )
+    coordinates = (across @ axes[..., :0:-1]).swapaxes(-1, -2)
+    sigmas = np.sqrt(variances[..., :0:-1].clip(1e-18))
     sizes = np.abs(coordinates)
     radius = np.hypot(sizes[..., :1, :], sizes[..., 1:, :])
     rows = np.sort(np.concatenate([sizes, radius, depth.swapaxes(-1, -2)], axis=-2), axis=-1)

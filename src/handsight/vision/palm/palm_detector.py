@@ -7,6 +7,7 @@ hand that was found in the last image is only aligned.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -14,15 +15,37 @@ from numpy.typing import NDArray
 
 from handsight import checks, se3
 from handsight._deprecated import renamed_members
-from handsight._kernels.image import depth_covariance, hand_term
-from handsight._kernels.image.vision_records import STAGE
+from handsight._kernels.image import depth_covariance, hand_term, palm_scan
+from handsight._kernels.image.vision_records import CANDIDATE, STAGE
 from handsight.camera import Camera, Depth
-from handsight.checks import Array, Indices
+from handsight.checks import Array, Indices, Mask
 from handsight.gaussian_pose import GaussianPose
 from handsight.vision.candidates import Candidates, candidates_at, depth_errors, poses_of
 from handsight.vision.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from handsight.vision.palm.hand_appearance import PlacedHand
-from handsight.vision.palm.palm_search import Belief, Picture, distinct, picture_of, searched
+
+
+class PalmSearchOptions(NamedTuple):
+    """`PalmSearchOptions` say how poses of the palm are searched."""
+
+    cell: float = 0.005  # side of the cells in which the image is sampled, at the hand [m]
+    max_cells: int = 160  # to a side
+    shift: float = 0.025  # between poses that are tried, across the direction to the camera [m]
+    layer: float = 0.10  # and along it [m]
+    rotation: float = float(np.deg2rad(12))  # and between their rotations [rad]
+    max_sigmas: float = 2.6  # of the predicted pose, within which poses are tried
+    prior_weight: float = 0.01
+    """What a squared sigma off the predicted pose takes from a pose's score, the share of points that agree."""
+    bin: float = 0.010  # of distances that are told apart [m]
+    scanned: int = 80  # points of the hand that are compared with the image
+    best: int = 300  # of all poses that are tried, those of which the distinct ones are taken
+    refined: int = 48  # distinct poses whose neighbours are tried
+    best_around: int = 30  # of the neighbours of each
+    kept: int = 40  # distinct poses that go on
+    compared: int = 8  # points of the hand by which poses are told apart
+
+
+PALM_SEARCH = PalmSearchOptions()
 
 
 class AlignStage(NamedTuple):
@@ -40,7 +63,7 @@ class AlignStage(NamedTuple):
 class DetectorOptions(NamedTuple):
     """`DetectorOptions` say when a palm is detected."""
 
-    max_sigmas: float = 4.0  # of the belief, beyond which no answer is taken
+    max_sigmas: float = 4.0  # of the predicted pose, beyond which no answer is taken
     search_factor: float = 2.5  # times that, beyond which no candidate goes on
     min_fit_followed: float = 0.65
     """Of a hand that is followed: the least share explained of what is neither hidden nor out of the image."""
@@ -113,22 +136,22 @@ def detect_palm(
     T = se3.check(T_camera_palm, "T_camera_palm")
     camera.check_size(depth, "depth")
     sigma = checks.positive(sigma_position, "sigma_position")
-    belief = Belief(hand, T, (sigma, checks.positive(sigma_rotation, "sigma_rotation")))
-    picture = picture_of(camera, depth, hand, T, sigma)
+    sigmas = sigma, checks.positive(sigma_rotation, "sigma_rotation")
+    picture = picture_of(camera, depth, hand, T, sigmas)
     if picture is None:
         return PalmNotFound("outside")
     visible = hand.visible_from(camera, T)
-    candidates, rows = searched(picture, belief, visible), np.flatnonzero(visible)
+    candidates, rows = searched(picture, visible), np.flatnonzero(visible)
     if not len(candidates):
         return PalmNotFound("outside")
     for stage in DETECTOR.stages:
         _align(picture, rows, stage, candidates)
-        candidates = _believed(belief, candidates, DETECTOR.search_factor * DETECTOR.max_sigmas)
+        candidates = _believed(picture, candidates, DETECTOR.search_factor * DETECTOR.max_sigmas)
         candidates = distinct(hand, candidates, stage.spacing, stage.kept)
     candidates = candidates[candidates["score"] > DETECTOR.near_best * candidates["score"].max(initial=0.0)]
     finished = [_finished(picture, candidates[[k]], DETECTOR.last_stage) for k in range(len(candidates))]
     candidates = np.concatenate([candidates[:0], *finished])
-    return _answer(picture, _believed(belief, candidates, DETECTOR.max_sigmas), noise)
+    return _answer(picture, _believed(picture, candidates, DETECTOR.max_sigmas), noise)
 
 
 def follow_palm(
@@ -146,17 +169,143 @@ def follow_palm(
     """
     T, sigmas = se3.check(T_camera_palm, "T_camera_palm"), DETECTOR.followed_sigmas
     camera.check_size(depth, "depth")
-    picture = picture_of(camera, depth, hand, T, sigmas[0])
+    picture = picture_of(camera, depth, hand, T, sigmas)
     if picture is None:
         return PalmNotFound("outside")
     candidate = _finished(picture, candidates_at(T[None]), DETECTOR.followed_stage)
-    candidate = _believed(Belief(hand, T, sigmas), candidate, DETECTOR.max_sigmas)
+    candidate = _believed(picture, candidate, DETECTOR.max_sigmas)
     if len(candidate):
         free = candidate["explained"] + candidate["passed"] + candidate["unexplained"]
         fits = candidate["explained"] > DETECTOR.min_fit_followed * free
         if not (fits & (candidate["passed"] < DETECTOR.max_passed * free)).all():
             return PalmNotFound("no_fit")
     return _answer(picture, candidate, noise)
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A `Picture` is a depth image in which a hand may be, as the kernels take it, sampled in cells around there."""
+
+    hand: PlacedHand
+    T: Array  # (4, 4) camera from palm, as predicted
+    sigmas: tuple[float, float]  # of the hand's middle and of a turn, per axis [m, rad]
+    camera: Camera
+    depth: Depth
+    cells: NDArray[np.float32]  # (m, m, 4) as `palm_scan.cells_of` fills them in
+    corner: Array  # (3,) ray of the first cell, and step from cell to cell
+
+    @property
+    def arrays(self) -> tuple[Depth, NDArray[np.float32], NDArray[np.float32], Array]:
+        return self.depth, self.camera.rays, self.cells, self.corner
+
+    def differences(self, middles: Array, rotations: Array) -> tuple[Array, Array]:
+        """Returns how far middles (..., 3) and rotations (..., 3, 3) of the hand are off the predicted pose (..., 3)
+        [m], [rad]."""
+        off = middles - se3.apply(self.T, self.hand.middle[None])[0]
+        return off, se3.rotation_log(rotations @ self.T[:3, :3].T)
+
+
+def picture_of(
+    camera: Camera, depth: Depth, hand: PlacedHand, T: Array, sigmas: tuple[float, float]
+) -> Picture | None:
+    """Returns the image; None where a hand at T (4, 4), off by `sigmas` per axis [m, rad], cannot be in it."""
+    middle, reach = se3.apply(T, hand.middle[None])[0], PALM_SEARCH.max_sigmas * sigmas[0] + hand.radius
+    if not middle[2] > -reach:
+        return None
+    known = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
+    far, nearest = max(middle[2], 0.1), max(middle[2] - reach, 0.1)
+    half = reach / max(nearest, 0.5 * far)
+    count = min(int(2 * half / (PALM_SEARCH.cell / far)) + 1, PALM_SEARCH.max_cells)
+    corner = np.array([middle[0] / far - half, middle[1] / far - half, 2 * half / count])
+    cells = np.empty((count + 1, count + 1, 4), dtype=np.float32)
+    palm_scan.cells_of(camera.record, camera.rays, known, corner, cells)
+    return Picture(hand, T, sigmas, camera, known, cells, corner) if (cells[..., 0] > 0).any() else None
+
+
+def searched(picture: Picture, visible: Mask) -> Candidates:
+    """Returns CANDIDATE (k,) from which the hand is aligned: the best poses of all within the sigmas, and around
+    them. visible (m,): which points of the hand the camera sees at the predicted pose."""
+    hand, rows, options = picture.hand, np.flatnonzero(visible), PALM_SEARCH
+    air = hand.beside(picture.camera, picture.T, options.scanned)
+    points = _about_middle(hand, rows[: options.scanned], air[: options.scanned // 2])
+    turns = _turns(options.max_sigmas * picture.sigmas[1], options.rotation)
+    shifts = _shifts(options.max_sigmas * picture.sigmas[0])
+    candidates = _best(picture, picture.T, points, options.bin, turns, shifts, options.best)
+    candidates = distinct(hand, candidates, options.shift, options.refined)
+    points = _about_middle(hand, rows[: 2 * options.scanned], air)
+    turns = _turns(options.rotation / 2, options.rotation / 2)
+    finer = points, options.bin / 2, turns, np.zeros((1, 3)), options.best_around
+    around = [_best(picture, T, *finer) for T in poses_of(candidates)]
+    return distinct(hand, np.concatenate([candidates[:0], *around]), options.shift / 2, options.kept)
+
+
+def _about_middle(hand: PlacedHand, rows: Indices, air: Array) -> Array:
+    """Returns (2, k, 3): points of the skin and in the air, about the hand's middle [m]; their normals, or zeros."""
+    points = np.concatenate([hand.skin[0, rows], air]) - hand.middle
+    return np.stack([points, np.concatenate([hand.skin[1, rows], np.zeros_like(air)])])
+
+
+def _best(
+    picture: Picture, T: Array, points: Array, bin_width: float, turns: Array, shifts: Array, most: int
+) -> Candidates:
+    """Returns the best CANDIDATE (k,), `most` at most, of all `turns` (r, 3, 3) and `shifts` (s, 3) [m] of the hand at
+    a pose T (4, 4), by `points` as of `_about_middle`.
+
+    For each of them one distance from the camera is taken, the one at which most points agree with the image, of those
+    that are `bin_width` [m] apart.
+    """
+    rotations, middles = turns @ T[:3, :3], se3.apply(T, picture.hand.middle[None])[0] + shifts
+    found = np.empty((len(rotations), len(middles), 2))
+    palm_scan.scan(picture.cells, picture.corner, bin_width, points, middles, rotations, found)
+    places = middles * (1 + found[..., 1] / middles[:, 2])[..., None]
+    off, turned = picture.differences(places, rotations[:, None])
+    chi2 = (off**2).sum(axis=-1) / picture.sigmas[0] ** 2
+    chi2 += (turned**2).sum(axis=-1) / picture.sigmas[1] ** 2
+    scores = (found[..., 0] - PALM_SEARCH.prior_weight * chi2).reshape(-1)
+    best = np.argpartition(-scores, min(most, len(scores) - 1))[:most]
+    best = best[np.isfinite(scores[best])]
+    r, s = np.divmod(best, len(middles))
+    candidates = np.zeros(len(best), dtype=CANDIDATE)
+    candidates["score"], candidates["pose"]["rotation"] = scores[best], rotations[r]
+    candidates["pose"]["position"] = places[r, s] - rotations[r] @ picture.hand.middle
+    return candidates
+
+
+@lru_cache(maxsize=16)
+def _turns(reach: float, step: float) -> Array:
+    """Returns rotations (r, 3, 3) `step` apart, up to `reach` [rad]; none but 0 where that is less than half a step."""
+    count = max(int(np.ceil(reach / step - 0.5)), 0)
+    steps = step * np.arange(-count, count + 1)
+    turns = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = np.linalg.norm(turns, axis=1) <= reach + 0.8 * step
+    return np.stack([se3.rotation_exp(turn) for turn in turns[inside]])
+
+
+def _shifts(reach: float) -> Array:
+    """Returns shifts (s, 3) up to `reach` [m], close together across the direction to the camera, in layers along
+    it."""
+    steps = np.array([PALM_SEARCH.shift, PALM_SEARCH.shift, PALM_SEARCH.layer])
+    count, _, layers = np.maximum(np.ceil(reach / steps - 0.5).astype(int), 0).tolist()
+    across, along = steps[0] * np.arange(-count, count + 1), steps[2] * np.arange(-layers, layers + 1)
+    shifts = np.stack(np.meshgrid(across, across, along, indexing="ij"), axis=-1).reshape(-1, 3)
+    # A cell counts where any of it is within reach: by its nearest corner, not by its middle.
+    nearest = np.maximum(np.abs(shifts) - steps / 2, 0.0)
+    return np.asarray(shifts[np.linalg.norm(nearest, axis=1) <= reach])
+
+
+def distinct(hand: PlacedHand, candidates: Candidates, spacing: float, most: int) -> Candidates:
+    """Returns the best candidates, the best first, each at least `spacing` from all better ones. Their distance is the
+    root mean square of that of a few points of the hand [m]."""
+    candidates = candidates[np.argsort(-candidates["score"], kind="stable")]
+    points = hand.skin[0, : PALM_SEARCH.compared]
+    places = se3.apply(poses_of(candidates), points).reshape(len(candidates), points.size)
+    taken, kept = np.zeros(len(candidates), dtype=bool), list[int]()
+    for k in range(len(candidates)):
+        if not taken[k] and len(kept) < most:
+            kept.append(k)
+            away = places - places[k]
+            taken |= np.einsum("ki,ki->k", away, away) < PALM_SEARCH.compared * spacing**2
+    return candidates[kept]
 
 
 def _align(picture: Picture, rows: Indices, stage: AlignStage, candidates: Candidates) -> None:
@@ -181,12 +330,12 @@ def _finished(picture: Picture, candidate: Candidates, stage: AlignStage) -> Can
     return candidate
 
 
-def _believed(belief: Belief, candidates: Candidates, sigmas: float) -> Candidates:
-    """Returns the candidates, the best first, that are at most so many sigmas off the belief."""
+def _believed(picture: Picture, candidates: Candidates, sigmas: float) -> Candidates:
+    """Returns the candidates, the best first, that are at most so many sigmas off the predicted pose."""
     Ts = poses_of(candidates)
-    middles = se3.apply(Ts, belief.hand.middle[None])[:, 0]
-    off, turned = (np.linalg.norm(d, axis=1) for d in belief.differences(middles, Ts[:, :3, :3]))
-    candidates = candidates[(off < sigmas * belief.sigmas[0]) & (turned < sigmas * belief.sigmas[1])]
+    middles = se3.apply(Ts, picture.hand.middle[None])[:, 0]
+    off, turned = (np.linalg.norm(d, axis=1) for d in picture.differences(middles, Ts[:, :3, :3]))
+    candidates = candidates[(off < sigmas * picture.sigmas[0]) & (turned < sigmas * picture.sigmas[1])]
     return candidates[np.argsort(-candidates["score"], kind="stable")]
 
 

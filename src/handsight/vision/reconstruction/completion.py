@@ -63,11 +63,6 @@ class ReconstructedModel:
         """(n,) standard deviation of the error that a point shares with its neighbours [m]."""
         return np.where(self.measured, COMPLETION.sigma_measured, COMPLETION.sigma_guessed)
 
-    @property
-    def share_measured(self) -> float:
-        """Share of the points that are measured."""
-        return float(self.measured.mean()) if len(self.measured) else 0.0
-
 
 def one_object(surface: SurfacePoints, volume: Volume, table: bool) -> SurfacePoints:
     """Returns the largest connected part of a surface, without the table at z = 0 if there is a `table`."""

@@ -79,16 +79,10 @@ class InHandView:
 
     def __init__(self, hand: Hand, sigma_joint: float) -> None:
         """`sigma_joint`: constant error of a joint [rad, slides: m]. Raises InvalidInput for a hand without shapes."""
-        self._hand, self._chains, self._sigma_joint = hand, hand.shape().chains, sigma_joint
+        self._chains, self._sigma_joint = hand.shape().chains, sigma_joint
         self._points, _, self._bodies = skin_points(hand, SEGMENTATION.skin_points)
-
-    def has_all_joints(self, joint_positions: Mapping[str, float] | None) -> bool:
-        """Returns whether every joint of the hand has a position."""
-        return (joint_positions or {}).keys() >= {*self._chains.joints, *self._hand.joint_names}
-
-    def middle(self, joint_positions: Mapping[str, float]) -> Array:
-        """Returns the mean (3,) of the fingertips in the palm [m]."""
-        return np.asarray(self._hand.Ts_palm_tip(joint_positions)[:, :3, 3].mean(axis=0))
+        self.joints = {*self._chains.joints, *hand.joint_names}
+        """The joints whose positions it needs."""
 
     def without_hand(
         self, camera: Camera, depth: Depth, joint_positions: Mapping[str, float], T_camera_palm: Array
