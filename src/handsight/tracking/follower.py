@@ -513,8 +513,9 @@ class Follower:
         if state.correction is None and not state.vision.camera_from_palm.confirmed:
             return "uncertain", "nothing is touched: the pose is vision's"
         if (sigma := self.sigma(state)) > self.settings.uncertain_position:
-            table, reason = self.table(state), f"the position is known to {1e3 * sigma:.0f} mm only"
-            return "uncertain", f"{reason}; the table: {table.reason}" if table and table.reason else reason
+            reason = f"the position is known to {1e3 * sigma:.0f} mm only"
+            doubt = "" if state.table is None else state.table.doubt(estimate)
+            return "uncertain", f"{reason}; the table: {doubt}" if doubt else reason
         return "tracking", ""
 
 

@@ -267,14 +267,23 @@ class TableEvidence:
         assert measured is not None
         H, off, _ = measured
         sigma = np.sqrt(np.einsum("ij,jk,ik->i", H, covariance, H))
-        reason, best = "", self.supports[self.best]
-        if best.pose is None:
-            reason = "the object rests on none of its sides: it leans, or the hand holds it"
-        elif best.factors != (1.0, 1.0):
-            side = "below" if off[0] > 0 else "above"
-            reason = f"touch and vision have it {abs(1e3 * off[0]):.0f} mm {side} where the rig says"
         height, tilt = self.table.height - float(off[0]), float(np.linalg.norm(off[1:]))
-        return TableEstimate(height, float(sigma[0]), tilt, float(sigma[1:].max()), declared, reason)
+        doubt = self.doubt(estimate)
+        return TableEstimate(height, float(sigma[0]), tilt, float(sigma[1:].max()), declared, doubt)
+
+    def doubt(self, estimate: PoseEstimate) -> str:
+        """Returns why the table is doubted, given the object's pose; empty where it is used."""
+        best = self.supports[self.best]
+        if best.pose is None:
+            return "the object rests on none of its sides: it leans, or the hand holds it"
+        if best.factors == (1.0, 1.0):
+            return ""
+        now = PoseAndBias(np.stack([estimate.T_palm_object, np.eye(4)]), np.zeros((12, 12)))
+        (measured,) = self.measured(now, [best])
+        assert measured is not None
+        off = measured[1][0]
+        side = "below" if off > 0 else "above"
+        return f"touch and vision have it {abs(1e3 * off):.0f} mm {side} where the rig says"
 
     def log_densities(self, state: PoseAndBias, measured: Sequence[Measured | None]) -> Array:
         """Returns (k,) the log probability of each support by vision alone, up to a constant.
