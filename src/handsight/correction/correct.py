@@ -253,6 +253,9 @@ def _searched(
     if limit.cut_short:
         rows["converged"] = False
     estimate = with_means(problem, rows, found.used, answer)
+    if estimate.outliers:
+        wrong = conflicts.excluded_contacts(problem, estimate, found.used, found.falls)
+        estimate = replace(estimate, conflicts=(*estimate.conflicts, *wrong))
     return mean_by_sampling(problem, estimate, found.used, samples) if samples else estimate
 
 
@@ -313,7 +316,7 @@ def _weighed(
         return replace(estimate, weight_fits=True)
     used = np.ones((1, len(problem.contacts)), dtype=bool)
     used[0, list(without.outliers)] = False
-    wrong = conflicts.excluded(problem, without.answer, used, "weight")
+    wrong = conflicts.excluded_weight(problem, without.answer, used)
     return replace(without, weight_fits=False, conflicts=(*without.conflicts, wrong))
 
 

@@ -1,5 +1,6 @@
 """The search for wrong contacts: each suspect is left out in turn, and is wrong if the others then fit much better."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ class OutlierOptions(NamedTuple):
     """Most contacts that are left out in turn, those of the largest gain, so that the work grows no faster than the
     number of contacts.
     """
+    least_gain: float = 4.0  # of a suspect, with vision: a quarter of what a wrong contact must gain
     max_outliers: int = 10  # most contacts that may be called wrong
     accept_p: float = 0.05
     """Level of the χ² test that the others must pass without the wrong contact."""
@@ -55,13 +57,14 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Steps
             if without is None or other.cost < without.cost:
                 without = other
                 if _better(without, found):
-                    again = solve(problem, without.minima[None], found.used, budget)
+                    found = found.with_more(solve(problem, without.minima[None], found.used, budget))
                     yield
-                    if again.fits(OUTLIERS.accept_p):
-                        return again
+                    if found.fits(OUTLIERS.accept_p):
+                        return found
         if without is not None and _better(without, found):
             # A second wrong contact is rare: it is searched for only where the contacts left do not fit.
-            found, suspicious = without, not without.fits()
+            falls = np.where(without.used[0], found.falls, found.cost - without.cost)
+            found, suspicious = replace(without, falls=falls), not without.fits()
             if not suspicious:
                 return found
         elif may_draw:
@@ -97,7 +100,9 @@ def _suspects(problem: Problem, found: Candidates) -> list[Indices]:
     if n - len(contacts) >= most_outliers(n, blind=problem.blind):
         return []
     order = contacts[np.argsort(-found.gains[contacts], kind="stable")[: OUTLIERS.max_suspects]]
-    return [order[:1], order[1:]]
+    if not problem.blind:
+        order = order[found.gains[order] > OUTLIERS.least_gain]
+    return [group for group in (order[:1], order[1:]) if len(group)]
 
 
 def first_starts(problem: Problem, number: int) -> Records:

@@ -1,7 +1,7 @@
 """Calls of the compiled solver: from one start, from many, and for the answer at a minimum."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -153,6 +153,8 @@ class Candidates:
     """Degrees of freedom of the χ² at a minimum."""
     gains: Array
     """(n,) by how much χ² falls, to first order, when each contact in use is left out, at the cheapest minimum."""
+    falls: Array
+    """(n,) by how much χ² fell when each contact that is not in use was left out; 0 for the others."""
 
     @property
     def cost(self) -> float:
@@ -173,7 +175,7 @@ class Candidates:
         minima = np.concatenate([plain(self.minima), plain(other.minima)]).view(records.DESCENT)[:, 0]
         minima = taken(minima, np.argsort(minima["cost"], kind="stable"))
         gains = self.gains if self.cost <= other.cost else other.gains
-        return Candidates(minima, self.used, self.freedom, gains)
+        return replace(self, minima=minima, gains=gains)
 
 
 def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None = None) -> Candidates:
@@ -205,7 +207,7 @@ def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None =
         Ts = nearest(model.symmetries, poses_of(minima), problem.vision.T_palm_object, model.radius)
         minima["pose"] = descents_at(Ts)["pose"]
     batch.weigh(*arguments[:2], contacts, *arguments[3:], minima)
-    return Candidates(minima, chosen, problem.freedom(chosen), contacts["gain"][0])
+    return Candidates(minima, chosen, problem.freedom(chosen), contacts["gain"][0], np.zeros(used.shape[1]))
 
 
 def _searched(work: Callable[[Records], None], blocks: Records, budget: Budget | None) -> Records:
@@ -273,6 +275,7 @@ def summarize(problem: Problem, found: Candidates, *, mean: int = 0) -> Records:
     minima = found.minima
     order, chosen = np.argsort(-minima["log_weight"], kind="stable"), minima
     if len(minima) > 1:
+        order = order[: np.count_nonzero(minima["log_weight"] > minima["log_weight"][order[0]] - SEARCH.negligible)]
         each = distinct(problem.model, minima, order, modes.MODES.max_modes, modes.SAME_MODE)
         if not problem.blind:  # with those beside a mode, as they are parts of its mean
             likely = order[minima["log_weight"][order] > minima["log_weight"][order[0]] - SEARCH.unlikely]

@@ -142,7 +142,7 @@ def correct_all(
 @entry
 def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, descents: Any) -> None:
     """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, their cost, and the largest gain of a contact;
-    the contacts' gains at the first minimum are written too.
+    the contacts' gains at the first minimum, the cheapest, are written too. Those that cost much more weigh nothing.
 
     The first set of contacts is used. Σ is over the directions that are known better than by the prior or, without
     vision, better than the object's own size. With a prior the poses are replaced by their equivalents nearest to it.
@@ -155,6 +155,9 @@ def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any,
     for k in range(len(descents)):
         descent = descents[k]
         pose = pose_of(descent.pose)
+        if descent.cost > descents[0].cost + SEARCH.dear:
+            descent.log_weight = -np.inf
+            continue
         if constraints[0].has_prior:
             pose = nearest(model[0], pose, pose_of(constraints[0].prior.pose))
             store_pose(pose, descent.pose)
