@@ -231,6 +231,8 @@ def _blocks(starts: Records, ends: int) -> Records:
     """
     sets, count = starts.shape
     number = -(-count // SOLVE.block)
+    if sets == number == ends == 1:
+        return np.asarray(plain(starts).copy().view(records.DESCENT))
     each = -(-count // number)
     dealt = np.zeros((sets, each * number), dtype=records.DESCENT)
     plain(dealt)[:, :count] = plain(starts)
@@ -263,8 +265,7 @@ def summaries(
     ANSWER; the others become no mean where they are Gaussian.
     """
     answers = np.zeros(len(descents), dtype=records.ANSWER)
-    for name in ("pose", "iterations", "converged", "log_weight"):
-        answers[name] = descents[name]
+    plain(answers)[:, : records.DESCENT.itemsize // 8] = plain(descents)
     answers["first_order"], answers["mean"], answers["mean"][:1] = first_order, min(mean, 1), mean
     batch.summarize_all(*problem.arguments(used), answers)
     return answers
@@ -293,13 +294,13 @@ def summarize_pose(problem: Problem, descent: Records) -> PoseEstimate:
     answer = summaries(problem, descent, used, first_order=True)[0]
     answer["weight"] = 1.0
     consistent = modes.fits(answer["chi2"], problem.freedom(used))
-    return PoseEstimate(answer, (answer,), residuals(problem, descent), consistent)
+    return PoseEstimate(answer, (answer,), residuals(problem, answer["T_palm_object"]), consistent)
 
 
-def residuals(problem: Problem, minimum: Records) -> Array:
-    """Returns the distance [m] and the angle [rad] between each contact and the surface (n, 2), at a minimum (1,)."""
+def residuals(problem: Problem, T_palm_object: Array) -> Array:
+    """Returns the distance [m] and the angle [rad] between each contact and the surface (n, 2), at a pose (4, 4)."""
     rows = np.empty((len(problem.contacts), 2))
-    batch.residuals_at(*problem.model.record[:2], problem.contacts.record, minimum, rows)
+    batch.residuals_at(*problem.model.record[:2], problem.contacts.record, T_palm_object, rows)
     return rows
 
 

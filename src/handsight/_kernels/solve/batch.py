@@ -205,10 +205,11 @@ def cost_all(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: A
 
 
 @entry
-def residuals_at(model: Any, nodes: Any, contacts: Any, descent: Any, residuals: Any) -> None:
-    """Writes distance [m] and angle [rad] (n, 2) of contacts (n,) to the surface, at the first descent's pose."""
+def residuals_at(model: Any, nodes: Any, contacts: Any, T_palm_object: Any, residuals: Any) -> None:
+    """Writes distance [m] and angle [rad] (n, 2) of contacts (n,) to the surface, at a pose (4, 4)."""
     for i in range(len(contacts)):
-        residuals[i, 0], residuals[i, 1] = _residual(model[0], nodes, contacts[i], pose_of(descent[0].pose))
+        pose = transform_of(T_palm_object)
+        residuals[i, 0], residuals[i, 1] = _residual(model[0], nodes, contacts[i], pose)
 
 
 @entry
