@@ -35,7 +35,7 @@ from handsight._kernels.records import (
     WEAK_PRIOR,
 )
 from handsight._kernels.runtime.compilation import entry, inner
-from handsight._kernels.solve.doubt import verdict
+from handsight._kernels.solve.doubt import is_suspicious, verdict, worst_contact
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
 from handsight._kernels.solve.options import DESCENT, MATCH, SEARCH
@@ -119,17 +119,32 @@ def correct_all(
         terms = np.empty(len(own), TERM)
         center = load_evidence(model[0], own, given, terms, prior)
         evidence = Evidence(model[0], nodes, terms, outside, given, prior, center)
-        prior_pose = pose_of(given.prior.pose)
-        start = pose_of(problem.start) if problem.follows else prior_pose
-        pose = _solve(evidence, start, problem.follows != 0, answer)
-        pose = nearest(model[0], pose, prior_pose)
-        store_pose(pose, answer.pose)
-        store_transform(pose, answer.T_palm_object)
+        prior_pose, follows, worst, coarse_cost = pose_of(given.prior.pose), problem.follows != 0, 0, 0.0
+        pose = pose_of(problem.start) if follows else prior_pose
+        answer.first_order, answer.weight = 0, 1.0
+        # Where a contact does not fit, the descent may only have been led astray by it: it goes on without the worst
+        # one, and from there with all.
+        for attempt in range(3):
+            pose = _solve(evidence, pose, follows or attempt > 0, answer)
+            if attempt == 1:
+                terms[worst].contact.used = 1
+                continue
+            pose = nearest(model[0], pose, prior_pose)
+            store_pose(pose, answer.pose)
+            store_transform(pose, answer.T_palm_object)
+            if problem.pose_only:
+                break
+            summarize(evidence, pose, answer, flat)
+            if attempt == 2:
+                answer.coarse_cost = coarse_cost
+            elif follows or not is_suspicious(answer):
+                break
+            else:
+                worst, coarse_cost = worst_contact(terms), answer.coarse_cost
+                terms[worst].contact.used = 0
         if problem.pose_only:
             continue
-        answer.first_order, answer.weight = 0, 1.0
-        summarize(evidence, pose, answer, flat)
-        answer.verdict = found = verdict(evidence, problem.follows != 0, answer)
+        answer.verdict = found = verdict(evidence, follows, attempt == 2, answer)
         if found != DOUBTED:
             to_mean(evidence, problems[k : k + 1].answer, 0, flat, -np.inf)
         pose = transform_of(answer.T_palm_object)
