@@ -49,16 +49,19 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Steps
         return found
     may_draw = not problem.blind and options.starts is None and problem.starts is None
     while not budget.spent():
-        suspects = _suspects(problem, found) if options.reject_outliers and suspicious else ()
-        without = _leave_one_out(problem, found, suspects, budget) if len(suspects) else found
-        yield
-        if _better(without, found):
-            # It may only have led the descents astray, and fit at the pose without it.
-            found = found.with_more(solve(problem, without.minima[None], found.used, budget))
+        without = None
+        # First the worst one alone: often it has only led the descents astray, and fits at the pose without it.
+        for left_out in _suspects(problem, found) if options.reject_outliers and suspicious else ():
+            other = _leave_one_out(problem, found, left_out, budget)
             yield
-            if found.fits(OUTLIERS.accept_p):
-                return found
-        if _better(without, found):
+            if without is None or other.cost < without.cost:
+                without = other
+                if _better(without, found):
+                    again = solve(problem, without.minima[None], found.used, budget)
+                    yield
+                    if again.fits(OUTLIERS.accept_p):
+                        return again
+        if without is not None and _better(without, found):
             # A second wrong contact is rare: it is searched for only where the contacts left do not fit.
             falls = np.where(without.used[0], found.falls, found.cost - without.cost)
             found, suspicious = replace(without, falls=falls), not without.fits()
@@ -90,14 +93,16 @@ def _better(without: Candidates, found: Candidates) -> bool:
     return gain >= ACCEPTANCE.decisive and (without.fits(OUTLIERS.accept_p) or gain > 0.5 * found.cost)
 
 
-def _suspects(problem: Problem, found: Candidates) -> Indices:
-    """Returns the contacts to leave out in turn, those of the largest gains, to first order; none where no more may be
-    left out."""
+def _suspects(problem: Problem, found: Candidates) -> list[Indices]:
+    """Returns the contacts to leave out in turn: the one of the largest gain, to first order, and those after it; none
+    where no more may be left out."""
     contacts, n = np.flatnonzero(found.used[0]), found.used.size
     if n - len(contacts) >= most_outliers(n, blind=problem.blind):
-        return contacts[:0]
+        return []
     order = contacts[np.argsort(-found.gains[contacts], kind="stable")[: OUTLIERS.max_suspects]]
-    return order if problem.blind else order[found.gains[order] > OUTLIERS.least_gain]
+    if not problem.blind:
+        order = order[found.gains[order] > OUTLIERS.least_gain]
+    return [group for group in (order[:1], order[1:]) if len(group)]
 
 
 def first_starts(problem: Problem, number: int) -> Records:
