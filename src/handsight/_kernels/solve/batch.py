@@ -27,6 +27,7 @@ from handsight._kernels.posterior.density import information, largest_gain, post
 from handsight._kernels.posterior.mean import to_mean
 from handsight._kernels.posterior.uncertainty import summarize
 from handsight._kernels.records import (
+    ANSWER,
     DOUBTED,
     FLAT_DIRECTIONS,
     PRIOR_TERM,
@@ -107,7 +108,7 @@ def correct_all(
     the pose is computed, for benchmarks. `contacts` (n,) are those of all problems one after another, `constraints`
     (K,) those of each; `residuals` (n, 2) are written: distance [m], angle [rad].
     """
-    prior, flat, found = local(PRIOR_TERM), local(FLAT_DIRECTIONS), DOUBTED
+    prior, flat, trial, found = local(PRIOR_TERM), local(FLAT_DIRECTIONS), local(ANSWER), DOUBTED
     for k in range(len(problems)):
         problem, answer, given = problems[k], problems[k].answer, constraints[k]
         any_width = problem.follows or problem.pose_only
@@ -122,12 +123,18 @@ def correct_all(
         prior_pose, follows, worst, coarse_cost = pose_of(given.prior.pose), problem.follows != 0, 0, 0.0
         pose = pose_of(problem.start) if follows else prior_pose
         answer.first_order, answer.weight = 0, 1.0
-        # Where a contact does not fit, the descent may only have been led astray by it: it goes on without the worst
-        # one, and from there with all.
+        # Where a contact does not fit, it may only have led the descent astray: that goes on without the worst one, and
+        # from there with all, unless χ² falls less without it than to first order.
         for attempt in range(3):
-            pose = _solve(evidence, pose, follows or attempt > 0, answer)
+            pose = _solve(evidence, pose, follows or attempt > 0, trial if attempt == 1 else answer)
             if attempt == 1:
                 terms[worst].contact.used = 1
+                fall = answer.cost - trial.cost
+                if fall < answer.gain:
+                    terms[worst].contact.gain = fall
+                    answer.gain = terms[worst_contact(terms)].contact.gain
+                    if not is_suspicious(answer):
+                        break
                 continue
             pose = nearest(model[0], pose, prior_pose)
             store_pose(pose, answer.pose)
@@ -144,7 +151,7 @@ def correct_all(
                 terms[worst].contact.used = 0
         if problem.pose_only:
             continue
-        answer.verdict = found = verdict(evidence, follows, attempt == 2, answer)
+        answer.verdict = found = verdict(evidence, follows, attempt > 0, answer)
         if found != DOUBTED:
             to_mean(evidence, problems[k : k + 1].answer, 0, flat, -np.inf)
         pose = transform_of(answer.T_palm_object)
