@@ -21,7 +21,7 @@ from handsight.checks import Array, Mask
 from handsight.correction import modes
 from handsight.correction.estimate import Conflict, PoseEstimate
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import Problem, descents_at
+from handsight.correction.problem import Problem
 
 KINDS = ("vision", "weight", "depth", "skin", "outside")
 POOL, KIND, EACH = ACCEPTANCE.pool, ACCEPTANCE.kind, ACCEPTANCE.each
@@ -70,26 +70,16 @@ def prior_freedom(problem: Problem, rows: int) -> int:
     return max(min(6 - len(problem.model.symmetries.axes), rows), 1)
 
 
-def excluded_weight(problem: Problem, answer: np.void, used: Mask) -> Conflict:
-    """Returns the conflict of the weight, which was left out of an answer, with the rest. `problem`: with it."""
-    both, residuals = _solved(problem, used, _mode(answer))
-    fall = float(both["posterior_cost"] - answer["posterior_cost"])
-    return _conflict(problem, used, "weight", fall, (answer, residuals), excluded=True)
+def excluded(problem: Problem, estimate: PoseEstimate, name: str, fall: float) -> Conflict:
+    """Returns the conflict of evidence that was left out of an estimate, of "weight" or "contact 3", with the rest.
 
-
-def excluded_contacts(
-    problem: Problem, estimate: PoseEstimate, used: Mask, falls: Array
-) -> tuple[Conflict, ...]:
-    """Returns the conflicts of an estimate's outliers, which are not `used` (1, n), with the rest.
-
-    `falls` (n,): by how much χ² fell when each was left out.
+    `problem`: with that evidence; `fall`: by how much χ² fell without it.
     """
-    rest, found = (estimate.answer, estimate.residual_rows), []
-    for i in estimate.outliers:
-        both = used.copy()
-        both[0, i] = True
-        found.append(_conflict(problem, both, f"contact {i}", float(falls[i]), rest, excluded=True))
-    return tuple(found)
+    used = np.ones((1, len(problem.contacts)), dtype=bool)
+    used[0, list(estimate.outliers)] = False
+    if name != "weight":
+        used[0, int(name.split()[1])] = True
+    return _conflict(problem, used, name, fall, (estimate.answer, estimate.residual_rows), excluded=True)
 
 
 def _found(problem: Problem, answer: np.void, used: Mask) -> tuple[Conflict, ...]:

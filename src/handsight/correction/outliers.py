@@ -84,7 +84,7 @@ def _suspicious(problem: Problem, found: Candidates) -> bool:
     """Returns whether one of the contacts may be wrong."""
     # Without vision the other contacts may not fix the pose, and then any contact has a gain.
     gain = 0.0 if problem.blind else float(found.minima["gain"][0])
-    return not modes.unsuspicious(found.cost, found.freedom, gain)
+    return not found.fits(ACCEPTANCE.recheck_p) or not gain < ACCEPTANCE.decisive
 
 
 def _better(without: Candidates, found: Candidates) -> bool:

@@ -276,7 +276,9 @@ def summarize(problem: Problem, found: Candidates, *, mean: int = 0) -> Records:
     minima = found.minima
     order, chosen = np.argsort(-minima["log_weight"], kind="stable"), minima
     if len(minima) > 1:
-        order = order[: np.count_nonzero(minima["log_weight"] > minima["log_weight"][order[0]] - SEARCH.negligible)]
+        order = order[
+            : np.count_nonzero(minima["log_weight"] > minima["log_weight"][order[0]] - SEARCH.negligible)
+        ]
         each = distinct(problem.model, minima, order, modes.MODES.max_modes, modes.SAME_MODE)
         if not problem.blind:  # with those beside a mode, as they are parts of its mean
             likely = order[minima["log_weight"][order] > minima["log_weight"][order[0]] - SEARCH.unlikely]

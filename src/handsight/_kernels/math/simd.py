@@ -17,7 +17,7 @@ from numba.extending import intrinsic
 _FAST = ("contract", "nsz", "reassoc")
 _DOUBLE, _SINGLE, _INT32, _INT64 = ir.DoubleType(), ir.FloatType(), ir.IntType(32), ir.IntType(64)
 _DOUBLES, _FOUR = ir.VectorType(_DOUBLE, 4), ir.VectorType(_SINGLE, 4)
-_EIGHT, _EIGHT_INTS = ir.VectorType(_SINGLE, 8), ir.VectorType(_INT32, 8)
+_WIDE, _WIDE_INTS = ir.VectorType(_SINGLE, 16), ir.VectorType(_INT32, 16)
 
 # Cubic B-spline weights of the four nodes (columns) as polynomials of f (rows: 1, f, f², f³), and their derivatives.
 _VALUE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
@@ -148,26 +148,22 @@ def scan(_: Any, table: Any, query: Any) -> Any:
 def _scan(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     table = _data(context, builder, signature.args[0], arguments[0])
     count = signature.args[0].shape[1]
-    query = [_filled(builder, q, _EIGHT) for q in cgutils.unpack_tuple(builder, arguments[1], 7)]
-    least = [cgutils.alloca_once_value(builder, ir.Constant(_EIGHT, [np.inf] * 8)) for _ in range(2)]
-    place = [cgutils.alloca_once_value(builder, ir.Constant(_EIGHT_INTS, [0] * 8)) for _ in range(2)]
+    query = [_filled(builder, q, _WIDE) for q in cgutils.unpack_tuple(builder, arguments[1], 7)]
+    least = cgutils.alloca_once_value(builder, ir.Constant(_WIDE, [np.inf] * 16))
+    place = cgutils.alloca_once_value(builder, ir.Constant(_WIDE_INTS, [0] * 16))
     with cgutils.for_range(builder, ir.Constant(_INT64, count // 16)) as loop:
-        for m in range(2):  # neither waits for the other's last comparison
-            begin = builder.add(
-                builder.mul(loop.index, ir.Constant(_INT64, 16)), ir.Constant(_INT64, 8 * m)
-            )
-            total = None
-            for k in range(7):
-                row = builder.add(begin, ir.Constant(_INT64, k * count))
-                total = _add(builder, query[k], _load(builder, table, row, _EIGHT), total)
-            less = builder.fcmp_ordered("<", total, builder.load(least[m]))
-            here = _filled(builder, builder.trunc(begin, _INT32), _EIGHT_INTS)
-            builder.store(builder.select(less, total, builder.load(least[m])), least[m])
-            builder.store(builder.select(less, here, builder.load(place[m])), place[m])
-    lanes = ir.Constant(_EIGHT_INTS, list(range(8)))
-    columns = [builder.add(builder.load(begin), lanes) for begin in place]
-    best = _lesser(builder, *zip(map(builder.load, least), columns, strict=True))
-    for half in (4, 2, 1):
+        begin = builder.mul(loop.index, ir.Constant(_INT64, 16))
+        total = None
+        for k in range(7):
+            row = builder.add(begin, ir.Constant(_INT64, k * count))
+            total = _add(builder, query[k], _load(builder, table, row, _WIDE), total)
+        less = builder.fcmp_ordered("<", total, builder.load(least))
+        here = _filled(builder, builder.trunc(begin, _INT32), _WIDE_INTS)
+        builder.store(builder.select(less, total, builder.load(least)), least)
+        builder.store(builder.select(less, here, builder.load(place)), place)
+    lanes = ir.Constant(_WIDE_INTS, list(range(16)))
+    best: Any = builder.load(least), builder.add(builder.load(place), lanes)
+    for half in (8, 4, 2, 1):
         halves = [ir.Constant(ir.VectorType(_INT32, half), list(range(k, k + half))) for k in (0, half)]
         parts = [[builder.shuffle_vector(vector, vector, half) for vector in best] for half in halves]
         best = _lesser(builder, *parts)

@@ -113,16 +113,10 @@ def verdict(evidence: Evidence, follows: bool, led_astray: bool, answer: Any) ->
             fits = fits and _confirmed(evidence, answer)
     if not fits:
         return DOUBTED
-    # What is left out lowers χ² by no more than all of it. What the weight's share of it is, is not known.
-    each, kind, chi2 = ACCEPTANCE.each, ACCEPTANCE.kind, answer.chi2
-    gain = max(answer.gain, max(answer.prior_gain, answer.outside_gain))
-    contradicts = chi2_survival(min(chi2, gain), 1) < each
-    if contradicts and not evidence.constraints.weight.known:
-        freedom = min(6 - evidence.model.symmetry.axes, rows)
-        contradicts = chi2_survival(min(chi2, answer.prior_gain), freedom) < kind
-        contradicts = contradicts or chi2_survival(min(chi2, answer.outside_gain), 1) < kind
-        freedom = 3 if rows >= 3 * count else 1
-        contradicts = contradicts or chi2_survival(min(chi2, answer.gain), freedom) < each / count
-    if few or contradicts or chi2_survival(chi2, rows) < ACCEPTANCE.pool:
+    # What is left out lowers χ² by no more than all of it.
+    gain = min(max(answer.gain, max(answer.prior_gain, answer.outside_gain)), answer.chi2)
+    freedom = 3 if rows >= 3 * count and answer.outside_gain == 0.0 else 1
+    contradicts = chi2_survival(gain, freedom) < max(ACCEPTANCE.each / count, ACCEPTANCE.kind)
+    if few or contradicts or chi2_survival(answer.chi2, rows) < ACCEPTANCE.pool:
         return UNDECIDED
     return ENOUGH
