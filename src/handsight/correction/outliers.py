@@ -26,7 +26,6 @@ class OutlierOptions(NamedTuple):
     """Most contacts that are left out in turn, those of the largest gain, so that the work grows no faster than the
     number of contacts.
     """
-    least_gain: float = 4.0  # of a suspect, with vision: a quarter of what a wrong contact must gain
     max_outliers: int = 10  # most contacts that may be called wrong
     accept_p: float = 0.05
     """Level of the χ² test that the others must pass without the wrong contact."""
@@ -100,9 +99,7 @@ def _suspects(problem: Problem, found: Candidates) -> list[Indices]:
     if n - len(contacts) >= most_outliers(n, blind=problem.blind):
         return []
     order = contacts[np.argsort(-found.gains[contacts], kind="stable")[: OUTLIERS.max_suspects]]
-    if not problem.blind:
-        order = order[found.gains[order] > OUTLIERS.least_gain]
-    return [group for group in (order[:1], order[1:]) if len(group)]
+    return [order[:1], order[1:]]
 
 
 def first_starts(problem: Problem, number: int) -> Records:
