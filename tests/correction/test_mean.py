@@ -178,6 +178,7 @@ def test_the_first_hypothesis_is_the_answer_and_weights_sum_to_one():
             np.testing.assert_array_equal(first.information, estimate.information)
             assert sum(h.weight for h in estimate.hypotheses) == pytest.approx(1)
             assert first.weight == max(h.weight for h in estimate.hypotheses)
+            assert min(h.weight for h in estimate.hypotheses) > 1e-12  # none that is impossible
             se3.check(estimate.T_palm_object, "T_palm_object")
 
 

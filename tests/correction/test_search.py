@@ -14,7 +14,7 @@ from handsight.correction.modes import SAME_MODE
 from handsight.correction.outside import NO_OUTSIDE
 from handsight.correction.problem import Problem
 from handsight.correction.solve import solve_single_start
-from scenes import NOISE, anywhere_on, box, can, off, on_can_side, random_scene
+from scenes import NOISE, anywhere_on, box, can, off, on_box_faces, on_can_side, random_scene
 
 PROFILE = np.array([[-0.02, 0], [0.08, 0], [0.08, 0.04], [0.02, 0.04], [0.02, 0.14], [-0.02, 0.14]])
 
@@ -72,12 +72,13 @@ def test_on_an_l_few_better_modes_are_missed():
     assert far <= 4
 
 
-def test_a_doubted_answer_that_a_few_starts_confirm_is_no_worse_than_that_of_many():
-    saved = []
+@pytest.mark.parametrize(("make", "touched"), [(can, on_can_side), (box, on_box_faces)])
+def test_a_doubted_answer_that_a_few_starts_confirm_is_no_worse_than_that_of_many(make, touched):
+    saved, model = [], make()
     for seed in range(200):
         rng = np.random.default_rng(seed)
-        scene = random_scene(on_can_side(rng, 5), rng, error=(0.022, np.deg2rad(17)))
-        one = solve_single_start(Problem(can(), scene.contacts, scene.vision, NO_OUTSIDE))
+        scene = random_scene(touched(rng, 5), rng, error=(0.022, np.deg2rad(17)))
+        one = solve_single_start(Problem(model, scene.contacts, scene.vision, NO_OUTSIDE))
         if one is None:
             continue
         row, rows = one.answer, int(one.answer["rows"])
@@ -85,7 +86,7 @@ def test_a_doubted_answer_that_a_few_starts_confirm_is_no_worse_than_that_of_man
         coarse = modes.chi2_survival(row["coarse_cost"] * wide / ACCEPTANCE.coarse_factor, rows)
         fine = modes.chi2_survival(row["cost"], rows)
         if coarse < ACCEPTANCE.coarse_p or fine < ACCEPTANCE.doubt_plain_p * wide:  # it was doubted
-            many = hs.correct_pose(can(), scene.contacts, vision=scene.vision, method=TwoPhase(starts=64))
+            many = hs.correct_pose(model, scene.contacts, vision=scene.vision, method=TwoPhase(starts=64))
             saved.append(float(row["posterior_cost"]) - many.hypotheses[0].cost)
     assert len(saved) > 5
     assert max(saved) < 3

@@ -166,8 +166,7 @@ PRIOR_TERM = record(
     ("information", "f8", (6, 6)),
 )
 
-# One descent among many: its pose, and how it ended.
-DESCENT = record(
+_ENDED = (
     ("pose", POSE),
     ("set", "i8"),  # number of the set of contacts that it uses
     ("cost", "f8"),  # sum of squared residuals
@@ -177,11 +176,14 @@ DESCENT = record(
     ("posterior_cost", "f8"),  # minus two log of the density, up to a constant
     ("gain", "f8"),  # by how much χ² falls at most, to first order, when one contact is left out
 )
+# One descent among many: its pose, and how it ended.
+DESCENT = record(*_ENDED)
 
 # What is known of the minimum that one start led to: a better one is likely to exist, none is, or it takes more tests.
 DOUBTED, ENOUGH, UNDECIDED = 0, 1, 2
+# A pose with its uncertainty; its first fields are those of the descent that led to it.
 ANSWER = record(
-    ("pose", POSE),
+    *_ENDED,
     ("T_palm_object", "f8", (4, 4)),
     ("information", "f8", (6, 6)),
     ("covariance", "f8", (6, 6)),
@@ -191,15 +193,9 @@ ANSWER = record(
     ("unobservable", "f8", (6, 6)),
     ("open_count", "i8"),  # number of unobservable directions: the first rows of these
     ("coarse_cost", "f8"),  # squared residuals on the coarse field, after phase 1 and two steps
-    ("cost", "f8"),  # squared residuals at the end of the descent
-    ("iterations", "i8"),
-    ("converged", "i8"),
     ("chi2", "f8"),
-    ("posterior_cost", "f8"),
     ("weight", "f8"),  # of the mode among those reported
-    ("log_weight", "f8"),  # the same before it is divided by the sum
     ("departure", "f8"),  # from a Gaussian: how much more the cost rises beside the mode, as a ratio
-    ("gain", "f8"),  # by how much χ² falls at most when one contact is left out
     ("prior_gain", "f8"),  # by how much it falls when the prior is left out
     ("outside_gain", "f8"),  # by how much it falls when all outside evidence is left out
     ("width", "f8"),  # how uncertain the prior leaves a point of the surface [diameters]

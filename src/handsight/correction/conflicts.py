@@ -19,12 +19,12 @@ from handsight._kernels.solve import batch
 from handsight._kernels.solve.options import ACCEPTANCE
 from handsight.checks import Array, Mask
 from handsight.correction import modes
-from handsight.correction.estimate import Conflict
+from handsight.correction.estimate import Conflict, PoseEstimate
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import Problem, descents_at
+from handsight.correction.problem import Problem
 
 KINDS = ("vision", "weight", "depth", "skin", "outside")
-POOL, KIND, EACH = ACCEPTANCE.pool, 0.25 * ACCEPTANCE.alarm / len(KINDS), ACCEPTANCE.each
+POOL, KIND, EACH = ACCEPTANCE.pool, ACCEPTANCE.kind, ACCEPTANCE.each
 """Levels of the test of all evidence together, of that of one kind, and of those of single contacts together: their
 sum over all tests is `ACCEPTANCE.alarm`, so by Bonferroni's inequality at most so many honest answers are called
 inconsistent.
@@ -40,16 +40,12 @@ LEAST = modes.chi2_limit(1, EACH)
 def judged(problem: Problem, answer: np.void, used: Mask) -> tuple[bool, tuple[Conflict, ...]]:
     """Returns whether the evidence in use fits together at a mode, and what contradicts the rest.
 
-    `answer`: the mode's ANSWER; `used` (1, n): the contacts in use. Contacts that were rejected are conflicts too, but
-    do not make the answer inconsistent.
+    `answer`: the mode's ANSWER; `used` (1, n): the contacts in use.
     """
     conflicts: tuple[Conflict, ...] = ()
     if answer["chi2"] > LEAST:
         conflicts = _found(problem, answer, used)
-    fits = modes.fits(answer["chi2"], problem.freedom(used), POOL) and not conflicts
-    if not used.all():
-        conflicts += tuple(excluded(problem, answer, used, f"contact {i}") for i in np.flatnonzero(~used[0]))
-    return fits, conflicts
+    return modes.fits(answer["chi2"], problem.freedom(used), POOL) and not conflicts, conflicts
 
 
 def suspects(problem: Problem, answer: np.void, n: int) -> list[str]:
@@ -60,12 +56,13 @@ def suspects(problem: Problem, answer: np.void, n: int) -> list[str]:
     if chi2 <= LEAST or not (every or max(gain, prior, outside) > LEAST):
         return []
     first = (
-        ("vision", prior > modes.chi2_limit(prior_freedom(problem, rows), KIND)),
-        ("outside", outside > modes.chi2_limit(1, KIND)),
-        ("contact", gain > modes.chi2_limit(3 if rows >= 3 * n else 1, EACH / n)),
+        ("vision", prior, modes.chi2_limit(prior_freedom(problem, rows), KIND)),
+        ("outside", outside, modes.chi2_limit(1, KIND)),
+        ("contact", gain, modes.chi2_limit(3 if rows >= 3 * n else 1, EACH / n)),
     )
-    known = [name for name, doubtful in first if every or doubtful]
-    return [*known, "weight", "depth", "skin"] if known else []
+    doubtful = [(name, limit) for name, fall, limit in first if every or fall > limit]
+    known = [name for name, limit in doubtful if chi2 > limit]
+    return [*known, "weight", "depth", "skin"] if doubtful else []
 
 
 def prior_freedom(problem: Problem, rows: int) -> int:
@@ -73,18 +70,16 @@ def prior_freedom(problem: Problem, rows: int) -> int:
     return max(min(6 - len(problem.model.symmetries.axes), rows), 1)
 
 
-def excluded(problem: Problem, answer: np.void, used: Mask, name: str) -> Conflict:
-    """Returns the conflict of evidence that was left out of an answer, of "weight" or "contact 3", with the rest.
+def excluded(problem: Problem, estimate: PoseEstimate, name: str, fall: float) -> Conflict:
+    """Returns the conflict of evidence that was left out of an estimate, of "weight" or "contact 3", with the rest.
 
-    `problem`: with that evidence; `used` (1, n): the contacts in use, without it.
+    `problem`: with that evidence; `fall`: by how much χ² fell without it.
     """
-    everyone = used.copy()
+    used = np.ones((1, len(problem.contacts)), dtype=bool)
+    used[0, list(estimate.outliers)] = False
     if name != "weight":
-        everyone[0, int(name.split()[1])] = True
-    (both, _), residuals = _solved(problem, everyone, _mode(answer)), np.empty((used.size, 2))
-    model, mode = problem.model.record, descents_at(_mode(answer)[None])
-    batch.residuals_at(*model[:2], problem.contacts.record, mode, residuals)
-    return _conflict(problem, everyone, name, both, (answer, residuals), excluded=True)
+        used[0, int(name.split()[1])] = True
+    return _conflict(problem, used, name, fall, (estimate.answer, estimate.residual_rows), excluded=True)
 
 
 def _found(problem: Problem, answer: np.void, used: Mask) -> tuple[Conflict, ...]:
@@ -100,7 +95,9 @@ def _found(problem: Problem, answer: np.void, used: Mask) -> tuple[Conflict, ...
             if not rest[1].any():
                 continue
             other, level = _solved(*rest, _mode(answer)), EACH / n if kind == "contact" else KIND
-            conflict = _conflict(problem, used, name, answer, other)
+            # The log determinants of the contacts' covariances count where both answers have the same contacts.
+            cost = "chi2" if name == "skin" or kind == "contact" else "posterior_cost"
+            conflict = _conflict(problem, used, name, float(answer[cost] - other[0][cost]), other)
             if conflict.p_value < level and (best is None or conflict.p_value < best[0].p_value):
                 best = conflict, rest, other[0]
         if best is None:
@@ -172,19 +169,18 @@ def _conflict(
     problem: Problem,
     used: Mask,
     name: str,
-    both: np.void,
+    fall: float,
     without: tuple[np.void, Array],
     *,
     excluded: bool = False,
 ) -> Conflict:
-    """Returns the conflict of some evidence, by the answers with and `without` it, the latter with its residuals.
+    """Returns the conflict of some evidence, `without` which χ² is smaller by `fall`, at the answer without it, which
+    comes with its residuals.
 
     `problem` and `used` (1, n) are with it.
     """
     rest, residuals = without
-    # The log determinants of the contacts' covariances count where both answers have the same contacts.
-    cost = "chi2" if name == "skin" or name.startswith("contact") else "posterior_cost"
-    fall, freedom = max(float(both[cost] - rest[cost]), 0.0), _freedom(problem, used, name)
+    fall, freedom = max(fall, 0.0), _freedom(problem, used, name)
     T, offset = _mode(rest), np.empty(0)
     if name == "vision" and problem.vision is not None:
         offset = se3.difference(T, problem.vision.T_palm_object)

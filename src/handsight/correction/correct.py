@@ -256,6 +256,9 @@ def _searched(
     if limit.cut_short:
         rows["converged"] = False
     estimate = with_means(problem, rows, found.used, answer)
+    for i in estimate.outliers:
+        wrong = conflicts.excluded(problem, estimate, f"contact {i}", float(found.falls[i]))
+        estimate = replace(estimate, conflicts=(*estimate.conflicts, wrong))
     return mean_by_sampling(problem, estimate, found.used, samples) if samples else estimate
 
 
@@ -314,9 +317,8 @@ def _weighed(
     # Something else is inconsistent, with the weight and without; it may also pull the pose away from the weight.
     if elsewhere and (not contradicted or (named == others and named and "weight" not in named)):
         return replace(estimate, weight_fits=True)
-    used = np.ones((1, len(problem.contacts)), dtype=bool)
-    used[0, list(without.outliers)] = False
-    wrong = conflicts.excluded(problem, without.answer, used, "weight")
+    fall = float(estimate.answer["chi2"] - without.answer["chi2"])
+    wrong = conflicts.excluded(problem, without, "weight", fall)
     return replace(without, weight_fits=False, conflicts=(*without.conflicts, wrong))
 
 

@@ -82,7 +82,7 @@ def with_means(problem: Problem, rows: Records, used: Mask, answer: str) -> Pose
         rows = _merged(problem, rows, answer) if len(rows) > 1 else rows
     share = np.exp(rows["log_weight"] - rows["log_weight"][0])
     rows["weight"] = share / share.sum()
-    residuals = solve.residuals(problem, descents_at(rows["T_palm_object"][:1]))
+    residuals = solve.residuals(problem, rows["T_palm_object"][0])
     consistent, contradictions = conflicts.judged(problem, rows[0], used)
     rejected = tuple(np.flatnonzero(~used[0]).tolist())
     return PoseEstimate(rows[0], tuple(rows), residuals, consistent, rejected, conflicts=contradictions)
@@ -160,7 +160,7 @@ def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, sampl
         T,
         None if len(axes) else spread,
         _known_information(problem.model, T, spread),
-        solve.residuals(problem, descents_at(T[None])),
+        solve.residuals(problem, T),
     )
 
 

@@ -74,11 +74,6 @@ def has_detail(model: ObjectModel) -> bool:
     return model.record.model[0]["fine"]["kind"] in (GRID, SHEET)
 
 
-def unsuspicious(cost: float, freedom: int, gain: float) -> bool:
-    """Returns whether contacts raise no suspicion: neither their cost, nor the gain of leaving one of them out."""
-    return fits(cost, freedom, ACCEPTANCE.recheck_p) and bool(gain < ACCEPTANCE.decisive)
-
-
 def fits(chi2: float, freedom: int, alarm: float = ACCEPTANCE.alarm) -> bool:
     """Returns whether a sum of squares passes the χ² test of level `alarm`, with `freedom` degrees of freedom."""
     return bool(chi2 <= chi2_limit(max(freedom, 1), alarm))

@@ -1,5 +1,6 @@
 """The search for wrong contacts: each suspect is left out in turn, and is wrong if the others then fit much better."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -61,7 +62,8 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Steps
                         return again
         if without is not None and _better(without, found):
             # A second wrong contact is rare: it is searched for only where the contacts left do not fit.
-            found, suspicious = without, not without.fits()
+            falls = np.where(without.used[0], found.falls, found.cost - without.cost)
+            found, suspicious = replace(without, falls=falls), not without.fits()
             if not suspicious:
                 return found
         elif may_draw:
@@ -81,7 +83,7 @@ def _suspicious(problem: Problem, found: Candidates) -> bool:
     """Returns whether one of the contacts may be wrong."""
     # Without vision the other contacts may not fix the pose, and then any contact has a gain.
     gain = 0.0 if problem.blind else float(found.minima["gain"][0])
-    return not modes.unsuspicious(found.cost, found.freedom, gain)
+    return not found.fits(ACCEPTANCE.recheck_p) or not gain < ACCEPTANCE.decisive
 
 
 def _better(without: Candidates, found: Candidates) -> bool:

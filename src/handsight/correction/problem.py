@@ -127,7 +127,8 @@ class Problem:
 
     def freedom(self, used: Mask) -> int:
         """Returns the degrees of freedom of the χ² at a mode: the rows of evidence, less six if there is no prior."""
-        rows = int(used[0] @ self.rows_each) + (0 if self.weight is None else 3)
+        rows = int(np.count_nonzero(used[0]) + 2 * np.count_nonzero(used[0] & self.contacts.has_normal))
+        rows += 0 if self.weight is None else 3
         if self.depth is not None:
             rows += min(len(self.depth), 6)  # all of them together count as the one pose of their image
         return max(rows - 6, 1) if self.blind else rows

@@ -108,7 +108,7 @@ def register(problem: Problem, budget: Budget) -> PoseEstimate:
     return PoseEstimate(
         answers[0],
         tuple(answers),
-        residuals(problem, descents_at(Ts[:1])),
+        residuals(problem, Ts[0]),
         best.fits(problem) and all(conflict.excluded for conflict in contradictions),
         tuple(np.flatnonzero(wrong).tolist()),
         conflicts=contradictions,

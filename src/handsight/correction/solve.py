@@ -1,7 +1,7 @@
 """Calls of the compiled solver: from one start, from many, and for the answer at a minimum."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -143,6 +143,8 @@ class Candidates:
     """Degrees of freedom of the χ² at a minimum."""
     gains: Array
     """(n,) by how much χ² falls, to first order, when each contact in use is left out, at the cheapest minimum."""
+    falls: Array
+    """(n,) by how much χ² fell when each contact that is not in use was left out; 0 for the others."""
 
     @property
     def cost(self) -> float:
@@ -163,7 +165,7 @@ class Candidates:
         minima = np.concatenate([plain(self.minima), plain(other.minima)]).view(records.DESCENT)[:, 0]
         minima = taken(minima, np.argsort(minima["cost"], kind="stable"))
         gains = self.gains if self.cost <= other.cost else other.gains
-        return Candidates(minima, self.used, self.freedom, gains)
+        return replace(self, minima=minima, gains=gains)
 
 
 def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None = None) -> Candidates:
@@ -195,7 +197,7 @@ def solve(problem: Problem, starts: Records, used: Mask, budget: Budget | None =
         Ts = nearest(model.symmetries, poses_of(minima), problem.vision.T_palm_object, model.radius)
         minima["pose"] = descents_at(Ts)["pose"]
     batch.weigh(*arguments[:2], contacts, *arguments[3:], minima)
-    return Candidates(minima, chosen, problem.freedom(chosen), contacts["gain"][0])
+    return Candidates(minima, chosen, problem.freedom(chosen), contacts["gain"][0], np.zeros(used.shape[1]))
 
 
 def _searched(work: Callable[[Records], None], blocks: Records, budget: Budget | None) -> Records:
@@ -219,6 +221,8 @@ def _blocks(starts: Records, ends: int) -> Records:
     """
     sets, count = starts.shape
     number = -(-count // SOLVE.block)
+    if sets == number == ends == 1:
+        return np.asarray(plain(starts).copy().view(records.DESCENT))
     each = -(-count // number)
     dealt = np.zeros((sets, each * number), dtype=records.DESCENT)
     plain(dealt)[:, :count] = plain(starts)
@@ -251,8 +255,7 @@ def summaries(
     ANSWER; the others become no mean where they are Gaussian.
     """
     answers = np.zeros(len(descents), dtype=records.ANSWER)
-    for name in ("pose", "iterations", "converged", "log_weight"):
-        answers[name] = descents[name]
+    plain(answers)[:, : records.DESCENT.itemsize // 8] = plain(descents)
     answers["first_order"], answers["mean"], answers["mean"][:1] = first_order, min(mean, 1), mean
     batch.summarize_all(*problem.arguments(used), answers)
     return answers
@@ -263,6 +266,9 @@ def summarize(problem: Problem, found: Candidates, *, mean: int = 0) -> Records:
     minima = found.minima
     order, chosen = np.argsort(-minima["log_weight"], kind="stable"), minima
     if len(minima) > 1:
+        order = order[
+            : np.count_nonzero(minima["log_weight"] > minima["log_weight"][order[0]] - SEARCH.negligible)
+        ]
         each = distinct(problem.model, minima, order, modes.MODES.max_modes, modes.SAME_MODE)
         if not problem.blind:  # with those beside a mode, as they are parts of its mean
             likely = order[minima["log_weight"][order] > minima["log_weight"][order[0]] - SEARCH.unlikely]
@@ -280,13 +286,13 @@ def summarize_pose(problem: Problem, descent: Records) -> PoseEstimate:
     answer = summaries(problem, descent, used, first_order=True)[0]
     answer["weight"] = 1.0
     consistent = modes.fits(answer["chi2"], problem.freedom(used))
-    return PoseEstimate(answer, (answer,), residuals(problem, descent), consistent)
+    return PoseEstimate(answer, (answer,), residuals(problem, answer["T_palm_object"]), consistent)
 
 
-def residuals(problem: Problem, minimum: Records) -> Array:
-    """Returns the distance [m] and the angle [rad] between each contact and the surface (n, 2), at a minimum (1,)."""
+def residuals(problem: Problem, T_palm_object: Array) -> Array:
+    """Returns the distance [m] and the angle [rad] between each contact and the surface (n, 2), at a pose (4, 4)."""
     rows = np.empty((len(problem.contacts), 2))
-    batch.residuals_at(*problem.model.record[:2], problem.contacts.record, minimum, rows)
+    batch.residuals_at(*problem.model.record[:2], problem.contacts.record, T_palm_object, rows)
     return rows
 
 

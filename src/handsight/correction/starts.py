@@ -60,8 +60,8 @@ def usual(problem: Problem) -> int:
 def from_prior(vision: PosePrior, number: int) -> Records:
     """Returns (number,) DESCENT: the prior's own pose, then draws from it along the object's own axes."""
     kept = 1024  # draws that are cached; every problem takes the first ones of them
-    descents, draws = np.zeros(number, dtype=DESCENT), _draws(max(number, kept))[:number]
-    in_parts(partial(search.draw, vision.record), (draws, descents), kept)
+    descents = np.zeros(number, dtype=DESCENT)
+    search.draw(vision.record, _draws(max(number, kept))[:number], descents)
     return descents
 
 

@@ -17,7 +17,7 @@ from numba.extending import intrinsic
 _FAST = ("contract", "nsz", "reassoc")
 _DOUBLE, _SINGLE, _INT32, _INT64 = ir.DoubleType(), ir.FloatType(), ir.IntType(32), ir.IntType(64)
 _DOUBLES, _FOUR = ir.VectorType(_DOUBLE, 4), ir.VectorType(_SINGLE, 4)
-_EIGHT, _EIGHT_INTS = ir.VectorType(_SINGLE, 8), ir.VectorType(_INT32, 8)
+_WIDE, _WIDE_INTS = ir.VectorType(_SINGLE, 16), ir.VectorType(_INT32, 16)
 
 # Cubic B-spline weights of the four nodes (columns) as polynomials of f (rows: 1, f, f², f³), and their derivatives.
 _VALUE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
@@ -140,7 +140,7 @@ def _local(context: Any, builder: Any, signature: Any, _: Any) -> Any:
 def scan(_: Any, table: Any, query: Any) -> Any:
     """Returns the column of a table that has the least product with the query; of equal ones the first.
 
-    `table`: (7, n) float32, n a multiple of 8, of fixed size. `query`: 7 float32.
+    `table`: (7, n) float32, n a multiple of 16, of fixed size. `query`: 7 float32.
     """
     return types.int64(table, types.UniTuple(types.float32, 7)), _scan
 
@@ -148,32 +148,34 @@ def scan(_: Any, table: Any, query: Any) -> Any:
 def _scan(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     table = _data(context, builder, signature.args[0], arguments[0])
     count = signature.args[0].shape[1]
-    query = [_filled(builder, q, _EIGHT) for q in cgutils.unpack_tuple(builder, arguments[1], 7)]
-    least = cgutils.alloca_once_value(builder, ir.Constant(_EIGHT, [np.inf] * 8))
-    place = cgutils.alloca_once_value(builder, ir.Constant(_EIGHT_INTS, [0] * 8))
-    with cgutils.for_range(builder, ir.Constant(_INT64, count // 8)) as loop:
-        begin = builder.mul(loop.index, ir.Constant(_INT64, 8))
+    query = [_filled(builder, q, _WIDE) for q in cgutils.unpack_tuple(builder, arguments[1], 7)]
+    least = cgutils.alloca_once_value(builder, ir.Constant(_WIDE, [np.inf] * 16))
+    place = cgutils.alloca_once_value(builder, ir.Constant(_WIDE_INTS, [0] * 16))
+    with cgutils.for_range(builder, ir.Constant(_INT64, count // 16)) as loop:
+        begin = builder.mul(loop.index, ir.Constant(_INT64, 16))
         total = None
         for k in range(7):
             row = builder.add(begin, ir.Constant(_INT64, k * count))
-            total = _add(builder, query[k], _load(builder, table, row, _EIGHT), total)
+            total = _add(builder, query[k], _load(builder, table, row, _WIDE), total)
         less = builder.fcmp_ordered("<", total, builder.load(least))
-        here = _filled(builder, builder.trunc(begin, _INT32), _EIGHT_INTS)
+        here = _filled(builder, builder.trunc(begin, _INT32), _WIDE_INTS)
         builder.store(builder.select(less, total, builder.load(least)), least)
         builder.store(builder.select(less, here, builder.load(place)), place)
-    values, places = builder.load(least), builder.load(place)
-    best, index = None, None
-    for k in range(8):
-        lane = ir.Constant(_INT32, k)
-        value = builder.extract_element(values, lane)
-        column = builder.add(builder.extract_element(places, lane), lane)
-        if best is None:
-            best, index = value, column
-            continue
-        tie = builder.and_(builder.fcmp_ordered("==", value, best), builder.icmp_signed("<", column, index))
-        better = builder.or_(builder.fcmp_ordered("<", value, best), tie)
-        best, index = builder.select(better, value, best), builder.select(better, column, index)
-    return builder.sext(index, _INT64)
+    lanes = ir.Constant(_WIDE_INTS, list(range(16)))
+    best: Any = builder.load(least), builder.add(builder.load(place), lanes)
+    for half in (8, 4, 2, 1):
+        halves = [ir.Constant(ir.VectorType(_INT32, half), list(range(k, k + half))) for k in (0, half)]
+        parts = [[builder.shuffle_vector(vector, vector, half) for vector in best] for half in halves]
+        best = _lesser(builder, *parts)
+    return builder.sext(builder.extract_element(best[1], ir.Constant(_INT32, 0)), _INT64)
+
+
+def _lesser(builder: Any, first: Any, second: Any) -> Any:
+    """Returns the lesser of two vectors of values, each with its columns; of equal values the first column."""
+    (a, i), (b, j) = first, second
+    tie = builder.and_(builder.fcmp_ordered("==", b, a), builder.icmp_signed("<", j, i))
+    less = builder.or_(builder.fcmp_ordered("<", b, a), tie)
+    return builder.select(less, b, a), builder.select(less, j, i)
 
 
 def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:

@@ -27,6 +27,7 @@ from handsight._kernels.posterior.density import information, largest_gain, post
 from handsight._kernels.posterior.mean import to_mean
 from handsight._kernels.posterior.uncertainty import summarize
 from handsight._kernels.records import (
+    ANSWER,
     DOUBTED,
     FLAT_DIRECTIONS,
     MEASURED,
@@ -36,7 +37,7 @@ from handsight._kernels.records import (
     WEAK_PRIOR,
 )
 from handsight._kernels.runtime.compilation import entry, inner
-from handsight._kernels.solve.doubt import verdict
+from handsight._kernels.solve.doubt import is_suspicious, verdict, worst_contact
 from handsight._kernels.solve.levenberg import descend
 from handsight._kernels.solve.match import match
 from handsight._kernels.solve.options import DESCENT, MATCH, SEARCH
@@ -109,8 +110,8 @@ def correct_all(
     the pose is computed, for benchmarks. `contacts` (n,) are those of all problems one after another, `constraints`
     (K,) those of each; `residuals` (n, 2) are written: distance [m], angle [rad].
     """
-    prior, measured, flat, found = local(PRIOR_TERM), local(MEASURED), local(FLAT_DIRECTIONS), DOUBTED
-    hand = outside.copy()
+    prior, measured, flat = local(PRIOR_TERM), local(MEASURED), local(FLAT_DIRECTIONS)
+    hand, trial, found = outside.copy(), local(ANSWER), DOUBTED
     for k in range(len(problems)):
         problem, answer, given = problems[k], problems[k].answer, constraints[k]
         any_width = problem.follows or problem.pose_only
@@ -122,17 +123,38 @@ def correct_all(
         terms = np.empty(len(own), TERM)
         center = load_evidence(model[0], own, given, terms, prior, measured)
         evidence = Evidence(model[0], nodes, terms, hand, measured, given, prior, center)
-        prior_pose = pose_of(given.prior.pose)
-        start = pose_of(problem.start) if problem.follows else prior_pose
-        pose = _solve(evidence, start, problem.follows != 0, answer)
-        pose = nearest(model[0], pose, prior_pose)
-        store_pose(pose, answer.pose)
-        store_transform(pose, answer.T_palm_object)
+        prior_pose, follows, worst, coarse_cost = pose_of(given.prior.pose), problem.follows != 0, 0, 0.0
+        pose = pose_of(problem.start) if follows else prior_pose
+        answer.first_order, answer.weight = 0, 1.0
+        # Where a contact does not fit, it may only have led the descent astray: that goes on without the worst one, and
+        # from there with all, unless χ² falls less without it than to first order.
+        for attempt in range(3):
+            pose = _solve(evidence, pose, follows or attempt > 0, trial if attempt == 1 else answer)
+            if attempt == 1:
+                terms[worst].contact.used = 1
+                fall = answer.cost - trial.cost
+                if fall < answer.gain:
+                    terms[worst].contact.gain = fall
+                    answer.gain = terms[worst_contact(terms)].contact.gain
+                    if not is_suspicious(answer):
+                        break
+                continue
+            pose = nearest(model[0], pose, prior_pose)
+            store_pose(pose, answer.pose)
+            store_transform(pose, answer.T_palm_object)
+            if problem.pose_only:
+                break
+            summarize(evidence, pose, answer, flat)
+            if attempt == 2:
+                answer.coarse_cost = coarse_cost
+            elif follows or not is_suspicious(answer):
+                break
+            else:
+                worst, coarse_cost = worst_contact(terms), answer.coarse_cost
+                terms[worst].contact.used = 0
         if problem.pose_only:
             continue
-        answer.first_order, answer.weight = 0, 1.0
-        summarize(evidence, pose, answer, flat)
-        answer.verdict = found = verdict(evidence, problem.follows != 0, answer)
+        answer.verdict = found = verdict(evidence, follows, attempt > 0, answer)
         if found != DOUBTED:
             to_mean(evidence, problems[k : k + 1].answer, 0, flat, -np.inf)
         pose = transform_of(answer.T_palm_object)
@@ -145,7 +167,7 @@ def correct_all(
 @entry
 def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, descents: Any) -> None:
     """Fills in the weights of minima (K,), log of `exp(-cost/2) √det Σ`, their cost, and the largest gain of a contact;
-    the contacts' gains at the first minimum are written too.
+    the contacts' gains at the first minimum, the cheapest, are written too. Those that cost much more weigh nothing.
 
     The first set of contacts is used. Σ is over the directions that are known better than by the prior or, without
     vision, better than the object's own size. With a prior the poses are replaced by their equivalents nearest to it.
@@ -158,6 +180,9 @@ def weigh(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any,
     for k in range(len(descents)):
         descent = descents[k]
         pose = pose_of(descent.pose)
+        if descent.cost > descents[0].cost + SEARCH.dear:
+            descent.log_weight = -np.inf
+            continue
         if constraints[0].has_prior:
             pose = nearest(model[0], pose, pose_of(constraints[0].prior.pose))
             store_pose(pose, descent.pose)
@@ -205,10 +230,11 @@ def cost_all(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: A
 
 
 @entry
-def residuals_at(model: Any, nodes: Any, contacts: Any, descent: Any, residuals: Any) -> None:
-    """Writes distance [m] and angle [rad] (n, 2) of contacts (n,) to the surface, at the first descent's pose."""
+def residuals_at(model: Any, nodes: Any, contacts: Any, T_palm_object: Any, residuals: Any) -> None:
+    """Writes distance [m] and angle [rad] (n, 2) of contacts (n,) to the surface, at a pose (4, 4)."""
     for i in range(len(contacts)):
-        residuals[i, 0], residuals[i, 1] = _residual(model[0], nodes, contacts[i], pose_of(descent[0].pose))
+        pose = transform_of(T_palm_object)
+        residuals[i, 0], residuals[i, 1] = _residual(model[0], nodes, contacts[i], pose)
 
 
 @entry

@@ -66,13 +66,30 @@ def _confirmed(evidence: Evidence, answer: Any) -> bool:
 
 
 @inner
-def verdict(evidence: Evidence, follows: bool, answer: Any) -> int:
+def is_suspicious(answer: Any) -> bool:
+    """Returns whether a contact may be wrong at an ANSWER: by its cost, or by the gain of leaving one out."""
+    unlikely = chi2_survival(answer.cost, max(answer.rows, 1)) < ACCEPTANCE.recheck_p
+    return unlikely or not answer.gain < ACCEPTANCE.decisive
+
+
+@inner
+def worst_contact(terms: Any) -> int:
+    """Returns the number of the contact whose gain is the largest."""
+    worst = 0
+    for i in range(1, len(terms)):
+        if terms[i].contact.gain > terms[worst].contact.gain:
+            worst = i
+    return worst
+
+
+@inner
+def verdict(evidence: Evidence, follows: bool, led_astray: bool, answer: Any) -> int:
     """Returns whether an ANSWER of one descent is ENOUGH, DOUBTED, or UNDECIDED: then it is enough if no evidence
     contradicts the rest and few contacts leave one minimum only.
 
     The probability of a missed mode grows with the square of the prior's width; where it is too large, though no
-    contact is suspicious, a few draws from the prior decide. A descent that `follows` started at a mode that a search
-    has led to; then it is enough that the evidence fits.
+    contact is suspicious, a few draws from the prior decide, as where the descent was at first `led_astray`. A descent
+    that `follows` started at a mode that a search has led to; then it is enough that the evidence fits.
     """
     cost, rows = answer.cost, max(answer.rows, 1)
     if not answer.converged:
@@ -90,14 +107,15 @@ def verdict(evidence: Evidence, follows: bool, answer: Any) -> int:
         level = ACCEPTANCE.doubt_p if fine in (GRID, SHEET) else ACCEPTANCE.doubt_plain_p
         coarse = chi2_survival(answer.coarse_cost * wide / ACCEPTANCE.coarse_factor, rows)
         p_value = chi2_survival(cost, rows)
-        fits = p_value >= ACCEPTANCE.recheck_p and answer.gain < ACCEPTANCE.decisive
-        fits = fits and not (few and answer.width > ACCEPTANCE.weak_width)
-        if coarse < ACCEPTANCE.coarse_p or p_value < level * wide:
+        fits = not is_suspicious(answer) and not (few and answer.width > ACCEPTANCE.weak_width)
+        if led_astray or coarse < ACCEPTANCE.coarse_p or p_value < level * wide:
             fits = fits and _confirmed(evidence, answer)
     if not fits:
         return DOUBTED
-    gain = max(answer.gain, max(answer.prior_gain, answer.outside_gain))
-    contradicts = chi2_survival(min(answer.chi2, gain), 1) < ACCEPTANCE.each
+    # What is left out lowers χ² by no more than all of it.
+    gain = min(max(answer.gain, max(answer.prior_gain, answer.outside_gain)), answer.chi2)
+    freedom = 3 if rows >= 3 * count and answer.outside_gain == 0.0 else 1
+    contradicts = chi2_survival(gain, freedom) < max(ACCEPTANCE.each / count, ACCEPTANCE.kind)
     if few or contradicts or chi2_survival(answer.chi2, rows) < ACCEPTANCE.pool:
         return UNDECIDED
     return ENOUGH

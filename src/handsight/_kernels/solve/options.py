@@ -40,6 +40,10 @@ class SearchOptions(NamedTuple):
     """Two minima of one mode are distinct when they differ by more than this [m], [rad]: on a scan, and where three
     contacts leave much open, a mode has several."""
     unlikely: float = 7.0  # a minimum whose log weight is so much below the largest is no part of a mode
+    negligible: float = 20.0  # one whose log weight is so much below the largest is no hypothesis
+    dear: float = (
+        100.0  # a minimum that costs so much more than the cheapest is not weighed: it is negligible
+    )
     first_steps: int = 2  # of phase 1, after which a start may already be where another one ended
 
 
@@ -52,6 +56,8 @@ class AcceptanceOptions(NamedTuple):
     """The part of that level that is for the test of all evidence together."""
     each: float = 0.25 * alarm
     """The part of it that is for the tests of single contacts together."""
+    kind: float = 0.05 * alarm
+    """The part of it that is for the test of each of five kinds of evidence against the rest."""
     recheck_p: float = 0.003
     """Level of the χ² test by which a wrong contact is searched for; a false alarm costs nothing but time."""
     doubt_p: float = 0.2

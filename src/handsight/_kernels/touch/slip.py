@@ -125,8 +125,8 @@ def follow_loads(
 
 @entry
 def highest_heap(turns: Any, shared_bin: float, error: int) -> tuple[float, int]:
-    """Returns the mean number of the highest heap's bins, with those just below it, and its turns; 0 of them where there
-    is no heap among the turns (n,) in bins from number `FIRST` on.
+    """Returns the mean number of the highest heap's bins, with those just below it, and its turns; 0 of them where
+    there is no heap among the turns (n,) in bins from number `FIRST` on.
 
     `shared_bin`: up to which two fingers have kept ratios up; `error`: the standard deviation of ratios in bins. A few
     turns that are spread over higher ratios, as by a tip that touches at two places, are not the limit.
