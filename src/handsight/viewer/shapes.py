@@ -9,9 +9,9 @@ from handsight import se3
 from handsight.camera import Camera, Depth
 from handsight.checks import Array
 from handsight.correction import PoseEstimate
+from handsight.correction.estimate import point_uncertainty
 from handsight.objects import ObjectModel
 from handsight.objects.surface import Triangles
-from handsight.tracking.track_state import point_uncertainty
 
 
 class ShapeStyle(NamedTuple):
