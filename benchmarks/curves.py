@@ -2,8 +2,8 @@
 
 Times are of CPU, of all threads of the process, so that other work on the machine says little. The exponent is the
 slope of a line through the logarithms of both, by least squares: 1 is proportional, below 1 sublinear. Each size runs
-in a process of its own, whose peak memory is given; a library's and a recording's files are removed at the end. `real` needs the
-data folder, for its real depth images.
+in a process of its own, whose peak memory is given; a library's and a recording's files are removed at the end.
+`real` needs the data folder, for its real depth images.
 """
 
 import argparse
