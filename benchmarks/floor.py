@@ -1,4 +1,5 @@
-"""One evaluation of phase 2 by count, against what a core can do: `python -m benchmarks.floor`.
+"""One evaluation of phase 2 by count, against what a core can do, and the cache lines of a correction:
+`python -m benchmarks.floor`.
 
 An evaluation is the normal equations of five contacts and vision at one pose: what a Levenberg-Marquardt step costs.
 Counted are the additions and multiplications that the formulas ask for, and the bytes that they must read; measured is
@@ -11,7 +12,7 @@ import numba
 import numpy as np
 
 from benchmarks import workload
-from benchmarks.kernels import Evaluation
+from benchmarks.kernels import Evaluation, touched
 from benchmarks.shapes import bumpy
 from handsight import ObjectModel
 from testbed import report
@@ -77,6 +78,14 @@ def main() -> None:
         ["object", "flops", "bytes", "ns", "Gflop/s", "of the peak"],
         rows,
         f"Peak: {peak / 1e9:.0f} Gflop/s, fused multiply-adds in registers, one core. {report.machine()}",
+    )
+    given = workload.draw("can", workload.NEAR, 0)
+    sizes = touched(given.model, given.contacts)
+    sizes["all"] = sum(sizes.values())
+    report.print_table(
+        "Data of one correction: five contacts and vision, a mean of nine points",
+        ["records of", "bytes", "cache lines of 64"],
+        [[name, count, -(-count // 64)] for name, count in sizes.items()],
     )
 
 

@@ -20,7 +20,7 @@ from handsight.correction.problem import Problem
 from handsight.correction.solve import kernel_call, solve_single_start
 from handsight.tracking.warm import GROUPS
 
-__all__ = ["GROUPS", "Evaluation", "alone", "fits_at_once", "kernel_call", "stages"]
+__all__ = ["GROUPS", "Evaluation", "alone", "fits_at_once", "kernel_call", "stages", "touched"]
 
 Call = Callable[[], Any]
 PRIOR_TERM, TERM, UNCERTAINTY, WORKSPACE = (
@@ -47,6 +47,19 @@ def stages(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -
         "without a mean": lambda: batch.correct_all(*given, rows[1:], residuals),
         "the two phases": kernel_call(model, contacts, vision),
         "estimate made": lambda: PoseEstimate(answer, (answer,), residuals, True),
+    }
+
+
+def touched(model: hs.ObjectModel, contacts: hs.Contacts) -> dict[str, int]:
+    """Returns the bytes of the records that one correction with a mean of nine points reads and writes."""
+    n = len(contacts)
+    scanned = [model.record.model.dtype[name].itemsize for name in ("scan", "coarse", "fine", "error")]
+    return {
+        "model": sum(scanned),
+        "evidence": contacts.record.nbytes + n * TERM.itemsize + records.CONSTRAINTS.itemsize,
+        "work": WORKSPACE.itemsize + 4 * UNCERTAINTY.itemsize + PRIOR_TERM.itemsize,
+        "mean": records.FLAT_DIRECTIONS.itemsize + 9 * records.LATTICE_POINT.itemsize + records.SUMS.itemsize,
+        "answer": records.PROBLEM.itemsize + 16 * n,
     }
 
 

@@ -235,7 +235,7 @@ def _blocks(starts: Records, ends: int) -> Records:
     dealt["set"] = np.arange(sets)[:, None]
     dealt["cost"][:, count:] = np.inf
     blocks = dealt.reshape(sets, each, number).swapaxes(1, 2).reshape(sets * number, each, 1)
-    return blocks if ends == 1 else np.repeat(blocks, ends, axis=2)
+    return np.repeat(blocks, ends, axis=2)
 
 
 def distinct(

@@ -14,6 +14,7 @@ from types import ModuleType
 from typing import Any, TypeVar
 
 import numba
+import numpy as np
 from llvmlite.binding import parse_assembly
 from numba import _dynfunc
 from numba.core import codegen, compiler, typed_passes
@@ -44,10 +45,28 @@ def inner(function: F) -> F:
 def entry(function: F) -> F:
     """Returns a kernel that Python calls; its machine code is kept on disk, and it releases the interpreter.
 
-    Other kernels cannot call it.
+    Other kernels cannot call it. It is compiled for arrays that are contiguous and can be written to: of other ones it
+    gets copies, and those that can be written to are filled from these, because compiling it for each layout would
+    take half a minute where a caller does not expect it.
     """
     dispatcher = _jit(nogil=True)(function)
     dispatcher._cache = KernelCache(function)
+    compile_for = dispatcher._compile_for_args
+
+    def called(*arguments: Any) -> Any:
+        usual = [np.require(a, None, ["C", "A", "W"]) if isinstance(a, np.ndarray) else a for a in arguments]
+        result = dispatcher(*usual)
+        for array, copy in zip(arguments, usual, strict=True):
+            if array is not copy and array.flags.writeable:
+                array[...] = copy
+        return result
+
+    def callable_for(*arguments: Any) -> Any:
+        """Returns, for numba, what is to be called with arguments that no compiled code fits."""
+        arrays = [a.flags for a in arguments if isinstance(a, np.ndarray)]
+        return compile_for(*arguments) if all(f.carray for f in arrays) else called
+
+    dispatcher._compile_for_args = callable_for
     return dispatcher
 
 
