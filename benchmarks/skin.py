@@ -20,7 +20,7 @@ from handsight.contact import TactileSurface
 from handsight.rig import Rig
 from handsight.simulation import Scenario, model_of, rig_of, simulate
 from handsight.simulation.scene import CAN_SIZE
-from handsight.simulation.skin import T_PALM_GRID, Solid
+from handsight.simulation.taxels import T_PALM_GRID, Solid
 from testbed import report, skin_scenes, tip_scenes
 
 SCENARIO = Scenario(object="can", seed=1, motion="grasp", rate=100, skin=True)

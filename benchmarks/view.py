@@ -27,11 +27,11 @@ from handsight.rig import Rig
 from handsight.simulation import Scenario
 from handsight.tracking import Tally
 from handsight.viewer import Viewer
+from handsight.viewer.live_viewer import PageUpdate
 from handsight.viewer.moment import Moment
 from handsight.viewer.page import Page
 from handsight.viewer.player import PLAYER
 from handsight.viewer.timeline import TIMELINE, Timeline, curves, follow
-from handsight.viewer.viewer_process import PageUpdate
 from testbed import report
 from testbed.recordings import record
 

@@ -15,7 +15,7 @@ from PIL import Image
 from handsight import se3
 from handsight.camera import Camera
 from handsight.simulation import Scenario, add_depth_noise, camera_facing, rig_of, simulate
-from handsight.simulation.rendering import Renderer
+from handsight.simulation.camera import Renderer
 from handsight.simulation.scene import scene
 from handsight.vision.depth_noise import STRUCTURED_LIGHT
 from shared import scenes

@@ -21,7 +21,7 @@ import numpy as np
 import handsight as hs
 from handsight import se3
 from handsight.simulation import Scenario, model_of, rig_of, simulate
-from handsight.simulation.skin import SKIN
+from handsight.simulation.taxels import SKIN
 from shared import figures, report, scenes, skin_scenes
 from testbed.report import Array, Row, Rows
 

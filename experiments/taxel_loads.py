@@ -23,10 +23,10 @@ from handsight.forces import Slip, SlipDetector
 from handsight.search import best_sweep
 from handsight.simulation import PROBE, SCENARIO, Sample, Scenario, model_of, rig_of, start_search
 from handsight.simulation.grasp_search import grasp_for
-from handsight.simulation.probe import FINGER
 from handsight.simulation.scenario import SensorKind
 from handsight.simulation.simulate import Sensors
 from handsight.simulation.simulate import samples as samples_of
+from handsight.simulation.touch_search import FINGER
 from handsight.simulation.world import World
 from handsight.tracking import FingertipSensors, SkinContacts, SkinSensors
 from handsight.tracking.fingertips import FingertipContacts

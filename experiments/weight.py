@@ -32,8 +32,8 @@ from handsight.objects import Symmetries
 from handsight.recording import open_recording
 from handsight.rig import Rig
 from handsight.simulation import MOTION, Nuisances, Scenario, simulate
-from handsight.simulation.loads import Payload
 from handsight.simulation.motion import WEIGH_LEGS
+from handsight.simulation.world import Payload
 from handsight.tracking import JointOffsets
 from shared import report, wrong_weights, ycb
 from shared.grasp_trials import exact_model, fingertips, rig, trial_of

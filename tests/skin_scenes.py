@@ -8,7 +8,7 @@ import handsight as hs
 import scenes
 from handsight import se3
 from handsight.contact.taxels import SkinTouch, TactileSurface
-from handsight.simulation.skin import SKIN, ElasticSkin, Solid
+from handsight.simulation.taxels import SKIN, ElasticSkin, Solid
 
 VISION = (0.03 * np.sqrt(3), np.deg2rad(6) * np.sqrt(3))
 """Root mean square length and angle of vision's error: 30 mm and 6° per axis."""

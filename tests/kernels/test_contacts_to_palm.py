@@ -12,9 +12,8 @@ from scipy.special import erfc
 import handsight as hs
 from contact.contact_cases import any_tip, touches
 from handsight import se3
-from handsight._kernels.touch.contacts_to_palm import contacts_to_palm
+from handsight._kernels.touch.contacts_to_palm import TIP_TO_TIP, contacts_to_palm
 from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
-from handsight._kernels.touch.tip_to_tip import TIP_TO_TIP
 from handsight.contact import Ellipsoid, Reason, Sphere, WrenchCalibration
 from handsight.rig import Finger
 from handsight.tracking.fingertips import finger_record

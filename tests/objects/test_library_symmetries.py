@@ -6,7 +6,7 @@ import pytest
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel, Symmetries, about
-from handsight.objects.library.bop import ContinuousAxis, Info, info_of, symmetries_of
+from handsight.objects.library.documents import ContinuousAxis, Info, info_of, symmetries_of
 
 X, Y, Z = np.eye(3)
 GROUPS = {

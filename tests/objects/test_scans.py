@@ -7,10 +7,17 @@ import pytest
 import trimesh
 
 import handsight as hs
-from handsight._kernels.mesh.patches import blended
+from handsight._kernels.mesh.quadrics import blended
 from handsight.objects import ObjectModel, Triangles, diameter
-from handsight.objects.scans.noise import Noise, Points, estimated_noise, flat_patches, spacing_of, widened
-from handsight.objects.scans.patches import fitted
+from handsight.objects.scans.patches import (
+    Noise,
+    Points,
+    estimated_noise,
+    fitted,
+    flat_patches,
+    spacing_of,
+    widened,
+)
 from handsight.objects.scans.scan import scanned, smoothed
 from oracles import fields
 

@@ -1,6 +1,6 @@
 """Intrinsic contact sensing (eq. 7) in plain NumPy: the slow truth of `handsight._kernels.touch.sensing`.
 
-Its formulas are derived in `handsight._kernels.touch.sensing_steps`.
+Its formulas are derived in `handsight._kernels.touch.sensing`.
 """
 
 from typing import NamedTuple

@@ -6,7 +6,7 @@ import trimesh
 from scipy.optimize import linprog
 
 from handsight import se3
-from handsight.simulation.grasp_candidates import GRASP, body_of, forces, grasp_candidates, rests
+from handsight.simulation.shadow_grasps import GRASP, body_of, forces, grasp_candidates, rests
 
 
 def shapes():

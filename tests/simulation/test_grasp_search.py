@@ -10,10 +10,9 @@ import trimesh
 
 from handsight.errors import InvalidFile, InvalidObject, NotWritten
 from handsight.simulation import Scenario, find_grasp, grasp_search, read_grasp, simulate, write_grasp
-from handsight.simulation.grasp_candidates import body_of, grasp_candidates
 from handsight.simulation.motion import CAN
-from handsight.simulation.posture import POSTURE, Posture
 from handsight.simulation.scene import convex_hull, mujoco_module, scene, tip_shape
+from handsight.simulation.shadow_grasps import POSTURE, Posture, body_of, grasp_candidates
 from handsight.simulation.world import World
 
 

@@ -19,9 +19,8 @@ from handsight.simulation import (
     simulate_each,
 )
 from handsight.simulation.grasp_search import grasp_for
-from handsight.simulation.loads import Payload
 from handsight.simulation.scene import FINGERS, UNLOADED, tip_shape
-from handsight.simulation.world import World
+from handsight.simulation.world import Payload, World
 from simulation.simulated import NONE, only
 
 USUAL = Nuisances()

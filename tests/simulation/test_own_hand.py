@@ -16,9 +16,9 @@ from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.recording import Recording
 from handsight.simulation import Nuisances, Scenario, find_grasp, grasp_fit, rig_of, simulate
-from handsight.simulation.grasp_candidates import body_of
 from handsight.simulation.grasp_fit import HandFit
 from handsight.simulation.scene import convex_hull, mujoco_module, scene
+from handsight.simulation.shadow_grasps import body_of
 from handsight.simulation.world import World
 from simulation.own_hands import ARM, FILES, real, written
 

@@ -13,8 +13,7 @@ from handsight.correction import pose_distances
 from handsight.errors import InvalidInput
 from handsight.search import Sweep
 from handsight.simulation import Nuisances, Scenario, model_of, simulate_touch_search, touch_search_rig
-from handsight.simulation.probe import PROBE
-from handsight.simulation.touch_search import TABLE_PROBES, TOUCH_SEARCH, start_search
+from handsight.simulation.touch_search import PROBE, TABLE_PROBES, TOUCH_SEARCH, start_search
 from simulation.simulated import NONE
 
 
@@ -65,7 +64,7 @@ def test_the_tables_height_is_measured_without_contacts_at_its_edge(monkeypatch)
     T = probe.T_world_object
     at_edge = (T[:3, :3] @ [-0.083, 0.15, 0.0] + T[:3, 3])[:2]
     assert probe.measure_table(at_edge)[0] < -0.01
-    monkeypatch.setattr("handsight.simulation.probe.PROBE", PROBE._replace(table_unevenness=0.005))
+    monkeypatch.setattr("handsight.simulation.touch_search.PROBE", PROBE._replace(table_unevenness=0.005))
     height, R_world_table = probe.measure_table([*TABLE_PROBES, at_edge, *TABLE_PROBES])
     assert height == pytest.approx(0.0, abs=1e-3)
     assert pytest.approx(np.eye(3), abs=5e-3) == R_world_table

@@ -10,8 +10,8 @@ from handsight import se3
 from handsight.cli.simulate import write_slips
 from handsight.recording import RecordingWriter, open_recording
 from handsight.simulation import Nuisances, Scenario, rig_of, simulate
-from handsight.simulation.loads import PULL, Pull, pull_share
 from handsight.simulation.scenario import SCENARIO
+from handsight.simulation.world import PULL, Pull, pull_share
 from simulation.simulated import only, sensed
 
 FRICTION = 0.6

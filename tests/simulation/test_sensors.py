@@ -17,8 +17,7 @@ from handsight.rig import Rig
 from handsight.simulation import Scenario, rig_of, simulate
 from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.scene import PALM, tip_shape
-from handsight.simulation.skin import ElasticSkin, Solid
-from handsight.simulation.taxels import COUNTS, PRODUCTS, RAW, TaxelSensors, surfaces
+from handsight.simulation.taxels import COUNTS, PRODUCTS, RAW, ElasticSkin, Solid, TaxelSensors, surfaces
 from handsight.simulation.world import World
 from simulation.simulated import only
 

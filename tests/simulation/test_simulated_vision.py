@@ -9,7 +9,6 @@ from handsight.simulation import (
     camera_facing,
     model_of,
     render,
-    rendering,
     rig_of,
     simulate,
     true_camera,
@@ -129,7 +128,7 @@ def test_what_cannot_be_drawn_is_an_error(monkeypatch):
     def absent(name):
         raise ImportError(f"no library for {name}")
 
-    monkeypatch.setattr(rendering, "import_module", absent)
+    monkeypatch.setattr("handsight.simulation.camera.import_module", absent)
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     with pytest.raises(
         MissingExtra, match=r"expected EGL or OSMesa .* got egl: no library for mujoco.egl; osmesa: no"

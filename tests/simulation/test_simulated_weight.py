@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from handsight.simulation import Nuisances, Scenario
-from handsight.simulation.loads import Payload
 from handsight.simulation.motion import WEIGH_LEGS, palm_poses
 from handsight.simulation.scene import FINGERS
 from handsight.simulation.simulate import tip_biases
+from handsight.simulation.world import Payload
 from simulation.simulated import only
 
 

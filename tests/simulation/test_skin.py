@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from handsight import se3
 from handsight.errors import InvalidInput
 from handsight.simulation import Scenario
-from handsight.simulation.skin import PALM_SKIN, Solid, spring_forces
+from handsight.simulation.taxels import PALM_SKIN, Solid, spring_forces
 from skin_scenes import box_solid, taxel_forces
 
 seeds = st.integers(0, 2**32 - 1)

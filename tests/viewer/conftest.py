@@ -63,22 +63,22 @@ def page(tracked, free_port):
 def pages(monkeypatch):
     """The pages of viewers, newest last: served in a thread of this process, where a test can look at them."""
     needs_viser()
-    from handsight.viewer import viewer_process
+    from handsight.viewer import live_viewer
 
     made = []
 
     def begin():
         ours, theirs = Pipe()
-        Thread(target=viewer_process.serve, args=(theirs,), daemon=True).start()
+        Thread(target=live_viewer.serve, args=(theirs,), daemon=True).start()
         return ours, None
 
-    class Kept(viewer_process.Page):
+    class Kept(live_viewer.Page):
         def __init__(self, *given, **options):
             super().__init__(*given, **options)
             made.append(self)
 
-    monkeypatch.setattr(viewer_process, "begin", begin)
-    monkeypatch.setattr(viewer_process, "Page", Kept)
+    monkeypatch.setattr(live_viewer, "begin", begin)
+    monkeypatch.setattr(live_viewer, "Page", Kept)
     return made
 
 

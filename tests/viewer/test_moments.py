@@ -19,7 +19,7 @@ from handsight.viewer.moment import VISION_FOR, Measured, Moment
 from handsight.viewer.panel import share
 from handsight.viewer.picture import edge, jpeg, picture
 from handsight.viewer.scene import LAYERS
-from handsight.viewer.shapes import SHAPES, direction_line, ellipsoid, middle
+from handsight.viewer.shapes import SIGMAS_95, direction_line, ellipsoid, middle
 from handsight.viewer.timeline import TIMELINE, Timeline, curves
 
 
@@ -171,7 +171,7 @@ def test_the_ellipsoid_contains_95_of_100_draws_of_the_middle():
     places = np.array([middle(model, se3.moved(T, draw)) for draw in draws])
     inside = se3.apply(se3.inverse(T_palm_axes), places) / semi_axes
     assert (np.linalg.norm(inside, axis=1) < 1).mean() == pytest.approx(0.95, abs=0.012)
-    assert pytest.approx(math.sqrt(7.8147), abs=1e-3) == SHAPES.sigmas_95
+    assert pytest.approx(math.sqrt(7.8147), abs=1e-3) == SIGMAS_95
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -17,7 +17,6 @@ from handsight import ObjectModel, se3
 from handsight.errors import InvalidInput, MissingExtra
 from handsight.tracking import Tracker
 from handsight.viewer import NullViewer, Viewer, view
-from handsight.viewer.live_viewer import LiveViewerOptions
 from handsight.viewer.player import Player
 from tests.live.recorded import answered, live, poses, said
 from viewer.conftest import needs_viser
@@ -321,9 +320,9 @@ def with_a_pipe(tracker, monkeypatch):
     """A viewer, and the page's end of its pipe."""
 
     ours, theirs = Pipe()
-    from handsight.viewer import viewer_process
+    from handsight.viewer import live_viewer
 
-    monkeypatch.setattr(viewer_process, "begin", lambda: (ours, None))
+    monkeypatch.setattr(live_viewer, "begin", lambda: (ours, None))
     page = threading.Thread(target=lambda: (theirs.recv(), theirs.send("http://nowhere")))
     page.start()
     viewer = Viewer(tracker)
@@ -332,7 +331,7 @@ def with_a_pipe(tracker, monkeypatch):
 
 
 def test_title_and_plot_count_from_the_first_stamp_since_the_clock_was_set_back(tracked, monkeypatch):
-    monkeypatch.setattr("handsight.viewer.live_viewer.LIVE_VIEWER", LiveViewerOptions(note_period=0.0))
+    monkeypatch.setattr("handsight.viewer.live_viewer.NOTE_PERIOD", 0.0)
     tracker = Tracker(tracked.rig, tracked.model)
     viewer, theirs = with_a_pipe(tracker, monkeypatch)
     first = tracked.observations[0].stamp

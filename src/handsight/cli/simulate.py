@@ -239,8 +239,8 @@ def record(
     from handsight.recording import RecordingWriter
     from handsight.rig.save import write as write_rig
     from handsight.simulation import rig_of, simulate, simulate_touch_search, touch_search_rig
-    from handsight.simulation.loads import pulls
     from handsight.simulation.taxels import messages
+    from handsight.simulation.world import pulls
 
     rig = touch_search_rig(scenario) if blind else rig_of(scenario)
     # With one object only, `track` needs no name.
@@ -326,7 +326,7 @@ def write_slips(writer: "McapFile", stamp: float, sample: "Sample", rig: "Rig") 
 def believed_object(scenario: "Scenario", rig: "Rig") -> "ObjectSpec":
     """Returns the object as the robot describes it, with the size error `object_scale`."""
     from handsight.objects import Library, ObjectSpec
-    from handsight.objects.library.bop import METRES
+    from handsight.objects.library.documents import METRES
     from handsight.simulation.robot import declared_weight
 
     mesh = Path(scenario.object)

@@ -1,6 +1,6 @@
 """Intrinsic contact sensing: from the wrench on a fingertip to where and how the object touches it (eq. 7).
 
-Arguments are checked here. `handsight._kernels.touch.sensing` computes; `sensing_steps` beside it derives the formulas.
+Arguments are checked here. `handsight._kernels.touch.sensing` derives the formulas and computes.
 """
 
 from __future__ import annotations

@@ -68,14 +68,6 @@ WEIGHS = "it weighs"
 ASSUMED = "the loads fit a weight only if sensors have wrong gains, or a small force is not measured"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Kept:
-    """A `Kept` is an earlier instant, kept because gravity had another direction in the palm."""
-
-    carried: Carried
-    direction: Array  # (3,) unit vector of gravity in the palm when this direction was first kept
-
-
 class Weigher:
     """A `Weigher` estimates the weight of one object in one hand over time.
 
@@ -98,7 +90,8 @@ class Weigher:
         """(t, 6) the biases, read while the tips touched nothing, in their sensors' frames [N, N m]."""
         self._lifted = False
         self._window: tuple[Observation, ...] = ()
-        self._kept: tuple[Kept, ...] = ()
+        self._kept: tuple[tuple[Carried, Array], ...] = ()
+        """Earlier instants with other directions of gravity, each with its unit vector (3,) as it was first kept."""
         self._last: LoadSum | None = None
         self._fits_at = -np.inf
         self._loose = False  # whether the object could turn about one finger at any time since the last load
@@ -168,7 +161,7 @@ class Weigher:
             T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
             sigma = WEIGHER.loose_object_creep if self._loose or motion is None else WEIGHER.object_creep
             sigma *= float(np.sqrt(max(load.stamp - self._last.stamp, 0.0)))
-            self._kept = tuple(replace(k, carried=k.carried.moved(T, creep, sigma)) for k in self._kept)
+            self._kept = tuple((each.moved(T, creep, sigma), way) for each, way in self._kept)
         self._last, self._loose = load, pivots
         self._weigh(load, joints[1])
         if load.acceleration <= WEIGHER.max_acceleration and load.turning <= WEIGHER.max_turning:
@@ -197,7 +190,7 @@ class Weigher:
 
     def _weigh(self, load: LoadSum, root: Array) -> None:
         """Weighs with the kept instants and a new one, and decides whether the result is trusted."""
-        direction, others = load.gravity / np.linalg.norm(load.gravity), [kept.carried for kept in self._kept]
+        direction, others = load.gravity / np.linalg.norm(load.gravity), [each for each, _ in self._kept]
         others = [each for each in others if _angle(each.load.gravity, direction) > WEIGHER.new_direction]
         self.instants = instants = (*others, Carried(load))
         # Calibration leaves biases that are about as large as a reading's noise.
@@ -240,13 +233,13 @@ class Weigher:
     def _keep(self, load: LoadSum) -> None:
         """Keeps a static instant if its direction of gravity is new, or replaces the one of the same direction."""
         direction = load.gravity / np.linalg.norm(load.gravity)
-        angles = [_angle(kept.direction, direction) for kept in self._kept]
+        angles = [_angle(way, direction) for _, way in self._kept]
         near = int(np.argmin(angles)) if angles else -1
         if near < 0 or angles[near] > WEIGHER.new_direction:
             kept = self._kept if len(self._kept) < WEIGHER.max_kept else self._kept[1:]
-            self._kept = (*kept, Kept(Carried(load), direction))
+            self._kept = (*kept, (Carried(load), direction))
         elif angles[near] < WEIGHER.same_direction:
-            new = replace(self._kept[near], carried=Carried(load))
+            new = Carried(load), self._kept[near][1]
             self._kept = (*self._kept[:near], new, *self._kept[near + 1 :])
 
 

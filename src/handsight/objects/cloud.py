@@ -18,8 +18,7 @@ from handsight.objects.fields import grid_fields, grids
 from handsight.objects.geometry import Geometry, geometry_of, roughened, with_error
 from handsight.objects.meshes.box_tree import Winding
 from handsight.objects.scans.normals import NORMALS, outwards, planes
-from handsight.objects.scans.roughness import unseen_variances
-from handsight.objects.scans.scan import scanned
+from handsight.objects.scans.scan import scanned, unseen_variances
 from handsight.objects.surface import SURFACE, Cloud, check_extent, diameter, distinct
 
 

@@ -17,24 +17,6 @@ from handsight.checks import Array, Indices
 from handsight.errors import InvalidInput
 
 
-class FieldOptions(NamedTuple):
-    """`FieldOptions` say how fine the grids of distance fields are."""
-
-    coarse_per_diameter: int = 18  # coarse cells along the diameter
-    coarse_per_width: int = 4  # coarse cells along the shortest extent, where this makes them smaller
-    max_coarse_nodes: int = 400_000  # of the coarse field
-    fine_per_coarse: int = 4  # fine cells along a coarse one
-    fine_margin: int = 8  # fine cells around the object
-    max_fine_nodes: int = 4_000_000  # of the fine field
-    band: int = 4  # fine nodes within this many cells of the surface carry exact distances
-    max_curvature: int = 72
-    """Limit on the curvature of an exact field, which would be infinite at edges and on the axis [1/diameters]."""
-    parallel: int = 16_384  # points from which on another thread is worth its start
-
-
-FIELDS = FieldOptions()
-
-
 class FieldValues(NamedTuple):
     """`FieldValues` are a distance field and its two derivatives at n points of the object's frame."""
 
@@ -61,7 +43,8 @@ class Field:
         points = np.require(points_object, np.float64, ["C", "W"])
         values = np.empty((len(points), 13))
         record, nodes = self.record
-        in_parts(partial(kernel.evaluate, nodes, record), (points, values), FIELDS.parallel)
+        # Fewer are not worth another thread's start.
+        in_parts(partial(kernel.evaluate, nodes, record), (points, values), 16_384)
         return FieldValues(values[:, 0], values[:, 1:4], values[:, 4:].reshape(-1, 3, 3))
 
     def fill(self, row: np.void, first_node: int) -> NDArray[np.float32]:
@@ -139,7 +122,8 @@ class ExactField(Field):
         """Fills a FIELD record and returns no nodes; see `Field.fill`."""
         kinds = {"box": records.BOX, "cylinder": records.CYLINDER, "sphere": records.SPHERE}
         row["kind"], row["origin"] = kinds[self.shape], self.sizes
-        row["least_radius"] = 2 * np.linalg.norm(self.sizes) / FIELDS.max_curvature
+        # Without a limit the curvature would be infinite at edges and on the axis.
+        row["least_radius"] = 2 * np.linalg.norm(self.sizes) / 72
         return np.empty(0, dtype=np.float32)
 
 
@@ -191,8 +175,8 @@ def grids(vertices: Array, diameter: float) -> tuple[Grid, Grid, tuple[str, ...]
     principal = np.linalg.eigh(centered.T @ centered)[1]
     width = min(np.ptp(vertices, axis=0).min(), np.ptp(centered @ principal, axis=0).min())
     coarse, thin = coarse_grid(vertices, diameter, float(width))
-    cell = coarse.cell / FIELDS.fine_per_coarse
-    fine, capped = _grid(vertices, cell, lambda c: FIELDS.fine_margin * c, FIELDS.max_fine_nodes)
+    cell = coarse.cell / 4  # with a margin of eight
+    fine, capped = _grid(vertices, cell, lambda c: 8 * c, 4_000_000)
     if not (thin or capped):
         return coarse, fine, ()
     cells = f"{1000 * coarse.cell:.3g} mm and {1000 * fine.cell:.3g} mm"
@@ -204,10 +188,10 @@ def coarse_grid(vertices: Array, diameter: float, width: float) -> tuple[Grid, b
 
     `diameter` [m]; `width`: the smallest extent [m], 0 for a flat sheet. The grid's margin is half the diameter.
     """
-    cell = diameter / FIELDS.coarse_per_diameter
+    cell = diameter / 18  # and four cells along a shorter extent
     if width > 1e-6 * diameter:
-        cell = min(cell, width / FIELDS.coarse_per_width)
-    return _grid(vertices, cell, lambda c: max(diameter / 2, 3 * c), FIELDS.max_coarse_nodes)
+        cell = min(cell, width / 4)
+    return _grid(vertices, cell, lambda c: max(diameter / 2, 3 * c), 400_000)
 
 
 def _grid(vertices: Array, cell: float, margin: Callable[[float], float], most: int) -> tuple[Grid, bool]:
@@ -247,7 +231,7 @@ def grid_fields(
     interpolated separately, because the sign jumps where the size does not.
     """
     sharp = _interpolated(coarse, values, fine)
-    band = FIELDS.band * fine.cell
+    band = 4 * fine.cell  # nodes nearer to the surface carry exact distances
     if sheet:
         sharp = np.copysign(_interpolated(coarse, np.abs(values), fine), sharp)
     # Near the surface the interpolation errs by a fraction of a coarse cell, so these nodes include the band.

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,21 +11,9 @@ from handsight.checks import Array, Indices
 from handsight.objects.fields import Field, FieldError, Grid, GridField, centered_grid
 from handsight.objects.surface import Surface
 
-
-class GeometryOptions(NamedTuple):
-    """`GeometryOptions` say how a surface is sampled, and when its size is suspect."""
-
-    samples: int = 256  # surface points with which phase 1 of a correction matches contacts
-    lloyd_steps: int = 12  # steps that spread them evenly
-    drawn_per_sample: int = 20  # points drawn for each that is kept
-    min_extent: float = 0.005  # of an object in a hand; a smaller one has another unit [m]
-    max_extent: float = 2.0  # and a larger one [m]
-    typical_samples: int = 2000  # points by which the typical error of a field is measured
-    error_samples: int = 8000  # surface points compared with the field
-    error_neighbours: int = 12  # nearest of these, whose mean is the error at a place
-
-
-GEOMETRY = GeometryOptions()
+SAMPLES = 256  # surface points with which phase 1 of a correction matches contacts
+MIN_EXTENT = 0.005  # of an object in a hand; a smaller one has another unit [m]
+MAX_EXTENT = 2.0  # and a larger one [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -83,7 +71,7 @@ class Geometry:
     @property
     def sample_spacing(self) -> float:
         """√(area / 256): the typical distance between `points_object` [m]."""
-        return float(np.sqrt(self.area / GEOMETRY.samples))
+        return float(np.sqrt(self.area / SAMPLES))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,14 +103,14 @@ def geometry_of(
     # The samples are chosen from many random points, each the farthest from those before it, and then moved by Lloyd's
     # steps, each to the random point nearest to the middle of its own. Distances include normals, so that the two sides
     # of a thin wall are separate.
-    n = GEOMETRY.samples
-    points, normals = surface.draw(GEOMETRY.drawn_per_sample * n, np.random.default_rng(0))
+    n = SAMPLES
+    points, normals = surface.draw(20 * n, np.random.default_rng(0))
     features = np.hstack([points, np.sqrt(surface.area / n) * normals])
-    chosen = snapped(features, spread_out(features, n, GEOMETRY.lloyd_steps))
-    _, distance, angle = _errors(surface, fine, GEOMETRY.typical_samples, seed=1)
+    chosen = snapped(features, spread_out(features, n, 12))
+    _, distance, angle = _errors(surface, fine, 2000, seed=1)
     field_error = None
     if isinstance(fine, GridField):  # at each node of a grid, from the samples of the surface nearest to it
-        places, *off = _errors(surface, fine, GEOMETRY.error_samples, seed=2)
+        places, *off = _errors(surface, fine, 8000, seed=2)
         # From mean magnitudes, √(2/π) and √(π/2) of a Gaussian's deviation, because squares would let a few samples at
         # an edge dominate their neighbours.
         lengths = np.stack([off[0] * np.sqrt(np.pi / 2), off[1] * np.sqrt(2 / np.pi)], axis=1)
@@ -191,7 +179,7 @@ def _mean_of_nearest(points: Array, values: Array, nodes: Array) -> Array:
     from scipy.spatial import cKDTree
 
     threads = numba.config.NUMBA_NUM_THREADS
-    near = cKDTree(points).query(nodes, k=min(GEOMETRY.error_neighbours, len(points)), workers=threads)[1]
+    near = cKDTree(points).query(nodes, k=min(12, len(points)), workers=threads)[1]
     return np.asarray(values[near].mean(axis=1))
 
 
@@ -205,10 +193,10 @@ def _errors(surface: Surface, fine: Field, count: int, seed: int) -> tuple[Array
 
 def unit_remarks(extent: float) -> tuple[str, ...]:
     """Returns a remark where the largest extent [m] suggests another unit than metres."""
-    if GEOMETRY.min_extent <= extent <= GEOMETRY.max_extent:
+    if MIN_EXTENT <= extent <= MAX_EXTENT:
         return ()
     units = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "metres, scaled down twice": 1000.0}
     for unit, scale in units.items():
-        if GEOMETRY.min_extent < extent * scale < GEOMETRY.max_extent / 4:
+        if MIN_EXTENT < extent * scale < MAX_EXTENT / 4:
             return (f"largest extent {extent:.4g} m: looks like {unit}; try scale={scale:g}",)
     return (f"largest extent {extent:.4g} m: not the size of an object in a hand; is the unit right?",)

@@ -1,4 +1,7 @@
-"""An object that a hand can hold: the geometry of its surface, its symmetries and its weight, in its own frame."""
+"""An object that a hand can hold: the geometry of its surface, its symmetries and its weight, in its own frame.
+
+Kernels take it as a record and the nodes of its grids (`handsight._kernels.records`).
+"""
 
 from __future__ import annotations
 
@@ -8,21 +11,76 @@ import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks
+from handsight._kernels import records
 from handsight.checks import Array
 from handsight.errors import InvalidInput, InvalidObject
 from handsight.objects import cache, primitives
 from handsight.objects.fields import FieldValues
 from handsight.objects.files.read import content, shape_of
 from handsight.objects.geometry import Geometry
-from handsight.objects.record import ModelRecord, model_record
 from handsight.objects.surface import SURFACE, ObjectWarning, Triangles
 from handsight.objects.symmetry import Symmetries, check_kept, kept_center, nearest
+
+
+class ModelRecord(NamedTuple):
+    """A `ModelRecord` is an object as kernels take it."""
+
+    model: NDArray[np.void]
+    """(1,) MODEL."""
+    nodes: NDArray[np.float32]
+    """The nodes of its grids, one grid after another."""
+    symmetry_known: bool
+    """Whether kernels can find the object's equivalent poses: where its symmetries are none, finitely many, or one axis
+    through the origin. For others `symmetry.nearest` finds them."""
+
+
+def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
+    """Returns the record of an object with that geometry and those symmetries."""
+    record = np.zeros(1, dtype=records.MODEL)
+    row, spacing, diameter = record[0], geometry.sample_spacing, geometry.diameter
+    coarse = geometry.coarse.fill(row["coarse"], 0)
+    nodes = [coarse, geometry.fine.fill(row["fine"], len(coarse))]
+    row["coarse"]["variance_distance"] = (0.03 * geometry.coarse.cell) ** 2  # on faces
+    row["coarse"]["variance_normal"] = 0.03**2  # [rad]
+    row["radius"], row["center"] = geometry.radius, geometry.center_object
+    # Facets are within the surface that they approximate, by at most so much.
+    row["bounds"] = geometry.bounds_object + 0.01 * diameter * np.array([[-1.0], [1.0]])
+    row["edge_curvature2"] = 1 / (0.75 * geometry.coarse.cell) ** 2  # a surface that is bent more is an edge
+    error, place_by_place = row["error"], geometry.field_error
+    error["least_distance"] = (1e-4 * diameter) ** 2
+    error["least_normal"] = 2e-3**2  # [rad]
+    if place_by_place is not None:
+        error["inverse_cell"], error["origin"] = 1 / place_by_place.cell, place_by_place.origin
+        error["shape"], error["nodes"] = place_by_place.values.shape[:3], sum(map(len, nodes))
+        nodes.append(place_by_place.values.astype(np.float32).reshape(-1))
+    symmetry, count = (
+        row["symmetry"],
+        len(symmetries.rotations),
+    )  # at most `MAX_ROTATIONS`, for which there is room
+    kind = records.NO_SYMMETRY if symmetries.trivial else records.DISCRETE
+    for k, (point, direction) in enumerate(symmetries.axes):
+        through_origin = np.abs(point - (point @ direction) * direction).max() < 1e-15
+        kind = records.AXIS if len(symmetries.axes) == 1 and through_origin else records.OTHER_SYMMETRY
+        symmetry["pivot"], symmetry["axis"][k] = point, direction
+    symmetry["kind"], symmetry["axes"] = kind, len(symmetries.axes)
+    symmetry["rotations"], symmetry["rotation"][:count] = count, symmetries.rotations[:, :3]
+    # In the distance of a contact from a sample, a difference of 1 between unit normals counts as much as this length.
+    row["normal_weight2"] = (1.3 * diameter) ** 2
+    # A tangential distance within the band costs nothing; beyond it, this is its standard deviation.
+    row["band"], row["tangential_weight"] = 1.6 * spacing, 1 / (0.32 * spacing) ** 2
+    row["sample_variance_distance"] = (0.02 * spacing) ** 2
+    row["sample_variance_normal"] = geometry.sigma_normal**2
+    row["samples"][:, 0], row["samples"][:, 1] = geometry.points_object, geometry.normals_object
+    row["scan"][0] = (geometry.points_object**2).sum(axis=1)
+    row["scan"][1:4], row["scan"][4:] = geometry.points_object.T, geometry.normals_object.T
+    return ModelRecord(record, np.concatenate(nodes), kind != records.OTHER_SYMMETRY)
+
 
 NONE = Symmetries()
 USUAL_SIGMA = 2e-3
@@ -136,7 +194,7 @@ class ObjectModel(Geometry):
                 else:
                     geometry = _of_points(*_checked_points(points, shape.normals))
                     if shape.sigmas is not None:
-                        from handsight.objects.scans.roughness import with_declared_noise
+                        from handsight.objects.scans.scan import with_declared_noise
 
                         geometry = with_declared_noise(geometry, points, scale * shape.sigmas)
             except (InvalidObject, InvalidInput) as error:

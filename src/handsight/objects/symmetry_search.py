@@ -21,23 +21,9 @@ ORDERS = (8, 6, 5, 4, 3, 2)
 """Orders of the rotations that are tried about an axis, the highest first."""
 
 
-class SymmetrySearchOptions(NamedTuple):
-    """`SymmetrySearchOptions` say how symmetries are found, and how exact a declared one must be."""
-
-    tolerance: float = 0.01  # distance of the turned surface from the surface that counts as none [diameters]
-    samples: int = 400  # surface points that are compared
-    max_start_error: float = 0.06  # root mean square distance above which no refinement helps [diameters]
-    equal_moments: float = 0.15
-    """Where two principal moments differ by less than this share, axes between theirs are tried too."""
-    steps: int = 6  # of a refinement
-    directions: int = 150  # directions tried on the half sphere where no axis is distinguished
-    percentile: int = 98
-    """Per cent of the samples that must be within the tolerance; others may be at corners, which the field rounds."""
-    declared_tolerance: float = 0.04  # `tolerance` for a symmetry that a person declares [diameters]
-    declared_samples: int = 1000  # `samples` for such a symmetry
-
-
-SEARCH = SymmetrySearchOptions()
+EQUAL_MOMENTS = 0.15
+"""Where two principal moments differ by less than this share, axes between theirs are tried too."""
+DECLARED_TOLERANCE = 0.04  # `tolerance` for a symmetry that a person declares [diameters]
 
 _SPINS = 2 * np.pi * np.modf(0.381966 * np.arange(1, 12))[0]
 """Angles [rad] that no finite group contains, by which a continuous axis is distinguished from one of high order."""
@@ -59,7 +45,7 @@ def propose_symmetries(model: ObjectModel, tolerance: float | None = None) -> Sy
     dihedral groups and those of the tetrahedron, the cube, the cylinder and the ball. The model stays as it is:
     `model.with_symmetries(...)` declares them. Raises InvalidInput for a tolerance that is not positive.
     """
-    default = SEARCH.tolerance * model.diameter
+    default = 0.01 * model.diameter
     search = _Search(model, default if tolerance is None else checks.positive(tolerance, "tolerance"))
     directions = search.directions()
     for direction in directions:
@@ -107,7 +93,7 @@ def check_symmetries(
     symmetries: Symmetries,
     name: str = "symmetries",
     came: str = "one",
-    tolerance: float = SEARCH.declared_tolerance,
+    tolerance: float = DECLARED_TOLERANCE,
 ) -> None:
     """Raises InvalidInput, which begins with `name`, where symmetries move the object's surface; `came` names them.
 
@@ -115,7 +101,7 @@ def check_symmetries(
     """
     if symmetries.trivial:
         return
-    points, angles = model.sample(SEARCH.declared_samples)[0], 2 * np.pi * np.arange(1, 12) / 12
+    points, angles = model.sample(1000)[0], 2 * np.pi * np.arange(1, 12) / 12
     turns = [about(point, angle * axis) for point, axis in symmetries.axes for angle in angles]
     off = max(_distance(model, points, T) for T in (*symmetries.rotations[1:], *turns))
     if off > tolerance * model.diameter:
@@ -126,14 +112,14 @@ def check_symmetries(
 def _distance(model: ObjectModel, points: Array, T: Array) -> float:
     """Returns a high percentile of the distances [m] to the surface from its points (n, 3) after the motion `T`."""
     distance = model.fine.evaluate(se3.apply(T, points)).distance
-    return float(np.percentile(np.abs(distance), SEARCH.percentile))
+    return float(np.percentile(np.abs(distance), 98))  # others may be at corners, which the field rounds
 
 
 class _Search:
     """A search for symmetry axes of an object, by the distances of its turned samples from its surface."""
 
     def __init__(self, model: ObjectModel, tolerance: float) -> None:
-        self.points, _ = model.sample(SEARCH.samples)
+        self.points, _ = model.sample(400)
         many, _ = model.sample(4000, seed=1)
         self.center = many.mean(axis=0)
         self.moments, self.principal = np.linalg.eigh(np.cov((many - self.center).T))
@@ -144,10 +130,10 @@ class _Search:
     def directions(self) -> Array:
         """Returns directions (k, 3) of possible axes: principal ones, x, y, z, and those between equal moments."""
         found, moments = np.vstack([self.principal.T[::-1], np.eye(3)]), self.moments
-        if moments[0] > (1 - SEARCH.equal_moments) * moments[2]:
-            return np.vstack([found, se3.directions(2 * SEARCH.directions)[: SEARCH.directions]])
+        if moments[0] > (1 - EQUAL_MOMENTS) * moments[2]:
+            return np.vstack([found, se3.directions(2 * 150)[:150]])
         for i, j in ((0, 1), (1, 2)):
-            if moments[i] > (1 - SEARCH.equal_moments) * moments[j]:
+            if moments[i] > (1 - EQUAL_MOMENTS) * moments[j]:
                 angle = np.pi * np.arange(48)[:, None] / 48
                 between = np.cos(angle) * self.principal[:, i] + np.sin(angle) * self.principal[:, j]
                 found = np.vstack([found, between])
@@ -155,10 +141,10 @@ class _Search:
 
     def refined(self, T: Array) -> Array | None:
         """Returns `T` moved so that it brings the samples nearest to the surface; None if they stay far from it."""
-        for step in range(SEARCH.steps):
+        for step in range(6):
             moved = se3.apply(T, self.points)
             distance, gradient, _ = self.model.fine.evaluate(moved)
-            limit = SEARCH.max_start_error * self.size / (1 + step)
+            limit = 0.06 * self.size / (1 + step)  # a larger root mean square is not refined
             if step in (0, 3) and np.sqrt((distance**2).mean()) > limit:
                 return None
             arm = (moved - T[:3, 3]) / self.size

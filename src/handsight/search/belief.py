@@ -18,8 +18,7 @@ from handsight.gaussian_pose import GaussianPose
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import nearest
 from handsight.rig import Table
-from handsight.search.area import Area
-from handsight.search.touch import Touch, tip_center
+from handsight.search.area import Area, Touch, tip_center
 
 
 class ParticleOptions(NamedTuple):

@@ -9,8 +9,8 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.correction.modes import pose_distances
 from handsight.errors import InvalidInput
+from handsight.search.area import Sweep, cast
 from handsight.search.belief import CERTAINTY, Belief
-from handsight.search.touch import Sweep, cast
 
 
 class SweepOptions(NamedTuple):

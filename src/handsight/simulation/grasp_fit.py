@@ -17,11 +17,10 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.hand.surface import body_triangles
 from handsight.rig import Rig
-from handsight.simulation.grasp_candidates import GRASP, Body, forces, least_rotation, rests
 from handsight.simulation.hand_in_world import servo_name
 from handsight.simulation.motion import Grasp
-from handsight.simulation.posture import POSTURE
 from handsight.simulation.scene import SimulatedScene
+from handsight.simulation.shadow_grasps import GRASP, POSTURE, Body, forces, least_rotation, rests
 
 
 class FitOptions(NamedTuple):

@@ -1,23 +1,27 @@
-"""The search for a grasp that holds an object: candidates are tried in the simulator until one does."""
+"""The search for a grasp that holds an object: candidates are tried in the simulator until one does. A grasp as a small
+JSON file beside its recording, and back."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import islice
+from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
+from handsight import checks, se3
 from handsight._deprecated import renamed_members
-from handsight.errors import InvalidObject, NotFound
+from handsight.errors import InvalidFile, InvalidInput, InvalidObject, NotFound
+from handsight.files import read_bytes, text_file
 from handsight.rig import Rig
-from handsight.simulation.grasp_candidates import Body, body_of, grasp_candidates
 from handsight.simulation.grasp_fit import HandFit
 from handsight.simulation.motion import BOX, CAN, LEGS, MOTION, POWER_CAN, Grasp
-from handsight.simulation.posture import Posture
 from handsight.simulation.scenario import SCENARIO, Scenario
 from handsight.simulation.scene import SimulatedScene, convex_hull, scene
+from handsight.simulation.shadow_grasps import Body, Posture, body_of, grasp_candidates
 from handsight.simulation.world import World
 
 
@@ -26,14 +30,6 @@ class GraspSearchOptions(NamedTuple):
 
     max_fitted: int = 90  # candidates to which the hand is fitted before the search gives up
     max_trials: int = 24  # grasps that are simulated
-    failure_penalty: float = 0.1  # subtracted from a candidate's merit for each failure with the same `kin`
-    check_period: float = 0.05  # between checks of a trial [s]
-    max_shift: float = 0.024  # of the object in the palm in a trial: well below what counts as dropped [m]
-    max_rotation: float = 0.42  # of the object in the palm in a trial [rad]
-    min_force: float = 0.1  # of a tip in contact [N]
-    min_contact_share: float = 0.9  # of the time, for which thumb and a finger must touch the object
-    max_depth: float = 0.002  # how far the hand may be pressed into the object [m]
-    max_other_force: float = 2.0  # of all links without a sensor on the object [N]
 
 
 GRASP_SEARCH = GraspSearchOptions()
@@ -103,7 +99,7 @@ def _shadow_grasps(built: SimulatedScene, body: Body) -> Iterator[tuple[Grasp | 
     """Yields the Shadow hand's grasps and their names, and the reason where there is none; see `HandFit.grasps`."""
     left, failed = grasp_candidates(body), Counter[tuple[int, float, float]]()
     while left:  # each that was yielded before has failed, and lowers the merit of those of its `kin`
-        hold = max(left, key=lambda each: each.merit - GRASP_SEARCH.failure_penalty * failed[each.kin])
+        hold = max(left, key=lambda each: each.merit - 0.1 * failed[each.kin])
         left.remove(hold)
         failed[hold.kin] += 1
         fingers = ", ".join(finger for finger in hold.points if finger != "th")
@@ -125,7 +121,7 @@ def _trial(scenario: Scenario, grasp: Grasp, pressing: str) -> tuple[float, str]
         (MOTION.at_rest + float(LEGS[:5, 0].sum()), "slipped when lifted"),
         (np.inf, "slipped when turned"),
     )
-    every, checked, in_contact = round(GRASP_SEARCH.check_period * SCENARIO.steps_per_second), 0, 0
+    every, checked, in_contact = round(0.05 * SCENARIO.steps_per_second), 0, 0  # a check every 0.05 s
     while world.time < world.duration:
         world.step()
         if world.steps % every or world.time <= MOTION.free:
@@ -133,18 +129,87 @@ def _trial(scenario: Scenario, grasp: Grasp, pressing: str) -> tuple[float, str]
         if world.thrown():
             return 0.0, "thrown by the simulator"
         shift, turn = world.moved()
-        if shift > GRASP_SEARCH.max_shift or turn > GRASP_SEARCH.max_rotation:
+        if shift > 0.024 or turn > 0.42:  # well below what counts as dropped [m, rad]
             return world.time, next(reason for end, reason in slips if world.time <= end)
         touches = world.touches()
-        if max((depth for _, _, depth in touches), default=0.0) > GRASP_SEARCH.max_depth:
+        if max((depth for _, _, depth in touches), default=0.0) > 0.002:  # [m]
             return world.time, "pressed in"
         unsensed = sum(force for geom, force, _ in touches if not geom.endswith("_tip"))
-        if unsensed > GRASP_SEARCH.max_other_force:
+        if unsensed > 2.0:  # [N]
             return world.time, "pressed by links without a sensor"
-        tips = {tip for tip, force, _ in touches if force > GRASP_SEARCH.min_force and tip.endswith("_tip")}
+        tips = {tip for tip, force, _ in touches if force > 0.1 and tip.endswith("_tip")}  # [N]
         checked, in_contact = checked + 1, in_contact + (f"{pressing}_tip" in tips and len(tips) > 1)
-    return world.time, "" if in_contact >= GRASP_SEARCH.min_contact_share * checked else "hardly in contact"
+    return world.time, "" if in_contact >= 0.9 * checked else "hardly in contact"
 
 
 def _text(failures: Counter[str]) -> str:
     return ", ".join(f"{reason}: {count}" for reason, count in failures.most_common())
+
+
+class _GraspFile(msgspec.Struct, forbid_unknown_fields=True):
+    """A `_GraspFile` has the fields of the file: lengths in metres, angles in radians, quaternions x, y, z, w. The
+    first five are for people."""
+
+    object: str
+    hold: str
+    succeeded: bool = msgspec.field(name="held")
+    trials: int
+    failures: str
+    position_palm: tuple[float, float, float]
+    """The middle of the object's bounds, when the fingers begin to close."""
+    quaternion_xyzw_palm: tuple[float, float, float, float]  # the rotation of the object in the palm
+    height: float  # of that middle above the table
+    quaternion_xyzw_world: tuple[float, float, float, float]  # the rotation of the palm in the world
+    opening: dict[str, float]  # targets of the joints' servos at first; 0 for those not named
+    closed: dict[str, float]  # their targets at the end
+
+
+def write_grasp(found: GraspSearchResult, object: str, path: Path) -> None:
+    """Writes a grasp that was found; raises NotWritten."""
+    grasp = found.grasp
+    form = _GraspFile(
+        object=object,
+        hold=found.hold,
+        succeeded=found.succeeded,
+        trials=found.trials,
+        failures=found.failures,
+        position_palm=tuple(grasp.T_palm_middle[:3, 3].tolist()),
+        quaternion_xyzw_palm=tuple(se3.quaternion_from_rotation(grasp.T_palm_middle[:3, :3]).tolist()),
+        height=float(grasp.height),
+        quaternion_xyzw_world=tuple(se3.quaternion_from_rotation(grasp.R_world_palm).tolist()),
+        opening=dict(grasp.opening),
+        closed=dict(grasp.closed),
+    )
+    with text_file(path) as file:
+        file.write(msgspec.json.format(msgspec.json.encode(form), indent=1).decode() + "\n")
+
+
+def read_grasp(path: Path, joints: Collection[str] | None = None) -> Grasp:
+    """Returns the grasp of a file that `write_grasp` wrote; raises InvalidFile, which begins with the file's name.
+
+    `joints`: those of a rig's own hand; None: the Shadow hand's.
+    """
+    numbers = {"FF": "321", "MF": "321", "RF": "321", "LF": "4321", "TH": "43210"}
+    servos = {f"robot0:{finger}J{number}" for finger, of_finger in numbers.items() for number in of_finger}
+    servos = servos if joints is None else set(joints)
+    try:
+        form = msgspec.json.decode(read_bytes(path, 1_000_000), type=_GraspFile)
+        position = checks.finite(form.position_palm, "position_palm", (3,))
+        if not np.abs(position).max() < 1:
+            raise InvalidInput(f"position_palm: expected less than a metre, got {form.position_palm}")
+        quaternion = checks.unit(form.quaternion_xyzw_palm, "quaternion_xyzw_palm", (4,))
+        quaternion_world = checks.unit(form.quaternion_xyzw_world, "quaternion_xyzw_world", (4,))
+        for name, of_joint in (("opening", form.opening), ("closed", form.closed)):
+            checks.finite(list(of_joint.values()), name, (len(of_joint),))
+            if others := [joint for joint in of_joint if joint not in servos]:
+                raise InvalidInput(f"{name}: expected joints of the hand, got {others[0]}")
+        height = checks.positive(form.height, "height")
+    except (msgspec.DecodeError, InvalidInput) as error:
+        raise InvalidFile(f"{path}: {error}") from None
+    return Grasp(
+        T_palm_middle=se3.from_position_quaternion(position, quaternion),
+        opening=form.opening,
+        closed=form.closed,
+        height=height,
+        R_world_palm=se3.from_position_quaternion(np.zeros(3), quaternion_world)[:3, :3],
+    )

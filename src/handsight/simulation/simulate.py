@@ -11,17 +11,21 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.errors import InvalidInput, InvalidObject
 from handsight.observation import Observation, PoseMeasurement
-from handsight.simulation.camera import add_depth_noise, calibration_error, moved_about_target, true_camera
+from handsight.simulation.camera import (
+    Renderer,
+    add_depth_noise,
+    calibration_error,
+    moved_about_target,
+    true_camera,
+)
 from handsight.simulation.grasp_search import grasp_for
 from handsight.simulation.hand_in_world import HandInWorld
-from handsight.simulation.loads import tip_errors
 from handsight.simulation.motion import Grasp
-from handsight.simulation.rendering import Renderer
 from handsight.simulation.robot import rig_of
 from handsight.simulation.scenario import SCENARIO, Nuisances, Sample, Scenario
 from handsight.simulation.scene import FINGERS, GRAVITY, UNLOADED, mujoco_module
 from handsight.simulation.taxels import TaxelSensors
-from handsight.simulation.world import World
+from handsight.simulation.world import World, tip_errors
 from handsight.vision.depth_noise import PRESETS
 
 

@@ -1,35 +1,269 @@
-"""The complete task without a camera: a search by touch, then a grasp at the estimated pose."""
+"""The complete task without a camera: a search by touch, then a grasp at the estimated pose.
 
-from collections.abc import Callable, Iterator
+One finger of the hand is stretched, and its tip is swept along lines over the table.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.contact import Contacts
 from handsight.errors import InvalidInput, NotFound
 from handsight.objects import ObjectModel
-from handsight.observation import PoseMeasurement
+from handsight.observation import Observation, PoseMeasurement
 from handsight.rig import MountedCamera, Rig, Table
-from handsight.search import Area, Belief, best_sweep, open_text, with_symmetries_of_touch
+from handsight.search import Area, Belief, Sweep, Touch, best_sweep, open_text, with_symmetries_of_touch
 from handsight.simulation.grasp_search import grasp_for
-from handsight.simulation.motion import Grasp
-from handsight.simulation.probe import PROBE, Probe
+from handsight.simulation.motion import Grasp, least_jerk
 from handsight.simulation.robot import model_of, rig_of
-from handsight.simulation.scenario import Sample, Scenario
+from handsight.simulation.scenario import SCENARIO, Nuisances, Phase, Sample, Scenario
+from handsight.simulation.scene import PALM, T_MOUNT_PALM, scene
 from handsight.simulation.simulate import Sensors, samples
-from handsight.simulation.world import World
+from handsight.simulation.world import World, rows
+from handsight.tracking import FingertipSensors
+
+FINGER = "ff"  # the stretched finger
+
+
+class ProbeOptions(NamedTuple):
+    """`ProbeOptions` say how a finger searches the table and the object."""
+
+    reach: float = 0.06
+    """How far the tip's middle may be below the object's top [m]: the lowest knuckle of the fist is 71 mm above it. The
+    finger's first link, 31 mm above it and 1 mm wider than the tip, trails by its lean."""
+    levels: int = 4  # heights of sweeps that are compared
+    radius: float = 0.009  # of the tip's sides [m]
+    sigma_relative: float = 0.0005  # of the tip's height at one place relative to that at another [m]
+    sigma: float = 0.0025  # of the tip's position, per axis [m]: a degree at each joint of the finger
+    lean: float = float(np.deg2rad(12.0))
+    """Angle of the finger from the vertical, its tip ahead, so that the tip is first to meet a wall [rad]."""
+    sweep_speed: float = 0.06  # of the tip in a sweep [m/s]
+    travel_speed: float = 0.4  # of the tip elsewhere [m/s]
+    turn_speed: float = 3.0  # of the hand as it turns [rad/s]
+    acceleration_time: float = 0.1
+    """How long the tip takes to reach its speed [s]: a sudden start shakes it, which would pass for a contact."""
+    stop_force: float = 0.15  # at which a sweep ends [N]
+    dwell: float = 0.15  # how long the hand rests at a contact [s]
+    readings: int = 10  # readings whose mean is the contact's wrench
+    retreat: float = 0.015  # how far the tip moves back from a contact [m]
+    travel_height: float = 0.05  # of the tip above the object on its way over the table [m]
+    free_spacing: float = 0.005  # between positions where the tip met nothing [m]
+    min_height: float = 0.022
+    """Least height of the tip's middle above the table [m]; the table is known to some millimetres and a degree."""
+    top_margin: float = 0.012  # of the tip's middle below the object's top [m]
+    table_start: float = 0.05  # height above the expected table at which the tip starts to search for it [m]
+    table_unevenness: float = 0.015
+    """Largest difference of height on a table tilted by a degree [m]. A lower contact is one of the finger's side with
+    the table's edge."""
+    start_height: float = 0.5  # of the palm at first above the object's middle [m]
+
+
+PROBE = ProbeOptions()
+
+
+class Probe(World):
+    """A `Probe` is the hand above the table, one finger stretched; the object stands free at the scene's origin."""
+
+    def __init__(
+        self, scenario: Scenario, R_scene_object: Array, T_world_table: Array, *, recording: bool = False
+    ) -> None:
+        """Starts with the object at rotation `R_scene_object` (3, 3) in the scene.
+
+        `T_world_table` (4, 4) is the scene's origin but for the table's errors. With `recording` all samples are
+        kept in `recorded`, those on the way to a sweep too. Raises as `World` does.
+        """
+        rig = rig_of(scenario)
+        self._tips, self._finger = FingertipSensors(rig), rig.fingers[FINGER]
+        self._tip_index = list(rig.hand.tips).index(FINGER)
+        self._T_palm_finger = self._finger_in_palm(dict.fromkeys(rig.hand.moving, 0.0))
+        R_world_palm = self._turned(np.array([1.0, 0.0, 0.0]))
+        low, high = np.array(scene(scenario.object).bounds_object)
+        corners = np.array(list(itertools.product(*zip(low, high, strict=True)))) @ R_scene_object.T
+        # The other fingers make a fist [rad].
+        fist = {f"robot0:{finger}J{joint}": 1.5 for finger in ("MF", "RF", "LF") for joint in (2, 1)}
+        fist |= {"robot0:THJ3": 1.2, "robot0:THJ2": 0.2, "robot0:THJ1": -0.5, "robot0:THJ0": -1.5}
+        below = R_world_palm.T @ [0.0, 0.0, -PROBE.start_height]
+        T_palm_middle = se3.compose(R_world_palm.T @ R_scene_object, below)
+        height = float(np.ptp(corners[:, 2])) / 2
+        grasp = Grasp(T_palm_middle, opening=fist, closed={}, height=height, R_world_palm=R_world_palm)
+        super().__init__(replace(scenario, motion="grasp", images=False), grasp)
+        self._hold_object(self._start)
+        self.refresh()
+        # A robot that searches waits for a message until it has it.
+        certain = replace(scenario.nuisances, message_loss=0.0)
+        self._sensors = Sensors(replace(scenario, nuisances=certain), self)
+        self._sensors.T_world_scene = T_world_table @ self._sensors.T_world_scene
+        self.top = float(np.ptp(corners[:, 2]))  # height of the object above the table [m]
+        self._on_table = False
+        self._recording, self.recorded = recording, list[Sample]()
+        self._every = round(SCENARIO.steps_per_second / scenario.rate)
+        self._T_world_palm = self._sensors.T_world_scene @ self.pose(PALM)
+
+    @property
+    def phase(self) -> Phase:
+        """Always `touch`."""
+        return "touch"
+
+    @property
+    def T_world_object(self) -> Array:
+        """True pose (4, 4) in the robot's world."""
+        return np.asarray(self._sensors.T_world_scene @ self.pose("object"))
+
+    @property
+    def heights(self) -> Array:
+        """(n,) middles of the tip above the table at which it alone meets the object, the lowest first [m]."""
+        lowest = max(PROBE.min_height, self.top - PROBE.reach)
+        return np.linspace(lowest, max(lowest, self.top - PROBE.top_margin), PROBE.levels)
+
+    def measure_table(self, places: ArrayLike) -> tuple[float, Array]:
+        """Returns the table's height along its normal [m], and its axes R_world_table (3, 3), by touching it.
+
+        `places` (n, 2) are in the world [m]. Those beside the table are left out; raises InvalidInput where all are.
+        """
+        found = []
+        for x, y in np.atleast_2d(places):
+            begin = self._palm(self._turned(np.eye(3)[0]), np.array([x, y, PROBE.table_start]))
+            self._travel(begin)
+            down = _distances(2 * PROBE.table_start)[:, None] * [0.0, 0.0, -1.0]
+            for sample in self._along(_shifted(begin, down)):
+                sensed = self._tips.contacts(sample.observation)
+                if FINGER in sensed.fingers or sensed.reasons[FINGER] == "on the table":
+                    T = self._tip(sample.observation)
+                    # The lowest point of the tip's ellipsoid.
+                    low = float(T[2, 3] - np.linalg.norm(T[2, :3] * self._finger.tip.semi_axes))
+                    found.append([*T[:2, 3], low])
+                    break
+        if not found:
+            came = f"touched nothing at any of {len(np.atleast_2d(places))}"
+            raise InvalidInput(f"places: expected some over the table, {came}")
+        points = np.array(found)
+        points = points[np.abs(points[:, 2] - np.median(points[:, 2])) < PROBE.table_unevenness]
+        # The slopes are near 0, by the table's prior. An error that all touches share moves the height only.
+        prior = PROBE.sigma_relative / Nuisances().table_tilt
+        rows = np.vstack([np.insert(points[:, :2], 0, 1, axis=1), prior * np.eye(3)[1:]])
+        height, *slopes = np.linalg.lstsq(rows, np.append(points[:, 2], [0.0, 0.0]), rcond=None)[0]
+        R_world_table = se3.axes_along(np.array([1.0, 0.0, slopes[0]]), np.array([0.0, 1.0, slopes[1]]))
+        return float(height * R_world_table[2, 2]), R_world_table
+
+    def touch(self, sweep: Sweep) -> Touch:
+        """Returns the result of a sweep: the hand travels to its start, and along it until it touches something."""
+        start = self._palm(self._turned(sweep.direction_world), sweep.start_world)
+        self._travel(start)
+        free: list[Array] = []
+        contact = None
+        for sample in self._along(_shifted(start, _distances(sweep.length)[:, None] * sweep.direction_world)):
+            contact = self._sensed_contact(sample.observation)
+            if contact is not None or self._on_table:
+                break
+            tip = self._tip(sample.observation)[:3, 3]
+            if not free or np.linalg.norm(tip - free[-1]) >= PROBE.free_spacing:
+                free.append(tip)
+        if contact is not None:
+            # The mean wrench of a hand at rest is more accurate, unless the contact is lost.
+            resting = np.tile(self._T_world_palm, (round(PROBE.dwell * SCENARIO.steps_per_second), 1, 1))
+            last = [sample.observation for sample in self._along(resting)][-PROBE.readings :]
+            mean = np.mean([observation.wrenches[FINGER] for observation in last], axis=0)
+            contact = self._sensed_contact(replace(last[-1], wrenches={FINGER: mean})) or contact
+        back = PROBE.retreat if contact is not None else 0.0
+        self._straight(_shifted(self._T_world_palm, -back * sweep.direction_world))
+        return Touch(np.array(free).reshape(-1, 3), PROBE.radius, PROBE.sigma, contact)
+
+    def _sensed_contact(self, observation: Observation) -> Contacts | None:
+        """Returns the contact of the stretched finger in the world; None where its force is below `stop_force`."""
+        sensed = self._tips.contacts(observation)
+        self._on_table = sensed.reasons.get(FINGER) == "on the table"
+        if FINGER not in sensed.fingers or sensed.contacts is None or sensed.loads is None:
+            return None
+        k = sensed.fingers.index(FINGER)
+        if np.linalg.norm(sensed.loads[k, :4]) < PROBE.stop_force:
+            return None
+        return sensed.contacts.select([k]).moved(_palm_and_joints(observation)[0])
+
+    def _along(self, Ts_world_palm: Array, *, needed: bool = True) -> Iterator[Sample]:
+        """Yields samples while the palm moves through poses (n, 4, 4), two milliseconds from one to the next. Unless
+        they are `needed` or recorded it yields none, for a sample takes longer than the simulation."""
+        arm = rows(se3.inverse(self._sensors.T_world_scene) @ Ts_world_palm @ se3.inverse(T_MOUNT_PALM))
+        for i, T in enumerate(Ts_world_palm):
+            self._arm, self._T_world_palm = arm[i : i + 1], T
+            self.step()
+            if (needed or self._recording) and self.steps % self._every == 0:
+                self.refresh()
+                sample = self._sensors.sample()
+                sample = replace(sample, observation=replace(sample.observation, vision=None))
+                if self._recording:
+                    self.recorded.append(sample)
+                yield sample
+
+    def _travel(self, T_goal: Array) -> None:
+        """Moves up, over the table and down to a palm pose (4, 4)."""
+        safe = self.top + PROBE.travel_height - (T_goal @ self._T_palm_finger)[2, 3]
+        up = self._T_world_palm.copy()
+        up[2, 3] = max(up[2, 3], T_goal[2, 3] + safe)
+        over = T_goal.copy()
+        over[2, 3] = up[2, 3]
+        for goal in (up, over, T_goal):
+            self._straight(goal)
+
+    def _straight(self, T_goal: Array) -> None:
+        """Moves the palm straight to a pose (4, 4), at rest at both ends."""
+        T_begin = self._T_world_palm
+        way = se3.difference(T_goal, T_begin)
+        seconds = np.linalg.norm(way[:3]) / PROBE.travel_speed + np.linalg.norm(way[3:]) / PROBE.turn_speed
+        s = np.linspace(0, 1, max(round(seconds * SCENARIO.steps_per_second), 1) + 1)[1:, None]
+        for _ in self._along(se3.moved(T_begin, least_jerk(s) * way), needed=False):
+            pass
+
+    def _turned(self, direction_world: Array) -> Array:
+        """Returns R_world_palm (3, 3) with the finger down, its tip and the palm's front in a direction."""
+        finger, front = self._T_palm_finger[:3, 2], np.array([0.0, -1.0, 0.0])
+        down = np.sin(PROBE.lean) * direction_world - np.cos(PROBE.lean) * np.array([0.0, 0.0, 1.0])
+        return se3.axes_along(down, direction_world) @ se3.axes_along(finger, front).T
+
+    def _palm(self, R_world_palm: Array, middle_world: Array) -> Array:
+        """Returns T_world_palm (4, 4) with the middle of the finger's tip at a point (3,) [m]."""
+        return se3.compose(R_world_palm, middle_world - R_world_palm @ self._T_palm_finger[:3, 3])
+
+    def _tip(self, observation: Observation) -> Array:
+        """Returns T_world_tip (4, 4) of the stretched finger's tip as the robot measures it."""
+        T_world_palm, joints = _palm_and_joints(observation)
+        return np.asarray(T_world_palm @ self._finger_in_palm(joints))
+
+    def _finger_in_palm(self, joints: Mapping[str, float]) -> Array:
+        """Returns T_palm_tip (4, 4) of the stretched finger at joints [rad]; its origin is the tip's middle."""
+        T_palm_frame = self._tips.rig.hand.Ts_palm_tip(joints)[self._tip_index]
+        return np.asarray(T_palm_frame @ self._finger.T_frame_surface)
+
+
+def _palm_and_joints(observation: Observation) -> tuple[Array, Mapping[str, float]]:
+    """Returns T_world_palm (4, 4) and joints [rad], which all observations of the simulation have."""
+    if observation.T_world_palm is None or observation.joint_positions is None:
+        raise InvalidInput("observation: expected joint positions and a T_world_palm, got none")
+    return observation.T_world_palm, observation.joint_positions
+
+
+def _distances(length: float) -> Array:
+    """Returns the tip's distance (n,) from the start of a sweep after each step of the simulation [m]."""
+    speed, rise = PROBE.sweep_speed, PROBE.acceleration_time
+    t = np.arange(0.0, length / speed + rise / 2, 1 / SCENARIO.steps_per_second)
+    return np.asarray(speed * np.where(t < rise, t**2 / (2 * rise), t - rise / 2))
+
+
+def _shifted(T: Array, shift: Array) -> Array:
+    """Returns a pose (4, 4) moved by (3,), or by each of (n, 3) [m]."""
+    return np.asarray(se3.compose(T[:3, :3], T[:3, 3] + shift))
 
 
 class TouchSearchOptions(NamedTuple):
     """`TouchSearchOptions` configure the search for an object on a table by touch."""
 
     area_side: float = 0.3  # of the square that contains the object [m]
-    sigma_table_height: float = 0.0015  # of the table after it is touched: the error of a finger's joints [m]
-    sigma_table_tilt: float = float(np.deg2rad(0.5))  # of the object on it, after the table is touched [rad]
     max_touches: int = 12  # before the search gives up
-    pause: float = 0.5  # from the search to the open hand beside the object, which is not simulated [s]
 
 
 TOUCH_SEARCH = TouchSearchOptions()
@@ -66,7 +300,7 @@ def start_search(
     T_world_table = se3.compose(se3.rotation_exp(np.array([0.0, 0.0, turn])), np.array([x, y, 0.0]))
     probe = Probe(scenario, R, T_world_table, recording=recording)
     height, R_world_table = probe.measure_table(TABLE_PROBES)
-    sigma_height, sigma_tilt = TOUCH_SEARCH.sigma_table_height, TOUCH_SEARCH.sigma_table_tilt
+    sigma_height, sigma_tilt = 0.0015, float(np.deg2rad(0.5))
     table = Table(height=height, sigma_height=sigma_height, sigma_tilt=sigma_tilt)
     area = Area(np.full(2, -half), np.full(2, half), table, R[None], R_world_table)
     return probe, Belief(with_symmetries_of_touch(model, PROBE.sigma), area, seed)
@@ -97,7 +331,7 @@ def simulate_touch_search(
     if watch is not None:
         watch(belief, probe.T_world_object)
     # The hand closes at the estimated pose, the object is at the true one.
-    found, begins = belief.pose, probe.time + TOUCH_SEARCH.pause
+    found, begins = belief.pose, probe.time + 0.5  # [s]; the hand's way to the object is not simulated
     T_object_middle = se3.compose(np.eye(3), belief.model.center_object)
     off = se3.inverse(found.T_a_b @ T_object_middle) @ probe.T_world_object @ T_object_middle
     T_palm_middle = grasp.T_palm_middle @ off

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight._kernels.touch import contacts_to_palm as kernels
+from handsight._kernels.touch.contacts_to_palm import TIP_TO_TIP
 from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
-from handsight._kernels.touch.tip_to_tip import TIP_TO_TIP
 from handsight.checks import Array
 from handsight.contact import REASON_NAMES, Contacts
 from handsight.correction import PoseEstimate

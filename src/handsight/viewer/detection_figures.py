@@ -6,7 +6,7 @@ They need matplotlib.
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -25,23 +25,7 @@ if TYPE_CHECKING:
 COLORS = "#ffb300", "#00b8d4", "#e91e63", "#7cb342", "#8e5cd9", "#ff7043", "#26a69a", "#5c6bc0"
 """Of the objects in a picture, one after another."""
 BEST, HAND = COLORS[0], np.array([0.15, 0.55, 1.0])
-
-
-class DetectionFigureOptions(NamedTuple):
-    """`DetectionFigureOptions` say how a detection is drawn."""
-
-    min_weight: float = 0.01  # smallest weight of a second pose that is drawn
-    margin: float = 0.35  # of a picture around the object, relative to the object's size
-    max_residual: float = 15.0  # of depth, at the ends of its colours [mm]
-    edge_depth: float = 0.004  # how far behind the drawn surface an edge is still visible [m]
-    min_edge: float = 0.04  # length of edges that are drawn [diameters]: shorter ones are noise of a scan
-    max_edges: int = 2000  # edges that are drawn
-    max_scores: int = 3  # objects whose probability is written
-    line_width: int = 45  # characters of a line beside a picture
-    aspect: float = 1.35  # width of the part of a picture that is shown, relative to its height
-
-
-FIGURE = DetectionFigureOptions()
+ASPECT = 1.35  # width of the part of a picture that is shown, relative to its height
 
 
 def draw_located(rows: Sequence[Located | LocatedAll], path: Path) -> None:
@@ -59,7 +43,7 @@ def _draw(left: "Axes", right: "Axes", row: Located | LocatedAll) -> None:
     frame, scores = row.frame, ""
     each: list[Located] = [row] if isinstance(row, Located) else row.instances
     if isinstance(row, Located) and row.recognition is not None:
-        likeliest = list(row.recognition.scores.items())[: FIGURE.max_scores]
+        likeliest = list(row.recognition.scores.items())[:3]
         shares = [*likeliest, ("none", row.recognition.none)]
         scores = "\n" + ", ".join(f"{label} {share:.2f}" for label, share in shares)
     image = grey(frame.depth) if frame.color is None else frame.color / 255
@@ -73,12 +57,12 @@ def _draw(left: "Axes", right: "Axes", row: Located | LocatedAll) -> None:
         one = isinstance(row, Located) and row.recognition is None
         text = f"{each[0].model.name or 'object'} is not here" if one else "none of them is here"
         left.set_title(f"{frame.name}: {text}{scores}", fontsize=11)
-        reason = textwrap.fill(row.reason, FIGURE.line_width)
+        reason = textwrap.fill(row.reason, 45)
         right.text(0.5, 0.5, reason, ha="center", va="center", transform=right.transAxes)
         right.set_frame_on(False)
         return
     if isinstance(row, Located):
-        likely = row.found.weights[1:2].sum() >= FIGURE.min_weight
+        likely = row.found.weights[1:2].sum() >= 0.01
         poses = [(row, T) for T in row.found.Ts_camera_object[: 2 if likely else 1]]
         styles = [(BEST, "-", "best pose"), ("#00b8d4", "--", "second")]
     else:
@@ -96,9 +80,9 @@ def _draw(left: "Axes", right: "Axes", row: Located | LocatedAll) -> None:
     rows, columns = np.nonzero(np.isfinite(drawn))
     if len(rows):  # the picture is limited to the object and its surroundings
         height, width = drawn.shape
-        across = max(float(np.ptp(rows)), float(np.ptp(columns)) / FIGURE.aspect, 60.0)
-        tall = min(max((1 + 2 * FIGURE.margin) * across, 0.45 * height), height, width / FIGURE.aspect)
-        sides = np.array([FIGURE.aspect * tall, tall])
+        across = max(float(np.ptp(rows)), float(np.ptp(columns)) / ASPECT, 60.0)
+        tall = min(max((1 + 2 * 0.35) * across, 0.45 * height), height, width / ASPECT)
+        sides = np.array([ASPECT * tall, tall])
         middle = np.array([columns.min() + columns.max(), rows.min() + rows.max()]) / 2
         low = np.clip(middle - sides / 2, -0.5, np.array([width, height]) - 0.5 - sides)
         left.set(xlim=(low[0], low[0] + sides[0]), ylim=(low[1] + sides[1], low[1]))
@@ -126,17 +110,18 @@ def _outline(axes: "Axes", row: Located, T: Array, color: str, style: str) -> No
         tint[inside] = to_rgba(color, 0.22)
         axes.imshow(tint, interpolation="nearest")
     edges = creases(row.model)
-    long = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) > FIGURE.min_edge * row.model.diameter
+    # Shorter ones are noise of a scan.
+    long = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) > 0.04 * row.model.diameter
     lines = se3.apply(T, edges[long].reshape(-1, 3)).reshape(-1, 2, 3)
-    lines = lines[(lines[..., 2] > 0).all(axis=1)][: FIGURE.max_edges]
+    lines = lines[(lines[..., 2] > 0).all(axis=1)][:2000]
     pixels = row.frame.camera.project(lines.reshape(-1, 3)).reshape(-1, 2, 2)
-    # An edge is visible if its middle is in the image, and not behind the surface that is drawn around it.
+    # An edge is visible if its middle is in the image, and at most 4 mm behind the surface drawn around it.
     middles = np.nan_to_num(pixels.mean(axis=1), nan=-1).round()
     shown = ((middles >= 0) & (middles < inside.shape[::-1])).all(axis=1)
     columns, rows = middles[shown].astype(int).T
     padded = np.pad(np.where(inside, drawn, -np.inf), 1, constant_values=-np.inf)
     surface = sliding_window_view(padded, (3, 3))[rows, columns].max(axis=(1, 2))
-    visible = lines[shown, :, 2].mean(axis=1) < surface + FIGURE.edge_depth
+    visible = lines[shown, :, 2].mean(axis=1) < surface + 0.004
     for line in pixels[shown][visible]:
         axes.plot(*line.T, color=color, lw=0.9)
 
@@ -151,7 +136,7 @@ def _residual(axes: "Axes", frame: Frame, drawn: Depth) -> None:
     off = np.full(drawn.shape, np.nan)
     off[known] = 1e3 * (frame.depth[known] - drawn[known])
     axes.set_facecolor("0.85")
-    most = FIGURE.max_residual
+    most = 15.0  # [mm], at the ends of the colours
     shown = axes.imshow(off, cmap="RdBu", vmin=-most, vmax=most, interpolation="nearest")
     if frame.hand is not None:
         before = np.zeros((*drawn.shape, 4))

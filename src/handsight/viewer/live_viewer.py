@@ -1,37 +1,127 @@
-"""The page of a tracker that runs, by `view(tracker)`; and a viewer with the same methods that shows nothing."""
+"""The page of a tracker that runs, by `view(tracker)`; and a viewer with the same methods that shows nothing.
+
+The page is in a process of its own, so that drawing does not delay the tracker, in whose process it would hold Python's
+lock for a fifth of the time, for milliseconds each. Estimates go through a pipe, one whenever the page asks for it: at
+most 30 a second, fewer on a busy machine, and none while no browser is open.
+"""
 
 import contextlib
 import math
+import os
+import signal
 import subprocess
+import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple, Self
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from handsight.checks import Array
 from handsight.errors import HandsightError
 from handsight.forces import Slip
+from handsight.objects import ObjectModel
 from handsight.observation import Observation
+from handsight.rig import Rig
 from handsight.tracking import State, Tracker
-from handsight.viewer import viewer_process
+from handsight.tracking.camera_from_palm import CameraFromPalm
 from handsight.viewer.moment import Moment
-from handsight.viewer.page import PAGE
-from handsight.viewer.timeline import Curves, in_mm, slips_of
+from handsight.viewer.page import PAGE, Page
+from handsight.viewer.picture import picture
+from handsight.viewer.timeline import TIMELINE, Curves, in_mm, slips_of
 
 
-class LiveViewerOptions(NamedTuple):
-    """`LiveViewerOptions` say how often a live view is drawn."""
+class Shot(NamedTuple):
+    """A `Shot` is an observation with images, and the camera's pose as estimated then."""
 
-    curve_period: float = 0.25  # between two plots [s]
-    idle_pause: float = 0.1  # between checks for a new estimate of an idle tracker [s]
-    end_timeout: float = 5.0  # given to a page to end [s]
-    note_period: float = 0.1  # between notes for the curves [s]
-    max_notes: int = 600  # notes that are kept: a minute
+    observation: Observation
+    from_palm: CameraFromPalm
+    T_world_palm: Array | None
 
 
-LIVE_VIEWER = LiveViewerOptions()
+class PageUpdate(NamedTuple):
+    """A `PageUpdate` is one frame for the page to draw."""
+
+    begins: tuple[Rig, ObjectModel] | None  # the rig and the object, if they have changed; else None
+    moment: Moment
+    origin: float  # stamp from which the page counts time [s]
+    shot: Shot | None  # the newest image, if there is a new one; else None
+    curves: Curves | None  # the curves, if they have changed; else None
+
+
+def begin() -> tuple[Connection, "subprocess.Popen[bytes] | None"]:
+    """Starts the process in which `main` runs; returns the pipe to it, and the process."""
+    ours, theirs = Pipe()
+    with theirs:
+        handle = theirs.fileno()
+        # A process of multiprocessing would run the user's program again.
+        code = f"""
+import sys
+from multiprocessing.connection import Connection
+pipe = Connection({handle})
+sys.path[:] = pipe.recv()
+from handsight.viewer.live_viewer import main
+main(pipe)
+"""
+        process = subprocess.Popen([sys.executable, "-c", code], pass_fds=[handle], stdin=subprocess.DEVNULL)
+    ours.send(sys.path)
+    return ours, process
+
+
+def main(pipe: "Connection[Any, Any]") -> None:
+    """Serves the page until the process at the other end of the pipe ends, to which Ctrl-C is left."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(5)  # a robot's own work goes first
+    serve(pipe)
+
+
+def serve(pipe: "Connection[Any, Any]") -> None:
+    """Receives a rig, an object and a port, sends the page's address or a HandsightError, and draws frames."""
+    with contextlib.suppress(EOFError, OSError):
+        rig, model, port = pipe.recv()
+        try:
+            page = Page(rig, model, port=port, title=model.name)
+        except HandsightError as error:
+            pipe.send(error)
+            return
+        with contextlib.closing(page):
+            pipe.send(page.address)
+            _draw(page, rig, pipe)
+    pipe.close()
+
+
+def _draw(page: Page, rig: Rig, pipe: "Connection[Any, Any]") -> None:
+    """Draws frames until one is None, or until a message arrives that was not asked for. It asks for each frame with
+    True, and sends False when no browser is open."""
+    last: Moment | None = None
+    while True:
+        if not page.watched:
+            pipe.send(False)
+            while not page.watched:
+                if pipe.poll(0.2):
+                    return
+        pipe.send(True)
+        frame: PageUpdate | None = pipe.recv()
+        if frame is None:
+            return
+        began = time.monotonic()
+        if frame.begins is not None:
+            (rig, model), last = frame.begins, None
+            page.begin(rig, model, model.name)
+        last = frame.moment.after(last, None if frame.shot is None else picture(rig, *frame.shot))
+        page.origin = frame.origin
+        page.draw(last)
+        if frame.curves is not None:
+            page.draw_curves(frame.curves, last.stamp - frame.origin)
+        time.sleep(max(0.0, TIMELINE.frame - (time.monotonic() - began)))
+
+
+END_TIMEOUT = 5.0  # given to a page to end [s]
+NOTE_PERIOD = 0.1  # between notes for the curves [s]
 
 
 def view(tracker: Tracker, *, port: int = PAGE.port, say: Callable[[str], None] = print) -> "Viewer":
@@ -79,7 +169,7 @@ class Viewer(NullViewer):
 
     def __init__(self, tracker: Tracker, *, port: int = PAGE.port) -> None:
         """See `view`."""
-        self._pipe, self._process = viewer_process.begin()
+        self._pipe, self._process = begin()
         self._changed, self._sending = threading.Event(), threading.Lock()
         self._shown = tracker.rig, tracker.model
         self._send((*self._shown, port))
@@ -93,9 +183,9 @@ class Viewer(NullViewer):
         self.address, self._closed = answer, False
         self._newest: tuple[Tracker, Moment | None] | None = None
         """The tracker to be shown, and its moment if a browser is open."""
-        self._shot: viewer_process.Shot | None = None
+        self._shot: Shot | None = None
         self._sent: tuple[object, object] = None, None  # the newest and the shot that the page has
-        self._past = deque[tuple[float, float, State, Slip]](maxlen=LIVE_VIEWER.max_notes)
+        self._past = deque[tuple[float, float, State, Slip]](maxlen=600)  # a minute
         """Stamp [s], sigma [m], state and slip of the last minute, since `_origin`, when the clock was set back."""
         self._noted = self._plotted = self._origin = -math.inf
         self._thread = threading.Thread(target=self._run, name="handsight viewer", daemon=True)
@@ -110,7 +200,7 @@ class Viewer(NullViewer):
         if observation.stamp != tracker.stamp:
             return  # the observation came late, and the tracker has ignored it
         now = time.monotonic()
-        if now - self._noted >= LIVE_VIEWER.note_period:
+        if now - self._noted >= NOTE_PERIOD:
             self._noted = now
             if not self._past or tracker.stamp < self._past[-1][0]:
                 self._origin = tracker.stamp
@@ -118,7 +208,7 @@ class Viewer(NullViewer):
             self._past.append((tracker.stamp, tracker.sigma, tracker.state, tracker.slip))
         if observation.color is not None or observation.depth is not None:
             camera_from_palm = tracker.vision.camera_from_palm
-            self._shot = viewer_process.Shot(observation, camera_from_palm, tracker.T_world_palm)
+            self._shot = Shot(observation, camera_from_palm, tracker.T_world_palm)
         self._newest = tracker, Moment.now(tracker) if self.watched else None
         if self.watched:
             self._changed.set()
@@ -128,7 +218,7 @@ class Viewer(NullViewer):
         self._closed = True
         self._changed.set()
         self._send(None)
-        self._thread.join(LIVE_VIEWER.end_timeout)
+        self._thread.join(END_TIMEOUT)
         self._end_process()
 
     def _end_process(self) -> None:
@@ -136,7 +226,7 @@ class Viewer(NullViewer):
         if self._process is None:
             return
         try:
-            self._process.wait(LIVE_VIEWER.end_timeout)
+            self._process.wait(END_TIMEOUT)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -152,7 +242,7 @@ class Viewer(NullViewer):
             while True:
                 self.watched = self._pipe.recv()
                 while self.watched and not self._closed:
-                    self._changed.wait(LIVE_VIEWER.idle_pause)
+                    self._changed.wait(0.1)  # [s]
                     self._changed.clear()
                     newest, shot = self._newest, self._shot
                     if newest is None or newest is self._sent[0]:
@@ -163,14 +253,14 @@ class Viewer(NullViewer):
                     moment = moment or Moment.now(tracker)  # while no browser was open, none was computed
                     new_shot, self._sent = None if shot is self._sent[1] else shot, (newest, shot)
                     curves = self._curves()
-                    self._send(viewer_process.PageUpdate(begins, moment, self._origin, new_shot, curves))
+                    self._send(PageUpdate(begins, moment, self._origin, new_shot, curves))
                     break
         self.watched = False
 
     def _curves(self) -> Curves | None:
         """Returns the curves of the last minute; None if they were just plotted."""
         now = time.monotonic()
-        if now - self._plotted < LIVE_VIEWER.curve_period:
+        if now - self._plotted < 0.25:  # [s]
             return None
         self._plotted = now
         notes, origin = list(self._past), self._origin

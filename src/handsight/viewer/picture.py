@@ -3,7 +3,6 @@
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,21 +17,6 @@ from handsight.tracking.camera_from_palm import CameraFromPalm
 from handsight.viewer.shapes import grey, silhouette
 from handsight.vision import pixels
 from handsight.vision.pixels import Color
-
-
-class PictureOptions(NamedTuple):
-    """`PictureOptions` say which part of an image is shown, and how."""
-
-    max_width: int = 320  # of an image that is shown [pixels]
-    around: float = 0.25  # half the height and width around the palm, if it is in the image [m]
-    min_around: float = 40.0  # smallest half height and width [pixels]
-    max_points: int = 3000  # of a cloud
-    jpeg_quality: int = 80  # of a JPEG
-    max_range: float = 0.2  # of points from the palm [m]: farther ones are the room's
-    grey: int = 110  # value of points whose colour is not known
-
-
-PICTURE = PictureOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +67,7 @@ def jpeg(image: Color) -> bytes:
     from PIL import Image  # a dependency of viser
 
     buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, "JPEG", quality=PICTURE.jpeg_quality)
+    Image.fromarray(image).save(buffer, "JPEG", quality=80)
     return buffer.getvalue()
 
 
@@ -112,10 +96,10 @@ def picture(
         cloud = camera.points(np.ascontiguousarray(depth)).reshape(-1, 3)
         with np.errstate(invalid="ignore"):
             off = np.abs(cloud - T_camera_palm[:3, 3].astype(np.float32)).max(axis=1)
-            places = np.flatnonzero(off < PICTURE.max_range)
-        places = places[:: max(1, -(-len(places) // PICTURE.max_points))]
+            places = np.flatnonzero(off < 0.2)  # [m]: farther ones are the room's
+        places = places[:: max(1, -(-len(places) // 3000))]
         points = se3.apply(se3.inverse(T_camera_palm), cloud[places].astype(float)).astype(np.float32)
-        grey_points = np.full((len(points), 3), PICTURE.grey, np.uint8)
+        grey_points = np.full((len(points), 3), 110, np.uint8)  # their colour is not known
         colors = image.reshape(-1, 3)[places] if aligned else grey_points
     rows, columns = _window(camera, T_camera_palm, (height, width))
     image = np.ascontiguousarray(image[rows, columns])
@@ -144,15 +128,16 @@ def palm_in_camera(rig: Rig, from_palm: CameraFromPalm, T_world_palm: Array | No
 def _window(
     camera: Camera | None, T_camera_palm: Array | None, shape: tuple[int, int]
 ) -> tuple[slice, slice]:
-    """Returns the shown rows and columns (at most `max_width`) of an image (h, w): around the hand, if it is there."""
+    """Returns the shown rows and columns (at most 320) of an image (h, w): around the hand, if it is there."""
     rows, columns = slice(0, shape[0]), slice(0, shape[1])
     if camera is not None and T_camera_palm is not None:
         pixel, focal = camera.project(T_camera_palm[None, :3, 3])[0], camera.matrix[0, 0]
         if np.isfinite(pixel).all() and ((pixel >= 0) & (pixel < camera.size)).all():
-            half = max(focal * PICTURE.around / T_camera_palm[2, 3], PICTURE.min_around)
+            # A quarter of a metre around the palm, and at least 40 pixels.
+            half = max(focal * 0.25 / T_camera_palm[2, 3], 40.0)
             rows, columns = (
                 slice(int(max(middle - size, 0)), int(min(middle + size, end)) + 1)
                 for middle, size, end in zip(pixel[::-1], (0.75 * half, half), shape, strict=True)
             )
-    step = max(1, -(-(columns.stop - columns.start) // PICTURE.max_width))
+    step = max(1, -(-(columns.stop - columns.start) // 320))
     return slice(rows.start, rows.stop, step), slice(columns.start, columns.stop, step)

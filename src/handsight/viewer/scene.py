@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,30 +19,9 @@ if TYPE_CHECKING:
 
 Color = tuple[int, int, int]
 HAND: Color = (176, 182, 194)
-
-
-class SceneStyle(NamedTuple):
-    """A `SceneStyle` says how hand, object and contacts are drawn."""
-
-    hand_opacity: float = 0.55  # contacts, and the arrows at them, are visible through the hand
-    object_opacity: float = 0.75  # and through the object
-    ghost_opacity: float = 0.22  # of other modes
-    ghost_scale: float = 1.01  # of other modes, so that equal surfaces do not flicker
-    max_modes: int = 3  # other modes that are drawn
-    inside: float = 0.7  # semi-axis, in the object's radii, below which an ellipsoid is inside the object
-    min_shift: float = 3e-4  # smallest motion of a link or a line that is sent: joints tremble [m]
-    min_rotation: float = 2e-3  # smallest change of a link's quaternion that is sent
-    normal_length: float = 0.02  # of a normal's arrow [m]
-    force_length: float = 0.012  # of a force's arrow [m/N]
-    max_force_length: float = 0.12  # of a force's arrow [m]
-    axis_length: float = 0.05  # of the palm's axes [m]
-    gravity_length: float = 0.08  # of gravity's arrow [m]
-    grid_depth: float = 0.15  # of the grid below the palm's origin [m]
-    grid_cell: float = 0.05  # [m]
-    max_points: int = 4000  # by which an object without triangles is drawn
-
-
-STYLE = SceneStyle()
+GHOST_OPACITY = 0.22  # of other modes
+MIN_SHIFT = 3e-4  # smallest motion of a link or a line that is sent: joints tremble [m]
+MIN_ROTATION = 2e-3  # smallest change of a link's quaternion that is sent
 
 LAYERS: dict[str, tuple[str, Color]] = {
     "hand": ("hand", HAND),
@@ -66,7 +45,8 @@ class MomentScene:
         """Adds all nodes to viser's `scene`, invisible."""
         self._scene, self._rig, self._model = scene, rig, model
         self.layers = dict.fromkeys(LAYERS, True)  # which layers are to be shown
-        style = {"color": HAND, "opacity": STYLE.hand_opacity, "visible": False}
+        # Contacts, and the arrows at them, are visible through it.
+        style = {"color": HAND, "opacity": 0.55, "visible": False}
         self.links = {
             name: scene.add_mesh_simple(f"/hand/{name.replace('/', '_')}", *mesh, **style)
             for name, mesh in rig.hand.link_meshes().items()
@@ -75,9 +55,9 @@ class MomentScene:
         self._sent = {"position": np.full((count, 3), np.inf), "wxyz": np.full((count, 4), np.inf)}
         """Positions and quaternions of the links as they were last sent."""
         self._picture: Picture | None = None
-        self.object = self._copy("/object", "object", STYLE.object_opacity)
-        self.vision = self._copy("/vision", "vision", STYLE.ghost_opacity)
-        self.modes = [self._copy(f"/modes/{k}", "modes", STYLE.ghost_opacity) for k in range(STYLE.max_modes)]
+        self.object = self._copy("/object", "object", 0.75)
+        self.vision = self._copy("/vision", "vision", GHOST_OPACITY)
+        self.modes = [self._copy(f"/modes/{k}", "modes", GHOST_OPACITY) for k in range(3)]
         none, gone = np.zeros((0, 3), np.float32), {"visible": False}
         size, black = {"point_size": 0.006, "point_shape": "circle"}, (30, 30, 30)
         self.contacts = scene.add_point_cloud("/contacts", none, LAYERS["contacts"][1], **size, **gone)
@@ -89,14 +69,14 @@ class MomentScene:
         self.turns = scene.add_line_segments("/open/turns", lines, blue, thickness=0.003, **gone)
         purple = LAYERS["covariance"][1]
         self.covariance = scene.add_icosphere("/covariance", 1.0, purple, cast_shadow=False, **gone)
-        self.axes = scene.add_frame("/axes", axes_length=STYLE.axis_length, axes_radius=0.001, visible=False)
+        self.axes = scene.add_frame("/axes", axes_length=0.05, axes_radius=0.001, visible=False)
         self.world = scene.add_frame("/world", show_axes=False, visible=False)
         """Axes of the world at the palm's origin: gravity and grid are in it, and turn with it."""
-        down, dark = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, -STYLE.gravity_length]]]), LAYERS["frame"][1]
+        down, dark = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, -0.08]]]), LAYERS["frame"][1]
         sizes = {"shaft_radius": 0.001, "head_radius": 0.003, "head_length": 0.01}
         scene.add_arrows("/world/gravity", down, dark, **sizes)
-        cells = {"cell_size": STYLE.grid_cell, "section_size": 4 * STYLE.grid_cell}
-        scene.add_grid("/world/grid", width=0.8, height=0.8, **cells, position=(0, 0, -STYLE.grid_depth))
+        cells = {"cell_size": 0.05, "section_size": 0.2}  # [m]
+        scene.add_grid("/world/grid", width=0.8, height=0.8, **cells, position=(0, 0, -0.15))
         grey = LAYERS["depth"][1]
         self.depth = scene.add_point_cloud("/depth", np.zeros((1, 3)), (grey,), point_size=0.0012, **gone)
 
@@ -108,7 +88,7 @@ class MomentScene:
             _show(handle, visible)
         if any(known):
             Ts = np.stack([links.get(name, np.eye(4)) for name in self.links])
-            shifts, turns = (Ts[:, :3, 3], STYLE.min_shift), (quaternions_wxyz(Ts), STYLE.min_rotation)
+            shifts, turns = (Ts[:, :3, 3], MIN_SHIFT), (quaternions_wxyz(Ts), MIN_ROTATION)
             for part, (values, least) in (("position", shifts), ("wxyz", turns)):
                 sent = self._sent[part]
                 for k in np.flatnonzero((np.abs(values - sent) > least).any(axis=1) & known):
@@ -118,7 +98,7 @@ class MomentScene:
         _show(self.world, self.layers["frame"] and moment.T_world_palm is not None)
         if moment.T_world_palm is not None:
             turn = quaternions_wxyz(se3.inverse(moment.T_world_palm))
-            if np.abs(turn - self.world.wxyz).max() > STYLE.min_rotation:
+            if np.abs(turn - self.world.wxyz).max() > MIN_ROTATION:
                 self.world.wxyz = turn
         self._draw_contacts(moment, forces)
         estimate, vision = moment.estimate, moment.vision
@@ -145,12 +125,12 @@ class MomentScene:
         on_skin = np.zeros((0, 3)) if pressed is None else pressed.points_palm
         self._set(self.contacts, np.concatenate([points[~rejected], on_skin]), wanted)
         self._set(self.rejected, points[rejected], wanted)
-        self._set(self.normals, np.stack([points, points + STYLE.normal_length * normals], axis=1), wanted)
+        self._set(self.normals, np.stack([points, points + 0.02 * normals], axis=1), wanted)  # [m]
         arrows = []
         for name, point in zip(fingertips.fingers, points, strict=True):
             if (force := forces.get(name)) is not None:
-                longest = STYLE.max_force_length / max(float(np.linalg.norm(force)), 1e-9)
-                arrows.append((point, point + force * min(STYLE.force_length, longest)))
+                longest = 0.12 / max(float(np.linalg.norm(force)), 1e-9)  # [m]
+                arrows.append((point, point + force * min(0.012, longest)))  # [m/N]
         self._set(self.forces, np.array(arrows).reshape(-1, 2, 3), self.layers["forces"])
 
     def _draw_uncertainty(self, moment: Moment) -> None:
@@ -161,8 +141,8 @@ class MomentScene:
         if T_palm_axes is not None and self.layers["covariance"]:
             self.covariance.scale = tuple(float(a) for a in semi_axes.clip(min=2e-4))
             # Inside the object it must be opaque, to be drawn before it; around the object it must be translucent.
-            inside = semi_axes.max() < STYLE.inside * model.radius
-            self.covariance.opacity = None if inside else STYLE.ghost_opacity / 2
+            inside = semi_axes.max() < 0.7 * model.radius
+            self.covariance.opacity = None if inside else GHOST_OPACITY / 2
         open_shifts, turns = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 3))]
         if estimate is not None and moment.fingertips.fingers:
             center = middle(model, estimate.T_palm_object)
@@ -187,7 +167,7 @@ class MomentScene:
         """Shows a node of points or lines, and hides it if there are none or they are not wanted."""
         before, visible = handle.points, wanted and len(points) > 0
         # viser takes ten times as long to find that nothing has changed.
-        if visible and (points.shape != before.shape or np.abs(points - before).max() > STYLE.min_shift):
+        if visible and (points.shape != before.shape or np.abs(points - before).max() > MIN_SHIFT):
             handle.points = points
         _show(handle, visible)
 
@@ -195,11 +175,11 @@ class MomentScene:
         """Returns a node of the object, as triangles or as points."""
         model, color = self._model, LAYERS[layer][1]
         if len(model.faces):
-            scale = 1.0 if layer == "object" else STYLE.ghost_scale
+            scale = 1.0 if layer == "object" else 1.01  # so that equal surfaces do not flicker
             style = {"color": color, "opacity": opacity, "scale": scale, "visible": False}
             mesh = model.vertices, model.faces
             return self._scene.add_mesh_simple(name, *mesh, side="double", cast_shadow=False, **style)
-        points, _ = model.sample(STYLE.max_points)
+        points, _ = model.sample(4000)
         return self._scene.add_point_cloud(name, points, color, point_size=0.0015, visible=False)
 
     def _arrows(self, name: str, layer: str, radius: float) -> "SceneNodeHandle":

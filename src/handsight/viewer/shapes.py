@@ -1,7 +1,5 @@
 """Shapes to be drawn for an object and an estimate: sharp edges, silhouette, flat directions, uncertainty."""
 
-from typing import NamedTuple
-
 import numpy as np
 import scipy  # loads its parts when they are used
 
@@ -13,21 +11,7 @@ from handsight.correction.estimate import point_uncertainty
 from handsight.objects import ObjectModel
 from handsight.objects.surface import Triangles
 
-
-class ShapeStyle(NamedTuple):
-    """A `ShapeStyle` says how edges and uncertain directions are drawn."""
-
-    crease: float = np.deg2rad(25)  # angle between triangles at which an edge is drawn [rad]
-    open_shift: float = 0.65  # half a slide's double arrow, relative to the object's diameter
-    open_rotation: float = 0.62  # the radius of a turn's arc, relative to the object's radius
-    arc_points: int = 60  # of such an arc
-    arc_angle: float = 1.6 * np.pi  # of such an arc [rad]
-    sigmas_95: float = 2.795  # standard deviations within which 95 % of a Gaussian in three dimensions are
-    cloud_points: int = 6000  # points by which the silhouette of an object without triangles is drawn
-    dot: int = 2  # how far each of these points is grown [pixels]
-
-
-SHAPES = ShapeStyle()
+SIGMAS_95 = 2.795  # standard deviations within which 95 % of a Gaussian in three dimensions are
 
 
 def creases(model: ObjectModel) -> Array:
@@ -37,7 +21,7 @@ def creases(model: ObjectModel) -> Array:
     surface = Triangles(model.vertices, model.faces)
     edges, (a, b) = surface.edges, (surface.doubled_normals[of // 3] for of in surface.shared)
     lengths = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
-    sharp = edges.vertices[edges.counts == 2][(a * b).sum(axis=1) < np.cos(SHAPES.crease) * lengths]
+    sharp = edges.vertices[edges.counts == 2][(a * b).sum(axis=1) < np.cos(np.deg2rad(25)) * lengths]
     return np.asarray(model.vertices[np.concatenate([sharp, edges.vertices[edges.counts == 1]])])
 
 
@@ -45,7 +29,7 @@ def silhouette(camera: Camera, model: ObjectModel, T_camera_object: Array) -> De
     """Returns the depth (h, w) [m] that the camera would measure of the object alone, infinite beside it."""
     if len(model.faces):
         return camera.draw(se3.apply(T_camera_object, model.vertices), model.faces).depth
-    points = se3.apply(T_camera_object, model.sample(SHAPES.cloud_points)[0])
+    points = se3.apply(T_camera_object, model.sample(6000)[0])
     depth = np.full(camera.size[::-1], np.inf, dtype=np.float32)
     pixels = camera.project(points)
     inside = np.isfinite(pixels).all(axis=1) & (pixels > -0.5).all(axis=1)
@@ -54,7 +38,7 @@ def silhouette(camera: Camera, model: ObjectModel, T_camera_object: Array) -> De
     np.minimum.at(depth, (v, u), points[inside, 2].astype(np.float32))
     # Each point is a dot in front of what is behind it.
     image = scipy.ndimage
-    dot = image.iterate_structure(image.generate_binary_structure(2, 1), SHAPES.dot)
+    dot = image.iterate_structure(image.generate_binary_structure(2, 1), 2)
     return np.asarray(image.minimum_filter(depth, footprint=dot, mode="constant", cval=np.inf))
 
 
@@ -79,13 +63,13 @@ def direction_line(direction: Array, center: Array, model: ObjectModel) -> tuple
     place, with an arrowhead at its last point.
     """
     if np.linalg.norm(direction[:3]) >= np.linalg.norm(direction[3:]):
-        reach = SHAPES.open_shift * model.diameter * direction[:3] / np.linalg.norm(direction[:3])
+        reach = 0.65 * model.diameter * direction[:3] / np.linalg.norm(direction[:3])  # half a double arrow
         return np.stack([center - reach, center + reach]), False
     axis = direction[3:] / np.linalg.norm(direction[3:])
     side = se3.perpendicular(axis)
-    angle = np.linspace(0, SHAPES.arc_angle, SHAPES.arc_points)[:, None]
+    angle = np.linspace(0, 1.6 * np.pi, 60)[:, None]
     ring = np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)
-    return center + SHAPES.open_rotation * model.radius * ring, True
+    return center + 0.62 * model.radius * ring, True
 
 
 def ellipsoid(estimate: PoseEstimate, model: ObjectModel) -> tuple[Array, Array]:
@@ -93,5 +77,5 @@ def ellipsoid(estimate: PoseEstimate, model: ObjectModel) -> tuple[Array, Array]
     semi-axes (3,) [m], along flat directions no longer than the object."""
     values, axes = np.linalg.eigh(point_uncertainty(estimate, model, model.center_object)[0])
     axes[:, 0] *= np.sign(np.linalg.det(axes))
-    semi_axes = SHAPES.sigmas_95 * np.sqrt(values.clip(min=0.0))
+    semi_axes = SIGMAS_95 * np.sqrt(values.clip(min=0.0))
     return se3.compose(axes, middle(model, estimate.T_palm_object)), semi_axes.clip(max=model.diameter)

@@ -5,7 +5,7 @@ by |Q - P|. By a step (τ, radius ω) of the hand about its middle c its derivat
 to plane, Chen and Medioni 1991).
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 from handsight._kernels.evidence.contact_term import distance_row
 from handsight._kernels.image.depth_term import bound_at, stepped
@@ -17,20 +17,7 @@ from handsight._kernels.math.vec3 import Vec3, apply, cross, dot, mul, neg, norm
 from handsight._kernels.records import WORKSPACE
 from handsight._kernels.runtime.compilation import entry, inner
 
-
-class HandTermOptions(NamedTuple):
-    """`HandTermOptions` say how a hand is aligned with a depth image, and when a pixel is explained by it."""
-
-    max_shift: float = 0.03  # of one step [m]
-    max_rotation: float = 0.3  # of one step [rad]
-    min_points: float = 5.0  # points that a step needs, by weight
-    explained_cosine: float = 0.8  # cosine of normals above which a pixel is explained entirely
-    unexplained_cosine: float = 0.2  # cosine of normals below which a pixel is not explained at all
-    without_normal: float = 0.6  # how much of a pixel without a normal is explained
-    range_factor: float = 3.0  # bound along the ray, in bounds across it
-
-
-HAND_TERM = HandTermOptions()
+RANGE_FACTOR = 3.0  # bound along the ray, in bounds across it
 HAND_SCORE = ScoreWeights(passed=1.5, hidden=0.1, unexplained=0.2, min_expected=100.0)
 
 
@@ -75,7 +62,7 @@ def refine_hand(
     image: as of `_row`. middle (3,) and radius of the hand [m]. stages: STAGE (1,), with bounds in metres.
     """
     workspace, stage = local(WORKSPACE), stages[0]
-    equations, longest = workspace.now, (HAND_TERM.max_shift, HAND_TERM.max_rotation)
+    equations, longest = workspace.now, (0.03, 0.3)  # [m, rad], of one step
     for k in range(len(candidates)):
         pose = pose_of(candidates[k].pose)
         for step in range(stage.steps):
@@ -88,7 +75,7 @@ def refine_hand(
                 if weight > 0:
                     accumulate((weight,), (distance_row(P, neg(n), residual, frame),), equations)
                     total += weight
-            if not total > HAND_TERM.min_points:
+            if not total > 5.0:
                 break
             solved, pose = stepped(equations, pose, frame, longest, workspace)
             if not solved:
@@ -112,16 +99,16 @@ def _add(camera: Any, image: Any, P: Vec3, n: Vec3, area: float, bound: float, c
         return
     along = (z - P[2]) * way / P[2]
     off = along * cosine
-    if off > bound or along > HAND_TERM.range_factor * bound:
+    if off > bound or along > RANGE_FACTOR * bound:
         candidate.passed += pixels
-    elif off < -bound or along < -HAND_TERM.range_factor * bound:
+    elif off < -bound or along < -RANGE_FACTOR * bound:
         candidate.hidden += pixels
     else:
         alike = _cosine(image[2], image[3], P, n)
-        least, enough = HAND_TERM.unexplained_cosine, HAND_TERM.explained_cosine
+        least, enough = 0.2, 0.8  # from none of a pixel to all of it
         share = min(max((alike - least) / (enough - least), 0.0), 1.0)
         if alike > 1.5:
-            share = HAND_TERM.without_normal
+            share = 0.6
         score = pixels * (1 - (off / bound) ** 2) * share
         candidate.explained += score
         candidate.unexplained += pixels * (1 - share)

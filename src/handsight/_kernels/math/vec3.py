@@ -1,7 +1,7 @@
 """Three-vectors as tuples and 3x3 matrices as tuples of three rows, so that kernels read like their formulas.
 
 Tuples are kept in registers, and nothing is allocated. The functions of vectors call no other ones, so that
-`sensing_steps` can compile them in its own way (rounded as written).
+`touch.sensing` can compile them in its own way (rounded as written).
 """
 
 from typing import TypeAlias

@@ -1,34 +1,109 @@
-"""Quadrics fitted to noisy points, each in a window that widens as long as the fits agree (Lepski 1991)."""
+"""A surface of many quadric patches: each is fitted to noisy points, in a window that widens as long as the fits agree
+(Lepski 1991), and the distance from the surface is blended from theirs.
 
-from typing import Any, NamedTuple
+A patch is the surface F = 0 in a frame of its own, F = z + H z²/2 + (a u² + 2 b uv + c v²)/2, with z along its normal.
+(a, b, c) are the second derivatives of its distance, the `bends`, positive where it is convex; H is chosen so that
+planes, cylinders and balls are exact at any distance.
+"""
+
+from typing import Any
 
 import numpy as np
 
 from handsight._kernels.math.dense6 import factor, solve
 from handsight._kernels.math.simd import local
 from handsight._kernels.math.vec3 import Vec3, add, cross, dot, norm, scale, store, sub, vector
-from handsight._kernels.mesh.patches import PATCH, gradient, level_set
 from handsight._kernels.runtime.compilation import entry, inner
 
-
-class QuadricOptions(NamedTuple):
-    """`QuadricOptions` say which points of a window are of the patch, and when a wider window is not."""
-
-    max_points: int = 1500  # of one window; later ones, in the order of cells, are left out
-    min_weight: float = 7.5  # effective number of points to which six numbers are fitted
-    passes: int = 2  # fits in each window; the frame is moved to the surface after each
-    min_facing: float = float(np.cos(np.deg2rad(35.0)))
-    """The least cosine of a point's normal and the patch's; with a smaller one it is on another face."""
-    behind: float = -0.5  # below this cosine it is on the other side of a thin wall
-    max_residual: float = 3.0  # of a point, in standard deviations, or it is left out
-    max_left_out: float = 0.1  # share of weight left out above which the window reaches beyond the patch
-    max_excess: float = 3.0  # of the residuals' variance over the noise's, in its own standard deviations
-    max_drift: float = 1.5  # of a fit from those in smaller windows, in their standard deviations
-    bend_variances: float = 3.0
-    """The squared error of the tensor of second derivatives, all four terms, in variances of one of its terms."""
+PATCH = np.dtype([
+    ("point", "f8", (3,)),
+    ("normal", "f8", (3,)),
+    ("along", "f8", (2, 3)),
+    ("bends", "f8", (3,)),
+    ("bend", "f8"),  # H
+    ("covariance", "f8", (6, 6)),  # of height, slopes and bends
+    ("spread", "f8"),  # variance of the residuals: their squares over the degrees of freedom [m²]
+    ("window", "f8"),  # radius of the widest window that it was fitted in [m]
+    ("fits", "i8"),  # how many windows it was fitted in
+    ("ended", "i8"),  # whether a wider window is not of one surface any more
+    ("trust", "f8"),  # its weight among others, beside that by its distance
+], align=True)  # fmt: skip
 
 
-QUADRICS = QuadricOptions()
+@inner
+def gradient(patch: Any, u: float, v: float, z: float) -> Vec3:
+    """Returns the gradient of F along the object's axes, at a point (u, v, z) of the patch's frame."""
+    n, a, b = vector(patch.normal), vector(patch.along[0]), vector(patch.along[1])
+    by_u = patch.bends[0] * u + patch.bends[1] * v
+    by_v = patch.bends[1] * u + patch.bends[2] * v
+    return add(scale(n, 1 + patch.bend * z), add(scale(a, by_u), scale(b, by_v)))
+
+
+@inner
+def level_set(patch: Any, u: float, v: float, z: float) -> float:
+    """Returns F at a point (u, v, z) of the patch's frame."""
+    q = patch.bends[0] * u * u + 2 * patch.bends[1] * u * v + patch.bends[2] * v * v
+    return z + 0.5 * (patch.bend * z * z + q)
+
+
+@entry
+def blended(patches: Any, spacing: float, around: Any, nearest: Any, nodes: Any, out: Any) -> None:
+    """Writes to `out` (n, 4) the signed distance [m] of nodes (n, 3) from the surface, and the direction outwards.
+
+    The distance from a patch is 2 F / (1 + √(1 + 2 H F)), exact for planes, cylinders and balls. It is averaged over
+    the patches `around[nearest[j]]` (k,), the nearest first, weighted by how near they are and whether they face the
+    way of the nearest: the far side of a thin wall and the other face of an edge do not count.
+    """
+    for j in range(len(nodes)):
+        place, near2, total, weights, way = vector(nodes[j]), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)
+        ahead = vector(patches[nearest[j]].normal)
+        for k in range(around.shape[1]):
+            patch = patches[around[nearest[j], k]]
+            offset = sub(place, vector(patch.point))
+            away2 = dot(offset, offset)
+            if k == 0:
+                near2 = away2
+            reach = 0.5 * np.sqrt(near2) + spacing
+            facing = max(dot(vector(patch.normal), ahead), 0.0)
+            w = np.exp((near2 - away2) / (2.5 * reach * reach)) * facing**4 * patch.trust
+            u, v = dot(vector(patch.along[0]), offset), dot(vector(patch.along[1]), offset)
+            z = dot(vector(patch.normal), offset)
+            off = level_set(patch, u, v, z)
+            way = add(way, scale(gradient(patch, u, v, z), w))
+            total += w * 2 * off / (1 + np.sqrt(max(1 + 2 * patch.bend * off, 0.0)))
+            weights += w
+        out[j, 0] = total / weights
+        out[j, 1], out[j, 2], out[j, 3] = way
+
+
+@entry
+def neighbours(points: Any, pairs: Any, patches: Any, window: float, sums: Any) -> None:
+    """Adds to `sums` (4,) what tells whether neighbouring points share their noise.
+
+    For all `pairs` (k, 2) of points (n, 3) that are both within `window` [m] of a patch: the product of their
+    residuals [m²], the mean of their squares [m²], the points' distance [m], and 1.
+    """
+    residuals = np.empty(len(points))
+    for k in range(len(patches)):
+        patch = patches[k]
+        for i in range(len(points)):
+            offset = sub(vector(points[i]), vector(patch.point))
+            residuals[i] = np.nan
+            if dot(offset, offset) < window * window:
+                u, v = dot(vector(patch.along[0]), offset), dot(vector(patch.along[1]), offset)
+                residuals[i] = level_set(patch, u, v, dot(vector(patch.normal), offset))
+        for i, j in pairs:
+            product = residuals[i] * residuals[j]
+            if product == product:
+                sums[0] += product
+                sums[1] += 0.5 * (residuals[i] ** 2 + residuals[j] ** 2)
+                sums[2] += norm(sub(vector(points[i]), vector(points[j])))
+                sums[3] += 1
+
+
+MIN_FACING = float(np.cos(np.deg2rad(35.0)))
+"""The least cosine of a point's normal and the patch's; with a smaller one it is on another face."""
+MAX_DRIFT = 1.5  # of a fit from those in smaller windows, in their standard deviations
 
 LEVEL = np.dtype([
     ("place", "i8"),  # number of this window size, from the smallest
@@ -85,8 +160,8 @@ def _is_left_out(patch: Any, level: Any, normal: Vec3, place: Vec3, x: Any) -> i
     u, v, z = place
     ahead = gradient(patch, u, v, z)
     facing = dot(ahead, normal) / max(norm(ahead), 1e-9)
-    if facing < QUADRICS.min_facing:
-        return 2 if facing < QUADRICS.behind else 1
+    if facing < MIN_FACING:
+        return 2 if facing < -0.5 else 1  # on the other side of a thin wall
     if patch.fits == 0:
         return 0
     off, predicted = level_set(patch, u, v, z), 0.0
@@ -94,7 +169,7 @@ def _is_left_out(patch: Any, level: Any, normal: Vec3, place: Vec3, x: Any) -> i
     for i in range(6):
         for j in range(6):
             predicted += x[i] * patch.covariance[i, j] * x[j]
-    limit = QUADRICS.max_residual
+    limit = 3.0  # standard deviations
     return 1 if off * off > limit * limit * (level.variance + predicted) else 0
 
 
@@ -134,7 +209,8 @@ def _fitted(cloud: Any, index: Any, level: Any, patch: Any, room: Any) -> float:
     """Fits a patch; returns the share of weight that is left out, above 1 where there is no fit."""
     h = level.window
     total, squares, rejected, heights = _normal_equations(cloud, index, level, patch, room)
-    if total * total < QUADRICS.min_weight * squares or not total > 0:
+    # Effective number of points to which six numbers are fitted.
+    if total * total < 7.5 * squares or not total > 0:
         return 2.0
     ridge = level.variance / (level.bend * h * h) ** 2
     for k in range(3, 6):
@@ -195,7 +271,7 @@ def _tensor(patch: Any, out: Any) -> None:
 @inner
 def _has_drifted(patch: Any, earlier: Any, windows: int, tensor: Any) -> bool:
     """Returns whether a patch differs from its fit in a smaller window by more than that one's standard deviations."""
-    n, limit = vector(patch.normal), QUADRICS.max_drift * QUADRICS.max_drift
+    n, limit = vector(patch.normal), MAX_DRIFT * MAX_DRIFT
     for j in range(windows):
         row = earlier[j]
         height = dot(n, sub(vector(patch.point), vector(row)))
@@ -206,7 +282,8 @@ def _has_drifted(patch: Any, earlier: Any, windows: int, tensor: Any) -> bool:
             bend += (1.0 if k < 3 else 2.0) * (tensor[k] - row[6 + k]) ** 2
         if height * height > limit * row[12] or turn > 2 * limit * row[13]:
             return True
-        if bend > QUADRICS.bend_variances * limit * row[14]:
+        # The squared error of the tensor has four terms, in variances of one of them.
+        if bend > 3.0 * limit * row[14]:
             return True
     return False
 
@@ -230,7 +307,8 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
     `cloud` (n, 6): points and normals, in the order of their grid cells, `keys` (n,). `levels` (1,): LEVEL. `earlier`
     (m, windows, WINDOW_VALUES): the fits in smaller windows; those in this one are added.
     """
-    level, room, index = levels[0], local(ROOM), np.empty(QUADRICS.max_points, np.int64)
+    # Later ones, in the order of cells, are left out.
+    level, room, index = levels[0], local(ROOM), np.empty(1500, np.int64)
     trials = np.empty(1, PATCH)
     for k in range(len(patches)):
         patch, trial = patches[k], trials[0]
@@ -239,16 +317,17 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
         count = _gathered(cloud, keys, level, vector(patch.point), index)
         trials[0] = patch
         left_out = 0.0
-        for _ in range(QUADRICS.passes):
+        for _ in range(2):  # the frame is moved to the surface after each
             if left_out <= 1:
                 left_out = _fitted(cloud, index[:count], level, trial, room)
         if left_out > 1:
             continue
         _tensor(trial, room.tensor)
         if patch.fits > 0 and not level.free:
-            excess = QUADRICS.max_excess * np.sqrt(2 * level.together / room.many)
+            # Standard deviations of the residuals' variance.
+            excess = 3.0 * np.sqrt(2 * level.together / room.many)
             expected = level.variance * (1 + excess) + level.tolerance
-            wide = left_out > QUADRICS.max_left_out or trial.spread > expected
+            wide = left_out > 0.1 or trial.spread > expected
             if wide or _has_drifted(trial, earlier[k], level.place, room.tensor):
                 patch.ended = 1
                 continue

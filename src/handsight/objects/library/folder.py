@@ -24,18 +24,19 @@ from handsight.msgspec_errors import JsonObject, decode_object
 from handsight.objects.files import ply_bytes, read_shape
 from handsight.objects.files.read import LARGEST_FILE, content
 from handsight.objects.geometry import unit_remarks
-from handsight.objects.library.bop import METRES, info_of
 from handsight.objects.library.documents import (
     FACTS,
     INFO,
     LARGEST_DOCUMENT,
     MAX_NUMBER,
+    METRES,
     VERSION,
     Documents,
     Entry,
     Facts,
     NoLibrary,
     entries,
+    info_of,
 )
 from handsight.objects.model import ObjectModel
 from handsight.objects.symmetry import Symmetries

@@ -16,8 +16,7 @@ from handsight import checks
 from handsight.checks import Array
 from handsight.errors import HandsightError, InvalidFile, InvalidInput
 from handsight.objects.files import read_shape
-from handsight.objects.library.bop import METRES, SURFACE_TOLERANCE
-from handsight.objects.library.documents import Entry, Facts, NoLibrary, entries
+from handsight.objects.library.documents import METRES, SURFACE_TOLERANCE, Entry, Facts, NoLibrary, entries
 from handsight.objects.library.folder import Folder, check_inside, new_object
 from handsight.objects.library.remote import Remote, without_password
 from handsight.objects.model import ObjectModel

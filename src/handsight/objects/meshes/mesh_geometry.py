@@ -1,7 +1,6 @@
 """The geometry of a triangle mesh: whether it is closed, and its two distance fields."""
 
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,23 +11,6 @@ from handsight.objects.meshes.box_tree import ClosestPoints, ClosestPointSearch,
 from handsight.objects.meshes.repair import components, repaired, side_samples
 from handsight.objects.scans.scan import smoothed
 from handsight.objects.surface import SURFACE, Triangles, diameter
-
-
-class MeshOptions(NamedTuple):
-    """`MeshOptions` say when a mesh is closed, and on which side of it a node of a grid is."""
-
-    closed_share: float = 0.95
-    """A mesh is closed if the winding numbers behind and in front of this share of its samples are 1 and 0."""
-    slit: float = 0.1
-    """Distance from an edge at which winding numbers show whether it is a rim [fine cells]. Slits up to about half as
-    wide do not make a rim."""
-    max_fraction: float = 0.25
-    """Where a winding number around an edge is farther than this from an integer, the edge is a rim. Of four places
-    around a rim, one has a number that is at least 0.375 from an integer."""
-    voters: int = 16  # nodes whose winding numbers are computed in each connected set of nodes
-
-
-MESH = MeshOptions()
 
 
 def mesh_geometry(mesh: Triangles) -> Geometry:
@@ -47,7 +29,7 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
         behind, front = (winding.at(points + side * size * normals) for side in (-1e-4, 1e-4))
         # Where pieces overlap, the winding number is 2 and the surface within is no boundary: that is closed too.
         good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
-        closed = bool(good.mean() >= MESH.closed_share)
+        closed = bool(good.mean() >= 0.95)
     if closed:
         signed = partial(signed_by_winding, winding, holes)
     else:
@@ -88,9 +70,11 @@ def rim_of(mesh: Triangles, winding: Winding, cell: float) -> Mask:
     lateral = np.cross(normal, along)
     normal, lateral = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (normal, lateral))
     turns = np.stack([normal + lateral, normal - lateral, -normal + lateral, -normal - lateral], axis=1)
-    around = middles[:, None] + MESH.slit * cell / np.sqrt(2) * turns[edge]
+    # At a tenth of a cell from an edge winding numbers show a rim; slits up to half as wide make none.
+    around = middles[:, None] + 0.1 * cell / np.sqrt(2) * turns[edge]
     number = winding.at(around.reshape(-1, 3)).reshape(-1, 4)
-    open_piece = np.abs(number - np.round(number)).max(axis=1) > MESH.max_fraction
+    # Of four places around a rim, one has a number that is at least 0.375 from an integer.
+    open_piece = np.abs(number - np.round(number)).max(axis=1) > 0.25
     rim[rim] = np.bincount(edge, open_piece, minlength=len(start)) > 0
     return rim
 
@@ -137,7 +121,7 @@ def signed_by_winding(
         order = np.argsort(label, kind="stable")
         size = np.bincount(label)
         start = np.cumsum(size) - size
-        spread = np.random.default_rng(4).random((len(size), MESH.voters))
+        spread = np.random.default_rng(4).random((len(size), 16))
         voters = order[start[:, None] + (spread * size[:, None]).astype(np.int64)]
         nodes, which = np.unique(voters, return_inverse=True)
         votes = winding.inside(points[todo][nodes])[which].reshape(voters.shape)

@@ -1,7 +1,5 @@
 """Repair of a mesh: merges vertices, makes triangles agree and turns them outwards, with a remark on each repair."""
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -11,21 +9,6 @@ from handsight.checks import Array, Indices, Mask
 from handsight.errors import InvalidObject
 from handsight.objects.meshes.box_tree import BoxTree, Winding, box_tree
 from handsight.objects.surface import Triangles, check_extent, distinct
-
-
-class RepairOptions(NamedTuple):
-    """`RepairOptions` are the limits beyond which a mesh is repaired."""
-
-    flat: float = 1e-12  # a triangle whose height is below this share of its longest side has no area
-    side_samples: int = 400  # places at which a mesh's outside is found
-    inside_out: float = -0.55
-    """A piece is inside out if the winding number in front of it is below this: a patch has -0.5, a turned solid -1."""
-    small_piece: float = 0.01  # share of the area below which a separate piece is remarked
-    same_corner: float = 1e-4
-    """Ends of edges with one triangle that are closer than this share of the extent are merged, because files round."""
-
-
-REPAIR = RepairOptions()
 
 
 def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
@@ -43,7 +26,8 @@ def repaired(mesh: Triangles) -> tuple[Triangles, BoxTree, tuple[str, ...]]:
     if (edges.counts == 1).any():
         used = np.unique(edges.vertices[edges.counts == 1])
         extent = float(np.ptp(points, axis=0).max())
-        near = cKDTree(points[used]).query_pairs(REPAIR.same_corner * extent, output_type="ndarray")
+        # Ends of edges with one triangle that are so near are one, because files round.
+        near = cKDTree(points[used]).query_pairs(1e-4 * extent, output_type="ndarray")
         if len(near):
             label = components(near[:, 0], near[:, 1], len(used))
             which = np.arange(len(points))
@@ -86,7 +70,8 @@ def _distinct(points: Array, triangles: Indices, remarks: list[str]) -> Indices:
     corners = points[triangles]
     sides = np.roll(corners, -1, axis=1) - corners
     longest2 = (sides * sides).sum(axis=2).max(axis=1)
-    flat = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) <= REPAIR.flat * longest2
+    # Of those without an area, the height is that share of the longest side.
+    flat = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) <= 1e-12 * longest2
     if flat.all():
         raise InvalidObject(f"faces: expected triangles with an area, got {len(flat)} without")
     if flat.any():
@@ -107,13 +92,14 @@ def _facing_out(mesh: Triangles, tree: BoxTree, remarks: list[str]) -> Triangles
     points, normals, face = side_samples(mesh)
     step = 1e-4 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))  # less than any wall is thick
     front = Winding.of_mesh(mesh, tree).at(points + step * normals)
-    inside_out = [k for k in np.unique(piece[face]) if np.median(front[piece[face] == k]) < REPAIR.inside_out]
+    # A patch has a winding number of -0.5 in front of it, a turned solid of -1.
+    inside_out = [k for k in np.unique(piece[face]) if np.median(front[piece[face] == k]) < -0.55]
     inverted = np.isin(np.arange(count), inside_out)
     if inverted.any():
         what = "the surface was" if count == 1 else f"{int(inverted.sum())} of {count} separate pieces were"
         remarks.append(f"{what} inside out and turned")
     share = np.bincount(piece, mesh.areas) / mesh.area
-    small = share < REPAIR.small_piece
+    small = share < 0.01
     if small.any():
         percent = f"{100 * share[small].sum():.2g} %"
         remarks.append(f"{int(small.sum())} small separate pieces ({percent} of the area) were left in")
@@ -127,7 +113,7 @@ def _turned_over(faces: Indices, flip: Mask) -> Indices:
 
 def side_samples(mesh: Triangles) -> tuple[Array, Array, Indices]:
     """Returns random surface points (n, 3) [m], with the normals (n, 3) and indices (n,) of their triangles."""
-    return mesh.draw_on_faces(REPAIR.side_samples, np.random.default_rng(3))
+    return mesh.draw_on_faces(400, np.random.default_rng(3))
 
 
 def agreeing(i: Indices, j: Indices, agree: Mask, size: int) -> tuple[Mask, bool]:

@@ -13,7 +13,7 @@ from handsight.camera import Camera
 from handsight.checks import Array, Indices
 from handsight.errors import InvalidFile
 from handsight.objects import Entry, Library, ObjectModel, cache, read_shape
-from handsight.objects.library.bop import METRES
+from handsight.objects.library.documents import METRES
 from handsight.vision.object.appearance import drawn_surface
 from handsight.vision.object.region import Scene
 
