@@ -3,6 +3,7 @@
 Times are of CPU, of all threads of the process, so that other work on the machine says little. The exponent is the
 slope of a line through the logarithms of both, by least squares: 1 is proportional, below 1 sublinear. Each size runs
 in a process of its own, whose peak memory is given; a library's and a recording's files are removed at the end.
+`real` needs the data folder, for its real depth images.
 """
 
 import argparse
@@ -17,6 +18,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -37,14 +39,18 @@ from handsight.simulation import Scenario, model_of, rig_of, simulate
 from handsight.tracking import Tracker
 from handsight.tracking.replay import Tally, replay
 from handsight.vision import ShapeIndex, locate
+from handsight.vision.object.locate import LOCATE
 from handsight.vision.object.region import scene_of
-from testbed import many_scenes, report, sight_scenes
+from testbed import many_scenes, real_frames, report, sight_scenes
 
 Row = dict[str, float]
+Mesh = tuple[np.ndarray, np.ndarray]
 CONTACTS = (100, 300, 1000, 3000, 10_000, 20_000)
 SUBDIVISIONS = (5, 6, 7, 8, 9)
 """20 480, 81 920, 327 680, 1 310 720 and 5 242 880 triangles."""
 OBJECTS = (100, 1000, 2600, 10_000)
+REAL_FRAMES = 5
+"""Of each scene."""
 OCCLUDERS, HIDDEN = ("edge", "bar", "disc"), 0.2
 """What hides a part of an object, and what share of it: beyond a straight edge, along a bar, in a disc."""
 IMAGES = ((320, 240), (640, 480), (1280, 960), (1920, 1440), (3840, 2160))
@@ -130,16 +136,21 @@ def shape(number: int) -> tuple[np.ndarray, np.ndarray]:
     return np.sign(unit) * np.abs(unit) ** power * size / 2, faces
 
 
-def library(count: int, folder: Path) -> Row:
-    """Returns the time of an index of so many objects, of a question to it, and how often the object that is there is
-    among those that it names: where all of it is visible, and where something hides a fifth."""
+def _write_library(count: int, folder: Path, known: Sequence[Mesh] = ()) -> None:
+    """Writes a library of so many objects: known ones, then drawn ones."""
     place, infos = folder / "models", {}
     place.mkdir()
     for k in range(count):
-        vertices, faces = shape(k)
+        vertices, faces = known[k] if k < len(known) else shape(k)
         (place / f"obj_{k + 1:06d}.ply").write_bytes(ply_bytes(Shape(1000 * vertices, faces), 1.0))
-        infos[str(k + 1)] = {"diameter": 1000 * diameter(vertices[:500])}
+        infos[str(k + 1)] = {"diameter": 1000 * diameter(vertices[:: max(len(vertices) // 500, 1)])}
     (place / "models_info.json").write_text(json.dumps(infos), encoding="utf-8")
+
+
+def library(count: int, folder: Path) -> Row:
+    """Returns the time of an index of so many objects, of a question to it, and how often the object that is there is
+    among those that it names: where all of it is visible, and where something hides a fifth."""
+    _write_library(count, folder)
     _, build = cpu(lambda: ShapeIndex(Library(folder)))
     index, load = cpu(lambda: ShapeIndex(Library(folder)))
     row = {"objects": count, "build_s": build, "load_s": load, "named": index.shortlist}
@@ -156,6 +167,35 @@ def library(count: int, folder: Path) -> Row:
             right.append(names[k] in named)
         row[occluder] = float(np.mean(right))
     return {**row, "ms": 1e3 * float(np.median(asked))}
+
+
+def real(count: int, folder: Path) -> Row:
+    """Returns how often an index of fifteen scanned objects (YCB) and others that are drawn names the right one: in the
+    boxes and in the masks of real frames (YCB-Video), and in views that are drawn of the same scans."""
+    frames = real_frames.open_folder(real_frames.default_folder())
+    scans = {name: (model.vertices, model.faces) for name, model in frames.models.items()}
+    _write_library(count, folder, list(scans.values()))
+    index = ShapeIndex(Library(folder))
+    index.__class__ = _Names
+    number, extent = dict(zip(scans, index, strict=False)), LOCATE.max_plane * index.max_diameter
+    right, asked = dict[str, list[bool]](), []
+
+    def ask(name: str, way: str, camera: Camera, depth: np.ndarray, wanted: np.ndarray | None = None) -> None:
+        scene = scene_of(camera, depth, wanted=wanted, extent=extent)
+        named, seconds = cpu(lambda: index.nearest(scene))
+        right.setdefault(way, []).append(number[name] in named)
+        asked.append(seconds)
+
+    for told in real_frames.TOLD[1:]:
+        for frame in (read() for read in frames.some(REAL_FRAMES)):
+            for one in frame.instances:
+                ask(one.name, f"{told} {frame.scene}", frame.camera, frame.depth, frame.wanted(one, told))
+    for occluder in ("none", *OCCLUDERS):
+        for k, (name, scan) in product(range(8), scans.items()):
+            view = pictured(*scan, sight_scenes.WIDE, occluder, np.random.default_rng([k, 9]))
+            ask(name, occluder, sight_scenes.WIDE, view)
+    shares = {way: float(np.mean(each)) for way, each in right.items()}
+    return {"objects": count, "named": index.shortlist, **shares, "ms": 1e3 * float(np.median(asked))}
 
 
 class _Names(ShapeIndex):
@@ -306,6 +346,7 @@ AXES: dict[str, tuple[Callable[..., Row], Sequence[Any], str]] = {
     "contacts": (contacts, CONTACTS, "ms"),
     "triangles": (triangles, SUBDIVISIONS, "s"),
     "library": (library, OBJECTS, "ms"),
+    "real": (real, OBJECTS[:3], "ms"),
     "reading": (reading, READ, "s"),
     "recording": (recording, RECORDED, "s"),
     "images": (images, IMAGES, "ms"),
@@ -336,7 +377,7 @@ def curve(name: str, sizes: Sequence[Any]) -> list[Row]:
             process = context.Process(target=_measured, args=(name, size, Path(folder), results))
             process.start()
             process.join()
-            if process.exitcode:
+            if process.exitcode or results.empty():  # it failed, or its data are not here
                 break
             rows.append(results.get())
             report.say(f"  {name}: {rows[-1]}")

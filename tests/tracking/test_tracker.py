@@ -10,13 +10,13 @@ import pytest
 
 import handsight as hs
 from handsight import se3
+from handsight.correction.estimate import point_uncertainty
 from handsight.errors import InvalidInput
 from handsight.evaluation import Truths, pose_errors, track_errors
 from handsight.hand import Hand
 from handsight.observation import PoseMeasurement
 from handsight.tracking import Tracker, TrackerSettings
 from handsight.tracking.replay import Tally, replay
-from handsight.tracking.track_state import point_uncertainty
 
 
 def tracked(grasp, **settings):

@@ -43,7 +43,7 @@ def test_a_correction_of_a_scan_is_drawn(box, tmp_path):
 
 def test_a_track_says_where_another_side_faces_down(monkeypatch, tmp_path):
     """The base's centre jumps there, although the object turns smoothly."""
-    plt = pytest.importorskip("matplotlib.pyplot")
+    pytest.importorskip("matplotlib")
     from handsight.viewer import track_figure
 
     model = ObjectModel.box([0.06, 0.09, 0.14])
@@ -71,4 +71,3 @@ def test_a_track_says_where_another_side_faces_down(monkeypatch, tmp_path):
     # The side that faces down is another beyond 45°.
     (line,) = [line for line in figure.axes[0].lines if "faces down" in str(line.get_label())]
     assert line.get_xdata()[0] == pytest.approx(0.1 * np.searchsorted(np.linspace(0, 1.5, 31), np.pi / 4))
-    plt.close(figure)

@@ -33,7 +33,10 @@ def _messages() -> "Console":
 def say(message: str) -> None:
     """Prints one line on stderr, with control characters escaped."""
     try:
-        _messages().print(printable(message), markup=False)
+        if sys.stderr.isatty():  # above a progress bar, if there is one
+            _messages().print(printable(message), markup=False)
+        else:
+            print(printable(message), file=sys.stderr, flush=True)
     except OSError:  # stderr is closed or full; there is no other place for a message
         discard(sys.stderr)
 
@@ -74,9 +77,9 @@ def announce_compiling() -> None:
 def check_plots(plot: Path | None) -> None:
     """Raises MissingExtra where a picture is wanted without matplotlib, and InvalidInput for a format that it lacks."""
     if plot is not None:
-        from handsight.viewer.correction_figures import require_matplotlib
+        from handsight.viewer.correction_figures import new_figure
 
-        known = require_matplotlib().Figure().canvas.get_supported_filetypes()
+        known = new_figure().canvas.get_supported_filetypes()
         if plot.suffix[1:].lower() not in known:
             raise InvalidInput(f"--plot: expected a name that ends in .png, .pdf or .svg, got {plot.name}")
 
@@ -87,7 +90,7 @@ def bar(what: str, *, show: bool = True) -> Iterator[Callable[..., None]]:
 
     `share`: the share of the work that is done, 0 to 1; None: unknown. `message`: the progress in words.
     """
-    if not show or not _messages().is_terminal:
+    if not show or not sys.stderr.isatty():
         yield lambda share, message="": None
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -106,7 +109,7 @@ def live_rows(title: str, rows: Callable[..., list[tuple[str, str]]]) -> Iterato
 
     It refreshes them at most five times a second; without a terminal it does nothing.
     """
-    if not _messages().is_terminal:
+    if not sys.stderr.isatty():
         yield lambda *_: None
         return
     from rich.live import Live

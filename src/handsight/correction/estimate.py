@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.posterior.propagation import inflate
+from handsight._kernels.posterior.propagation import at_point, inflate
 from handsight._kernels.records import ANSWER, CONSTRAINTS
 from handsight.checks import Array
 from handsight.errors import InvalidInput
 from handsight.gaussian_pose import GaussianPose
+from handsight.objects import ObjectModel
 from handsight.observation import PoseMeasurement
 from handsight.representation import short_repr
 
@@ -333,3 +334,12 @@ def bounded_covariance(information: Array) -> Array:
     that take nothing but a covariance: a filter would read zeros as certainty.
     """
     return np.asarray(np.linalg.inv(information + OPEN_INFORMATION))
+
+
+def point_uncertainty(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> tuple[Array, float]:
+    """Returns the covariance (3, 3) of a point (3,) of the object in the palm [m²], and its largest eigenvalue.
+
+    A direction whose information is zero because of a declared symmetry counts as certain.
+    """
+    covariance, arm = np.empty((3, 3)), estimate.T_palm_object[:3, :3] @ point_object
+    return covariance, at_point(np.array(estimate.information), model.radius, arm, covariance)

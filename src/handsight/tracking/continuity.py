@@ -11,8 +11,9 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.correction import PoseEstimate
+from handsight.correction.estimate import point_uncertainty
 from handsight.objects import ObjectModel
-from handsight.tracking.track_state import Correction, point_uncertainty
+from handsight.tracking.track_state import Correction
 
 CONFIRM_AFTER = 0.1
 """For so long corrections must dispute the last answer before one of them counts [s]."""

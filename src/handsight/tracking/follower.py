@@ -16,6 +16,7 @@ from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import Outside, PoseEstimate, PosePrior, refine_pose
 from handsight.correction.correct import corrected, problem_of, refined
+from handsight.correction.estimate import point_uncertainty
 from handsight.correction.outside import outside_records
 from handsight.correction.problem import Steps
 from handsight.forces import WeightSensor
@@ -39,7 +40,7 @@ from handsight.tracking.skin import SkinSensors
 from handsight.tracking.slip_update import SlipUpdate
 from handsight.tracking.smoother import MAX_PROPAGATION, STILL, PoseBiasSmoother, process_variance
 from handsight.tracking.table import TableEstimate, TableEvidence, supports_of
-from handsight.tracking.track_state import NO_POSE, Correction, Progress, State, TrackState, point_uncertainty
+from handsight.tracking.track_state import NO_POSE, Correction, Progress, State, TrackState
 from handsight.vision import FirstPoseSource, locate
 
 

@@ -7,12 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from handsight._kernels.posterior import propagation
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PoseEstimate, PosePrior
 from handsight.forces import WeightSensor
-from handsight.objects import ObjectModel
 from handsight.observation import Observation
 from handsight.tracking.fingertips import FingertipContacts
 from handsight.tracking.grasp import ContactMemory, GraspState
@@ -160,12 +158,3 @@ class TrackState:
         """Returns the stamp, the label and the reason."""
         trust = f"{self.label} {self.reason}".strip()
         return f"<TrackState at {self.stamp:.6g} s: {trust}, {self.corrections} corrections>"
-
-
-def point_uncertainty(estimate: PoseEstimate, model: ObjectModel, point_object: Array) -> tuple[Array, float]:
-    """Returns the covariance (3, 3) of a point (3,) of the object in the palm [m²], and its largest eigenvalue.
-
-    A direction whose information is zero because of a declared symmetry counts as certain.
-    """
-    covariance, arm = np.empty((3, 3)), estimate.T_palm_object[:3, :3] @ point_object
-    return covariance, propagation.at_point(np.array(estimate.information), model.radius, arm, covariance)

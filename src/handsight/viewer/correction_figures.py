@@ -4,9 +4,7 @@ They need matplotlib.
 """
 
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -34,36 +32,36 @@ class CorrectionPanel(NamedTuple):
     answer: dict[str, Any]  # in the form of the answers of `handsight correct`
 
 
-def require_matplotlib() -> ModuleType:
-    """Returns pyplot on a backend that needs no screen; raises MissingExtra where matplotlib is absent."""
+def new_figure(width: float = 1, height: float = 1) -> "Figure":
+    """Returns an empty figure of that size [in], which needs no screen; raises MissingExtra where matplotlib is absent.
+
+    Without pyplot, which reads files of styles when it loads.
+    """
     try:
-        import matplotlib
         from matplotlib import artist
     except ImportError:
         raise MissingExtra("plotting needs matplotlib: pip install 'handsight[plot]'") from None
-    matplotlib.use("Agg")
     # It writes a page of documentation for each of its classes when it loads, which takes a third of that time.
     documented, artist.kwdoc = artist.kwdoc, lambda artist: ""
     try:
-        return import_module("matplotlib.pyplot")
+        from matplotlib.figure import Figure
     finally:
         artist.kwdoc = documented
+    return Figure((width, height), layout="constrained")
 
 
 def draw_corrections(panels: Sequence[CorrectionPanel], path: Path) -> None:
     """Writes the panels to an image file; raises MissingExtra, HandsightError."""
-    plt = require_matplotlib()
     columns = min(len(panels), 3)
     rows = -(-len(panels) // columns)
-    figure = plt.figure(figsize=(5.6 * columns, 5.4 * rows), layout="constrained")
+    figure = new_figure(5.6 * columns, 5.4 * rows)
     for i, panel in enumerate(panels):
         _draw(figure.add_subplot(rows, columns, i + 1, projection="3d"), panel)
     save(figure, path)
 
 
 def save(figure: "Figure", path: Path) -> None:
-    """Writes a figure with one legend to an image file, whose suffix is its format, and closes it. Raises
-    HandsightError."""
+    """Writes a figure with one legend to an image file, whose suffix is its format; raises HandsightError."""
     legends = [axes.get_legend_handles_labels() for axes in figure.axes]
     labelled = {label: handle for legend in legends for handle, label in zip(*legend, strict=True)}
     below: Any = {"loc": "outside lower center", "ncols": min(len(labelled), 7), "frameon": False}
@@ -73,8 +71,6 @@ def save(figure: "Figure", path: Path) -> None:
             figure.savefig(path, dpi=130)
         except ValueError as error:
             raise HandsightError(f"{path}: {error}") from None
-        finally:
-            require_matplotlib().close(figure)
 
 
 def _draw(axes: "Axes3D", panel: CorrectionPanel) -> None:

@@ -16,7 +16,7 @@ from handsight.camera import Depth
 from handsight.checks import Array
 from handsight.recording.detections import Located, LocatedAll
 from handsight.recording.frames import Frame
-from handsight.viewer.correction_figures import require_matplotlib, save
+from handsight.viewer.correction_figures import new_figure, save
 from handsight.viewer.shapes import creases, grey, silhouette
 
 if TYPE_CHECKING:
@@ -31,9 +31,8 @@ ASPECT = 1.35  # width of the part of a picture that is shown, relative to its h
 def draw_located(rows: Sequence[Located | LocatedAll], path: Path) -> None:
     """Writes a row for each picture to an image file: the picture with the poses, and the residuals of its depth.
     Raises MissingExtra, HandsightError."""
-    plt = require_matplotlib()
-    size = {"figsize": (11.5, 4.6 * len(rows) + 0.5), "width_ratios": [1.5, 1]}
-    figure, axes = plt.subplots(len(rows), 2, squeeze=False, layout="constrained", **size)
+    figure = new_figure(11.5, 4.6 * len(rows) + 0.5)
+    axes = figure.subplots(len(rows), 2, squeeze=False, width_ratios=[1.5, 1])
     for (left, right), row in zip(axes, rows, strict=True):
         _draw(left, right, row)
     save(figure, path)

@@ -9,7 +9,7 @@ from handsight import se3
 from handsight.camera import Camera
 from handsight.checks import Array, Indices
 from handsight.rig import Rig
-from handsight.viewer.correction_figures import require_matplotlib, save
+from handsight.viewer.correction_figures import new_figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +23,9 @@ RING = 2 * np.pi * np.arange(41) / 40
 
 def draw_rig(rig: Rig, name: str, path: Path) -> None:
     """Writes a picture of a rig, its joints as near to 0 as they can be; raises MissingExtra, HandsightError."""
-    plt = require_matplotlib()
+    figure = new_figure(13, 7)
+    from matplotlib import colormaps
+
     hand = rig.hand
     joints = dict(zip(hand.joint_names, np.clip(0.0, *hand.limits.T).tolist(), strict=True))
     Ts, vertices, faces = hand.link_poses(joints), [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)]
@@ -44,9 +46,8 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
     up = np.median([T[:3, 2] for T in tips], axis=0)
     thin = np.linalg.svd(all_points - all_points.mean(axis=0), full_matrices=False)[2][2]
     out = sum(((T[:3, :3] @ each.normals.T).sum(axis=1) for T, each in taxels.values()), 1e-3 * thin)
-    figure, both = plt.subplots(1, 2, figsize=(13, 7), layout="constrained")
     sides = (out, "from the taxels' side" if taxels else "from above"), (np.cross(up, out), "from beside")
-    for axes, (toward, title) in zip(both, sides, strict=True):
+    for axes, (toward, title) in zip(figure.subplots(1, 2), sides, strict=True):
         view = _View(toward, up, all_points)
         view.draw_hand(axes, corners, triangles, np.array([T[:3, 3] for T in Ts.values()]))
         view.draw_tips(axes, rig, tips)
@@ -57,7 +58,7 @@ def draw_rig(rig: Rig, name: str, path: Path) -> None:
             view.draw_axes(axes, T, AXIS, "camera ")
         for k, (label, (T, each)) in enumerate(taxels.items()):
             normals = each.normals @ T[:3, :3].T
-            view.draw_taxels(axes, se3.apply(T, each.points), normals, plt.get_cmap("tab20")(k % 20), label)
+            view.draw_taxels(axes, se3.apply(T, each.points), normals, colormaps["tab20"](k % 20), label)
         axes.set_title(title, fontsize=10)
     title = f"{name}: {len(tips)} tips (arrows: where they point)"
     title += f", {len(sensors)} sensors (axes x, y, z: red, green, blue)"

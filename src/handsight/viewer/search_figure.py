@@ -9,7 +9,7 @@ import numpy as np
 from handsight import se3
 from handsight.checks import Array
 from handsight.search.belief import CERTAINTY, Belief
-from handsight.viewer.correction_figures import require_matplotlib, save
+from handsight.viewer.correction_figures import new_figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,12 +21,10 @@ PINK, BLUE, GREY = "#c2185b", "#1565c0", "0.55"
 def draw_search(name: str, beliefs: Sequence[Belief], T_world_object: Array, path: Path) -> None:
     """Writes the beliefs of a search, the one before the first touch first, and the truth (4, 4) to an image file.
     Raises MissingExtra, HandsightError."""
-    plt = require_matplotlib()
     columns = min(4, len(beliefs) + 1)
     rows = -(-(len(beliefs) + 1) // columns)
-    size = (3.3 * columns, 3.4 * rows + 0.5)
-    figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
-    places = list(axes.flat)
+    figure = new_figure(3.3 * columns, 3.4 * rows + 0.5)
+    places = list(figure.subplots(rows, columns, squeeze=False).flat)
     for place in places[len(beliefs) + 1 :]:
         place.set_axis_off()
     for place, belief in zip(places, beliefs, strict=False):

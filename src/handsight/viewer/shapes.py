@@ -7,9 +7,9 @@ from handsight import se3
 from handsight.camera import Camera, Depth
 from handsight.checks import Array
 from handsight.correction import PoseEstimate
+from handsight.correction.estimate import point_uncertainty
 from handsight.objects import ObjectModel
 from handsight.objects.surface import Triangles
-from handsight.tracking.track_state import point_uncertainty
 
 SIGMAS_95 = 2.795  # standard deviations within which 95 % of a Gaussian in three dimensions are
 

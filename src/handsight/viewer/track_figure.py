@@ -7,23 +7,22 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
+from handsight.correction.estimate import point_uncertainty
 from handsight.evaluation import Truths, base_center
 from handsight.objects import ObjectModel
 from handsight.tracking.replay import Step
-from handsight.tracking.track_state import point_uncertainty
-from handsight.viewer.correction_figures import require_matplotlib, save
+from handsight.viewer.correction_figures import new_figure, save
 from handsight.viewer.timeline import slips_of
 
 
 def draw_track(name: str, model: ObjectModel, steps: Sequence[Step], truths: Truths, path: Path) -> None:
     """Writes x, y and z of the base's centre over time to an image file; raises MissingExtra, HandsightError."""
-    plt = require_matplotlib()
+    figure = new_figure(9, 9)
     from matplotlib.colors import ListedColormap
 
     times = np.array([step.stamp - steps[0].stamp for step in steps])
     curves, bases = _curves(model, steps, truths)
-    size = {"figsize": (9, 9), "height_ratios": [3, 3, 3, 0.5]}
-    figure, axes = plt.subplots(4, 1, sharex=True, layout="constrained", **size)
+    axes = figure.subplots(4, 1, sharex=True, height_ratios=[3, 3, 3, 0.5])
     pink, grey = "#c2185b", "0.6"
     for k, axis in enumerate("xyz"):
         tracked, vision, true, sigma = curves[:, :, k]

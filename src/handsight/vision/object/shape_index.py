@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +33,7 @@ class ShapeIndexOptions(NamedTuple):
     quantiles: tuple[float, ...] = (0.02, 0.212, 0.404, 0.596, 0.788, 0.98)
     shortlist: int = 40  # objects that are searched in an image, of a hundred; it grows with the cube root
     neighbours: int = 800  # nearest descriptors that they are taken from, for each segment
-    segments: int = 3  # largest ones of an image that may each be the object; all together may be it as well
+    segments: int = 3  # largest ones of an image that may each be the object, or any two or all together
     points: int = 3000  # pixels by which a segment is described
     block: int = 100  # objects whose views are one file of the cache
 
@@ -77,12 +78,13 @@ class ShapeIndex(Mapping[str, ObjectModel]):
         return self._model(name)
 
     def nearest(self, scene: Scene) -> dict[str, ObjectModel]:
-        """Returns the objects whose views are most like a segment of the scene, or like all of them, nearest first; any
-        one of them for a scene without segments."""
+        """Returns the objects whose views are most like a segment of the scene, like two or like all of them, nearest
+        first; any one of them for a scene without segments."""
         step, names = max(1, round(np.sqrt(scene.sizes.sum() / SHAPE_INDEX.points))), list(self)
         labels, points = scene.labels[::step, ::step], scene.camera.points(scene.depth)[::step, ::step]
         largest = np.argsort(-scene.sizes, kind="stable")[: SHAPE_INDEX.segments]
-        parts = [points[mask] for mask in (labels >= 0, *(labels == part for part in largest))]
+        chosen = [*combinations(largest, 1), *combinations(largest, 2)]  # something may divide an object
+        parts = [points[mask] for mask in (labels >= 0, *(np.isin(labels, some) for some in chosen))]
         parts = [part.astype(np.float64) for part in parts if len(part) > len(SHAPE_INDEX.quantiles)]
         if not parts:
             return {names[0]: self[names[0]]}
@@ -91,8 +93,7 @@ class ShapeIndex(Mapping[str, ObjectModel]):
         owners = self._tree.query(rows, k=range(1, count + 1))[1] // (self._tree.n // len(names))
         ranked = list[tuple[float, int]]()
         for part, each in zip(parts, owners, strict=True):
-            # Something may divide an object, whose parts say less than both.
-            share = len(part) / len(parts[0])
+            share = len(part) / len(parts[0])  # part of an object says less than all of it
             ranked += [(k / share, owner) for k, owner in enumerate(dict.fromkeys(each.tolist()), 1)]
         found = list(dict.fromkeys(names[owner] for _, owner in sorted(ranked)))
         return {name: self[name] for name in found[: self.shortlist]}
