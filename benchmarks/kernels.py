@@ -42,7 +42,11 @@ def kernel_call(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePri
     rows, residuals = np.zeros(1, dtype=records.PROBLEM), np.empty((len(contacts), 2))
     rows["pose_only"] = True
     given = model.record.model, model.record.nodes, contacts.record, vision.record, NO_OUTSIDE
-    return lambda: batch.correct_all(*given, rows, residuals)
+
+    def call() -> None:
+        batch.correct_all(*given, rows, residuals)
+
+    return call
 
 
 def stages(model: hs.ObjectModel, contacts: hs.Contacts, vision: hs.PosePrior) -> dict[str, Call]:

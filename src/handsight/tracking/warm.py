@@ -101,9 +101,10 @@ def track() -> None:
     rig = Rig(hand=hand, fingers=fingers, table=Table(height=-0.2), skin={"left": taxels})
     follower, joints = Follower(rig, _touched_box()[0], TrackerSettings()), dict.fromkeys(hand.moving, 0.0)
     state = follower.initial(None, JointOffsets.of(rig))
-    wrenches = dict.fromkeys(fingers, np.array([0, 0, -1.0, 0, 0, 0]))
     measured = PoseMeasurement(np.eye(4), "world")
-    for stamp, vision in ((0.0, measured), (0.1, measured), (0.2, None)):
+    for stamp, vision in ((0.0, measured), (0.05, measured), (0.1, None)):
+        # Its direction turns, by which friction is learnt.
+        wrenches = dict.fromkeys(fingers, np.array([stamp, 0.1 - stamp, -1.0, 0, 0, 0]))
         observation = Observation(stamp, joints, wrenches, vision, np.eye(4), skin={"left": np.ones((2, 2))})
         state, _ = follower.step(state, observation)
     follower.joint_offsets(state)

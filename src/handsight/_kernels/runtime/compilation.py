@@ -82,11 +82,15 @@ class _EntryLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
     """An `_EntryLibrary` is machine code of an entry and of all that it calls; no other kernel can call it."""
 
     def _optimize_final_module(self) -> None:
-        """Optimises; an inner function that is inlined wherever it is called may go."""
+        """Optimises; inner functions are the entry's own, and may go where they are inlined.
+
+        If they were not, LLVM would call one of the same name in another entry instead. Where that was compiled in
+        another process, the numbers in the name can stand for other types.
+        """
         for library in self._linking_libraries:
             if isinstance(library, _InnerLibrary):
                 for function in library.get_defined_functions():
-                    self._final_module.get_function(function.name).linkage = "linkonce_odr"
+                    self._final_module.get_function(function.name).linkage = "internal"
         super()._optimize_final_module()
 
     def serialize_using_object_code(self) -> Any:
