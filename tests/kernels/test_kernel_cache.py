@@ -39,13 +39,43 @@ print(doubled(values), tripled(values), hits)
 COMPILED, LOADED, HALF = "6.0 9.0 0\n", "6.0 9.0 2\n", "6.0 9.0 1\n"
 
 
+NAMESAKES = """
+import sys
+import numpy as np
+from handsight._kernels.runtime.compilation import entry, inner
+
+@inner
+def summed(row):  # too long to be inlined
+    total = 0.0
+STATEMENTS
+    return total
+
+@entry
+def before(rows):
+    return summed(rows[0]) + summed(rows[1])
+
+@entry
+def after(rows):
+    return summed(rows[0]) + summed(rows[1])
+
+kernels = {"before": (before, ["wanted", "other"]), "after": (after, ["other", "wanted"])}
+for name in sys.argv[1:]:
+    kernel, fields = kernels[name]
+    rows = np.zeros(2, dtype=[(field, "f8") for field in fields])
+    rows["wanted"] = 1.0
+    print(kernel(rows))
+""".replace("STATEMENTS", "\n".join(f"    total += np.sin(row.wanted + {k} * total)" for k in range(1, 30)))
+
+
 @pytest.fixture(scope="module")
 def started(tmp_path_factory):
-    program = tmp_path_factory.mktemp("program") / "small_kernel.py"
-    program.write_text(KERNEL)
+    small, namesakes = (tmp_path_factory.mktemp("program") / name for name in ("small.py", "namesakes.py"))
+    small.write_text(KERNEL)
+    namesakes.write_text(NAMESAKES)
 
     def start(folder, *arguments):
-        environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder), "PYTHONHASHSEED": "0"}
+        program = namesakes if {*arguments} & {"before", "after"} else small
         command = [sys.executable, "-W", "always", program, *arguments]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         return subprocess.Popen(command, env=environment, text=True, **pipes)
@@ -82,6 +112,13 @@ def kept(compiled_once, tmp_path):
 
 def test_a_kernel_is_compiled_once_and_then_loaded(ran, kept):
     assert ran(kept[0]) == (LOADED, "")
+
+
+def test_kernels_compiled_in_different_processes_call_functions_of_their_own(ran, tmp_path):
+    """In each process the same number, and so the same name of `summed`, is that of another type."""
+    (alone, _), (other, _) = ran(tmp_path, "before"), ran(tmp_path, "after")
+    assert alone == other
+    assert ran(tmp_path, "before", "after")[0] == alone + other
 
 
 def test_where_kernels_cannot_be_kept_a_temporary_folder_is_used_and_one_warning_says_so(
