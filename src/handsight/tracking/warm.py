@@ -20,6 +20,7 @@ from handsight.contact import (
     contacts_from_wrenches,
 )
 from handsight.correction import PosePrior, TwoPhase, correct_pose
+from handsight.forces.friction import Friction
 from handsight.hand import Hand
 from handsight.objects import ObjectModel
 from handsight.observation import Observation, PoseMeasurement
@@ -101,13 +102,13 @@ def track() -> None:
     rig = Rig(hand=hand, fingers=fingers, table=Table(height=-0.2), skin={"left": taxels})
     follower, joints = Follower(rig, _touched_box()[0], TrackerSettings()), dict.fromkeys(hand.moving, 0.0)
     state = follower.initial(None, JointOffsets.of(rig))
+    wrenches = dict.fromkeys(fingers, np.array([0, 0, -1.0, 0, 0, 0]))
     measured = PoseMeasurement(np.eye(4), "world")
-    for stamp, vision in ((0.0, measured), (0.05, measured), (0.1, None)):
-        # Its direction turns, by which friction is learnt.
-        wrenches = dict.fromkeys(fingers, np.array([stamp, 0.1 - stamp, -1.0, 0, 0, 0]))
+    for stamp, vision in ((0.0, measured), (0.1, measured), (0.2, None)):
         observation = Observation(stamp, joints, wrenches, vision, np.eye(4), skin={"left": np.ones((2, 2))})
         state, _ = follower.step(state, observation)
     follower.joint_offsets(state)
+    Friction().update([(0.5, 1)], kept_up=0.5)
 
 
 def find_object() -> None:
