@@ -100,14 +100,14 @@ def geometry_of(
 
     vertices, _ = frozen(surface.vertices), frozen(surface.faces)
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
-    # The samples are chosen from many random points, each the farthest from those before it, and then moved by Lloyd's
-    # steps, each to the random point nearest to the middle of its own. Distances include normals, so that the two sides
-    # of a thin wall are separate.
+    # The samples are chosen from twenty times as many random points, each the farthest from those before it, and then
+    # moved by twelve of Lloyd's steps, each to the random point nearest to the middle of its own. Distances include
+    # normals, so that the two sides of a thin wall are separate.
     n = SAMPLES
     points, normals = surface.draw(20 * n, np.random.default_rng(0))
     features = np.hstack([points, np.sqrt(surface.area / n) * normals])
     chosen = snapped(features, spread_out(features, n, 12))
-    _, distance, angle = _errors(surface, fine, 2000, seed=1)
+    _, distance, angle = _errors(surface, fine, 2000, seed=1)  # typical ones, wherever they are
     field_error = None
     if isinstance(fine, GridField):  # at each node of a grid, from the samples of the surface nearest to it
         places, *off = _errors(surface, fine, 8000, seed=2)
@@ -174,7 +174,7 @@ def frozen(array: NDArray[Number]) -> NDArray[Number]:
 
 
 def _mean_of_nearest(points: Array, values: Array, nodes: Array) -> Array:
-    """Returns the mean (n, k) of the values (m, k) at the points (m, 3) nearest to each of the nodes (n, 3)."""
+    """Returns the mean (n, k) of the values (m, k) at the twelve points (m, 3) nearest to each of the nodes (n, 3)."""
     import numba  # an object from the cache needs neither numba nor scipy
     from scipy.spatial import cKDTree
 

@@ -47,22 +47,20 @@ def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
     coarse = geometry.coarse.fill(row["coarse"], 0)
     nodes = [coarse, geometry.fine.fill(row["fine"], len(coarse))]
     row["coarse"]["variance_distance"] = (0.03 * geometry.coarse.cell) ** 2  # on faces
-    row["coarse"]["variance_normal"] = 0.03**2  # [rad]
+    row["coarse"]["variance_normal"] = 0.03**2  # on faces [rad²]
     row["radius"], row["center"] = geometry.radius, geometry.center_object
     # Facets are within the surface that they approximate, by at most so much.
     row["bounds"] = geometry.bounds_object + 0.01 * diameter * np.array([[-1.0], [1.0]])
     row["edge_curvature2"] = 1 / (0.75 * geometry.coarse.cell) ** 2  # a surface that is bent more is an edge
     error, place_by_place = row["error"], geometry.field_error
-    error["least_distance"] = (1e-4 * diameter) ** 2
-    error["least_normal"] = 2e-3**2  # [rad]
+    # No model's surface and normals [rad] are assumed to be more exact.
+    error["least_distance"], error["least_normal"] = (1e-4 * diameter) ** 2, 2e-3**2
     if place_by_place is not None:
         error["inverse_cell"], error["origin"] = 1 / place_by_place.cell, place_by_place.origin
         error["shape"], error["nodes"] = place_by_place.values.shape[:3], sum(map(len, nodes))
         nodes.append(place_by_place.values.astype(np.float32).reshape(-1))
-    symmetry, count = (
-        row["symmetry"],
-        len(symmetries.rotations),
-    )  # at most `MAX_ROTATIONS`, for which there is room
+    # There is room for `MAX_ROTATIONS`.
+    symmetry, count = row["symmetry"], len(symmetries.rotations)
     kind = records.NO_SYMMETRY if symmetries.trivial else records.DISCRETE
     for k, (point, direction) in enumerate(symmetries.axes):
         through_origin = np.abs(point - (point @ direction) * direction).max() < 1e-15
@@ -74,7 +72,7 @@ def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
     row["normal_weight2"] = (1.3 * diameter) ** 2
     # A tangential distance within the band costs nothing; beyond it, this is its standard deviation.
     row["band"], row["tangential_weight"] = 1.6 * spacing, 1 / (0.32 * spacing) ** 2
-    row["sample_variance_distance"] = (0.02 * spacing) ** 2
+    row["sample_variance_distance"] = (0.02 * spacing) ** 2  # of the surface about a sample's plane
     row["sample_variance_normal"] = geometry.sigma_normal**2
     row["samples"][:, 0], row["samples"][:, 1] = geometry.points_object, geometry.normals_object
     row["scan"][0] = (geometry.points_object**2).sum(axis=1)

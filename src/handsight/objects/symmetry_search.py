@@ -131,7 +131,7 @@ class _Search:
         """Returns directions (k, 3) of possible axes: principal ones, x, y, z, and those between equal moments."""
         found, moments = np.vstack([self.principal.T[::-1], np.eye(3)]), self.moments
         if moments[0] > (1 - EQUAL_MOMENTS) * moments[2]:
-            return np.vstack([found, se3.directions(2 * 150)[:150]])
+            return np.vstack([found, se3.directions(2 * 150)[:150]])  # a half sphere
         for i, j in ((0, 1), (1, 2)):
             if moments[i] > (1 - EQUAL_MOMENTS) * moments[j]:
                 angle = np.pi * np.arange(48)[:, None] / 48

@@ -2,7 +2,8 @@
 
 from handsight._deprecated import renamed
 from handsight.simulation.camera import add_depth_noise, camera_facing, render, true_camera
-from handsight.simulation.grasp_search import GraspSearchResult, find_grasp, read_grasp, write_grasp
+from handsight.simulation.grasp_file import read_grasp, write_grasp
+from handsight.simulation.grasp_search import GraspSearchResult, find_grasp
 from handsight.simulation.motion import MOTION, Grasp
 from handsight.simulation.robot import model_of, rig_of
 from handsight.simulation.scenario import SCENARIO, Nuisances, Profile, Sample, Scenario, TipContact

@@ -75,7 +75,7 @@ def refine_hand(
                 if weight > 0:
                     accumulate((weight,), (distance_row(P, neg(n), residual, frame),), equations)
                     total += weight
-            if not total > 5.0:
+            if not total > 5.0:  # points that a step needs, by weight
                 break
             solved, pose = stepped(equations, pose, frame, longest, workspace)
             if not solved:
@@ -107,7 +107,7 @@ def _add(camera: Any, image: Any, P: Vec3, n: Vec3, area: float, bound: float, c
         alike = _cosine(image[2], image[3], P, n)
         least, enough = 0.2, 0.8  # from none of a pixel to all of it
         share = min(max((alike - least) / (enough - least), 0.0), 1.0)
-        if alike > 1.5:
+        if alike > 1.5:  # the pixel has no normal
             share = 0.6
         score = pixels * (1 - (off / bound) ** 2) * share
         candidate.explained += score

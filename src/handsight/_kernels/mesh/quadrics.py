@@ -161,7 +161,7 @@ def _is_left_out(patch: Any, level: Any, normal: Vec3, place: Vec3, x: Any) -> i
     ahead = gradient(patch, u, v, z)
     facing = dot(ahead, normal) / max(norm(ahead), 1e-9)
     if facing < MIN_FACING:
-        return 2 if facing < -0.5 else 1  # on the other side of a thin wall
+        return 2 if facing < -0.5 else 1  # 2: on the other side of a thin wall
     if patch.fits == 0:
         return 0
     off, predicted = level_set(patch, u, v, z), 0.0
@@ -327,6 +327,7 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
             # Standard deviations of the residuals' variance.
             excess = 3.0 * np.sqrt(2 * level.together / room.many)
             expected = level.variance * (1 + excess) + level.tolerance
+            # Where much weight is left out, the window reaches beyond the patch.
             wide = left_out > 0.1 or trial.spread > expected
             if wide or _has_drifted(trial, earlier[k], level.place, room.tensor):
                 patch.ended = 1

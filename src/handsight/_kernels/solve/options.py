@@ -41,9 +41,7 @@ class SearchOptions(NamedTuple):
     contacts leave much open, a mode has several."""
     unlikely: float = 7.0  # a minimum whose log weight is so much below the largest is no part of a mode
     negligible: float = 20.0  # one whose log weight is so much below the largest is no hypothesis
-    dear: float = (
-        100.0  # a minimum that costs so much more than the cheapest is not weighed: it is negligible
-    )
+    dear: float = 100.0  # a minimum that costs so much more than the cheapest is not weighed
     first_steps: int = 2  # of phase 1, after which a start may already be where another one ended
 
 

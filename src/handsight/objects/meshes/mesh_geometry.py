@@ -29,7 +29,7 @@ def mesh_geometry(mesh: Triangles) -> Geometry:
         behind, front = (winding.at(points + side * size * normals) for side in (-1e-4, 1e-4))
         # Where pieces overlap, the winding number is 2 and the surface within is no boundary: that is closed too.
         good = (behind > 0.6) & ((front < 0.4) | (front > 0.9))
-        closed = bool(good.mean() >= 0.95)
+        closed = bool(good.mean() >= 0.95)  # those of nearly all samples
     if closed:
         signed = partial(signed_by_winding, winding, holes)
     else:
@@ -121,7 +121,7 @@ def signed_by_winding(
         order = np.argsort(label, kind="stable")
         size = np.bincount(label)
         start = np.cumsum(size) - size
-        spread = np.random.default_rng(4).random((len(size), 16))
+        spread = np.random.default_rng(4).random((len(size), 16))  # so many nodes of a set vote
         voters = order[start[:, None] + (spread * size[:, None]).astype(np.int64)]
         nodes, which = np.unique(voters, return_inverse=True)
         votes = winding.inside(points[todo][nodes])[which].reshape(voters.shape)

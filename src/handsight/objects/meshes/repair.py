@@ -99,7 +99,7 @@ def _facing_out(mesh: Triangles, tree: BoxTree, remarks: list[str]) -> Triangles
         what = "the surface was" if count == 1 else f"{int(inverted.sum())} of {count} separate pieces were"
         remarks.append(f"{what} inside out and turned")
     share = np.bincount(piece, mesh.areas) / mesh.area
-    small = share < 0.01
+    small = share < 0.01  # of the area; such pieces are remarked
     if small.any():
         percent = f"{100 * share[small].sum():.2g} %"
         remarks.append(f"{int(small.sum())} small separate pieces ({percent} of the area) were left in")
