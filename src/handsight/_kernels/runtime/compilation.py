@@ -12,7 +12,6 @@ from functools import partial
 from importlib import import_module
 from types import ModuleType
 from typing import Any, TypeVar
-from uuid import uuid4
 
 import numba
 import numpy as np
@@ -83,16 +82,15 @@ class _EntryLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
     """An `_EntryLibrary` is machine code of an entry and of all that it calls; no other kernel can call it."""
 
     def _optimize_final_module(self) -> None:
-        """Optimises; an inner function that is inlined wherever it is called may go.
+        """Optimises; inner functions are the entry's own, so that LLVM may change what they take, or do without them.
 
-        Inner functions get names that no other entry has: LLVM would call one of the same name in another entry
-        instead. Where that was compiled in another process, the numbers in the name can stand for other types.
+        Were they not, LLVM would call one of the same name in another entry instead. Where that was compiled in
+        another process, the numbers in the name can stand for other types.
         """
-        inner = (library for library in self._linking_libraries if isinstance(library, _InnerLibrary))
-        names, own = {f.name for library in inner for f in library.get_defined_functions()}, uuid4().hex
-        for name in names:
-            function = self._final_module.get_function(name)
-            function.linkage, function.name = "linkonce_odr", f"{name}.{own}"
+        for library in self._linking_libraries:
+            if isinstance(library, _InnerLibrary):
+                for function in library.get_defined_functions():
+                    self._final_module.get_function(function.name).linkage = "internal"
         super()._optimize_final_module()
 
     def serialize_using_object_code(self) -> Any:
