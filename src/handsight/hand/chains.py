@@ -41,18 +41,40 @@ class Chains:
     def poses(self, joint_positions: Mapping[str, float]) -> tuple[Array, Array]:
         """Returns the poses (t, 4, 4) of the bodies in the base, and each joint's axis and a point on it (s, 2, 3) [m].
         Raises an InvalidInput that names joints without a position, or with one that is not a finite number."""
+        values = self._values(joint_positions)
         Ts, axes = np.empty_like(self.homes), np.empty((len(self.steps), 2, 3))
+        chain.poses(values, self.starts, self.steps, self.homes, Ts, axes)
+        return Ts, axes
+
+    def poses_and_motions(
+        self,
+        joint_positions: Mapping[str, float],
+        bodies: Indices,
+        steps: Array,
+        offsets: Array | float = 0.0,
+    ) -> tuple[Array, Array]:
+        """Returns the poses (k, 4, 4) in the base of some `bodies` (k,), and how their origins move (k, 6, m) along
+        each column of `steps` (j, m), which are changes of the joints' positions. `offsets` (j,): by how much the given
+        positions are too large. Raises InvalidInput as `poses` does.
+        """
+        values, parts = self._values(joint_positions) - offsets, (self.starts, self.steps, self.homes)
+        Ts, moved = np.empty((len(bodies), 4, 4)), np.empty((len(bodies), 6, steps.shape[1]))
+        chain.poses_and_motions(values, steps, bodies, *parts, Ts, moved)
+        return Ts, moved
+
+    def _values(self, joint_positions: Mapping[str, float]) -> Array:
+        """Returns the joints' positions (j,); raises InvalidInput."""
         try:
             values = np.array([joint_positions[name] for name in self.joints])
         except (LookupError, TypeError, ValueError):  # one is missing, no mapping, one of arrays
             _check_positions(joint_positions, self.joints)
             raise
         numeric = values.ndim == 1 and values.dtype.kind in "iuf"  # not strings
-        parts = self.starts, self.steps, self.homes
-        if not numeric or not chain.poses(values.astype(float), *parts, Ts, axes):
+        values = values.astype(float) if numeric else np.array([np.nan])
+        if not np.vdot(values, values) < np.inf:  # faster than `np.isfinite`
             _check_positions(joint_positions, self.joints)
             raise InvalidInput("joint_positions: expected a finite number for each joint")
-        return Ts, axes
+        return values
 
     def jacobians(self, points: Array, bodies: Indices, axes: Array) -> Array:
         """Returns the Jacobians (k, 6, j) of points (k, 3), each fixed on one of the `bodies` (k,), by each joint."""

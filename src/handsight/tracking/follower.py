@@ -320,8 +320,7 @@ class Follower:
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
             return True
         old, limits = last.contacts, (self.settings.moved, math.cos(self.settings.turned))
-        places = touched.points_palm, old.points_palm, touched.normals_palm, old.normals_palm
-        return bool(have_moved(*places, *limits))
+        return bool(have_moved(touched.record, old.record, *limits))
 
     def _motion_since(self, last: Correction, state: TrackState) -> Array:
         """Returns the variance (6,) of the object's motion since a correction [m², rad²]."""

@@ -54,13 +54,12 @@ class LinkPose:
         """(6, j) change of the pose for one sigma of each joint's error; None: the link is fixed in the palm."""
         if not self._chains.joints:
             return None
-        Ts, axes = self._placed
-        J = self._chains.jacobians(Ts[:, :3, 3].copy(), np.zeros(1, dtype=np.int64), axes)[0]
-        return np.asarray(self._sigma_joint * J)
+        return np.asarray(self._placed[1][0])
 
     @cached_property
     def _placed(self) -> tuple[Array, Array]:
-        return self._chains.poses(self._joints or {})
+        errors = self._sigma_joint * np.eye(len(self._chains.joints))
+        return self._chains.poses_and_motions(self._joints or {}, np.zeros(1, dtype=np.int64), errors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
