@@ -10,6 +10,7 @@ Fingers may have different coefficients: then their declared ratio to each other
 """
 
 import math
+import operator
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -40,10 +41,12 @@ class Friction:
         `kept_up`: the highest ratio that two fingers have kept up, or the only one that has touched. `error`: standard
         deviation of the ratios, as a share of them, by which a heap is wider.
         """
-        self._error, self._kept_up = round(error / FRICTION.bin_width), kept_up
+        before = self._error, self._kept_up
+        self._error, self._kept_up = now = round(error / FRICTION.bin_width), kept_up
         if turns:
             self._count(turns)
-        self._estimate()
+        if turns or now != before:
+            self._estimate()
 
     def _estimate(self) -> None:
         """Joins what was declared, the heap, and the ratios that were kept up, which bound μ from below."""
@@ -72,8 +75,11 @@ class Friction:
         self._heap = (math.exp(FRICTION.bin_width * mean), total) if total else None
 
 
-def joined(estimates: Iterable[tuple[float, float]]) -> tuple[float, float]:
+def joined(estimates: Sequence[tuple[float, float]]) -> tuple[float, float]:
     """Returns μ and its sigma from independent estimates with theirs, each a Gaussian of the logarithm of μ."""
-    logs, weights = zip(*((math.log(mu), (mu / sigma) ** 2) for mu, sigma in estimates), strict=True)
-    mu = math.exp(sum(m * w for m, w in zip(logs, weights, strict=True)) / sum(weights))
-    return mu, mu / math.sqrt(sum(weights))
+    if len(estimates) == 1:
+        return estimates[0]
+    weights = [(mu / sigma) ** 2 for mu, sigma in estimates]
+    total, logs = sum(weights), [math.log(mu) for mu, _ in estimates]
+    mu = math.exp(sum(map(operator.mul, logs, weights)) / total)
+    return mu, mu / math.sqrt(total)

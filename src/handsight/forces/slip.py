@@ -79,7 +79,7 @@ class SlipDetector:
         ]
         self._limits = np.array(limits, dtype=LOAD_LIMITS)
         """(2 m,) LOAD_LIMITS, as `follow_loads` takes them."""
-        self._memory = np.full((len(self._numbers), LOAD_MEMORY.itemsize // 8), np.nan)
+        self._memory = np.full(len(self._numbers) * LOAD_MEMORY.itemsize // 8, np.nan)
         """(m,) LOAD_MEMORY, as plain numbers, which NumPy copies ten times faster."""
 
     def update(
@@ -105,9 +105,11 @@ class SlipDetector:
             numbers = [i + m * (name in by_taxels) for name, i in zip(fingers, numbers, strict=True)]
         self._memory, reads = self._memory.copy(), np.empty(len(loads), dtype=LOAD_READ)
         given = self._limits, np.array(numbers, dtype=np.int64), loads, stamp, since
-        memory = self._memory.view(LOAD_MEMORY)[:, 0]
+        memory = self._memory.view(LOAD_MEMORY)
         news, kept_up, gain = follow_loads(*given, self.friction.coefficient or 1.0, memory, reads)
-        turns, ratios, unmeasured = list[tuple[float, int]](), dict[str, float](), list[str]()
+        turns: list[tuple[float, int]] = []
+        ratios: dict[str, float] = {}
+        unmeasured: list[str] = []
         for name, (measured, ratio, length, turned) in zip(fingers, reads.tolist(), strict=True):
             if ratio == ratio:  # not NaN
                 ratios[name] = ratio
@@ -136,7 +138,7 @@ class SlipDetector:
 
     def _changes(self, fingers: Sequence[str], numbers: Sequence[int], ratios: Collection[str]) -> bool:
         """Returns whether any finger's load changes by more than the error of its gain."""
-        memory = self._memory.view(LOAD_MEMORY)[:, 0]
+        memory = self._memory.view(LOAD_MEMORY)
         for name, number in zip(fingers, numbers, strict=True):
             gain, one = self._limits["gain"][number], memory[number % len(memory)]
             limit = SLIP.change_sigmas * gain * np.linalg.norm(one["mean"])
@@ -149,10 +151,9 @@ class SlipDetector:
         at_limit = [name for name in ratios if ratios[name] >= SLIP.begin_ratio]
         if len(at_limit) < max(SLIP.min_bouncing, len(ratios) - 1):
             return False
-        memory = self._memory.view(LOAD_MEMORY)[:, 0]
-        return (
-            statistics.median(_chatter(memory[self._numbers[name]]) for name in at_limit) >= SLIP.min_chatter
-        )
+        memory = self._memory.view(LOAD_MEMORY)
+        chatter = statistics.median(_chatter(memory[self._numbers[name]]) for name in at_limit)
+        return chatter >= SLIP.min_chatter
 
 
 def _chatter(one: np.void) -> float:
