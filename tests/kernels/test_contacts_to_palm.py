@@ -60,7 +60,7 @@ def raw(rng, finger, T_palm_tip):
 def contacts_of(fingers, readings, Ts, jacobians, variance=0.0):
     records = np.array([finger_record(finger) for finger in fingers], dtype=FINGER)
     contacts = np.empty(len(fingers), dtype=PALM_CONTACT)
-    contacts_to_palm(records, readings, Ts, np.sqrt(variance) * jacobians, np.eye(4), GRAVITY, contacts)
+    contacts_to_palm(records, readings, Ts, np.sqrt(variance) * jacobians, GRAVITY, contacts)
     return contacts
 
 

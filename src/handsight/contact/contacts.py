@@ -110,27 +110,14 @@ class Contacts:
         return cls(points, normals, covariance=sensed + rest.covariance)
 
     @classmethod
-    def trusted(
-        cls,
-        points_palm: Array,
-        normals_palm: Array,
-        covariance: Array,
-        record: NDArray[np.void] | None = None,
-    ) -> Contacts:
+    def trusted(cls, points_palm: Array, normals_palm: Array, covariance: Array) -> Contacts:
         """Returns contacts of arrays that are not checked, for loops at control rate.
 
         The arrays must be float64 and finite, the normals unit, the covariances positive semidefinite and zero along
-        the normals. They are kept, and but for the `record` of the same values, if there is one, made read-only.
+        the normals. The arrays are kept and made read-only.
         """
-        contacts, arrays = object.__new__(cls), (points_palm, normals_palm, covariance)
-        for array in arrays:
-            array.setflags(write=False)
-        known = vars(contacts)
-        known.update(_usual(len(points_palm)))
-        known["points_palm"], known["normals_palm"], known["covariance"] = arrays
-        if record is not None:
-            known["record"] = record
-        return contacts
+        has_normal, of_residual = _default_flags(len(points_palm))
+        return _unchecked(points_palm, normals_palm, has_normal, covariance, of_residual)
 
     @cached_property
     def record(self) -> NDArray[np.void]:
@@ -201,13 +188,15 @@ _ARRAYS = (*_EACH, "group", "shared_covariance")
 
 
 @lru_cache
-def _usual(n: int) -> dict[str, Any]:
-    """Returns the other arrays of n contacts that have normals, covariances of the finger, and no error in common."""
-    flags = {"has_normal": np.ones(n, dtype=bool), "of_residual": np.zeros(n, dtype=bool)}
-    arrays = {**flags, "group": np.full(n, -1), "shared_covariance": NO_GROUP}
-    for array in arrays.values():
-        array.setflags(write=False)
-    return arrays
+def _default_flags(n: int) -> tuple[Mask, Mask]:
+    """Returns `has_normal` and `of_residual` (n,) of contacts that have normals and covariances of the finger."""
+    return np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
+
+
+@lru_cache
+def _no_groups(n: int) -> Indices:
+    """Returns `group` (n,) of contacts that share no error."""
+    return np.full(n, -1)
 
 
 def _unchecked(*arrays: Any) -> Contacts:
@@ -225,7 +214,7 @@ def _filled(
     group: Indices | None = None,
     shared: Array = NO_GROUP,
 ) -> Contacts:
-    groups = _usual(len(points))["group"] if group is None else group
+    groups = _no_groups(len(points)) if group is None else group
     arrays = points, normals, has_normal, covariance, of_residual, groups, shared
     for array in arrays:
         array.flags.writeable = False
@@ -260,7 +249,7 @@ def _groups(group: ArrayLike | None, shared_covariance: ArrayLike | None, n: int
     if (group is None) != (shared_covariance is None):
         raise InvalidInput("group, shared_covariance: expected both or neither, got one of them")
     if group is None or shared_covariance is None:
-        return _usual(n)["group"], NO_GROUP
+        return _no_groups(n), NO_GROUP
     given = checks.finite(group, "group", (n,))
     numbers = given.astype(np.int64)
     if (numbers != given).any() or not -1 <= numbers.min() <= numbers.max() < n:

@@ -10,7 +10,6 @@ Fingers may have different coefficients: then their declared ratio to each other
 """
 
 import math
-import operator
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -75,11 +74,8 @@ class Friction:
         self._heap = (math.exp(FRICTION.bin_width * mean), total) if total else None
 
 
-def joined(estimates: Sequence[tuple[float, float]]) -> tuple[float, float]:
+def joined(estimates: Iterable[tuple[float, float]]) -> tuple[float, float]:
     """Returns μ and its sigma from independent estimates with theirs, each a Gaussian of the logarithm of μ."""
-    if len(estimates) == 1:
-        return estimates[0]
-    weights = [(mu / sigma) ** 2 for mu, sigma in estimates]
-    total, logs = sum(weights), [math.log(mu) for mu, _ in estimates]
-    mu = math.exp(sum(map(operator.mul, logs, weights)) / total)
-    return mu, mu / math.sqrt(total)
+    logs, weights = zip(*((math.log(mu), (mu / sigma) ** 2) for mu, sigma in estimates), strict=True)
+    mu = math.exp(sum(m * w for m, w in zip(logs, weights, strict=True)) / sum(weights))
+    return mu, mu / math.sqrt(sum(weights))

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
-from handsight._kernels.records import CONTACT
 from handsight._kernels.touch import contacts_to_palm as kernels
 from handsight._kernels.touch.contacts_to_palm import TIP_TO_TIP
 from handsight._kernels.touch.sensing_records import FINGER, PALM_CONTACT
@@ -26,7 +25,6 @@ REASONS = (*("silent" if name == "invalid" else name for name in REASON_NAMES), 
 CONFLICT = 21.1
 """χ² of the distance of a tip's patch and its wrench's contact, of level 1e-4 for three numbers, above which they
 contradict each other."""
-EYE, NO_GRAVITY = np.eye(4), np.zeros(3)
 FREE, ON_TABLE, NO_READING = REASON_NAMES.index("free"), len(REASONS) - 1, REASONS.index("silent")
 
 
@@ -55,6 +53,8 @@ class FingertipContacts:
 
     by_taxels: tuple[str, ...] = ()
     """Fingers whose loads, if any, are their taxels', as they have no wrench."""
+    records: NDArray[np.void] | None = None
+    """PALM_CONTACT of each of the rig's fingers; None where no finger touches."""
 
     def rejected_by(self, estimate: PoseEstimate) -> tuple[str, ...]:
         """Returns the fingers whose contacts are outliers of an estimate."""
@@ -90,20 +90,19 @@ class FingertipSensors:
         if observation.joint_positions is None:
             return FingertipContacts((), None, dict.fromkeys(self.names, "no joint positions"))
         offsets = self._offsets if offsets is None else offsets
-        given = observation.joint_positions, self._tips, offsets.root, offsets.mean
-        Ts_palm_tip, by_error = self.rig.hand.chains.poses_and_motions(*given)
+        chains = self.rig.hand.chains
+        Ts_palm_tip, axes = chains.poses(observation.joint_positions, offsets.mean)
+        Ts_palm_tip = Ts_palm_tip.take(self._tips, axis=0)
         # Any angle of a hinge is valid, but not a slide so far off that its tip is far from the palm.
         if not np.vdot(Ts_palm_tip, Ts_palm_tip) <= checks.MAX_DISTANCE**2:  # above any coordinate's square
             places = Ts_palm_tip[:, :3, 3]
             checks.position(places, "observation.joint_positions: fingertips in the palm", (None, 3))
-        T, gravity = (
-            (EYE, NO_GRAVITY)
-            if observation.T_world_palm is None
-            else (np.array(observation.T_world_palm), self.rig.gravity)
-        )
+        by_error = chains.jacobians(Ts_palm_tip[:, :3, 3].copy(), self._tips, axes, offsets.root)
+        T = observation.T_world_palm
+        gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
         records, by_tip = np.empty(len(self.names), dtype=PALM_CONTACT), by_error
         by_error = by_error.copy() if skin.tips else by_error
-        kernels.contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, T, gravity, records)
+        kernels.contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, records)
         if observation.contacts:
             put_sensed(self.rig, observation.contacts, Ts_palm_tip, by_error, records)
         links = {touch.surface.frame for touch, _ in skin.touches.values()}
@@ -111,8 +110,8 @@ class FingertipSensors:
             if records["reason"][i] == NO_READING and self.rig.fingers[name].frame in links:
                 records["reason"][i] = FREE
         doubts = self._put_taxels(skin, Ts_palm_tip, by_tip, by_error, records) if skin.tips else {}
-        if observation.T_world_palm is not None and self._table is not None:
-            kernels.mark_on_table(T, self._table, ON_TABLE, records)
+        if T is not None and self._table is not None:
+            kernels.mark_on_table(np.array(T), self._table, ON_TABLE, records)
 
         numbers = zip(self.names, records["reason"].tolist(), strict=True)
         reasons = {name: REASONS[k] for name, k in numbers if k}
@@ -120,14 +119,14 @@ class FingertipSensors:
         if not fingers:
             return FingertipContacts((), None, reasons)
         n, j = len(fingers), by_error.shape[2]
-        touch = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 6, 6)), np.empty(n, dtype=CONTACT)
+        points, normals, covariance = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 6, 6))
         loads, moved = np.empty((n, 5)), np.empty((n, 6, j))
-        kernels.gather_contacts(records, by_error, *touch, loads, moved)
-        contacts = Contacts.trusted(*touch)
+        kernels.gather_contacts(records, by_error, points, normals, covariance, loads, moved)
+        contacts = Contacts.trusted(points, normals, covariance)
         gaps = zip(self.names, records["gap"].tolist(), strict=True)
         near = tuple([name for name, gap in gaps if gap < TIP_TO_TIP.max_gap and name not in reasons])
         by_taxels = tuple([name for name in skin.tips if name not in observation.wrenches])
-        return FingertipContacts(fingers, contacts, reasons, moved, near, loads, doubts, by_taxels)
+        return FingertipContacts(fingers, contacts, reasons, moved, near, loads, doubts, by_taxels, records)
 
     def _put_taxels(
         self,

@@ -67,32 +67,25 @@ class Instant(NamedTuple):
 class History:
     """A `History` is the instants of the last second, and a few older ones, in the order of their stamps."""
 
-    blocks: tuple[tuple[Instant, ...], ...] = ()
-    """All but the last few instants, in blocks, because adding to a tuple takes longer the longer it is."""
-    last: tuple[Instant, ...] = ()
-    """The last few instants."""
+    blocks: tuple[tuple[Instant, ...], ...] = ((),)
+    """The instants in blocks, as adding one to a long tuple takes long."""
 
     def after(self, instant: Instant) -> History:
         """Returns the history with one more instant, which replaces one of the same stamp."""
-        blocks, last = self.blocks, self.last
+        *blocks, last = self.blocks
         if last and last[-1].stamp == instant.stamp:
             last = last[:-1]
         if len(last) >= IMAGES.block:
             recent = [each for each in (*blocks, last) if each[-1].stamp >= instant.stamp - IMAGES.history]
-            blocks, last = tuple(recent[-IMAGES.max_blocks :]), ()
-        return History(blocks, (*last, instant))
-
-    @property
-    def instants(self) -> tuple[Instant, ...]:
-        """All of them."""
-        return (*chain.from_iterable(self.blocks), *self.last)
+            blocks, last = recent[-IMAGES.max_blocks :], ()
+        return History((*blocks, (*last, instant)))
 
     def at(self, stamp: float | None) -> Instant | None:
         """Returns the instant nearest to a stamp [s]; None where the history does not reach back to it.
 
         For the stamp None it is the last instant.
         """
-        kept = self.instants
+        kept = tuple(chain.from_iterable(self.blocks))
         if stamp is None or not kept:
             return kept[-1] if kept else None
         if stamp < max(kept[0].stamp, kept[-1].stamp - IMAGES.history) - IMAGES.history / 10:

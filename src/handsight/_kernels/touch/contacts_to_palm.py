@@ -206,20 +206,13 @@ def _sigmas(finger: Any, load: Vec6) -> Vec6:
 
 @entry
 def contacts_to_palm(
-    fingers: Any,
-    readings: Any,
-    Ts_palm_tip: Any,
-    by_error: Any,
-    T_world_palm: Any,
-    gravity_world: Any,
-    contacts: Any,
+    fingers: Any, readings: Any, Ts_palm_tip: Any, by_error: Any, gravity_palm: Any, contacts: Any
 ) -> None:
     """Writes the `contacts` (n) PALM_CONTACT of n `fingers` FINGER with raw `readings` (n, 6), NaN without a reading.
 
     `by_error` (n, 6, j): motion of the tips, at the origins of `Ts_palm_tip` (n, 4, 4), by one standard deviation of
     each of j independent errors; for a finger with a contact it is overwritten by the motion of the contact's point and
-    normal. `gravity_world` (3) [m/s²]: zeros where T_world_palm (4, 4) is unknown; then the tips' weight stays in the
-    readings.
+    normal. `gravity_palm` (3) [m/s²]: zeros where it is unknown; then the tips' weight stays in the readings.
     """
     Ts_palm_surface = np.empty((len(fingers), 3, 4))
     for i in range(len(fingers)):
@@ -228,7 +221,7 @@ def contacts_to_palm(
         store(apply(T_palm_tip, vector(finger.center_tip)), Ts_palm_surface[i, :, 3])
     n, nearest, loads = len(fingers), np.zeros((len(fingers), 4)), np.zeros((len(fingers), 6))
     find_nearest_tips(fingers, Ts_palm_surface, nearest, contacts)
-    gravity = tmul(matrix(T_world_palm), vector(gravity_world))
+    gravity = vector(gravity_palm)
     for i in range(n):
         finger = fingers[i]
         R_palm_sensor = matmul(matrix(Ts_palm_surface[i]), matrix(finger.tip.R_surface_sensor))
@@ -298,39 +291,28 @@ def mark_on_table(T_world_palm: Any, table: Any, reason: int, contacts: Any) -> 
 
 @entry
 def gather_contacts(
-    contacts: Any,
-    by_error: Any,
-    points: Any,
-    normals: Any,
-    covariance: Any,
-    records: Any,
-    loads: Any,
-    moved: Any,
+    contacts: Any, by_error: Any, points: Any, normals: Any, covariance: Any, loads: Any, moved: Any
 ) -> None:
-    """Writes points (k, 3), normals, covariance (k, 6, 6), records (k) CONTACT of these, loads (k, 5) and `moved` (k,
-    6, j), the rows of `by_error` (n, 6, j), of the k among the contacts (n) PALM_CONTACT that are contacts. NumPy takes
-    ten times as long."""
+    """Writes points (k, 3), normals, covariance (k, 6, 6), loads (k, 5) and `moved` (k, 6, j), the rows of `by_error`
+    (n, 6, j), of the k among the contacts (n) PALM_CONTACT that are contacts. NumPy takes ten times as long."""
     k = 0
     for i in range(len(contacts)):
         contact = contacts[i]
         if contact.reason == 0:
             points[k], normals[k], covariance[k] = contact.point, contact.normal, contact.covariance
-            loads[k], moved[k], record = contact.load, by_error[i], records[k]
-            record.point[:], record.normal[:] = contact.point, contact.normal
-            record.covariance[:] = contact.covariance
-            record.has_normal, record.used, record.of_residual, record.gain = True, True, False, 0.0
+            loads[k], moved[k] = contact.load, by_error[i]
             k += 1
 
 
 @entry
 def have_moved(contacts: Any, before: Any, far: float, cosine: float) -> bool:
-    """Returns whether a coordinate of any of n contacts CONTACT has changed by more than `far` [m], or any normal by
-    more than the angle of that `cosine`."""
+    """Returns whether a coordinate of any of the same tips' contacts PALM_CONTACT has changed by more than `far` [m],
+    or any normal by more than the angle of that `cosine`."""
     for i in range(len(contacts)):
         now, then = contacts[i], before[i]
-        for k in range(3):
+        for k in range(3 if now.reason == 0 else 0):
             if abs(now.point[k] - then.point[k]) > far:
                 return True
-        if dot(vector(now.normal), vector(then.normal)) < cosine:
+        if now.reason == 0 and dot(vector(now.normal), vector(then.normal)) < cosine:
             return True
     return False
