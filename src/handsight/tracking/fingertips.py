@@ -99,7 +99,7 @@ class FingertipSensors:
             checks.position(places, "observation.joint_positions: fingertips in the palm", (None, 3))
         by_error = chains.jacobians(Ts_palm_tip[:, :3, 3].copy(), self._tips, axes, offsets.root)
         T = observation.T_world_palm
-        gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
+        gravity_palm = np.zeros(3) if T is None else self.rig.gravity.dot(T[:3, :3])
         records, by_tip = np.empty(len(self.names), dtype=PALM_CONTACT), by_error
         by_error = by_error.copy() if skin.tips else by_error
         kernels.contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, records)
