@@ -105,7 +105,7 @@ class Page:
         """Shows a moment in place of the last one."""
         with self._lock, self.server.atomic():
             self._aim(moment)
-            forces = moment.forces(self._rig)
+            forces = moment.forces()
             self.scene.draw(moment, forces)
             time = f"{moment.stamp - self.origin:.2f}"
             when = f'<span title="stamp {moment.stamp:.6f} s">{time} s</span>'
