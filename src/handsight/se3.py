@@ -9,6 +9,7 @@ PoseWithCovariance).
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -154,7 +155,8 @@ def rotation_log(R: Array) -> Array:
 def quaternion_from_rotation(R: Array) -> Array:
     """Returns unit `quaternion_xyzw` (..., 4), the largest component positive (Shepperd's choice of divisor)."""
     one = R.shape == (3, 3)  # in plain floats: for so few numbers NumPy is ten times slower
-    a, b, c, d, e, f, g, h, i = R.ravel().tolist() if one else R.reshape(-1, 9).T
+    entries: Any = R.ravel().tolist() if one else R.reshape(-1, 9).T
+    a, b, c, d, e, f, g, h, i = entries
     # Column k of the symmetric 4 x 4 matrix 4 q qᵀ is q scaled by 4 q_k: take the longest.
     x, y, z, w = 1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i
     columns = (
@@ -166,7 +168,7 @@ def quaternion_from_rotation(R: Array) -> Array:
     if one:
         column = columns[max(range(4), key=(x, y, z, w).__getitem__)]
         return np.array(column) / math.hypot(*column)
-    q = np.array(columns)[np.argmax([x, y, z, w], axis=0), :, range(len(x))]
+    q = np.array(columns)[np.argmax([x, y, z, w], axis=0), :, np.arange(len(x))]
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     return np.asarray(q.reshape(*R.shape[:-2], 4), dtype=np.float64)
 
