@@ -85,7 +85,7 @@ def with_means(problem: Problem, rows: Records, used: Mask, answer: str) -> Pose
     residuals = solve.residuals(problem, rows["T_palm_object"][0])
     consistent, contradictions = conflicts.judged(problem, rows[0], used)
     rejected = tuple(np.flatnonzero(~used[0]).tolist())
-    return PoseEstimate(rows[0], tuple(rows), residuals, consistent, rejected, conflicts=contradictions)
+    return PoseEstimate(rows, residuals, consistent, rejected, conflicts=contradictions)
 
 
 def _merged(problem: Problem, rows: Records, answer: str) -> Records:
