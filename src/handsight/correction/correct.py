@@ -136,8 +136,7 @@ def correct_pose(
     if type(samples) is not int or samples:
         samples = checks.integer(samples, "samples", MOST_SAMPLES)
     alone = weight is None and depth is None and skin is None and budget is None
-    if outside is not None:
-        alone = alone and not (isinstance(outside, Outside) and outside.skin is not None)
+    alone = alone and (outside is None or getattr(outside, "skin", None) is None)
     few = len(contacts.points_palm) <= FEW and not len(contacts.shared_covariance)
     if prior is not None and alone and few and options is USUAL and not samples:
         rows = NO_OUTSIDE if outside is None else outside_records(model, contacts, outside)

@@ -200,13 +200,6 @@ class PoseEstimate:
     """Which evidence contradicts the rest, the least probable one first; then what was left out of the answer."""
 
     @classmethod
-    def usual(cls, modes: NDArray[np.void], residual_rows: Array) -> PoseEstimate:
-        """Returns the estimate whose evidence fits, with all contacts in use, in a third of the time of `__init__`."""
-        estimate = object.__new__(cls)
-        estimate.__dict__["modes"], estimate.__dict__["residual_rows"] = modes, residual_rows
-        return estimate
-
-    @classmethod
     def from_gaussian(cls, T_palm_object: Array, covariance: Array, unobservable: Array) -> PoseEstimate:
         """Returns the estimate of a pose (4, 4) without touch: one mode, no residuals.
 
@@ -219,14 +212,15 @@ class PoseEstimate:
         answer["pose"]["rotation"], answer["pose"]["position"] = T_palm_object[:3, :3], T_palm_object[:3, 3]
         answer["open_count"] = len(unobservable)
         answer["unobservable"][: len(unobservable)] = unobservable
-        return cls.usual(modes, np.empty((0, 2)))
+        return cls(modes, np.empty((0, 2)))
 
     def inflated(self, variance: Array) -> PoseEstimate:
         """Returns the estimate with `variance` (6,) [m², rad²], along the palm's axes, added to its covariance."""
         if not variance.any():
             return self
         covariance = None if self.covariance is None else self.covariance + np.diag(variance)
-        information = inflated_information(self.information, variance)
+        information = np.array(self.information)
+        inflate(information, variance)
         return self.with_gaussian(self.T_palm_object, covariance, information)
 
     def with_gaussian(
@@ -329,13 +323,6 @@ class PoseEstimate:
         fits = "consistent" if self.consistent else "inconsistent"
         count = f"{len(self.modes)} mode{'s' * (len(self.modes) != 1)}"
         return f"<PoseEstimate at ({place}) mm: {ended}, {fits}, {count}, {len(self.unobservable)} directions open>"
-
-
-def inflated_information(information: Array, variance: Array) -> Array:
-    """Returns an information (6, 6) after process noise of `variance` (6,): (I⁻¹ + Q)⁻¹, also where I is singular."""
-    after = np.array(information)
-    inflate(after, variance)
-    return after
 
 
 def bounded_covariance(information: Array) -> Array:

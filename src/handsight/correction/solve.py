@@ -61,7 +61,7 @@ def solve_usual(
     verdict = batch.correct_all(record, nodes, given, constraints, outside, rows, residuals)
     if verdict == DOUBTED:
         return None, False
-    return PoseEstimate.usual(rows["answer"], residuals), verdict == ENOUGH
+    return PoseEstimate(rows["answer"], residuals), verdict == ENOUGH
 
 
 def solve_single_start(
@@ -117,7 +117,7 @@ def solve_batch(
     for problem, row in zip(problems, rows, strict=True):
         # Copied, so that an estimate does not keep the arrays of all problems in memory.
         answer, verdict = np.ndarray(1, ANSWER, bytearray(row["answer"])), row["answer"]["verdict"]
-        estimate = PoseEstimate.usual(answer, residuals[row["first"] : row["last"]].copy())
+        estimate = PoseEstimate(answer, residuals[row["first"] : row["last"]].copy())
         enough = verdict == ENOUGH or (verdict != DOUBTED and fits(problem, estimate))
         found.append(estimate if enough else None)
     return found
