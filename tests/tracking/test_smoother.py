@@ -252,12 +252,12 @@ def test_process_noise_adds_to_the_covariance_that_is_given_as_information(seed)
     information, variance = root @ root.T + 0.1 * np.eye(6), rng.uniform(0.01, 1, 6)
     expected = np.linalg.inv(np.linalg.inv(information) + np.diag(variance))
     open_ = np.diag([1.0, 1, 1, 1, 1, 0])
-    for given, noise, after in (
+    for before, noise, after in (
         (information, variance, expected),
         (information, np.zeros(6), information),
         (open_, variance, np.diag(np.append(1 / (1 + variance[:5]), 0.0))),
     ):
-        found = given.copy()
+        found = before.copy()
         inflate(found, noise)
         np.testing.assert_allclose(found, after, atol=1e-9)
 
