@@ -40,7 +40,7 @@ class StartOptions(NamedTuple):
     promising: int = 4  # one start in so many, of the lowest costs, is then scored by the other contacts too
     serial: int = 512  # starts whose scores are too few to be shared with another thread
     past_outside: int = 192  # along open directions: poses that are drawn in a round, past points of the hand
-    on_skin: int = 768  # the same on a tactile array, which has one right place in what contacts leave open
+    on_skin: int = 384  # the same on a tactile array, which has one right place in what contacts leave open
     around_rounds: int = 3  # rounds, each around the likeliest poses of the round before
     around_kept: int = 12  # likeliest poses that are kept of a round
     around_shrink: float = 0.3  # factor on the spread from round to round
