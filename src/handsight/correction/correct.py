@@ -123,8 +123,7 @@ def correct_pose(
     `answer`, `samples` and `budget`.
     """
     # Calls that can be spared are: after other work each is read from memory again, which takes as long as the kernel.
-    usual = type(method) is str and method == "handsight"
-    options = USUAL if usual else _method(method)
+    options = USUAL if type(method) is str and method == "handsight" else _method(method)
     if not isinstance(model, ObjectModel) or not isinstance(contacts, Contacts):
         raise InvalidInput(
             "correct_pose: expected an ObjectModel and Contacts, "

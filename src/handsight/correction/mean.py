@@ -21,10 +21,9 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import tangents
 
-ANSWERS = ("best", "maximum", "mean")
-"""What an answer can be: "best" is the mean where a mode is not Gaussian, and else the maximum."""
 KINDS = {"best": 1, "maximum": 0, "mean": 2}
-"""The same as the `mean` of an ANSWER."""
+"""An answer, as the `mean` of an ANSWER; "best" is the mean where a mode is not Gaussian, else the maximum."""
+ANSWERS = tuple(KINDS)
 
 
 class SamplingOptions(NamedTuple):

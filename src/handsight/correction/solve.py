@@ -53,7 +53,7 @@ def solve_usual(
     (record, nodes, known), given = model.record, contacts.record
     if not known:
         return None, False
-    rows, residuals = np.ndarray(1, PROBLEM, bytearray(BLANK[mean])), np.empty((len(given), 2))
+    rows, residuals = np.ndarray(1, PROBLEM, bytearray(BLANK[mean])), np.ndarray((len(given), 2))
     if T_start is not None:
         row = rows[0]
         row["follows"] = True
@@ -61,7 +61,7 @@ def solve_usual(
     verdict = batch.correct_all(record, nodes, given, constraints, outside, rows, residuals)
     if verdict == DOUBTED:
         return None, False
-    return PoseEstimate(rows["answer"], residuals), verdict == ENOUGH
+    return PoseEstimate.trusted(rows["answer"], residuals), verdict == ENOUGH
 
 
 def solve_single_start(
@@ -142,11 +142,6 @@ class Candidates:
     def cost(self) -> float:
         """The cost of the cheapest minimum."""
         return float(self.minima["cost"][0])
-
-    @property
-    def converged(self) -> bool:
-        """Whether the descent to the cheapest minimum converged."""
-        return bool(self.minima["converged"][0])
 
     def fits(self, alarm: float = ACCEPTANCE.alarm) -> bool:
         """Returns whether the cheapest minimum passes the χ² test of level `alarm`."""
