@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handsight import se3
-from handsight.correction.estimate import inflated_information
+from handsight._kernels.posterior.propagation import inflate
 from handsight.gaussian_pose import GaussianPose
 from handsight.tracking.smoother import (
     MOST_MEASUREMENTS,
@@ -251,9 +251,15 @@ def test_process_noise_adds_to_the_covariance_that_is_given_as_information(seed)
     root = rng.normal(size=(6, 6))
     information, variance = root @ root.T + 0.1 * np.eye(6), rng.uniform(0.01, 1, 6)
     expected = np.linalg.inv(np.linalg.inv(information) + np.diag(variance))
-    np.testing.assert_allclose(inflated_information(information, variance), expected, atol=1e-9)
-    assert inflated_information(np.diag([1.0, 1, 1, 1, 1, 0]), variance)[5, 5] == 0
-    np.testing.assert_allclose(inflated_information(information, np.zeros(6)), information, rtol=1e-12)
+    open_ = np.diag([1.0, 1, 1, 1, 1, 0])
+    for before, noise, after in (
+        (information, variance, expected),
+        (information, np.zeros(6), information),
+        (open_, variance, np.diag(np.append(1 / (1 + variance[:5]), 0.0))),
+    ):
+        found = before.copy()
+        inflate(found, noise)
+        np.testing.assert_allclose(found, after, atol=1e-9)
 
 
 def test_the_nearest_semidefinite_matrix_of_a_semidefinite_one_is_itself():

@@ -151,7 +151,7 @@ def test_one_sentence_gives_the_reason_for_the_state(tracked):
     )
     assert "known to 0.8 mm" in said(tracked, sigma=0.0008)
     wrong = touched(tracked).estimate
-    wrong = PoseEstimate(wrong.answer, wrong.modes, wrong.residual_rows, False, (1,))
+    wrong = PoseEstimate(wrong.modes, wrong.residual_rows, False, (1,))
     assert "; mf left out as wrong;" in said(tracked, estimate=wrong)
     assert "fit the object" not in said(tracked, estimate=wrong)
 

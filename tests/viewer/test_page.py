@@ -69,7 +69,7 @@ def test_other_modes_are_ghosts(page, tracked):
     other["T_palm_object"] = other["T_palm_object"] @ se3.compose(np.eye(3), np.array([0.03, 0.0, 0.0]))
     other["pose"]["position"] = other["T_palm_object"][:3, 3]
     other["weight"] = 0.3
-    estimate = type(estimate)(estimate.answer, (estimate.answer, other), estimate.residual_rows, True)
+    estimate = type(estimate)(np.array([estimate.answer, other]), estimate.residual_rows)
     page.draw(dataclasses.replace(moment, estimate=estimate))
     assert [handle.visible for handle in page.scene.modes] == [True, False, False]
     np.testing.assert_allclose(pose(page.scene.modes[0]), other["T_palm_object"], atol=1e-9)

@@ -251,7 +251,8 @@ FLAT_DIRECTIONS = record(
         (6,),
     ),  # ratio of the cost's rise to a Gaussian's; negative where it is not integrated along
     ("along", "f8", (6, 3)),
-    ("spacing", "f8", (3,)),  # of the lattice [m]
+    ("points_per_sigma", "f8"),  # of the lattice
+    ("spacing", "f8", (3,)),  # the same [m]
     ("lattice", "f8", (6, 3)),  # steps from a lattice point to the next ones
     ("across", "f8", (6, 6)),
     ("stretch", "f8", (6,)),  # how much wider the mode is across than the curvature at it says

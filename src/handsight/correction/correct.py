@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import conflicts, outliers, paper, starts
+from handsight.correction import conflicts, outliers, paper, solve, starts
 from handsight.correction.depth import DepthPoints
 from handsight.correction.estimate import PoseEstimate, PosePrior, Vision, checked_prior
 from handsight.correction.mean import (
@@ -41,7 +41,7 @@ from handsight.correction.problem import (
     descents_at,
     finished,
 )
-from handsight.correction.registration import is_registered, register
+from handsight.correction.registration import FEW, is_registered, register
 from handsight.correction.skin import SkinEvidence
 from handsight.correction.solve import solve_batch, solve_single_start, solve_usual, summarize, summarize_pose
 from handsight.correction.weight import WeightEvidence
@@ -122,26 +122,33 @@ def correct_pose(
     `PaperMethod`. They start from `vision`, which they need, take neither `weight` nor `depth`, and do not use
     `answer`, `samples` and `budget`.
     """
-    options, doubted = _method(method), False
+    # Calls that can be spared are: after other work each is read from memory again, which takes as long as the kernel.
+    options = USUAL if type(method) is str and method == "handsight" else _method(method)
     if not isinstance(model, ObjectModel) or not isinstance(contacts, Contacts):
         raise InvalidInput(
             "correct_pose: expected an ObjectModel and Contacts, "
             f"got {type(model).__name__} and {type(contacts).__name__}"
         )
-    prior, answer = checked_prior(vision), checked_answer(answer)
-    samples = checks.integer(samples, "samples", MOST_SAMPLES)
+    prior = vision if type(vision) is PosePrior else checked_prior(vision)
+    if type(answer) is not str or answer not in KINDS:
+        checked_answer(answer)
+    if type(samples) is not int or samples:
+        samples = checks.integer(samples, "samples", MOST_SAMPLES)
     alone = weight is None and depth is None and skin is None and budget is None
-    alone = alone and not (isinstance(outside, Outside) and outside.skin is not None)
-    if prior is not None and alone and options is USUAL and not samples and not is_registered(contacts):
-        rows = outside_records(model, contacts, outside)
+    alone = alone and (outside is None or getattr(outside, "skin", None) is None)
+    few = len(contacts.points_palm) <= FEW and not len(contacts.shared_covariance)
+    if prior is not None and alone and few and options is USUAL and not samples:
+        rows = NO_OUTSIDE if outside is None else outside_records(model, contacts, outside)
         estimate, enough = solve_usual(model, contacts, prior.record, rows, KINDS[answer])
         if estimate is not None and enough:
             return estimate
-        doubted = estimate is None
+        problem = Problem(model, contacts, prior, rows)
+        final = estimate is None or kind_of(problem, answer) == KINDS[answer]
+        if estimate is not None and final and solve.fits(problem, estimate):
+            return estimate
+        return finished(corrected(replace(problem, doubted=final), None, answer))
     limit = Budget.of(budget)
     problem, skin = problem_of(model, contacts, prior, outside, weight, depth, skin)
-    if doubted:
-        problem = replace(problem, doubted=True)
     if isinstance(options, PaperMethod):
         estimate = _by_paper(problem, options)
         return estimate if skin is None else estimate.inflated(skin.sigmas**2)

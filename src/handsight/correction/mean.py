@@ -21,10 +21,9 @@ from handsight.errors import InvalidInput
 from handsight.objects import ObjectModel
 from handsight.objects.symmetry import tangents
 
-ANSWERS = ("best", "maximum", "mean")
-"""What an answer can be: "best" is the mean where a mode is not Gaussian, and else the maximum."""
 KINDS = {"best": 1, "maximum": 0, "mean": 2}
-"""The same as the `mean` of an ANSWER."""
+"""An answer, as the `mean` of an ANSWER; "best" is the mean where a mode is not Gaussian, else the maximum."""
+ANSWERS = tuple(KINDS)
 
 
 class SamplingOptions(NamedTuple):
@@ -85,7 +84,7 @@ def with_means(problem: Problem, rows: Records, used: Mask, answer: str) -> Pose
     residuals = solve.residuals(problem, rows["T_palm_object"][0])
     consistent, contradictions = conflicts.judged(problem, rows[0], used)
     rejected = tuple(np.flatnonzero(~used[0]).tolist())
-    return PoseEstimate(rows[0], tuple(rows), residuals, consistent, rejected, conflicts=contradictions)
+    return PoseEstimate(rows, residuals, consistent, rejected, conflicts=contradictions)
 
 
 def _merged(problem: Problem, rows: Records, answer: str) -> Records:

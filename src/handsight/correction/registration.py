@@ -34,7 +34,7 @@ contacts a χ² test alone would find any."""
 
 def is_registered(contacts: Contacts) -> bool:
     """Returns whether a correction by these contacts is by registration."""
-    return len(contacts) > FEW or len(contacts.shared_covariance) > 0
+    return len(contacts.points_palm) > FEW or len(contacts.shared_covariance) > 0
 
 
 class Registration(NamedTuple):
@@ -106,8 +106,7 @@ def register(problem: Problem, budget: Budget) -> PoseEstimate:
         row["weight"], row["converged"] = weight, row["converged"] and not budget.cut_short
     wrong, contradictions = best.wrong(contacts), _conflicts(problem, best)
     return PoseEstimate(
-        answers[0],
-        tuple(answers),
+        np.array(answers),
         residuals(problem, Ts[0]),
         best.fits(problem) and all(conflict.excluded for conflict in contradictions),
         tuple(np.flatnonzero(wrong).tolist()),

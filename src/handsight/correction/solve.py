@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handsight._kernels import records
+from handsight._kernels.records import ANSWER, CONSTRAINTS, DESCENT, DOUBTED, ENOUGH, PROBLEM
 from handsight._kernels.runtime.threads import in_parts
 from handsight._kernels.solve import batch, search
 from handsight._kernels.solve.options import ACCEPTANCE, SEARCH
@@ -47,24 +47,21 @@ def solve_usual(
     """Returns the answer of one descent, None where it is certainly not enough, and whether it certainly is.
 
     It is `solve_single_start` of records that are there already (`constraints` (1,) CONSTRAINTS, `outside` (m,)
-    OUTSIDE): in a program that does other work between two corrections, whatever Python does here is read from memory,
-    which takes as long as the kernel.
+    OUTSIDE): in a program that does other work between two corrections, whatever Python touches here is read from
+    memory, which takes as long as the kernel.
     """
-    record = model.record
-    if not record.symmetry_known:
+    (record, nodes, known), given = model.record, contacts.record
+    if not known:
         return None, False
-    rows = np.frombuffer(bytearray(BLANK[mean]), dtype=records.PROBLEM)
-    residuals, row = np.empty((len(contacts), 2)), rows[0]
+    rows, residuals = np.ndarray(1, PROBLEM, bytearray(BLANK[mean])), np.ndarray((len(given), 2))
     if T_start is not None:
+        row = rows[0]
         row["follows"] = True
         row["start"]["rotation"], row["start"]["position"] = T_start[:3, :3], T_start[:3, 3]
-    verdict = batch.correct_all(
-        record.model, record.nodes, contacts.record, constraints, outside, rows, residuals
-    )
-    if verdict == records.DOUBTED:
+    verdict = batch.correct_all(record, nodes, given, constraints, outside, rows, residuals)
+    if verdict == DOUBTED:
         return None, False
-    answer = row["answer"]
-    return PoseEstimate(answer, (answer,), residuals, True), verdict == records.ENOUGH
+    return PoseEstimate.trusted(rows["answer"], residuals), verdict == ENOUGH
 
 
 def solve_single_start(
@@ -82,22 +79,17 @@ def solve_single_start(
         problem.model, problem.contacts, problem.constraints, problem.outside, mean, T_start
     )
     enough = enough and not problem.taxels and problem.depth is None
-    return estimate if estimate is None or enough or _fits(problem, estimate) else None
+    return estimate if estimate is None or enough or fits(problem, estimate) else None
 
 
-def _fits(problem: Problem, estimate: PoseEstimate) -> bool:
+def fits(problem: Problem, estimate: PoseEstimate) -> bool:
     """Returns whether no evidence contradicts the rest at an estimate with all contacts in use."""
     return conflicts.judged(problem, estimate.answer, np.ones((1, len(problem.contacts)), dtype=bool))[0]
 
 
-def _blank(mean: int) -> bytes:
-    """Returns the bytes of a PROBLEM of all contacts, whose answer is to be of a kind `mean`."""
-    row = np.zeros(1, dtype=records.PROBLEM)
-    row["answer"]["mean"] = mean
-    return row.tobytes()
-
-
-BLANK = tuple(_blank(mean) for mean in range(3))
+_BLANK = np.zeros(3, dtype=PROBLEM)
+_BLANK["answer"]["mean"] = range(3)
+BLANK = tuple(row.tobytes() for row in _BLANK)
 """The bytes of a PROBLEM by its answer's `mean`: copied, they take a fifth of the time of an array that is filled."""
 
 
@@ -110,10 +102,10 @@ def solve_batch(
         return [None] * len(problems)
     counts = np.array([len(problem.contacts) for problem in problems])
     contacts = np.concatenate([problem.contacts.record for problem in problems])
-    rows, residuals = np.zeros(len(problems), dtype=records.PROBLEM), np.empty((len(contacts), 2))
+    rows, residuals = np.zeros(len(problems), dtype=PROBLEM), np.empty((len(contacts), 2))
     # Copied as plain numbers they take a hundredth of the time.
     numbers = np.concatenate([plain(problem.constraints) for problem in problems])
-    constraints = numbers.view(records.CONSTRAINTS)[:, 0]
+    constraints = numbers.view(CONSTRAINTS)[:, 0]
     rows["last"], rows["answer"]["mean"] = np.cumsum(counts), kinds
     rows["first"] = rows["last"] - counts
 
@@ -124,9 +116,9 @@ def solve_batch(
     found: list[PoseEstimate | None] = []
     for problem, row in zip(problems, rows, strict=True):
         # Copied, so that an estimate does not keep the arrays of all problems in memory.
-        answer, verdict = row["answer"].copy(), row["answer"]["verdict"]
-        estimate = PoseEstimate(answer, (answer,), residuals[row["first"] : row["last"]].copy(), True)
-        enough = verdict == records.ENOUGH or (verdict != records.DOUBTED and _fits(problem, estimate))
+        answer, verdict = np.ndarray(1, ANSWER, bytearray(row["answer"])), row["answer"]["verdict"]
+        estimate = PoseEstimate(answer, residuals[row["first"] : row["last"]].copy())
+        enough = verdict == ENOUGH or (verdict != DOUBTED and fits(problem, estimate))
         found.append(estimate if enough else None)
     return found
 
@@ -151,18 +143,13 @@ class Candidates:
         """The cost of the cheapest minimum."""
         return float(self.minima["cost"][0])
 
-    @property
-    def converged(self) -> bool:
-        """Whether the descent to the cheapest minimum converged."""
-        return bool(self.minima["converged"][0])
-
     def fits(self, alarm: float = ACCEPTANCE.alarm) -> bool:
         """Returns whether the cheapest minimum passes the χ² test of level `alarm`."""
         return modes.fits(self.cost, self.freedom, alarm)
 
     def with_more(self, other: "Candidates") -> "Candidates":
         """Returns the minima of both, which must use the same contacts."""
-        minima = np.concatenate([plain(self.minima), plain(other.minima)]).view(records.DESCENT)[:, 0]
+        minima = np.concatenate([plain(self.minima), plain(other.minima)]).view(DESCENT)[:, 0]
         minima = taken(minima, np.argsort(minima["cost"], kind="stable"))
         gains = self.gains if self.cost <= other.cost else other.gains
         return replace(self, minima=minima, gains=gains)
@@ -222,9 +209,9 @@ def _blocks(starts: Records, ends: int) -> Records:
     sets, count = starts.shape
     number = -(-count // SOLVE.block)
     if sets == number == ends == 1:
-        return np.asarray(plain(starts).copy().view(records.DESCENT))
+        return np.asarray(plain(starts).copy().view(DESCENT))
     each = -(-count // number)
-    dealt = np.zeros((sets, each * number), dtype=records.DESCENT)
+    dealt = np.zeros((sets, each * number), dtype=DESCENT)
     plain(dealt)[:, :count] = plain(starts)
     dealt["set"] = np.arange(sets)[:, None]
     dealt["cost"][:, count:] = np.inf
@@ -254,8 +241,8 @@ def summaries(
     `first_order`: the uncertainty is from the Jacobian alone, for a pose that is no minimum. `mean`: of the first
     ANSWER; the others become no mean where they are Gaussian.
     """
-    answers = np.zeros(len(descents), dtype=records.ANSWER)
-    plain(answers)[:, : records.DESCENT.itemsize // 8] = plain(descents)
+    answers = np.zeros(len(descents), dtype=ANSWER)
+    plain(answers)[:, : DESCENT.itemsize // 8] = plain(descents)
     answers["first_order"], answers["mean"], answers["mean"][:1] = first_order, min(mean, 1), mean
     batch.summarize_all(*problem.arguments(used), answers)
     return answers
@@ -283,10 +270,10 @@ def summarize(problem: Problem, found: Candidates, *, mean: int = 0) -> Records:
 def summarize_pose(problem: Problem, descent: Records) -> PoseEstimate:
     """Returns the estimate at the pose of another method's descent (1,), with the uncertainty of all evidence there."""
     used = np.ones((1, len(problem.contacts)), dtype=bool)
-    answer = summaries(problem, descent, used, first_order=True)[0]
-    answer["weight"] = 1.0
-    consistent = modes.fits(answer["chi2"], problem.freedom(used))
-    return PoseEstimate(answer, (answer,), residuals(problem, answer["T_palm_object"]), consistent)
+    answers = summaries(problem, descent, used, first_order=True)
+    answers["weight"] = 1.0
+    consistent = modes.fits(answers["chi2"][0], problem.freedom(used))
+    return PoseEstimate(answers, residuals(problem, answers["T_palm_object"][0]), consistent)
 
 
 def residuals(problem: Problem, T_palm_object: Array) -> Array:

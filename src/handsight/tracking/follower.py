@@ -447,7 +447,7 @@ class Follower:
             state.objects_compared_at, explained = now, (self.model, estimate, prior)
             state.better_object = yield from better_object(self.alternatives, *touch, explained)
         estimate = watched.covered(self.model, estimate, prior)
-        modes = estimate.modes
+        modes = tuple(estimate.modes)
         if state.table is not None and state.table.alternatives is not None:
             estimate = state.table.alternatives.added(self.model, estimate)
         # An answer that contacts did not fit was called wrong before it moved.

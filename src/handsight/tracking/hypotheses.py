@@ -100,7 +100,7 @@ def with_others(model: ObjectModel, estimate: PoseEstimate, others: Sequence[np.
     total = sum(float(row["weight"]) for row in found)
     for row in found:
         row["weight"] /= total
-    return replace(estimate, answer=found[0], modes=tuple(found))
+    return replace(estimate, modes=np.array(found))
 
 
 def ambiguity(model: ObjectModel, estimate: PoseEstimate) -> str:

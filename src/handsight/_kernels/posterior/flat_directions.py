@@ -14,7 +14,7 @@ from handsight._kernels.math.vec3 import Mat33, cross, mul, norm, scale, vector
 from handsight._kernels.posterior.density import posterior_cost
 from handsight._kernels.posterior.options import CALIBRATION, INTEGRATION
 from handsight._kernels.posterior.uncertainty import retract_body
-from handsight._kernels.records import WEAK_PRIOR
+from handsight._kernels.records import GRID, SHEET, WEAK_PRIOR
 from handsight._kernels.runtime.compilation import inner
 
 SPIN = 1e6
@@ -164,9 +164,10 @@ def measure(evidence: Evidence, mode: Pose, flat: Any, here: float) -> None:
         for i in range(6):
             middle[i] += 0.5 * flat.along[i, n] * (ends[0] - ends[1])
         flat.spacing[n] = 0.5 * (ends[0] + ends[1])
-    sigma, points = INTEGRATION.sigma_of_reach, INTEGRATION.points_per_sigma[flat.count - 2]
+    grid = 1 if evidence.model.fine.kind in (GRID, SHEET) else 0
+    flat.points_per_sigma = INTEGRATION.points_per_sigma[grid][flat.count - 2]
     for n in range(flat.count):
-        flat.spacing[n] *= sigma / points
+        flat.spacing[n] *= INTEGRATION.sigma_of_reach / flat.points_per_sigma
 
 
 @inner
@@ -199,7 +200,7 @@ def coordinates_at(flat: Any, point: Any, out: Any) -> None:
 def fine_enough(flat: Any, sums: Any, radius: float) -> bool:
     """Returns whether a standard deviation along each flat direction has enough points; where not, their spacing is
     made smaller."""
-    fine, wanted = True, INTEGRATION.points_per_sigma[flat.count - 2]
+    fine, wanted = True, flat.points_per_sigma
     for k in range(flat.count):
         mean = square = 0.0
         for i in range(6):

@@ -58,8 +58,8 @@ class IntegrationOptions(NamedTuple):
     """The next one is taken after a step by which the cost falls by more than this."""
     parts: int = 6
     """Places at which the density is interpolated in a gap."""
-    points_per_sigma: tuple[float, float] = (2.0, 1.3)
-    """Lattice points in a standard deviation, along two or three directions."""
+    points_per_sigma: tuple[tuple[float, float], tuple[float, float]] = (1.4, 1.3), (2.0, 1.3)
+    """Lattice points in a standard deviation, along two or three directions, on an exact surface and on a grid."""
     max_cost: float = 6.0
     """The lattice does not grow from a point that costs this much more than the best."""
     bump_sigmas: float = 3.0
