@@ -17,8 +17,9 @@ import numba
 import numpy as np
 from llvmlite.binding import create_pass_builder, create_pipeline_tuning_options, parse_assembly
 from numba import _dynfunc, types
-from numba.core import codegen, compiler, ir, itanium_mangler, typed_passes, untyped_passes
+from numba.core import codegen, compiler, ir, typed_passes, untyped_passes
 from numba.core.compiler_machinery import register_pass
+from numba.core.itanium_mangler import mangle
 
 # Numba asks once whether SciPy's BLAS can be imported, which no kernel of handsight calls; loading it takes a third of
 # the time to the first correction. An empty module takes its place during that check; later imports get SciPy's own.
@@ -112,23 +113,18 @@ class _EntryLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
 
 
 def _owns_arrays(state: Any) -> bool:
-    """Whether a function makes, gets from others, or returns arrays; where not, numba need not count references."""
+    """Whether a function makes, copies or returns arrays, or gets them from others; else none needs counted references.
 
-    def has_array(type_: Any) -> bool:
-        return state.targetctx.data_model_manager[type_].contains_nrt_meminfo()
-
-    steps = (step for block in state.func_ir.blocks.values() for step in block.find_insts(ir.Assign))
-    made = (s.target.name for s in steps if isinstance(s.value, ir.Expr) and s.value.op not in _LOOKS)
-    return has_array(state.return_type) or any(has_array(state.typemap[name]) for name in made)
-
-
-_LOOKS = {"build_tuple", "cast", "exhaust_iter", "getattr", "getitem", "phi", "static_getitem"}
-"""Operations whose result is part of what they are given."""
-
-
-def _short_name(name: str, types: Any, *, abi_tags: Any = (), uid: Any = None) -> str:
-    """Returns an inner function's name in LLVM code; numba's name all fields of records, in hundreds of letters."""
-    return itanium_mangler.mangle(name, (), uid=hash((uid, types)))
+    Looking at a part of something makes no array.
+    """
+    looks = {"build_tuple", "cast", "exhaust_iter", "getattr", "getitem", "phi", "static_getitem"}
+    owned = [state.return_type]
+    for step in (step for block in state.func_ir.blocks.values() for step in block.body):
+        if isinstance(step, ir.SetItem | ir.StaticSetItem):
+            owned.append(state.typemap[step.value.name])
+        elif isinstance(step, ir.Assign) and getattr(step.value, "op", "cast") not in looks:
+            owned.append(state.typemap[step.target.name])
+    return any(state.targetctx.data_model_manager[kind].contains_nrt_meminfo() for kind in owned)
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -142,7 +138,8 @@ class _Lowering(typed_passes.NativeLowering):  # type: ignore[misc]
         context, function, inner = state.targetctx, state.func_id, state.flags.no_cpython_wrapper
         if inner:
             context = state.targetctx = context.subtarget(enable_nrt=_owns_arrays(state))
-            context.mangler = _short_name
+            # Numba's names tell all fields of records, in hundreds of letters.
+            context.mangler = lambda name, types, *, uid, **_: mangle(name, (), uid=hash((uid, types)))
         library = (_InnerLibrary if inner else _EntryLibrary)(context.codegen(), function.func_qualname)
         library.enable_object_caching()
         state.library, state.flags.no_compile = library, inner
@@ -189,18 +186,21 @@ class _Compiler(compiler.CompilerBase):  # type: ignore[misc]
                 gc.enable()
 
     def define_pipelines(self) -> list[Any]:
+        # What is left out is for closures, functions of other packages, and arithmetic of whole arrays.
+        unused = (
+            untyped_passes.InlineClosureLikes,
+            typed_passes.InlineOverloads,
+            typed_passes.NopythonRewrites,
+        )
         passes = compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.passes[:] = [
             (_Lowering if step is typed_passes.NativeLowering else step, text)
             for step, text in passes.passes
-            if step not in _UNUSED
+            if step not in unused
         ]
         passes.finalize()
         return [passes]
 
-
-_UNUSED = {untyped_passes.InlineClosureLikes, typed_passes.InlineOverloads, typed_passes.NopythonRewrites}
-"""Numba's passes for closures, functions of other packages and expressions of whole arrays; no kernel has any."""
 
 _jit = partial(
     numba.njit, error_model="numpy", fastmath=FAST, no_cfunc_wrapper=True, pipeline_class=_Compiler
