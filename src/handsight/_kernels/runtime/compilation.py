@@ -75,13 +75,9 @@ class _InnerLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
     """An `_InnerLibrary` is code to be linked into entries, neither optimised by itself nor made machine code."""
 
     def add_llvm_module(self, ll_module: Any) -> None:
-        """Takes the code as it is."""
-        ll_module.data_layout = self._codegen._data_layout
-        self._final_module = ll_module
-
-    def finalize(self) -> None:
-        """Leaves the code as it is; entries link what it calls, too."""
-        self._shared_module, self._finalized = self._final_module, True
+        """Takes the code as it is; entries link what it calls, too."""
+        self._final_module = self._shared_module = ll_module
+        self._finalized = True
 
 
 class _EntryLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
@@ -113,17 +109,17 @@ class _EntryLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
 
 
 def _owns_arrays(state: Any) -> bool:
-    """Whether a function makes, copies or returns arrays, or gets them from others; else none needs counted references.
+    """Whether a function makes, copies or returns arrays, or gets them from others; else it need not count references.
 
     Looking at a part of something makes no array.
     """
     looks = {"build_tuple", "cast", "exhaust_iter", "getattr", "getitem", "phi", "static_getitem"}
-    owned = [state.return_type]
+    owned, type_of = [state.return_type], state.typemap
     for step in (step for block in state.func_ir.blocks.values() for step in block.body):
         if isinstance(step, ir.SetItem | ir.StaticSetItem):
-            owned.append(state.typemap[step.value.name])
+            owned.append(type_of[step.value.name])
         elif isinstance(step, ir.Assign) and getattr(step.value, "op", "cast") not in looks:
-            owned.append(state.typemap[step.target.name])
+            owned.append(type_of[step.target.name])
     return any(state.targetctx.data_model_manager[kind].contains_nrt_meminfo() for kind in owned)
 
 
@@ -145,7 +141,6 @@ class _Lowering(typed_passes.NativeLowering):  # type: ignore[misc]
         state.library, state.flags.no_compile = library, inner
         super().run_pass(state)
         if inner:
-            library.finalize()
             described, environment = state.cr.fndesc, state.cr.env
             module, name = described.lookup_module(), function.func_name
             key = _dynfunc.make_function(module, name, "", 0, environment, (library,))
