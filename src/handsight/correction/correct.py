@@ -160,8 +160,10 @@ def corrected(
     limit = limit or Budget()
     if skin is not None and problem.vision is not None:
         by_contacts = replace(problem, outside=NO_OUTSIDE, weight=None)
-        around = yield from _solved(by_contacts, options=options, limit=limit, answer="maximum", samples=0)
-        problem = replace(problem, starts=starts.within_footprint(problem, around))
+        alone = yield from _solved(by_contacts, options=options, limit=limit, answer="maximum", samples=0)
+        T, information = alone.T_palm_object_maximum, alone.information
+        around = starts.along_open_directions(problem, T, information, starts.STARTS.on_skin)
+        problem = replace(problem, starts=around)
         yield
     solved = partial(_solved, options=options, limit=limit, answer=answer, samples=samples)
     estimate = yield from solved(problem)

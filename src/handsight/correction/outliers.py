@@ -46,7 +46,15 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Steps
     suspicious = _suspicious(problem, found)
     if found.converged and not suspicious:
         return found
-    may_draw = not problem.blind and options.starts is None and problem.starts is None
+    vision = problem.vision
+    may_draw = vision is not None and options.starts is None and problem.starts is None
+    if vision is not None and may_draw and len(problem.outside):
+        past = replace(problem, starts=starts.past_outside(problem, vision, number, budget))
+        found = found.with_more(solve(past, first_starts(past, number)[None], everyone, budget))
+        yield
+        suspicious = _suspicious(problem, found)
+        if found.converged and not suspicious:
+            return found
     while not budget.spent():
         without = None
         # First the worst one alone: often it has only led the descents astray, and fits at the pose without it.

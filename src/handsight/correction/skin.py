@@ -22,7 +22,7 @@ class SkinEvidence:
     A pressed taxel is a contact, an untouched one a point outside the object. All taxels of an array share the error of
     its position, which is added to the covariance of the answer. A face of the object that lies on an array ends where
     untouched taxels begin; the cost has no slope that leads there, so the search has starts of its own
-    (`starts.within_footprint`).
+    (`starts.along_open_directions`).
     """
 
     contacts: Contacts | None
