@@ -17,7 +17,7 @@ import numba
 import numpy as np
 from llvmlite.binding import create_pass_builder, create_pipeline_tuning_options, parse_assembly
 from numba import _dynfunc, types
-from numba.core import codegen, compiler, ir, typed_passes, untyped_passes
+from numba.core import codegen, compiler, ir, typed_passes
 from numba.core.compiler_machinery import register_pass
 from numba.core.itanium_mangler import mangle
 
@@ -182,16 +182,12 @@ class _Compiler(compiler.CompilerBase):  # type: ignore[misc]
 
     def define_pipelines(self) -> list[Any]:
         # What is left out is for closures, functions of other packages, and arithmetic of whole arrays.
-        unused = (
-            untyped_passes.InlineClosureLikes,
-            typed_passes.InlineOverloads,
-            typed_passes.NopythonRewrites,
-        )
+        unused = {"InlineClosureLikes", "InlineOverloads", "NopythonRewrites"}
         passes = compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.passes[:] = [
             (_Lowering if step is typed_passes.NativeLowering else step, text)
             for step, text in passes.passes
-            if step not in unused
+            if step.__name__ not in unused
         ]
         passes.finalize()
         return [passes]
