@@ -1,6 +1,8 @@
 """The exceptions for wrong inputs: each message names the input, what was expected and what came."""
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 def without_addresses(text: str) -> str:
@@ -50,3 +52,12 @@ class NotFound(HandsightError):
 
 class MissingExtra(HandsightError, ImportError):
     """An optional dependency is not installed; the message names the `pip install` that brings it."""
+
+
+@contextmanager
+def needing(need: str, extra: str) -> Iterator[None]:
+    """Imports in this context belong to an extra of handsight; raises MissingExtra, which says the need, without it."""
+    try:
+        yield
+    except ImportError:
+        raise MissingExtra(f"{need}: pip install 'handsight[{extra}]'") from None

@@ -9,6 +9,7 @@ PoseWithCovariance).
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -101,23 +102,6 @@ _UNSKEW = _SKEW.T / 2
 _TINY = 1e-300  # the least squared angle: it keeps sin x / x from 0 / 0
 
 
-def _quaternions() -> Array:
-    """Returns the (9, 16) map from a rotation's entries to those of 4 q qᵀ - I, q being its quaternion."""
-    M = np.zeros((3, 3, 4, 4))
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        M[range(3), range(3), i, i] = -1.0
-        M[i, i, i, i] = 1.0
-        M[i, j, i, j] = M[i, j, j, i] = M[j, i, i, j] = M[j, i, j, i] = 1.0
-        M[k, j, i, 3] = M[k, j, 3, i] = 1.0
-        M[j, k, i, 3] = M[j, k, 3, i] = -1.0
-    M[range(3), range(3), 3, 3] = 1.0
-    return M.reshape(9, 16)
-
-
-_QUATERNIONS = _quaternions()
-
-
 def skew(v: Array) -> Array:
     """Returns the matrices (..., 3, 3) with `skew(v) @ x = v × x`."""
     return np.asarray((v @ _SKEW).reshape(*v.shape, 3))
@@ -170,22 +154,23 @@ def rotation_log(R: Array) -> Array:
 
 def quaternion_from_rotation(R: Array) -> Array:
     """Returns unit `quaternion_xyzw` (..., 4), the largest component positive (Shepperd's choice of divisor)."""
-    if R.shape == (3, 3):  # in plain floats: for so few numbers NumPy is ten times slower
-        (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-        x, y, z, w = 1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i
-        columns = (
-            (x, b + d, c + g, h - f),
-            (b + d, y, f + h, c - g),
-            (c + g, f + h, z, d - b),
-            (h - f, c - g, d - b, w),
-        )
+    one = R.shape == (3, 3)  # in plain floats: for so few numbers NumPy is ten times slower
+    entries: Any = R.ravel().tolist() if one else R.reshape(-1, 9).T
+    a, b, c, d, e, f, g, h, i = entries
+    # Column k of the symmetric 4 x 4 matrix 4 q qᵀ is q scaled by 4 q_k: take the longest.
+    x, y, z, w = 1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i
+    columns = (
+        (x, b + d, c + g, h - f),
+        (b + d, y, f + h, c - g),
+        (c + g, f + h, z, d - b),
+        (h - f, c - g, d - b, w),
+    )
+    if one:
         column = columns[max(range(4), key=(x, y, z, w).__getitem__)]
         return np.array(column) / math.hypot(*column)
-    # Column k of the symmetric 4 x 4 matrix 4 q qᵀ is q scaled by 4 q_k: take the longest.
-    M = np.eye(4) + (R.reshape(*R.shape[:-2], 9) @ _QUATERNIONS).reshape(*R.shape[:-2], 4, 4)
-    best = np.argmax(np.diagonal(M, axis1=-2, axis2=-1), axis=-1)
-    q = np.take_along_axis(M, best[..., None, None], axis=-1)[..., 0]
-    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True), dtype=np.float64)
+    q = np.array(columns)[np.argmax([x, y, z, w], axis=0), :, np.arange(len(x))]
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    return np.asarray(q.reshape(*R.shape[:-2], 4), dtype=np.float64)
 
 
 def rotation_from_quaternion(quaternion_xyzw: Array) -> Array:

@@ -89,10 +89,10 @@ NAN = float("nan")
             changed("vision.covariance", np.eye(6).tolist()),
             "vision: expected sigma_position and sigma_rotation_deg or a covariance, got both",
         ),
-        (changed("object", {}), "object: expected one of mesh, box, cylinder, name, got none"),
+        (changed("object", {}), "object: expected one of box, cylinder, mesh, name, got none"),
         (
             changed("object", {"box": [0.1, 0.1, -0.1]}),
-            "object.box: expected 3 numbers above 0, got [0.1, 0.1, -0.1]",
+            "object.box[2]: expected a number above 0, got -0.1",
         ),
         (changed("object", {"mesh": "no-such-file.ply"}), "object.mesh: "),
         (changed("object", {"box": [0.1, 0.1, 0.1], "scale": 2}), "object.scale: expected beside mesh only"),

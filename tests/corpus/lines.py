@@ -168,7 +168,7 @@ CASES = [
     Case(
         "a side of 1e400 digits",
         lambda: answer(_changed(object={"box": [10**400, 1, 1]})),
-        "object.box: expected",
+        "object.box[0]: expected",
     ),
     Case(
         "a billion samples", lambda: answer(_changed(samples=999_999_999)), "samples: expected a whole number"

@@ -130,7 +130,7 @@ def test_a_gel_on_a_tip_is_the_fingers_contact_and_more_beside_it(can):
     assert touch.fingers == (name,)
     contacts = touch.contacts.joined(skin.evidence().contacts)
     assert len(contacts) == 5
-    T_palm = skin.touches[name][1].T_palm_frame @ T
+    T_palm = skin.touches[name][1].placed[0] @ T
     local = se3.apply(se3.inverse(T_palm), contacts.points_palm)
     np.testing.assert_allclose(local[:, 2], -5e-4, atol=1e-6)
     normal, J = T_palm[:3, 2], touch.by_error[0, :3]

@@ -54,12 +54,12 @@ def test_a_patch_on_a_tip_has_the_joints_errors_and_the_load(can, taxels):
     for name in common:
         i, k = touch.fingers.index(name), wrenches.fingers.index(name)
         surface, (found, pose) = rig.skin[name], skin.touches[name]
-        expected = found.contacts(pose.T_palm_frame).points_palm
+        expected = found.contacts(pose.placed[0]).points_palm
         assert np.abs(expected - touch.contacts.points_palm[i]).sum(axis=1).min() < 1e-9
         own = found.patches[found.strongest]["covariance"]
         J = touch.by_error[i, :3]
         finger = rig.fingers[name].sigma_point ** 2
-        R = pose.T_palm_frame[:3, :3]
+        R = pose.placed[0][:3, :3]
         expected = R @ own[:3, :3] @ R.T + J @ J.T + finger * np.eye(3)
         more = touch.contacts.covariance[i, :3, :3] - expected  # where another tip may be touched, too
         np.testing.assert_allclose(more, more[0, 0] * np.eye(3), atol=1e-12)

@@ -12,7 +12,7 @@ from handsight.contact import compensate
 from handsight.evaluation import track_errors
 from handsight.forces import Slip
 from handsight.observation import Observation
-from handsight.tracking import Tracker
+from handsight.tracking import FingertipContacts, Tracker
 from handsight.tracking.camera_from_palm import CameraFromPalm
 from handsight.tracking.replay import Tally, replay
 from handsight.viewer.moment import VISION_FOR, Measured, Moment
@@ -55,7 +55,8 @@ def test_the_last_measurement_of_vision_is_shown_for_a_while(tracked):
 
 def test_forces_are_those_that_contacts_are_sensed_from(tracked):
     moment, rig = touched(tracked), tracked.rig
-    forces, felt = moment.forces(rig), moment.fingertips
+    forces, felt = moment.forces(), moment.fingertips
+    (observation,) = (each for each in tracked.observations if each.stamp == moment.stamp)
     assert set(forces) == set(felt.fingers)
     assert len(forces) >= 4
     T_palm_world = se3.inverse(moment.T_world_palm)
@@ -65,17 +66,23 @@ def test_forces_are_those_that_contacts_are_sensed_from(tracked):
         T_palm_surface = Ts[name] @ finger.T_frame_surface
         T_sensor_palm = se3.inverse(T_palm_surface @ finger.tip.T_surface_sensor)
         gravity = T_sensor_palm[:3, :3] @ T_palm_world[:3, :3] @ rig.gravity
-        reading = moment.wrenches[name]
+        reading = observation.wrenches[name]
         wrench = compensate(reading[:3], reading[3:], gravity, finger.calibration)
         contact = contact_from_wrench(*wrench, finger.tip).moved(T_palm_surface)
-        np.testing.assert_allclose(forces[name], contact.force, atol=1e-9)
-        np.testing.assert_allclose(point, contact.point, atol=2e-3)  # the joints' known offsets are in it
+        # The joints' known offsets turn the force, and displace the point.
+        assert np.linalg.norm(forces[name]) == pytest.approx(np.linalg.norm(contact.force), rel=1e-3)
+        np.testing.assert_allclose(forces[name], contact.force, atol=0.05 * np.linalg.norm(contact.force))
+        np.testing.assert_allclose(point, contact.point, atol=2e-3)
 
 
-def test_a_moment_without_joints_has_no_link_but_the_palm_and_no_forces(tracked):
+def test_a_moment_without_joints_has_no_link_but_the_palm(tracked):
     blind = dataclasses.replace(touched(tracked), joint_positions=None)
     assert list(blind.links(tracked.rig)) == ["robot0:palm"]
-    assert blind.forces(tracked.rig) == {}
+
+
+def test_a_moment_without_contacts_has_no_forces(tracked):
+    free = dataclasses.replace(touched(tracked), fingertips=FingertipContacts((), None, {}))
+    assert free.forces() == {}
 
 
 def test_the_timeline_gives_the_last_moment_that_is_not_later(tracked):

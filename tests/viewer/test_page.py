@@ -135,7 +135,7 @@ def test_a_moment_that_is_drawn_again_sends_nothing_of_the_scene(page, tracked):
     moment = tracked.timeline.moments[-1]
     page.draw(moment)
     before = messages(page)
-    page.scene.draw(moment, moment.forces(tracked.rig))
+    page.scene.draw(moment, moment.forces())
     assert messages(page) == before
 
 

@@ -30,23 +30,11 @@ from handsight.correction.problem import MOST_CONTACTS, check_number
 from handsight.errors import HandsightError, InvalidInput
 from handsight.msgspec_errors import explain, field_name
 from handsight.objects import ObjectModel, ObjectSpec
+from handsight.rig.form import ShapeForm
 
 
 class _Strict(msgspec.Struct, forbid_unknown_fields=True):
     """The base class of the JSON objects; an unknown key is an error, and numbers (`Any`) are checked when used."""
-
-
-class CylinderSize(_Strict):
-    radius: Any
-    height: Any
-
-
-class ObjectFields(_Strict):
-    mesh: str | None = None
-    scale: Any = None
-    box: Any = None
-    cylinder: CylinderSize | None = None
-    name: str | None = None
 
 
 class ContactFields(_Strict):
@@ -93,7 +81,7 @@ class SkinFields(_Strict):
 class ProblemFields(_Strict):
     """A `ProblemFields` is the content of a line; `handsight correct --help` explains each key."""
 
-    object: ObjectFields
+    object: ShapeForm
     contacts: list[ContactFields]
     contacts_of_residual: bool = False
     shared_covariance: Any = None
@@ -128,8 +116,8 @@ class Reader:
     def __init__(self, folder: Path) -> None:
         """`folder`: relative paths of meshes start here."""
         self.folder = folder
-        self._models: dict[str, ObjectModel] = {}
-        """Models by the representation of their fields; the one used last is at the end."""
+        self._models: dict[ObjectSpec, ObjectModel] = {}
+        """The one used last is at the end."""
 
     def read(self, line: bytes) -> Problem:
         """Returns the problem of one line; raises a HandsightError that names the field."""
@@ -156,38 +144,19 @@ class Reader:
             options["skin"] = SkinEvidence(pressed, skin.untouched_palm, skin.sigmas)
         return Problem(self.model(fields.object), contacts, _vision(fields.vision), options)
 
-    def model(self, fields: ObjectFields) -> ObjectModel:
+    def model(self, form: ShapeForm) -> ObjectModel:
         """Returns the object model, built once for lines that name the same object."""
-        key, max_kept = repr(fields), 32
-        self._models[key] = model = self._models.pop(key, None) or self._build(fields)
+        spec, max_kept = form.entry(self.folder), 32
+        if (model := self._models.pop(spec, None)) is None:
+            try:
+                model = spec.model()
+            except HandsightError as error:
+                kind = next(iter(form.given()))
+                raise InvalidInput(f"object.{kind}: {str(error).removeprefix('name: ')}") from None
+        self._models[spec] = model
         if len(self._models) > max_kept:
             del self._models[next(iter(self._models))]
         return model
-
-    def _build(self, fields: ObjectFields) -> ObjectModel:
-        kinds = ("mesh", "box", "cylinder", "name")
-        present = [kind for kind in kinds if getattr(fields, kind) is not None]
-        if len(present) != 1:
-            raise InvalidInput(f"object: expected one of {', '.join(kinds)}, got {present or 'none'}")
-        if fields.scale is not None and fields.mesh is None:
-            raise InvalidInput(f"object.scale: expected beside mesh only, got it beside {present[0]}")
-        spec = ObjectSpec(name=fields.name)
-        if fields.mesh is not None:
-            scale = 1.0 if fields.scale is None else checks.positive(fields.scale, "object.scale")
-            spec = ObjectSpec(mesh=self.folder / fields.mesh, scale=scale)
-        elif fields.cylinder is not None:
-            radius = checks.positive(fields.cylinder.radius, "object.cylinder.radius")
-            height = checks.positive(fields.cylinder.height, "object.cylinder.height")
-            spec = ObjectSpec(cylinder=(radius, height))
-        elif fields.box is not None:
-            x, y, z = checks.finite(fields.box, "object.box", (3,))
-            if not min(x, y, z) > 0:
-                raise InvalidInput(f"object.box: expected 3 numbers above 0, got {checks.brief(fields.box)}")
-            spec = ObjectSpec(box=(x, y, z))
-        try:
-            return spec.model()
-        except HandsightError as error:
-            raise InvalidInput(f"object.{present[0]}: {str(error).removeprefix('name: ')}") from None
 
 
 def answer(problem: Problem) -> dict[str, Any]:

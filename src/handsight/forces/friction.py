@@ -40,10 +40,12 @@ class Friction:
         `kept_up`: the highest ratio that two fingers have kept up, or the only one that has touched. `error`: standard
         deviation of the ratios, as a share of them, by which a heap is wider.
         """
-        self._error, self._kept_up = round(error / FRICTION.bin_width), kept_up
+        before = self._error, self._kept_up
+        self._error, self._kept_up = now = round(error / FRICTION.bin_width), kept_up
         if turns:
             self._count(turns)
-        self._estimate()
+        if turns or now != before:
+            self._estimate()
 
     def _estimate(self) -> None:
         """Joins what was declared, the heap, and the ratios that were kept up, which bound μ from below."""

@@ -177,7 +177,7 @@ def load_sum(
     `sensors`: what measures the loads; None: the fingers' six-axis sensors.
     """
     n, sensors = len(observations), load_sensors(rig) if sensors is None else sensors
-    chains = _chains(rig.hand, tuple(sensor.frame for sensor in sensors))
+    chains, learnt = _chains(rig.hand, tuple(sensor.frame for sensor in sensors))
     offsets = dict(zip(rig.hand.moving, joints.tolist(), strict=True))
     rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]
     means = np.mean([[*map(row.__getitem__, chains.joints)] for row in rows], axis=0).tolist()
@@ -190,10 +190,7 @@ def load_sum(
     step = (observations[-1].stamp - observations[0].stamp) / max(n - 1, 1)
     acceleration, turning = accelerations(Ts_world_palm, middle, step)
     gravity = np.einsum("nji,nj->i", Ts_world_palm[:, :3, :3], rig.gravity - acceleration) / n
-    J = np.zeros((len(sensors), 6, len(joints)))  # joints that move no tip are taken to be exact
-    learnt = [name in offsets for name in chains.joints]
-    columns = [rig.hand.moving.index(name) for name in chains.joints if name in offsets]
-    J[:, :, columns] = chains.jacobians(places.copy(), np.arange(len(sensors)), axes)[:, :, learnt]
+    J = chains.jacobians(places.copy(), np.arange(len(sensors)), axes, learnt)
     wrench, by_joint, by_bias, readings, forces = _summed(sensors, observations, gravity, Ts_palm_sensor, J)
     sigmas, taxels = np.array([sensor.sigma for sensor in sensors]), np.array([s.taxels for s in sensors])
     B = by_bias * sigmas.ravel()
@@ -260,25 +257,23 @@ def _summed(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Returns the sum of mean loads (6,), its derivatives by joints and biases, the readings, and the forces (t, 3).
     `gravity` is that of a `LoadSum`, and `J` (t, 6, j) the Jacobians at the sensors' origins."""
-    t = len(sensors)
-    wrench, by_joint = np.zeros(6), np.zeros((6, J.shape[2]))
-    by_bias, readings, forces = np.zeros((6, 6 * t)), np.zeros(6 * t), np.zeros((t, 3))
-    for i, sensor in enumerate(sensors):
-        reading = np.mean(sensor.readings(observations), axis=0)
-        R, s = Ts_palm_sensor[i, :3, :3], Ts_palm_sensor[i, :3, 3]
-        known, own = sensor.calibration, R.T @ gravity * sensor.calibration.mass
-        load = np.concatenate(compensated(reading[:3], reading[3:], R.T @ gravity, known))
-        readings[6 * i : 6 * i + 6] = load + np.concatenate([own, se3.cross(known.center_of_mass, own)])
-        f, m = R @ load[:3], R @ load[3:]
-        # The reading turns with the tip, the tip's own weight does not.
-        F, S, M = se3.skew(f + known.mass * gravity), se3.skew(s), se3.skew(m)
-        wrench += np.concatenate([f, m + S @ f])
-        by_joint[:3] -= F @ J[i, 3:]
-        by_joint[3:] -= se3.skew(f) @ J[i, :3] + (S @ F + M) @ J[i, 3:]
-        by_bias[:3, 6 * i : 6 * i + 3] = R
-        by_bias[3:, 6 * i : 6 * i + 3], by_bias[3:, 6 * i + 3 : 6 * i + 6] = S @ R, R
-        forces[i] = f
-    return wrench, by_joint, by_bias, readings, forces
+    R, s, known = Ts_palm_sensor[:, :3, :3], Ts_palm_sensor[:, :3, 3], [each.calibration for each in sensors]
+    means = [sensor.readings(observations).mean(axis=0) for sensor in sensors]
+    measured = [compensated(x[:3], x[3:], np.zeros(3), one) for x, one in zip(means, known, strict=True)]
+    readings = np.array(measured)  # (t, 2, 3), with the tips' own weight
+    weights = np.outer([one.mass for one in known], gravity)
+    centers = (R @ np.array([one.center_of_mass for one in known])[:, :, None])[..., 0]
+    F, M = (readings @ R.swapaxes(1, 2)).swapaxes(0, 1)
+    f, m = F - weights, M - np.cross(centers, weights)
+    # The reading turns with the tip, the tip's own weight does not.
+    S, turned = se3.skew(s), se3.skew(s) @ se3.skew(F) + se3.skew(m)
+    by_torque = se3.skew(f) @ J[:, :3] + turned @ J[:, 3:]
+    by_joint = -np.concatenate([se3.skew(F) @ J[:, 3:], by_torque], axis=1).sum(axis=0)
+    by_bias = np.zeros((len(sensors), 6, 6))
+    by_bias[:, :3, :3] = by_bias[:, 3:, 3:] = R
+    by_bias[:, 3:, :3] = S @ R
+    wrench = np.concatenate([f.sum(axis=0), (m + np.cross(s, f)).sum(axis=0)])
+    return wrench, by_joint, np.hstack([*by_bias]), readings.ravel(), f
 
 
 def read_in_air(
@@ -345,12 +340,14 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
 
 def _placed(rig: Rig, sensors: Sequence[LoadSensor], observation: Observation) -> Array:
     """Returns the pose of each sensor in the palm (t, 4, 4)."""
-    chains = _chains(rig.hand, tuple(sensor.frame for sensor in sensors))
+    chains, _ = _chains(rig.hand, tuple(sensor.frame for sensor in sensors))
     Ts_frame_sensor = np.array([sensor.T_frame_sensor for sensor in sensors])
     return np.asarray(chains.poses(observation.joint_positions or {})[0] @ Ts_frame_sensor)
 
 
 @lru_cache(maxsize=32)
-def _chains(hand: Hand, frames: tuple[str, ...]) -> Chains:
-    """Returns how the links of load sensors move in the palm."""
-    return hand.chains_to({frame: frame for frame in frames})
+def _chains(hand: Hand, frames: tuple[str, ...]) -> tuple[Chains, Array]:
+    """Returns how the links of load sensors move in the palm, and which of the joints (k,) between are which of the
+    hand's (j,) whose offsets are learnt, as a matrix (k, j); others are taken to be exact."""
+    chains = hand.chains_to({frame: frame for frame in frames})
+    return chains, np.equal.outer(chains.joints, hand.moving).astype(float)

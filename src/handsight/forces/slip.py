@@ -79,7 +79,7 @@ class SlipDetector:
         ]
         self._limits = np.array(limits, dtype=LOAD_LIMITS)
         """(2 m,) LOAD_LIMITS, as `follow_loads` takes them."""
-        self._memory = np.full((len(self._numbers), LOAD_MEMORY.itemsize // 8), np.nan)
+        self._memory = np.full(len(self._numbers) * LOAD_MEMORY.itemsize // 8, np.nan)
         """(m,) LOAD_MEMORY, as plain numbers, which NumPy copies ten times faster."""
 
     def update(
@@ -105,22 +105,18 @@ class SlipDetector:
             numbers = [i + m * (name in by_taxels) for name, i in zip(fingers, numbers, strict=True)]
         self._memory, reads = self._memory.copy(), np.empty(len(loads), dtype=LOAD_READ)
         given = self._limits, np.array(numbers, dtype=np.int64), loads, stamp, since
-        memory = self._memory.view(LOAD_MEMORY)[:, 0]
+        memory = self._memory.view(LOAD_MEMORY)
         news, kept_up, gain = follow_loads(*given, self.friction.coefficient or 1.0, memory, reads)
-        turns, ratios, unmeasured = list[tuple[float, int]](), dict[str, float](), list[str]()
-        for name, (measured, ratio, length, turned) in zip(fingers, reads.tolist(), strict=True):
-            if ratio == ratio:  # not NaN
-                ratios[name] = ratio
-            if turned:
-                turns.append((turned, 1))
-            if not measured:
-                unmeasured.append(name)
-            if name in sliding and FRICTION.min_ratio < length < FRICTION.max_ratio:
-                turns.append((length, FRICTION.sliding_turns))
+        rows = dict(zip(fingers, reads.tolist(), strict=True))
+        turns = [(turned, 1) for _, _, _, turned in rows.values() if turned]
+        slides = [(rows[name][2], FRICTION.sliding_turns) for name in sliding if name in rows]
+        turns += [each for each in slides if FRICTION.min_ratio < each[0] < FRICTION.max_ratio]
         if turns or news or sliding:
             self.friction.update(turns, kept_up, gain)
         mu, sigma = self.friction.coefficient, self.friction.sigma
-        ratios = {} if mu is None else {name: ratio / mu for name, ratio in ratios.items()}
+        # NaN does not equal itself.
+        ratios = {} if mu is None else {name: row[1] / mu for name, row in rows.items() if row[1] == row[1]}
+        unmeasured = tuple([name for name, row in rows.items() if not row[0]])
         # Hysteresis, in the ratio and in time.
         was, least = self.now, min(ratios.values(), default=0.0)
         known = mu is not None and sigma is not None and sigma <= SLIP.max_sigma * mu
@@ -131,12 +127,12 @@ class SlipDetector:
         slipping = least >= SLIP.stick_ratio and stamp - self._at_limit <= holds_after
         began = stamp if slipping and not was.slipping else was.began
         ended = stamp if was.slipping and not slipping else was.ended
-        self.now = Slip(slipping, ratios, mu, began, ended, sigma, tuple(unmeasured))
+        self.now = Slip(slipping, ratios, mu, began, ended, sigma, unmeasured)
         return self.now
 
     def _changes(self, fingers: Sequence[str], numbers: Sequence[int], ratios: Collection[str]) -> bool:
         """Returns whether any finger's load changes by more than the error of its gain."""
-        memory = self._memory.view(LOAD_MEMORY)[:, 0]
+        memory = self._memory.view(LOAD_MEMORY)
         for name, number in zip(fingers, numbers, strict=True):
             gain, one = self._limits["gain"][number], memory[number % len(memory)]
             limit = SLIP.change_sigmas * gain * np.linalg.norm(one["mean"])
@@ -149,10 +145,9 @@ class SlipDetector:
         at_limit = [name for name in ratios if ratios[name] >= SLIP.begin_ratio]
         if len(at_limit) < max(SLIP.min_bouncing, len(ratios) - 1):
             return False
-        memory = self._memory.view(LOAD_MEMORY)[:, 0]
-        return (
-            statistics.median(_chatter(memory[self._numbers[name]]) for name in at_limit) >= SLIP.min_chatter
-        )
+        memory = self._memory.view(LOAD_MEMORY)
+        chatter = statistics.median(_chatter(memory[self._numbers[name]]) for name in at_limit)
+        return chatter >= SLIP.min_chatter
 
 
 def _chatter(one: np.void) -> float:

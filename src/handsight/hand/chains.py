@@ -38,9 +38,14 @@ class Chains:
     steps: NDArray[np.void]  # (s,) joints of all chains, records CHAIN_JOINT
     homes: Array  # (t, 4, 4) poses of the bodies in the base with all joints at zero
 
-    def poses(self, joint_positions: Mapping[str, float]) -> tuple[Array, Array]:
+    def poses(
+        self, joint_positions: Mapping[str, float], offsets: Array | float = 0.0
+    ) -> tuple[Array, Array]:
         """Returns the poses (t, 4, 4) of the bodies in the base, and each joint's axis and a point on it (s, 2, 3) [m].
-        Raises an InvalidInput that names joints without a position, or with one that is not a finite number."""
+
+        `offsets` (j,): by how much the given positions are too large. Raises an InvalidInput that names joints without
+        a position, or with one that is not a finite number.
+        """
         Ts, axes = np.empty_like(self.homes), np.empty((len(self.steps), 2, 3))
         try:
             values = np.array([joint_positions[name] for name in self.joints])
@@ -49,15 +54,17 @@ class Chains:
             raise
         numeric = values.ndim == 1 and values.dtype.kind in "iuf"  # not strings
         parts = self.starts, self.steps, self.homes
-        if not numeric or not chain.poses(values.astype(float), *parts, Ts, axes):
+        if not numeric or not chain.poses(values - offsets, *parts, Ts, axes):
             _check_positions(joint_positions, self.joints)
             raise InvalidInput("joint_positions: expected a finite number for each joint")
         return Ts, axes
 
-    def jacobians(self, points: Array, bodies: Indices, axes: Array) -> Array:
-        """Returns the Jacobians (k, 6, j) of points (k, 3), each fixed on one of the `bodies` (k,), by each joint."""
-        out = np.zeros((len(points), 6, len(self.joints)))
-        chain.jacobians(points, bodies, self.starts, self.steps, axes, out)
+    def jacobians(self, points: Array, bodies: Indices, axes: Array, changes: Array | None = None) -> Array:
+        """Returns the Jacobians (k, 6, j) of points (k, 3), each fixed on one of the `bodies` (k,), by each joint; or
+        by each of m `changes` (j, m) of the joints' positions."""
+        changes = np.eye(len(self.joints)) if changes is None else changes
+        out = np.empty((len(points), 6, changes.shape[1]))
+        chain.jacobians(points, bodies, self.starts, self.steps, axes, changes, out)
         return out
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from handsight.checks import MAX_DISTANCE
-from handsight.errors import InvalidFile, MissingExtra
+from handsight.errors import InvalidFile, needing
 from handsight.hand.chains import JointKind
 from handsight.hand.mjcf import Mjcf
 from handsight.hand.paths import find_file
@@ -67,10 +67,8 @@ def _parsed(found: Path, *, visual: bool = False) -> Mjcf | Urdf:
 
 def _compile(parsed: Mjcf | Urdf, name: str) -> tuple["MjSpec", "MjModel"]:
     """Returns spec and model; raises InvalidFile where MuJoCo refuses the text, with the line of the user's file."""
-    try:
+    with needing(f"{name}: needs MuJoCo", "robot"):
         import mujoco
-    except ImportError:
-        raise MissingExtra(f"{name}: needs MuJoCo: pip install 'handsight[robot]'") from None
     text, elements = to_text(parsed.robot)
     try:
         with warnings.catch_warnings():

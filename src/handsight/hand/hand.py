@@ -65,6 +65,8 @@ class Hand:
     """(n, 2) least and greatest position of each joint [rad] or [m], infinite without a limit."""
     moving: tuple[str, ...]
     """Names of the joints between the palm and the tips; only their positions are needed."""
+    chains: Chains
+    """How the tips move in the palm."""
     missing_meshes: tuple[str, ...]
     """Mesh files that do not exist or cannot be read; their shapes are left out of the surface."""
 
@@ -76,8 +78,8 @@ class Hand:
         self._bodies = {name: i for i in range(self._model.nbody) if (name := str(self._model.body(i).name))}
         self._palm = self._body(palm, "palm")
         bodies = [self._body(body, f"tips[{finger!r}]") for finger, body in self.tips.items()]
-        self._chains = build_chains(self._model, self._palm, bodies, self._name)
-        self.moving = self._chains.joints
+        self.chains = build_chains(self._model, self._palm, bodies, self._name)
+        self.moving = self.chains.joints
         joints = [self._model.joint(i) for i in range(self._model.njnt)]
         joints = [joint for joint in joints if joint.name and joint.type in list(JointKind)]
         self.joint_names = tuple(str(joint.name) for joint in joints)
@@ -107,12 +109,12 @@ class Hand:
         ignored, as robots publish arm and hand together. Raises an InvalidInput that names what is missing or not
         finite.
         """
-        return self._chains.poses(joint_positions)[0]
+        return self.chains.poses(joint_positions)[0]
 
     def kinematics(self, joint_positions: Mapping[str, float]) -> HandPose:
         """Returns the poses of the tips with what their Jacobians need; raises InvalidInput as `Ts_palm_tip` does."""
-        Ts_palm_tip, axes = self._chains.poses(joint_positions)
-        return HandPose(Ts_palm_tip, self.moving, axes, self._chains)
+        Ts_palm_tip, axes = self.chains.poses(joint_positions)
+        return HandPose(Ts_palm_tip, self.moving, axes, self.chains)
 
     def T_world_palm(self, joint_positions: Mapping[str, float]) -> Array:
         """Returns the pose (4, 4) of the palm in the base frame of the file, for a file that has the arm in it.

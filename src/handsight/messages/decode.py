@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from handsight.checks import MAX_DISTANCE, MAX_LOAD, Array
-from handsight.errors import InvalidInput, MissingExtra
+from handsight.errors import InvalidInput, needing
 from handsight.messages import definitions, images
 from handsight.messages.contacts import contacts
 from handsight.messages.detections import DEFINITIONS, KINDS, detections
@@ -191,10 +191,8 @@ def _stores() -> dict[str, Any]:
 
 def rosbags_module(name: str) -> ModuleType:
     """Returns a module of rosbags, or of a package that rosbags requires; raises MissingExtra."""
-    try:
+    with needing("recordings need rosbags", "robot"):
         return import_module(name)
-    except ImportError:
-        raise MissingExtra("recordings need rosbags: pip install 'handsight[robot]'") from None
 
 
 def _seconds(message: RosMessage) -> float:

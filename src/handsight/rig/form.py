@@ -417,15 +417,38 @@ class CylinderForm(Form):
     height: Annotated[Positive, key(metres=5)]
 
 
-class ObjectForm(Form):
-    """An `ObjectForm` is an object: its sides, a cylinder, a mesh (a path from the rig file on) or a name in the
-    object library."""
+class ShapeForm(Form):
+    """A `ShapeForm` is the shape of an object: its sides, a cylinder, a mesh (a path from the form's file on), or that
+    of a name in the object library."""
 
     box: Annotated[tuple[Positive, Positive, Positive] | None, key(metres=5)] = None
     cylinder: CylinderForm | None = None
     mesh: Text | None = None
     scale: Positive | None = None
     name: Text | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        kinds = ("box", "cylinder", "mesh", "name")
+        found = [kind for kind in kinds if getattr(self, kind) is not None]
+        if len(found) != 1:
+            raise ValueError(f"expected one of {', '.join(kinds)}, got {' and '.join(found) or 'none'}")
+        if self.scale is not None and self.mesh is None:
+            raise ValueError(f"scale: expected beside mesh only, got it beside {found[0]}")
+
+    def entry(self, folder: Path) -> ObjectSpec:
+        """Returns the object as a value; the path of a mesh begins at the folder."""
+        given = self.given()
+        if self.cylinder is not None:
+            given["cylinder"] = (self.cylinder.radius, self.cylinder.height)
+        if self.mesh is not None:
+            given["mesh"] = folder / self.mesh
+        return ObjectSpec(**given)
+
+
+class ObjectForm(ShapeForm):
+    """An `ObjectForm` is an object of a rig: its shape, its weight and its friction."""
+
     symmetries: Literal["find"] | None = None
     mass: Annotated[Positive | None, key(kilograms=100)] = None
     center_of_mass: Annotated[Vector | Literal["homogeneous"] | None, key(metres=5)] = None
@@ -440,21 +463,6 @@ class ObjectForm(Form):
             raise ValueError("sigma_center_of_mass: expected beside center_of_mass only, got it alone")
         if self.sigma_friction is not None and self.friction is None:
             raise ValueError("sigma_friction: expected beside friction only, got it alone")
-        kinds = ("box", "cylinder", "mesh", "name")
-        found = [kind for kind in kinds if getattr(self, kind) is not None]
-        if len(found) != 1:
-            raise ValueError(f"expected one of {', '.join(kinds)}, got {' and '.join(found) or 'none'}")
-        if self.scale is not None and self.mesh is None:
-            raise ValueError(f"scale: expected beside mesh only, got it beside {found[0]}")
-
-    def entry(self, folder: Path) -> ObjectSpec:
-        """Returns the part of the rig; the path of a mesh begins at the folder."""
-        given = self.given()
-        if self.cylinder is not None:
-            given["cylinder"] = (self.cylinder.radius, self.cylinder.height)
-        if self.mesh is not None:
-            given["mesh"] = folder / self.mesh
-        return ObjectSpec(**given)
 
 
 class RigForm(Section):

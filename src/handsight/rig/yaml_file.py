@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 import msgspec
 
 from handsight import checks
-from handsight.errors import InvalidFile, MissingExtra
+from handsight.errors import InvalidFile, needing
 from handsight.files import read_bytes
 from handsight.msgspec_errors import FieldPath, explain, field_name
 
@@ -95,12 +95,10 @@ class YamlFile:
 
 def _parse(path: Path) -> "CommentedMap":
     """Returns the file's mapping with the lines of its keys; raises InvalidFile, MissingExtra."""
-    try:
+    with needing("rig files need ruamel.yaml", "robot"):
         from ruamel.yaml import YAML
         from ruamel.yaml.comments import CommentedMap
         from ruamel.yaml.error import MarkedYAMLError, YAMLError
-    except ImportError:
-        raise MissingExtra("rig files need ruamel.yaml: pip install 'handsight[robot]'") from None
     try:
         text = read_bytes(path, MAX_BYTES).decode("utf-8")
     except UnicodeDecodeError:

@@ -16,7 +16,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.errors import InvalidObject, MissingExtra
+from handsight.errors import InvalidObject, MissingExtra, needing
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
 from handsight.simulation.hand_in_world import HandInWorld, TipInWorld, hand_of
@@ -94,10 +94,8 @@ def tip_shape(finger: str) -> tuple[Array, float]:
 
 def mujoco_module() -> ModuleType:
     """Returns mujoco; raises MissingExtra."""
-    try:
+    with needing("simulation needs mujoco", "sim"):
         return import_module("mujoco")
-    except ImportError:
-        raise MissingExtra("simulation needs mujoco: pip install 'handsight[sim]'") from None
 
 
 @lru_cache(maxsize=8)

@@ -53,6 +53,8 @@ class FingertipContacts:
 
     by_taxels: tuple[str, ...] = ()
     """Fingers whose loads, if any, are their taxels', as they have no wrench."""
+    records: NDArray[np.void] | None = None
+    """PALM_CONTACT of each of the rig's fingers; None where no finger touches."""
 
     def rejected_by(self, estimate: PoseEstimate) -> tuple[str, ...]:
         """Returns the fingers whose contacts are outliers of an estimate."""
@@ -88,15 +90,16 @@ class FingertipSensors:
         if observation.joint_positions is None:
             return FingertipContacts((), None, dict.fromkeys(self.names, "no joint positions"))
         offsets = self._offsets if offsets is None else offsets
-        hand = self.rig.hand.kinematics(offsets.corrected(observation.joint_positions))
-        Ts_palm_tip = hand.Ts_palm_tip[self._tips]
+        chains = self.rig.hand.chains
+        Ts_palm_tip, axes = chains.poses(observation.joint_positions, offsets.mean)
+        Ts_palm_tip = Ts_palm_tip.take(self._tips, axis=0)
         # Any angle of a hinge is valid, but not a slide so far off that its tip is far from the palm.
-        places = Ts_palm_tip[:, :3, 3]
-        if not np.abs(places).max() <= checks.MAX_DISTANCE:
+        if not np.vdot(Ts_palm_tip, Ts_palm_tip) <= checks.MAX_DISTANCE**2:  # above any coordinate's square
+            places = Ts_palm_tip[:, :3, 3]
             checks.position(places, "observation.joint_positions: fingertips in the palm", (None, 3))
-        by_error = hand.chains.jacobians(places.copy(), self._tips, hand.axes_palm) @ offsets.root
+        by_error = chains.jacobians(Ts_palm_tip[:, :3, 3].copy(), self._tips, axes, offsets.root)
         T = observation.T_world_palm
-        gravity_palm = np.zeros(3) if T is None else T[:3, :3].T @ self.rig.gravity
+        gravity_palm = np.zeros(3) if T is None else self.rig.gravity.dot(T[:3, :3])
         records, by_tip = np.empty(len(self.names), dtype=PALM_CONTACT), by_error
         by_error = by_error.copy() if skin.tips else by_error
         kernels.contacts_to_palm(self._fingers, readings, Ts_palm_tip, by_error, gravity_palm, records)
@@ -122,8 +125,8 @@ class FingertipSensors:
         contacts = Contacts.trusted(points, normals, covariance)
         gaps = zip(self.names, records["gap"].tolist(), strict=True)
         near = tuple([name for name, gap in gaps if gap < TIP_TO_TIP.max_gap and name not in reasons])
-        by_taxels = tuple(name for name in skin.tips if name not in observation.wrenches)
-        return FingertipContacts(fingers, contacts, reasons, moved, near, loads, doubts, by_taxels)
+        by_taxels = tuple([name for name in skin.tips if name not in observation.wrenches])
+        return FingertipContacts(fingers, contacts, reasons, moved, near, loads, doubts, by_taxels, records)
 
     def _put_taxels(
         self,
@@ -163,10 +166,10 @@ class FingertipSensors:
         rows = [wrenches.get(name, SILENT) for name in self.names]
         clean = [type(row) is np.ndarray and row.dtype == FLOAT and row.shape == (6,) for row in rows]
         if rows and all(clean):
-            readings = np.array(rows)
+            readings = np.concatenate(rows)
             # A comparison with NaN is False: if there is one, each row is checked below.
-            if np.abs(readings).max() <= checks.MAX_LOAD:
-                return readings
+            if np.vdot(readings, readings) <= checks.MAX_LOAD**2:
+                return readings.reshape(-1, 6)
         named = zip(self.names, rows, strict=True)
         what = "observation.wrenches[{!r}]"
         return np.array([row if row is SILENT else _reading(row, what.format(name)) for name, row in named])

@@ -203,7 +203,7 @@ class Follower:
             return None
 
         # The answer: corrected, or propagated from the last correction, or vision's alone.
-        if state.progress is None and touch.contacts is not None and self._due(state, touch.contacts):
+        if state.progress is None and touch.contacts is not None and self._due(state):
             state.progress = Progress(_Next(state).frozen())
             state.weight.used()
         if state.progress is not None:
@@ -302,7 +302,7 @@ class Follower:
         if before is not None and after is not None and (after.process_noise < before.process_noise).any():
             state.table = None  # vision has started anew, as the object was moved
 
-    def _due(self, state: _Next, touched: Contacts) -> bool:
+    def _due(self, state: _Next) -> bool:
         """Returns whether a correction is due: after news of vision, touch, weight or a slip, or by the set rate."""
         last, failure = state.correction, state.failure
         if failure is not None and state.stamp - failure.stamp < FOLLOWER.retry_period:
@@ -319,9 +319,8 @@ class Follower:
             return True
         if self.settings.rate is not None and age >= 1 / self.settings.rate - 1e-9:
             return True
-        old, limits = last.contacts, (self.settings.moved, math.cos(self.settings.turned))
-        places = touched.points_palm, old.points_palm, touched.normals_palm, old.normals_palm
-        return bool(have_moved(*places, *limits))
+        limits = self.settings.moved, math.cos(self.settings.turned)
+        return bool(have_moved(state.fingertips.records, last.records, *limits))
 
     def _motion_since(self, last: Correction, state: TrackState) -> Array:
         """Returns the variance (6,) of the object's motion since a correction [m², rad²]."""
@@ -426,9 +425,8 @@ class Follower:
         yield
         estimate, modes = yield from self._judged(state, estimate, prior, (contacts, links))
         _, variance = point_uncertainty(estimate, self.model, self.model.center_object)
-        state.correction = Correction(
-            estimate, touched, touch.by_error, prior, touch.fingers, now, variance, skin, modes, searched_at
-        )
+        given = touched, touch.by_error, touch.records, prior, touch.fingers
+        state.correction = Correction(estimate, *given, now, variance, skin, modes, searched_at)
         state.estimate, state.propagated_to = estimate, now
         state.corrections += 1
         return state

@@ -6,6 +6,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -46,7 +47,8 @@ class ImageOptions(NamedTuple):
     history: float = 1.0  # how long joints and palm are kept: an image arrives later than it was taken [s]
     palm_twist: float = 0.03
     """Time before and after an instant, between which the velocity of the palm is measured [s]."""
-    max_instants: int = 2000  # the most instants that are kept
+    block: int = 32  # instants are kept in blocks of so many
+    max_blocks: int = 64  # the most complete blocks that are kept
 
 
 IMAGES = ImageOptions()
@@ -65,26 +67,25 @@ class Instant(NamedTuple):
 class History:
     """A `History` is the instants of the last second, and a few older ones, in the order of their stamps."""
 
-    instants: tuple[Instant, ...] = ()
+    blocks: tuple[tuple[Instant, ...], ...] = ((),)
+    """The instants in blocks, as adding one to a long tuple takes long."""
 
     def after(self, instant: Instant) -> History:
         """Returns the history with one more instant, which replaces one of the same stamp."""
-        kept = self.instants
-        if kept and kept[-1].stamp == instant.stamp:
-            kept = kept[:-1]
-        full = len(kept) >= IMAGES.max_instants
-        if full or (kept and kept[0].stamp < instant.stamp - 1.25 * IMAGES.history):
-            # Old instants are dropped only now and then, because that takes longer than adding one.
-            recent = (old for old in kept if old.stamp >= instant.stamp - IMAGES.history)
-            kept = tuple(recent)[1 - IMAGES.max_instants :]
-        return History((*kept, instant))
+        *blocks, last = self.blocks
+        if last and last[-1].stamp == instant.stamp:
+            last = last[:-1]
+        if len(last) >= IMAGES.block:
+            recent = [each for each in (*blocks, last) if each[-1].stamp >= instant.stamp - IMAGES.history]
+            blocks, last = recent[-IMAGES.max_blocks :], ()
+        return History((*blocks, (*last, instant)))
 
     def at(self, stamp: float | None) -> Instant | None:
         """Returns the instant nearest to a stamp [s]; None where the history does not reach back to it.
 
         For the stamp None it is the last instant.
         """
-        kept = self.instants
+        kept = tuple(chain.from_iterable(self.blocks))
         if stamp is None or not kept:
             return kept[-1] if kept else None
         if stamp < max(kept[0].stamp, kept[-1].stamp - IMAGES.history) - IMAGES.history / 10:

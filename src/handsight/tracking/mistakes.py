@@ -384,8 +384,7 @@ def _palms(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
 
 def _joints(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
     """Positions of joints in another order than their names."""
-    names, moving = list(observations[0].joint_positions or {}), rig.hand.moving
-    chains = rig.hand.kinematics(dict.fromkeys(moving, 0.0)).chains
+    names, chains = list(observations[0].joint_positions or {}), rig.hand.chains
     fingers = [chains.steps["value"][start:end] for start, end in pairwise(chains.starts)]
     orders = {
         "in reverse": names[::-1],
@@ -399,7 +398,7 @@ def _joints(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
         if len(one) == len(other):
             pairs = [(chains.joints[i], chains.joints[k]) for i, k in zip(one, other, strict=True)]
             sources[f"of {a} and {b} exchanged"] = dict([*pairs, *((k, i) for i, k in pairs)])
-    sources |= {f"{a} and {b} exchanged": {a: b, b: a} for a, b in combinations(moving, 2)}
+    sources |= {f"{a} and {b} exchanged": {a: b, b: a} for a, b in combinations(chains.joints, 2)}
     fix = f"give names and positions on {rig.topics.joint_states} one order"
     for what, source in sources.items():
         yield Mistake(f"positions of joints {what}", fix, rig, partial(_exchanged, "joint_positions", source))

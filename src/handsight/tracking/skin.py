@@ -45,22 +45,12 @@ class LinkPose:
         self._chains, self._joints, self._sigma_joint = chains, joint_positions, sigma_joint
 
     @cached_property
-    def T_palm_frame(self) -> Array:
-        """(4, 4)"""
-        return np.asarray(self._placed[0][0])
-
-    @cached_property
-    def by_error(self) -> Array | None:
-        """(6, j) change of the pose for one sigma of each joint's error; None: the link is fixed in the palm."""
-        if not self._chains.joints:
-            return None
-        Ts, axes = self._placed
-        J = self._chains.jacobians(Ts[:, :3, 3].copy(), np.zeros(1, dtype=np.int64), axes)[0]
-        return np.asarray(self._sigma_joint * J)
-
-    @cached_property
-    def _placed(self) -> tuple[Array, Array]:
-        return self._chains.poses(self._joints or {})
+    def placed(self) -> tuple[Array, Array]:
+        """(4, 4) the pose, and (6, j) its change for one sigma of each joint's error."""
+        Ts, axes = self._chains.poses(self._joints or {})
+        errors = self._sigma_joint * np.eye(len(self._chains.joints))
+        J = self._chains.jacobians(Ts[:, :3, 3].copy(), np.zeros(1, dtype=np.int64), axes, errors)
+        return Ts[0], J[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +126,7 @@ class SkinContacts:
         """
         tips = {self.touches[name][0].surface.frame for name in self.tips.values()}
         pressed = {
-            LINK_TAXELS.format(touch.surface.frame): (touch, pose.T_palm_frame)
+            LINK_TAXELS.format(touch.surface.frame): (touch, pose.placed[0])
             for touch, pose in self.touches.values()
             if len(touch.patches) and touch.surface.frame not in tips
         }
@@ -172,7 +162,7 @@ class SkinContacts:
         """Returns the contacts in the palm, those of fingers too; None where no taxel is pressed."""
         found: Contacts | None = None
         for touch, pose in self.touches.values():
-            more = touch.contacts(pose.T_palm_frame, pose.by_error)
+            more = touch.contacts(*pose.placed)
             found = more if found is None else found if more is None else found.joined(more)
         return found
 
@@ -182,7 +172,7 @@ class SkinContacts:
         for name, (touch, pose) in self.touches.items():
             given = touch.strongest if name in self.tips.values() else -1
             if len(touch.patches) > (given >= 0):
-                T, J = pose.T_palm_frame, pose.by_error
+                T, J = pose.placed
                 contacts, sigmas = touch.contacts(T, J, given), touch.sigmas_common(J, given)
                 more = SkinEvidence(contacts, touch.outside(T), sigmas)
                 found = more if found is None else found.joined(more)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from handsight.checks import Array
 from handsight.contact import Contacts
@@ -67,6 +68,8 @@ class Correction:
     """The n contacts of `fingers` at `stamp`, in the palm frame."""
     by_error: Array | None
     """(n, 6, j) the effect of the joints' errors on the contacts, see `FingertipContacts.by_error`."""
+    records: NDArray[np.void] | None
+    """See `FingertipContacts.records`."""
     prior: PosePrior
     """The object's pose without touch."""
     fingers: tuple[str, ...]

@@ -13,7 +13,7 @@ from handsight import se3
 from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.correction import PosePrior
-from handsight.errors import HandsightError, MissingExtra
+from handsight.errors import HandsightError, needing
 from handsight.files import write_errors
 from handsight.objects import ObjectModel
 from handsight.viewer.shapes import creases, direction_line, middle
@@ -37,10 +37,8 @@ def new_figure(width: float = 1, height: float = 1) -> "Figure":
 
     Without pyplot, which reads files of styles when it loads.
     """
-    try:
+    with needing("plotting needs matplotlib", "plot"):
         from matplotlib import artist
-    except ImportError:
-        raise MissingExtra("plotting needs matplotlib: pip install 'handsight[plot]'") from None
     # It writes a page of documentation for each of its classes when it loads, which takes a third of that time.
     documented, artist.kwdoc = artist.kwdoc, lambda artist: ""
     try:

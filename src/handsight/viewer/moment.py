@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from handsight.checks import Array
-from handsight.contact import compensate
 from handsight.correction import PoseEstimate
 from handsight.errors import InvalidInput
 from handsight.forces import Slip
@@ -43,7 +42,6 @@ class Moment:
     fingertips: FingertipContacts
     T_world_palm: Array | None  # (4, 4)
     joint_positions: Mapping[str, float] | None  # by name [rad]
-    wrenches: Mapping[str, Array] = field(default_factory=dict)  # the sensors' readings by finger [N, N m]
     vision: Measured | None = None  # None where vision has measured nothing for `VISION_FOR`
     picture: Picture | None = None  # the last image; None before the first
     slip: Slip = field(default_factory=Slip)  # whether the object slips, and how near to slipping it is
@@ -62,7 +60,6 @@ class Moment:
         return cls(
             **{name: getattr(known, name) for name in names.split()},
             joint_positions=None if observation is None else observation.joint_positions,
-            wrenches={} if observation is None else observation.wrenches,
             vision=None if T_vision is None else Measured(known.stamp, T_vision),
         )
 
@@ -87,24 +84,15 @@ class Moment:
         except InvalidInput:  # the tracker rejects these joints too, and its reason says why
             return {}
 
-    def forces(self, rig: Rig) -> dict[str, Array]:
-        """Returns the force (3,) of the object on each finger that touches and has a reading, in the palm [N]. Without
+    def forces(self) -> dict[str, Array]:
+        """Returns the force (3,) of the object on each finger that touches and measures it, in the palm [N]. Without
         the palm's pose in the world the weight of the tips is included."""
-        if self.joint_positions is None:
+        touch = self.fingertips
+        if touch.contacts is None or touch.loads is None:
             return {}
-        Ts = dict(zip(rig.hand.tips, rig.hand.Ts_palm_tip(self.joint_positions), strict=True))
-        T_world_palm = np.eye(4) if self.T_world_palm is None else self.T_world_palm
-        gravity = np.zeros(3) if self.T_world_palm is None else rig.gravity
-        found = {}
-        for name in (finger for finger in self.fingertips.fingers if finger in self.wrenches):
-            finger, reading = rig.fingers[name], np.asarray(self.wrenches[name])
-            R = Ts[name][:3, :3] @ finger.T_frame_surface[:3, :3]
-            if finger.tip.T_surface_sensor is not None:
-                R = R @ finger.tip.T_surface_sensor[:3, :3]
-            gravity_sensor = R.T @ T_world_palm[:3, :3].T @ gravity
-            force, _ = compensate(reading[:3], reading[3:], gravity_sensor, finger.calibration)
-            found[name] = R @ force
-        return found
+        forces = touch.loads[:, :3] + touch.loads[:, 3:4] * touch.contacts.normals_palm
+        named = zip(touch.fingers, forces, strict=True)
+        return {name: force for name, force in named if np.isfinite(force).all()}
 
     @property
     def sentence(self) -> str:

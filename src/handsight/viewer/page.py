@@ -13,7 +13,7 @@ import numpy as np
 
 from handsight import se3
 from handsight.checks import Array
-from handsight.errors import HandsightError, InvalidInput, MissingExtra
+from handsight.errors import HandsightError, InvalidInput, needing
 from handsight.objects import ObjectModel
 from handsight.rig import Rig
 from handsight.viewer.guard import Guard
@@ -41,10 +41,8 @@ PAGE = PageOptions()
 
 def require_viser() -> ModuleType:
     """Returns the package viser; raises MissingExtra where it is absent."""
-    try:
+    with needing("the viewer needs viser", "view"):
         return import_module("viser")
-    except ImportError:
-        raise MissingExtra("the viewer needs viser: pip install 'handsight[view]'") from None
 
 
 class Page:
@@ -105,7 +103,7 @@ class Page:
         """Shows a moment in place of the last one."""
         with self._lock, self.server.atomic():
             self._aim(moment)
-            forces = moment.forces(self._rig)
+            forces = moment.forces()
             self.scene.draw(moment, forces)
             time = f"{moment.stamp - self.origin:.2f}"
             when = f'<span title="stamp {moment.stamp:.6f} s">{time} s</span>'

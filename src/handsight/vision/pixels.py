@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from handsight import checks
 from handsight.camera import MAX_PIXELS, Camera, Depth, check_lens
 from handsight.checks import MAX_DISTANCE
-from handsight.errors import InvalidFile, InvalidInput, MissingExtra
+from handsight.errors import InvalidFile, InvalidInput, needing
 from handsight.files import read_bytes
 from handsight.msgspec_errors import decode
 
@@ -132,10 +132,8 @@ def sixteen_bits(data: bytes) -> NDArray[np.uint16]:
 
 def _opened(data: bytes, read: Callable[["Image"], NDArray[Pixel]]) -> NDArray[Pixel]:
     """Returns what `read` makes of an image from its bytes; raises InvalidInput, MissingExtra."""
-    try:
+    with needing("images need pillow", "vision"):
         from PIL import Image
-    except ImportError:
-        raise MissingExtra("images need pillow: pip install 'handsight[vision]'") from None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)

@@ -43,19 +43,22 @@ def poses(values: Any, starts: Any, joints: Any, homes: Any, Ts: Any, axes: Any)
 
 
 @entry
-def jacobians(points: Any, bodies: Any, starts: Any, joints: Any, axes: Any, out: Any) -> None:
-    """Writes the Jacobians (translation, rotation) of points by each joint to `out` (k, 6, j), which holds zeros.
+def jacobians(points: Any, bodies: Any, starts: Any, joints: Any, axes: Any, steps: Any, out: Any) -> None:
+    """Writes the Jacobians (translation, rotation) of points by each joint, times `steps` (j, m), to `out` (k, 6, m).
 
     `points` (k, 3), along the base's axes, are each fixed to one of the `bodies` (k,); `axes` as `poses` writes them.
     """
+    out[:] = 0.0
     for i in range(len(points)):
         for k in range(starts[bodies[i]], starts[bodies[i] + 1]):
-            c, axis = joints[k].value, vector(axes[k, 0])
+            step, axis = steps[joints[k].value], vector(axes[k, 0])
             shift, turn = axis, (0.0, 0.0, 0.0)
             if not joints[k].slides:
                 shift, turn = cross(axis, sub(vector(points[i]), vector(axes[k, 1]))), axis
             for n in range(3):
-                out[i, n, c], out[i, 3 + n, c] = shift[n], turn[n]
+                for c in range(len(step)):
+                    out[i, n, c] += shift[n] * step[c]
+                    out[i, 3 + n, c] += turn[n] * step[c]
 
 
 @entry

@@ -305,15 +305,14 @@ def gather_contacts(
 
 
 @entry
-def have_moved(
-    points: Any, before: Any, normals: Any, normals_before: Any, far: float, cosine: float
-) -> bool:
-    """Returns whether a coordinate of any of n points (n, 3) has changed by more than `far` [m], or any unit normal (n,
-    3) by more than the angle of that `cosine`."""
-    for i in range(len(points)):
-        for k in range(3):
-            if abs(points[i, k] - before[i, k]) > far:
+def have_moved(contacts: Any, before: Any, far: float, cosine: float) -> bool:
+    """Returns whether a coordinate of any of the same tips' contacts PALM_CONTACT has changed by more than `far` [m],
+    or any normal by more than the angle of that `cosine`."""
+    for i in range(len(contacts)):
+        now, then = contacts[i], before[i]
+        for k in range(3 if now.reason == 0 else 0):
+            if abs(now.point[k] - then.point[k]) > far:
                 return True
-        if dot(vector(normals[i]), vector(normals_before[i])) < cosine:
+        if now.reason == 0 and dot(vector(now.normal), vector(then.normal)) < cosine:
             return True
     return False

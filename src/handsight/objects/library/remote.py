@@ -19,7 +19,7 @@ import msgspec
 
 from handsight import checks
 from handsight.cache_folder import cache_folder, read_entry, write_entry
-from handsight.errors import HandsightError, InvalidFile, MissingExtra
+from handsight.errors import HandsightError, InvalidFile, needing
 from handsight.files import write_errors
 from handsight.objects.files.read import LARGEST_FILE
 from handsight.objects.library.documents import FACTS, INFO, LARGEST_DOCUMENT, Documents, Entry, NoLibrary
@@ -187,12 +187,8 @@ def _opened(url: str) -> AbstractContextManager[BinaryIO]:
         request = Request(url, headers={"User-Agent": "handsight"})
         opened = build_opener(SameHost).open(request, timeout=30)  # seconds without a byte
         return opened
-    try:
+    with needing(f"{without_password(url)}: {kind}:// needs fsspec", "library"):
         import fsspec
-    except ImportError:
-        raise MissingExtra(
-            f"{without_password(url)}: {kind}:// needs fsspec: pip install 'handsight[library]'"
-        ) from None
     opened = fsspec.open(url, "rb")
     return opened
 
