@@ -111,14 +111,14 @@ class _EntryLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
 def _owns_arrays(state: Any) -> bool:
     """Whether a function makes, copies or returns arrays, or gets them from others; else it need not count references.
 
-    Looking at a part of something makes no array.
+    What is read out of something is a view of it.
     """
-    looks = {"build_tuple", "cast", "exhaust_iter", "getattr", "getitem", "phi", "static_getitem"}
+    views = {"build_tuple", "cast", "exhaust_iter", "getattr", "getitem", "phi", "static_getitem"}
     owned, type_of = [state.return_type], state.typemap
     for step in (step for block in state.func_ir.blocks.values() for step in block.body):
         if isinstance(step, ir.SetItem | ir.StaticSetItem):
             owned.append(type_of[step.value.name])
-        elif isinstance(step, ir.Assign) and getattr(step.value, "op", "cast") not in looks:
+        elif isinstance(step, ir.Assign) and getattr(step.value, "op", "cast") not in views:
             owned.append(type_of[step.target.name])
     return any(state.targetctx.data_model_manager[kind].contains_nrt_meminfo() for kind in owned)
 
