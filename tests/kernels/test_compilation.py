@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from numba.core.runtime import _nrt_python, rtsys
 
-from handsight._kernels.runtime.compilation import entry
+from handsight._kernels.runtime.compilation import entry, inner
 
 
 @entry
@@ -38,3 +39,39 @@ def test_numbers_of_another_type_are_compiled_for():
     doubled_into(np.array([[1, 2]]), out)
     assert out.tolist() == [[2, 4]]
     assert len(doubled_into.signatures) == before + 1
+
+
+@inner
+def reversed_copy(values):
+    out = np.empty(len(values))
+    for i in range(len(values)):
+        out[i] = values[-1 - i]
+    return out
+
+
+@inner
+def first_row_copied(values):
+    for i in range(1, len(values)):
+        values[i] = values[i - 1]
+
+
+@entry
+def sum_of_first(values):
+    total = 0.0
+    first_row_copied(values)
+    for i in range(len(values)):
+        total += reversed_copy(values[i])[0]
+    return total
+
+
+def test_arrays_that_inner_functions_make_live_until_they_are_read_and_are_then_freed():
+    values = np.arange(12.0).reshape(3, 4)
+    _nrt_python.memsys_enable_stats()
+    try:
+        sum_of_first(values.copy())
+        before = rtsys.get_allocation_stats()
+        assert sum_of_first(values) == 9.0
+        after = rtsys.get_allocation_stats()
+    finally:
+        _nrt_python.memsys_disable_stats()
+    assert after.alloc - before.alloc == after.free - before.free >= 3

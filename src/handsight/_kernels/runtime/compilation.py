@@ -2,7 +2,7 @@
 
 By default numba optimises every function together with all its callees, and generates machine code for it, at each
 level of the call tree. An entry inlines and optimises all its callees anyway. Inner functions are therefore only
-lowered to LLVM code and linked, which saves a third of the compile time.
+lowered to LLVM code and linked, and an entry is optimised once, which saves half of the compile time.
 """
 
 import gc
@@ -15,10 +15,11 @@ from typing import Any, TypeVar
 
 import numba
 import numpy as np
-from llvmlite.binding import parse_assembly
-from numba import _dynfunc
-from numba.core import codegen, compiler, typed_passes
+from llvmlite.binding import create_pass_builder, create_pipeline_tuning_options, parse_assembly
+from numba import _dynfunc, types
+from numba.core import codegen, compiler, ir, typed_passes
 from numba.core.compiler_machinery import register_pass
+from numba.core.itanium_mangler import mangle
 
 # Numba asks once whether SciPy's BLAS can be imported, which no kernel of handsight calls; loading it takes a third of
 # the time to the first correction. An empty module takes its place during that check; later imports get SciPy's own.
@@ -73,9 +74,10 @@ def entry(function: F) -> F:
 class _InnerLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
     """An `_InnerLibrary` is code to be linked into entries, neither optimised by itself nor made machine code."""
 
-    def finalize(self) -> None:
-        """Leaves the code as it is; entries link what it calls, too."""
-        self._shared_module, self._finalized = self._final_module, True
+    def add_llvm_module(self, ll_module: Any) -> None:
+        """Takes the code as it is; entries link what it calls, too."""
+        self._final_module = self._shared_module = ll_module
+        self._finalized = True
 
 
 class _EntryLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
@@ -85,19 +87,40 @@ class _EntryLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
         """Optimises; inner functions are the entry's own, so that LLVM may change what they take, or do without them.
 
         Were they not, LLVM would call one of the same name in another entry instead. Where that was compiled in
-        another process, the numbers in the name can stand for other types.
+        another process, the numbers in the name can stand for other types. Loops stay loops: most have few rounds, and
+        unrolled ones are a third of the machine code.
         """
         for library in self._linking_libraries:
             if isinstance(library, _InnerLibrary):
                 for function in library.get_defined_functions():
                     self._final_module.get_function(function.name).linkage = "internal"
-        super()._optimize_final_module()
+        tuning = create_pipeline_tuning_options(speed_level=3)
+        tuning.loop_unrolling = tuning.loop_vectorization = tuning.slp_vectorization = False
+        builder = create_pass_builder(self._codegen._tm, tuning)
+        passes = builder.getModulePassManager()
+        passes.add_refprune_pass()
+        passes.run(self._final_module, builder)
 
     def serialize_using_object_code(self) -> Any:
         """Returns what is kept on disk: machine code, and the names that it defines instead of code for callers."""
         name, kind, (machine_code, _) = super().serialize_using_object_code()
         defined = (f'@"{function.name}" = global i8 0' for function in self.get_defined_functions())
         return name, kind, (machine_code, parse_assembly("\n".join(defined)).as_bitcode())
+
+
+def _owns_arrays(state: Any) -> bool:
+    """Whether a function makes, copies or returns arrays, or gets them from others; else it need not count references.
+
+    What is read out of something is a view of it.
+    """
+    views = {"build_tuple", "cast", "exhaust_iter", "getattr", "getitem", "phi", "static_getitem"}
+    owned, type_of = [state.return_type], state.typemap
+    for step in (step for block in state.func_ir.blocks.values() for step in block.body):
+        if isinstance(step, ir.SetItem | ir.StaticSetItem):
+            owned.append(type_of[step.value.name])
+        elif isinstance(step, ir.Assign) and getattr(step.value, "op", "cast") not in views:
+            owned.append(type_of[step.target.name])
+    return any(state.targetctx.data_model_manager[kind].contains_nrt_meminfo() for kind in owned)
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -109,12 +132,15 @@ class _Lowering(typed_passes.NativeLowering):  # type: ignore[misc]
     def run_pass(self, state: Any) -> bool:
         """Lowers the function, and registers an inner one for its callers by a function object without machine code."""
         context, function, inner = state.targetctx, state.func_id, state.flags.no_cpython_wrapper
+        if inner:
+            context = state.targetctx = context.subtarget(enable_nrt=_owns_arrays(state))
+            # Numba's names tell all fields of records, in hundreds of letters.
+            context.mangler = lambda name, types, *, uid, **_: mangle(name, (), uid=hash((uid, types)))
         library = (_InnerLibrary if inner else _EntryLibrary)(context.codegen(), function.func_qualname)
         library.enable_object_caching()
         state.library, state.flags.no_compile = library, inner
         super().run_pass(state)
         if inner:
-            library.finalize()
             described, environment = state.cr.fndesc, state.cr.env
             module, name = described.lookup_module(), function.func_name
             key = _dynfunc.make_function(module, name, "", 0, environment, (library,))
@@ -125,37 +151,43 @@ class _Lowering(typed_passes.NativeLowering):  # type: ignore[misc]
         return True
 
 
-class _Flags(compiler.Flags):  # type: ignore[misc]
-    """`_Flags` are numba's; it compares them at each call that it types, a tenth of the compile time."""
-
-    def values(self) -> dict[str, Any]:
-        return _DEFAULTS | self._values
+_call_types: dict[Any, Any] = {}
 
 
-_DEFAULTS = {name: option.default for name, option in _Flags.options.items()}
+def _call_type(function: Any, context: Any, args: Any, kws: Any) -> Any:
+    """Returns the types of a call of a function or operator of numba's, which takes numba long, once for each."""
+    key = function, tuple(args), tuple(kws.items())
+    if key not in _call_types:
+        _call_types[key] = _resolved(function, context, args, kws)
+    return _call_types[key]
+
+
+_resolved = types.BaseFunction.get_call_type
 
 
 class _Compiler(compiler.CompilerBase):  # type: ignore[misc]
     """A `_Compiler` runs numba's passes, the last of them replaced."""
 
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.state.flags = _Flags(self.state.flags)
-
     def compile_extra(self, function: Any) -> Any:
         """Compiles a function while the garbage collector rests, which would take a sixth of the time."""
-        collects = gc.isenabled()
+        collects, resolve = gc.isenabled(), types.BaseFunction.get_call_type
         gc.disable()
+        types.BaseFunction.get_call_type = _call_type
         try:
             return super().compile_extra(function)
         finally:
+            types.BaseFunction.get_call_type = resolve
             if collects:
                 gc.enable()
 
     def define_pipelines(self) -> list[Any]:
+        # What is left out is for closures, functions of other packages, and arithmetic of whole arrays.
+        unused = {"InlineClosureLikes", "InlineOverloads", "NopythonRewrites"}
         passes = compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.passes[:] = [
-            (_Lowering if step is typed_passes.NativeLowering else step, text) for step, text in passes.passes
+            (_Lowering if step is typed_passes.NativeLowering else step, text)
+            for step, text in passes.passes
+            if step.__name__ not in unused
         ]
         passes.finalize()
         return [passes]
