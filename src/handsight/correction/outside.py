@@ -180,9 +180,12 @@ def outside_records(
     )
     untouched = () if skin is None else skin.untouched_palm
     n, m = (len(places), len(untouched)) if model.closed else (0, 0)
-    rows = np.zeros(n + m + len(planes), dtype=OUTSIDE)
+    count = n + m + len(planes)
+    rows = np.ndarray(
+        count, OUTSIDE, bytearray(count * OUTSIDE.itemsize)
+    )  # less than np.zeros reads from memory
     if n:
-        points = rows[:n]
+        points = rows if n == count else rows[:n]
         points["point"], points["link"] = places, _EACH[:n]
         if given is None or given.sigmas is None:
             points["sigma"] = _usual_sigma(model, contacts)
