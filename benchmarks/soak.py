@@ -14,6 +14,7 @@ import sys
 import tempfile
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import IO, NamedTuple
 
@@ -103,13 +104,12 @@ def resident(process: psutil.Process) -> float:
 
 
 def workers(process: psutil.Process) -> list[psutil.Process]:
-    """Returns a command's worker processes, without the helpers of Python's multiprocessing."""
+    """Returns a command's worker processes, without the helpers of Python's multiprocessing; none if it has ended."""
     found = []
-    for child in process.children():
-        try:
-            found += [child] if "spawn_main" in " ".join(child.cmdline()) else []
-        except psutil.Error:
-            continue
+    with suppress(psutil.Error):
+        for child in process.children():
+            with suppress(psutil.Error):
+                found += [child] if "spawn_main" in " ".join(child.cmdline()) else []
     return found
 
 

@@ -16,6 +16,7 @@ from handsight.evaluation import Truths, pose_errors, track_errors
 from handsight.hand import Hand
 from handsight.observation import PoseMeasurement
 from handsight.tracking import Tracker, TrackerSettings
+from handsight.tracking.images import IMAGES
 from handsight.tracking.replay import Tally, replay
 
 
@@ -297,12 +298,13 @@ def test_memory_stays_flat(can):
             seen = vision if k % 10 == 0 else None
             tracker.update(replace(later(last, 0.01 * k), vision=seen))
 
-    run(1, 100)
-    gc.collect()
+    # What the tracker keeps, up to 1.3 s, is allocated after the start; blocks of instants are lost at once.
+    run(1, 4 * IMAGES.block)
     tracemalloc.start()
-    run(101, 50)
+    run(1 + 4 * IMAGES.block, 6 * IMAGES.block)
+    gc.collect()
     before = tracemalloc.get_traced_memory()[0]
-    run(151, 500)
+    run(1 + 10 * IMAGES.block, 16 * IMAGES.block)
     gc.collect()
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
