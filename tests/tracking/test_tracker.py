@@ -298,13 +298,12 @@ def test_memory_stays_flat(can):
             seen = vision if k % 10 == 0 else None
             tracker.update(replace(later(last, 0.01 * k), vision=seen))
 
-    # What the tracker keeps, up to 1.3 s, is allocated after the start; blocks of instants are lost at once.
-    run(1, 4 * IMAGES.block)
+    # What the tracker keeps, loads of 6.4 s among it, is allocated after the start; blocks of instants are lost at once.
     tracemalloc.start()
-    run(1 + 4 * IMAGES.block, 6 * IMAGES.block)
+    run(1, 24 * IMAGES.block)
     gc.collect()
     before = tracemalloc.get_traced_memory()[0]
-    run(1 + 10 * IMAGES.block, 16 * IMAGES.block)
+    run(1 + 24 * IMAGES.block, 16 * IMAGES.block)
     gc.collect()
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
