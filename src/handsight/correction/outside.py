@@ -181,9 +181,8 @@ def outside_records(
     untouched = () if skin is None else skin.untouched_palm
     n, m = (len(places), len(untouched)) if model.closed else (0, 0)
     count = n + m + len(planes)
-    rows = np.ndarray(
-        count, OUTSIDE, bytearray(count * OUTSIDE.itemsize)
-    )  # less than np.zeros reads from memory
+    # Of bytes: np.zeros would read more from memory.
+    rows = np.ndarray(count, OUTSIDE, bytearray(count * OUTSIDE.itemsize))
     if n:
         points = rows if n == count else rows[:n]
         points["point"], points["link"] = places, _EACH[:n]
