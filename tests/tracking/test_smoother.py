@@ -251,15 +251,12 @@ def test_process_noise_adds_to_the_covariance_that_is_given_as_information(seed)
     root = rng.normal(size=(6, 6))
     information, variance = root @ root.T + 0.1 * np.eye(6), rng.uniform(0.01, 1, 6)
     expected = np.linalg.inv(np.linalg.inv(information) + np.diag(variance))
-    open_ = np.diag([1.0, 1, 1, 1, 1, 0])
-    for before, noise, after in (
-        (information, variance, expected),
-        (information, np.zeros(6), information),
-        (open_, variance, np.diag(np.append(1 / (1 + variance[:5]), 0.0))),
-    ):
-        found = before.copy()
-        inflate(found, noise)
-        np.testing.assert_allclose(found, after, atol=1e-9)
+    unknown, still, moved = np.diag([1.0, 1, 1, 1, 1, 0]), information.copy(), information.copy()
+    for matrix, noise in ((moved, variance), (unknown, variance), (still, np.zeros(6))):
+        inflate(matrix, noise)
+    np.testing.assert_allclose(moved, expected, atol=1e-9)
+    assert unknown[5, 5] == 0
+    np.testing.assert_allclose(still, information, rtol=1e-12)
 
 
 def test_the_nearest_semidefinite_matrix_of_a_semidefinite_one_is_itself():

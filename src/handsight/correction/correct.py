@@ -41,7 +41,7 @@ from handsight.correction.problem import (
     descents_at,
     finished,
 )
-from handsight.correction.registration import FEW, is_registered, register
+from handsight.correction.registration import is_registered, register
 from handsight.correction.skin import SkinEvidence
 from handsight.correction.solve import solve_batch, solve_single_start, solve_usual, summarize, summarize_pose
 from handsight.correction.weight import WeightEvidence
@@ -136,8 +136,7 @@ def correct_pose(
         samples = checks.integer(samples, "samples", MOST_SAMPLES)
     alone = weight is None and depth is None and skin is None and budget is None
     alone = alone and (outside is None or getattr(outside, "skin", None) is None)
-    few = len(contacts.points_palm) <= FEW and not len(contacts.shared_covariance)
-    if prior is not None and alone and few and options is USUAL and not samples:
+    if prior is not None and alone and options is USUAL and not samples and not is_registered(contacts):
         rows = NO_OUTSIDE if outside is None else outside_records(model, contacts, outside)
         estimate, enough = solve_usual(model, contacts, prior.record, rows, KINDS[answer])
         if estimate is not None and enough:

@@ -44,7 +44,7 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Steps
     found = solve(problem, first_starts(problem, number)[None], everyone, budget)
     yield
     suspicious = _suspicious(problem, found)
-    if found.minima["converged"][0] and not suspicious:
+    if found.converged and not suspicious:
         return found
     vision = problem.vision
     may_draw = vision is not None and options.starts is None and problem.starts is None
@@ -53,7 +53,7 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Steps
         found = found.with_more(solve(past, first_starts(past, number)[None], everyone, budget))
         yield
         suspicious = _suspicious(problem, found)
-        if found.minima["converged"][0] and not suspicious:
+        if found.converged and not suspicious:
             return found
     while not budget.spent():
         without = None

@@ -184,7 +184,7 @@ def outside_records(
     # Of bytes: np.zeros would read more from memory.
     rows = np.ndarray(count, OUTSIDE, bytearray(count * OUTSIDE.itemsize))
     if n:
-        points = rows if n == count else rows[:n]
+        points = rows[:n]
         points["point"], points["link"] = places, _EACH[:n]
         if given is None or given.sigmas is None:
             points["sigma"] = _usual_sigma(model, contacts)

@@ -143,6 +143,11 @@ class Candidates:
         """The cost of the cheapest minimum."""
         return float(self.minima["cost"][0])
 
+    @property
+    def converged(self) -> bool:
+        """Whether the descent to the cheapest minimum converged."""
+        return bool(self.minima["converged"][0])
+
     def fits(self, alarm: float = ACCEPTANCE.alarm) -> bool:
         """Returns whether the cheapest minimum passes the χ² test of level `alarm`."""
         return modes.fits(self.cost, self.freedom, alarm)
