@@ -116,7 +116,7 @@ class Contacts:
         The arrays must be float64 and finite, the normals unit, the covariances positive semidefinite and zero along
         the normals. The arrays are kept and made read-only.
         """
-        has_normal, of_residual = _default_flags(len(points_palm))
+        has_normal, of_residual, _ = _defaults(len(points_palm))
         return _unchecked(points_palm, normals_palm, has_normal, covariance, of_residual)
 
     @cached_property
@@ -188,15 +188,9 @@ _ARRAYS = (*_EACH, "group", "shared_covariance")
 
 
 @lru_cache
-def _default_flags(n: int) -> tuple[Mask, Mask]:
-    """Returns `has_normal` and `of_residual` (n,) of contacts that have normals and covariances of the finger."""
-    return np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
-
-
-@lru_cache
-def _no_groups(n: int) -> Indices:
-    """Returns `group` (n,) of contacts that share no error."""
-    return np.full(n, -1)
+def _defaults(n: int) -> tuple[Mask, Mask, Indices]:
+    """Returns `has_normal`, `of_residual` and `group` (n,) of contacts with normals, errors of the finger, no group."""
+    return np.ones(n, dtype=bool), np.zeros(n, dtype=bool), np.full(n, -1)
 
 
 def _unchecked(*arrays: Any) -> Contacts:
@@ -214,7 +208,7 @@ def _filled(
     group: Indices | None = None,
     shared: Array = NO_GROUP,
 ) -> Contacts:
-    groups = _no_groups(len(points)) if group is None else group
+    groups = _defaults(len(points))[2] if group is None else group
     arrays = points, normals, has_normal, covariance, of_residual, groups, shared
     for array in arrays:
         array.setflags(write=False)  # in half the time that its flags take
@@ -249,7 +243,7 @@ def _groups(group: ArrayLike | None, shared_covariance: ArrayLike | None, n: int
     if (group is None) != (shared_covariance is None):
         raise InvalidInput("group, shared_covariance: expected both or neither, got one of them")
     if group is None or shared_covariance is None:
-        return _no_groups(n), NO_GROUP
+        return _defaults(n)[2], NO_GROUP
     given = checks.finite(group, "group", (n,))
     numbers = given.astype(np.int64)
     if (numbers != given).any() or not -1 <= numbers.min() <= numbers.max() < n:

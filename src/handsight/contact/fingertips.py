@@ -173,23 +173,17 @@ def parse_fingertip(text: str) -> Fingertip:
         elif name == "sensor":
             options[name] = se3.compose(np.eye(3), np.array(_lengths(value, name, 3)))
         else:
-            options[name] = _number(value, name, "N" if name == "min_force" else "")
+            match, unit = _NUMBER.fullmatch(value), "N" if name == "min_force" else ""
+            if not match or match[2] not in ("", unit):
+                expected = f"a number{f' [{unit}]' if unit else ''}"
+                raise InvalidInput(f"fingertip: {name}: expected {expected}, got {value!r}")
+            options[name] = float(match[1])
     names = {"friction": "max_friction", "sensor": "T_surface_sensor"}
     arguments = {names.get(name, name): value for name, value in options.items()}
     try:
         return Ellipsoid(lengths, **arguments) if shape == "ellipsoid" else Sphere(lengths[0], **arguments)
     except InvalidInput as error:
         raise InvalidInput(f"fingertip {text!r}: {error}") from None
-
-
-def _number(text: str, name: str, unit: str) -> float:
-    """Returns a number, after which its unit may stand."""
-    match = _NUMBER.fullmatch(text)
-    if not match or match[2] not in ("", unit):
-        raise InvalidInput(
-            f"fingertip: {name}: expected a number{f' [{unit}]' if unit else ''}, got {text!r}"
-        )
-    return float(match[1])
 
 
 def _lengths(text: str, name: str, count: int) -> list[float]:

@@ -53,20 +53,15 @@ class Pad(TactileSurface):
         states[0, :n] = PRESSED if pressed else FAR if math.isfinite(size) else UNKNOWN
         states[1] = np.append(np.full(n, 0 if pressed else -1), -1)
         patches = np.zeros(int(pressed), dtype=PATCH)
-        for patch in patches:
-            self._describe(patch, size)
+        for patch in patches:  # the contact that is anywhere on the pad
+            record, middle, normal = self.record[0], self.points.mean(axis=0), self.normals.mean(axis=0)
+            arms, turns = self.points - middle, self.normals - normal
+            normal = normal / max(float(np.linalg.norm(normal)), 1e-12)
+            own_cell = self.pitch**2 / 12 * (np.eye(3) - np.outer(normal, normal))
+            C = np.zeros((6, 6))
+            C[:3, :3] = 2 * (arms.T @ arms / len(arms) + own_cell) + record["variance_point"] * np.eye(3)
+            C[3:, 3:] = turns.T @ turns / len(turns) + record["variance_normal"] * np.eye(3)
+            patch["point"], patch["normal"], patch["covariance"] = middle, -normal, C
+            patch["force"] = patch["wrench"] = patch["torque"] = np.nan
+            patch["total"], patch["contacts"] = size, 1.0
         return SkinTouch(self, np.append(np.full(n, size if pressed else 0.0), 0.0)[:, None], states, patches)
-
-    def _describe(self, patch: np.void, size: float) -> None:
-        """Writes the contact that is anywhere on the pad."""
-        record, normals = self.record[0], self.normals
-        arms, normal = self.points - self.points.mean(axis=0), normals.mean(axis=0)
-        normal = normal / max(float(np.linalg.norm(normal)), 1e-12)
-        own_cell = self.pitch**2 / 12 * (np.eye(3) - np.outer(normal, normal))
-        turns = normals - normals.mean(axis=0)
-        C = np.zeros((6, 6))
-        C[:3, :3] = 2 * (arms.T @ arms / len(arms) + own_cell) + record["variance_point"] * np.eye(3)
-        C[3:, 3:] = turns.T @ turns / len(turns) + record["variance_normal"] * np.eye(3)
-        patch["point"], patch["normal"], patch["covariance"] = self.points.mean(axis=0), -normal, C
-        patch["force"] = patch["wrench"] = patch["torque"] = np.nan
-        patch["total"], patch["contacts"] = size, 1.0
