@@ -42,19 +42,23 @@ class Friction:
         """
         before = self._error, self._kept_up
         self._error, self._kept_up = now = round(error / FRICTION.bin_width), kept_up
+        if not turns and now == before:
+            return
         if turns:
-            self._count(turns)
-        if turns or now != before:
-            self._estimate()
-
-    def _estimate(self) -> None:
-        """Joins what was declared, the heap, and the ratios that were kept up, which bound μ from below."""
-        kept = FRICTION.noise_margin * self._kept_up
+            self._turns = self._turns.copy()
+            for ratio, count in turns:
+                self._turns[round(math.log(ratio) / FRICTION.bin_width) - FIRST] += count
+            shared = FRICTION.near_heap * kept_up
+            shared_bin = math.log(shared) / FRICTION.bin_width - FIRST if shared > 0 else -math.inf
+            mean, total = highest_heap(self._turns, shared_bin, self._error)
+            self._heap = (math.exp(FRICTION.bin_width * mean), total) if total else None
+        # What was declared and the heap are joined; the ratios that were kept up bound μ from below.
+        kept = FRICTION.noise_margin * kept_up
         estimates = [] if self._declared is None else [self._declared]
         if self._heap is not None:
-            heap, turns = self._heap
-            sigma = math.hypot(FRICTION.least_sigma, FRICTION.turn_sigma / math.sqrt(turns))
-            if turns < FRICTION.certain_turns or kept > FRICTION.near_heap * heap:
+            heap, total = self._heap
+            sigma = math.hypot(FRICTION.least_sigma, FRICTION.turn_sigma / math.sqrt(total))
+            if total < FRICTION.certain_turns or kept > FRICTION.near_heap * heap:
                 sigma = FRICTION.doubtful_sigma
                 heap = min(max(heap, kept), FRICTION.max_above * heap)
             estimates.append((heap, sigma * heap))
@@ -62,16 +66,6 @@ class Friction:
             mu, sigma = joined(estimates)
             self.coefficient = mu if self._declared is None else max(mu, kept)
             self.sigma = sigma * self.coefficient / mu
-
-    def _count(self, counted: Iterable[tuple[float, int]]) -> None:
-        """Counts turns, each at its ratio."""
-        self._turns = self._turns.copy()
-        for ratio, turns in counted:
-            self._turns[round(math.log(ratio) / FRICTION.bin_width) - FIRST] += turns
-        shared = FRICTION.near_heap * self._kept_up
-        shared_bin = math.log(shared) / FRICTION.bin_width - FIRST if shared > 0 else -math.inf
-        mean, total = highest_heap(self._turns, shared_bin, self._error)
-        self._heap = (math.exp(FRICTION.bin_width * mean), total) if total else None
 
 
 def joined(estimates: Iterable[tuple[float, float]]) -> tuple[float, float]:

@@ -286,13 +286,11 @@ def read_in_air(
     """
     sensors = load_sensors(rig) if sensors is None else sensors
     first, last = (_placed(rig, sensors, o) for o in (observations[0], observations[-1]))
-    far = np.linalg.norm(last[:, :3, 3] - first[:, :3, 3], axis=1) > LOADS.min_travel
+    travel = np.linalg.norm(last[:, :3, 3] - first[:, :3, 3], axis=1)
     found = np.full((len(sensors), 6), np.nan)
     R_palm_world = np.asarray(observations[-1].T_world_palm)[:3, :3].T
-    for i, sensor in enumerate(sensors):
-        if not far[i]:
-            continue
-        readings = sensor.readings(observations)
+    for i in np.flatnonzero(travel > LOADS.min_travel).tolist():
+        sensor, readings = sensors[i], sensors[i].readings(observations)
         gravity = last[i, :3, :3].T @ R_palm_world @ rig.gravity
         loads = np.hstack(compensated(readings[:, :3], readings[:, 3:], gravity, sensor.calibration))
         mean = loads.mean(axis=0)

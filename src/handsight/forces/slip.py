@@ -141,19 +141,15 @@ class SlipDetector:
         return False
 
     def _bounces(self, ratios: Mapping[str, float]) -> bool:
-        """Returns whether all fingers but one are at their limit and bounce."""
+        """Returns whether all fingers but one are at their limit and bounce: half of their normal forces change much
+        from one reading to the next, as a share of themselves."""
         at_limit = [name for name in ratios if ratios[name] >= SLIP.begin_ratio]
         if len(at_limit) < max(SLIP.min_bouncing, len(ratios) - 1):
             return False
-        memory = self._memory.view(LOAD_MEMORY)
-        chatter = statistics.median(_chatter(memory[self._numbers[name]]) for name in at_limit)
-        return chatter >= SLIP.min_chatter
-
-
-def _chatter(one: np.void) -> float:
-    """Returns how much the normal force changes from one of a sensor's readings to the next, as a share of itself."""
-    forces = one["last"][: one["count"], 2]
-    return 0.0 if len(forces) < 2 else float(np.abs(np.diff(forces)).mean() / forces.mean())
+        memory = self._memory.view(LOAD_MEMORY)[[self._numbers[name] for name in at_limit]]
+        forces = [one["last"][: one["count"], 2] for one in memory]
+        chatter = [np.abs(np.diff(f)).mean() / f.mean() if len(f) > 1 else 0.0 for f in forces]
+        return statistics.median(chatter) >= SLIP.min_chatter
 
 
 def _limits(sensor: LoadSensor) -> tuple[float, float, float, float]:
