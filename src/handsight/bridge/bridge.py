@@ -120,14 +120,7 @@ class Bridge:
         callback in a thread of DDS would wait for that lock while holding one of DDS.
         """
         self._filled.wait(round(1e9 * time_to_wait(timeout, self._received)))
-        if self._take():
-            self._received = time.monotonic()
-        return self._live.step(0.0)
-
-    def _take(self) -> bool:
-        """Passes all received messages on, in the order in which they were sent; returns whether there were any."""
-        taken = list[tuple[int, RawMessage]]()
-        now = time.time()
+        taken, now = list[tuple[int, RawMessage]](), time.time()
         for topic, kind, reader in self._readers:
             dds_type, samples = message_type(kind), [None] * MAX_TAKEN
             while len(samples) == MAX_TAKEN:
@@ -137,9 +130,11 @@ class Bridge:
                     for sample in samples
                     if isinstance(sample, dds_type)  # other samples tell that a publisher has gone
                 ]
-        for _, message in sorted(taken, key=itemgetter(0)):
+        for _, message in sorted(taken, key=itemgetter(0)):  # in the order in which they were sent
             self._live.put(message)
-        return bool(taken)
+        if taken:
+            self._received = time.monotonic()
+        return self._live.step(0.0)
 
     def publish(self, answer: Answer) -> None:
         """Publishes an answer; a failure is reported, once per topic."""
