@@ -53,12 +53,15 @@ def remembered_numbers(
     kind: str, name: str, dtype: type[Number], compute: Callable[[], NDArray[Number]]
 ) -> NDArray[Number]:
     """Returns the numbers (n,) of a `kind` kept under the key `name`, or computes and keeps them, as `remembered`."""
-
-    def load(data: memoryview) -> NDArray[Number]:
-        return np.frombuffer(data, dtype=dtype).copy()
-
-    path = cache_folder() / f"{kind}-{name}"
-    return _remembered(path, name, "appearances of objects", load, lambda found: found.tobytes(), compute)
+    path, what = cache_folder() / f"{kind}-{name}", "appearances of objects"
+    return _remembered(
+        path,
+        name,
+        what,
+        lambda data: np.frombuffer(data, dtype).copy(),
+        lambda found: found.tobytes(),
+        compute,
+    )
 
 
 def _remembered(

@@ -7,6 +7,7 @@ sides and no inside. Outliers are not removed.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -60,7 +61,7 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
     reach = tree.query(points, k=CLOUD.area_neighbours + 1)[0][:, -1]
     # A disc holds its neighbours and half the one on its rim.
     cloud = Cloud(points, normals, np.pi * reach**2 / (CLOUD.area_neighbours + 0.5))
-    heights = plane_heights(cloud, tree) if scan is None else scan.surface.heights
+    heights = partial(plane_heights, cloud, tree) if scan is None else scan.surface.heights
     size = diameter(points)
     coarse, fine, coarser = grids(points, size)
     winding = Winding(points, cloud.areas[:, None] * normals)
@@ -77,8 +78,9 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
     step = 2 * cloud.spacing * normals[index]
     behind, front = winding.at(points[index] - step), winding.at(points[index] + step)
     closed = hole < SURFACE.max_hole * size and bool(((behind > 0.5) & (front < 0.5)).mean() > 0.9)
+    distances: Callable[[Array], Array]
     if closed:
-        distances, blur = closed_distances(cloud, tree, heights, winding), 0.0
+        distances, blur = partial(closed_distances, cloud, tree, heights, winding), 0.0
     else:
         distances, blur = open_distances(cloud, tree, heights), cloud.spacing
 
@@ -92,11 +94,7 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
     geometry = roughened(geometry, scan.roughness)
     if closed:
         return geometry
-
-    def unseen(places: Array) -> Array:
-        return unseen_variances(tree.query(places)[0], winding.at(places), cloud.spacing)
-
-    return with_error(geometry, unseen)
+    return with_error(geometry, lambda at: unseen_variances(tree.query(at)[0], winding.at(at), cloud.spacing))
 
 
 def _checked(points: Array, normals: Array | None) -> tuple[Array, Array | None, tuple[str, ...]]:
@@ -115,40 +113,30 @@ def _checked(points: Array, normals: Array | None) -> tuple[Array, Array | None,
     return points, normals, (f"{repeated} repeated points were dropped",) if repeated else ()
 
 
-def plane_heights(cloud: Cloud, tree: cKDTree) -> Heights:
-    """Returns the heights above the smooth average of the planes through the points of a cloud."""
-
-    def heights(nodes: Array, _: Indices) -> Array:
-        """Returns the mean height over the planes of the nearest points, by Gaussian weights of their distance."""
-        gap, index = tree.query(nodes, k=min(CLOUD.planes, len(cloud.vertices)))
-        near = gap[:, 0]
-        # The Gaussian is wide enough for a few points, near the cloud and far from it.
-        width2 = (near + cloud.spacing) ** 2
-        weight = np.exp(-((gap**2 - near[:, None] ** 2) / width2[:, None]))
-        # Points on the far side of a thin wall get next to no weight.
-        agreement = np.einsum("nki,ni->nk", cloud.normals[index], cloud.normals[index[:, 0]])
-        weight *= np.maximum(agreement, 0.0) + 1e-9
-        height = np.einsum("nki,nki->nk", nodes[:, None] - cloud.vertices[index], cloud.normals[index])
-        return np.asarray((weight * height).sum(axis=1) / weight.sum(axis=1))
-
-    return heights
+def plane_heights(cloud: Cloud, tree: cKDTree, nodes: Array, _: Indices) -> Array:
+    """Returns the heights (n,) [m] of nodes (n, 3) above the smooth average of the planes through the nearest points of
+    a cloud, by Gaussian weights of their distance."""
+    gap, index = tree.query(nodes, k=min(CLOUD.planes, len(cloud.vertices)))
+    near = gap[:, 0]
+    # The Gaussian is wide enough for a few points, near the cloud and far from it.
+    width2 = (near + cloud.spacing) ** 2
+    weight = np.exp(-((gap**2 - near[:, None] ** 2) / width2[:, None]))
+    # Points on the far side of a thin wall get next to no weight.
+    agreement = np.einsum("nki,ni->nk", cloud.normals[index], cloud.normals[index[:, 0]])
+    weight *= np.maximum(agreement, 0.0) + 1e-9
+    height = np.einsum("nki,nki->nk", nodes[:, None] - cloud.vertices[index], cloud.normals[index])
+    return np.asarray((weight * height).sum(axis=1) / weight.sum(axis=1))
 
 
-def closed_distances(
-    cloud: Cloud, tree: cKDTree, heights: Heights, winding: Winding
-) -> Callable[[Array], Array]:
-    """Returns the signed distances (n,) [m] of nodes (n, 3) to a cloud with an inside, where they are negative."""
-
-    def distances(nodes: Array) -> Array:
-        """Returns the height near the surface, blended into the distance to the nearest point far from it."""
-        near, nearest = tree.query(nodes)
-        share, smooth = _smooth_step(near / cloud.spacing, CLOUD.near, CLOUD.far), np.zeros(len(nodes))
-        away, close = np.flatnonzero(share > 0), np.flatnonzero(share < 1)
-        near[away] *= np.where(winding.inside(nodes[away]), -1.0, 1.0)
-        smooth[close] = heights(nodes[close], nearest[close])
-        return np.asarray((1 - share) * smooth + share * near)
-
-    return distances
+def closed_distances(cloud: Cloud, tree: cKDTree, heights: Heights, winding: Winding, nodes: Array) -> Array:
+    """Returns the signed distances (n,) [m] of nodes (n, 3) to a cloud with an inside, where they are negative: the
+    height near the surface, blended into the distance to the nearest point far from it."""
+    near, nearest = tree.query(nodes)
+    share, smooth = _smooth_step(near / cloud.spacing, CLOUD.near, CLOUD.far), np.zeros(len(nodes))
+    away, close = np.flatnonzero(share > 0), np.flatnonzero(share < 1)
+    near[away] *= np.where(winding.inside(nodes[away]), -1.0, 1.0)
+    smooth[close] = heights(nodes[close], nearest[close])
+    return np.asarray((1 - share) * smooth + share * near)
 
 
 def open_distances(cloud: Cloud, tree: cKDTree, heights: Heights) -> Callable[[Array], Array]:

@@ -87,15 +87,18 @@ def resting_poses(geometry: Geometry, center_of_mass: Array | None = None) -> tu
     except QhullError:  # flat: the points are moved a little
         hull = ConvexHull(geometry.vertices, qhull_options="QJ")
     normals, corners = hull.equations[:, :3], hull.points[hull.simplices]
-    center = _center_of_mass(geometry, corners, normals) if center_of_mass is None else center_of_mass
+    inside = corners.mean(axis=(0, 1))
+    volumes = np.abs(np.linalg.det(corners - inside))
+    center = np.asarray(inside + volumes @ (corners - inside).sum(axis=1) / (4 * volumes.sum()))
+    if center_of_mass is not None:
+        center = center_of_mass
+    elif geometry.closed and isinstance(geometry.surface, Triangles):
+        center = geometry.surface.volume_centroid
     corners = corners - center
     heights = np.einsum("ij,ij->i", normals, corners[:, 0])
     basin = _basins(corners, normals, heights, hull.neighbors, RESTING.barrier * geometry.diameter)
-    angles, areas = (
-        _solid_angles(corners),
-        np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1),
-    )
-    labels, shares = np.unique(basin), np.bincount(basin, weights=angles)
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    labels, shares = np.unique(basin), np.bincount(basin, weights=_solid_angles(corners))
     share = shares[labels] / shares.sum()
     labels, share = labels[share > RESTING.least], share[share > RESTING.least]
     probabilities = (1 - RESTING.placed) * share / share.sum() + RESTING.placed / len(labels)
@@ -108,17 +111,6 @@ def resting_poses(geometry: Geometry, center_of_mass: Array | None = None) -> tu
         weights = areas[faces] * np.exp(-rise)
         found.append(RestingPose(normals[faces], heights[faces], weights, center, float(probabilities[k])))
     return tuple(found)
-
-
-def _center_of_mass(geometry: Geometry, corners: Array, normals: Array) -> Array:
-    """Returns (3,) the centroid of the volume, or that of the hull, given its `corners` (m, 3, 3), in the object's
-    frame [m]."""
-    if geometry.closed and isinstance(geometry.surface, Triangles):
-        return geometry.surface.volume_centroid
-    inside = corners.mean(axis=(0, 1))
-    relative = corners - inside
-    volumes = np.abs(np.linalg.det(relative))
-    return np.asarray(inside + volumes @ relative.sum(axis=1) / (4 * volumes.sum()))
 
 
 def _basins(corners: Array, normals: Array, heights: Array, neighbors: Array, barrier: float) -> Array:

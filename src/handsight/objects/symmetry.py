@@ -59,12 +59,9 @@ class Symmetries:
             crossing = center
         ball = [(crossing, axis) for axis in np.eye(3)]
         object.__setattr__(self, "axes", tuple(lines[:1] if crossing is None else ball))
-        group = [] if rotations is None else [se3.check(T, "rotations") for T in np.asarray(rotations)]
-
-        def distance(T: Array, others: Array) -> Array:
-            return np.asarray(np.abs(others - T).max(axis=(1, 2)) / SAME)
-
-        object.__setattr__(self, "rotations", closed_group(group, distance, "rotations"))
+        turns = [] if rotations is None else [se3.check(T, "rotations") for T in np.asarray(rotations)]
+        group = closed_group(turns, lambda T, all_: np.abs(all_ - T).max(axis=(1, 2)) / SAME, "rotations")
+        object.__setattr__(self, "rotations", group)
         for T in self.rotations if self.axes else ():
             point, axis = self.axes[0]
             gap = se3.apply(T, point[None])[0] - point
