@@ -112,7 +112,14 @@ class TactileSurface:
             raise InvalidInput(f"points[{i}]: expected a place of its own, got that of another taxel")
         third = np.median(np.sort(distance, axis=1)[:, min(3, n - 1) - 1]) if n > 1 else np.inf
         pitch = checked_pitch(third if self.pitch == 0 else self.pitch)
-        _check_outward(points, normals, distance < 1.6 * pitch)
+        near, outward = distance < 1.6 * pitch, "expected normals that point out of the link"
+        wrong = np.flatnonzero((near @ normals * normals).sum(axis=1) < -0.5 * near.sum(axis=1).clip(min=1))
+        if len(wrong):
+            raise InvalidInput(f"normals[{wrong[0]}]: {outward}, got one against its neighbours'")
+        # A surface whose normals point outward is the wider, the farther out it is; a palm may be a little hollow.
+        arms = points - points.mean(axis=0)
+        if (normals * arms).sum() < -0.3 * np.linalg.norm(arms, axis=1).sum():
+            raise InvalidInput(f"normals: {outward}, got normals that point into it")
         checks.positive(self.threshold, "threshold")
         if most is not None and not checks.positive(most, "full_scale") > self.threshold:
             raise InvalidInput(f"full_scale: expected more than the threshold, got {most:g}")
@@ -250,17 +257,6 @@ def grid_places(rows: int, columns: int, pitch: float) -> Array:
         raise InvalidInput(f"rows: expected at most {MOST_TAXELS} taxels, got {rows * columns}")
     x, y = (checked_pitch(pitch) * (np.arange(count) - (count - 1) / 2) for count in (columns, rows))
     return np.stack([*np.meshgrid(x, y), np.zeros((rows, columns))], axis=2)
-
-
-def _check_outward(points: Array, normals: Array, near: Mask) -> None:
-    """Raises InvalidInput where a normal is opposite to those of its neighbours, or where all point inward. A surface
-    whose normals point outward is the wider, the farther out it is; a palm may be a little hollow."""
-    wrong = np.flatnonzero((near @ normals * normals).sum(axis=1) < -0.5 * near.sum(axis=1).clip(min=1))
-    arms, expected = points - points.mean(axis=0), "expected normals that point out of the link"
-    if len(wrong):
-        raise InvalidInput(f"normals[{wrong[0]}]: {expected}, got one against its neighbours'")
-    if (normals * arms).sum() < -0.3 * np.linalg.norm(arms, axis=1).sum():
-        raise InvalidInput(f"normals: {expected}, got normals that point into it")
 
 
 def _unit(vectors: Array) -> Array:
