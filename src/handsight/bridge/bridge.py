@@ -25,8 +25,7 @@ from handsight.messages import RawMessage
 from handsight.messages.decode import typestore
 from handsight.messages.topics import OwnTopic
 
-MAX_TAKEN = 100
-"""Number of messages that are taken from DDS in one call."""
+MAX_TAKEN = 100  # number of messages that are taken from DDS in one call
 FAST_DDS_3 = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
 """Turns type comparison off with Fast DDS 3 (ROS 2 Kilted), whose descriptions of equal types may differ."""
 LOOPBACK = (

@@ -77,8 +77,7 @@ class SlipDetector:
             for first, then in ((by_wrench, by_taxels), (by_taxels, by_wrench))
             for name in self._numbers
         ]
-        self._limits = np.array(limits, dtype=LOAD_LIMITS)
-        """(2 m,) LOAD_LIMITS, as `follow_loads` takes them."""
+        self._limits = np.array(limits, dtype=LOAD_LIMITS)  # (2 m,) LOAD_LIMITS, as `follow_loads` takes them
         self._memory = np.full(len(self._numbers) * LOAD_MEMORY.itemsize // 8, np.nan)
         """(m,) LOAD_MEMORY, as plain numbers, which NumPy copies ten times faster."""
 
