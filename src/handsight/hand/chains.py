@@ -95,7 +95,14 @@ def build_chains(model: "MjModel", base: int, bodies: Sequence[int], file: str) 
     for body in range(1, model.nbody):  # with all joints at zero; parents come first
         Ts_world_body[body] = Ts_world_body[model.body_parentid[body]] @ Ts_world_body[body]
     Ts_base_body = se3.inverse(Ts_world_body[base]) @ Ts_world_body
-    paths = [_path(model, base, body) for body in bodies]
+    paths = list[list[tuple[int, float]]]()
+    for (
+        body
+    ) in bodies:  # the joints from base to body, with a sign of -1 where they are passed towards their parent
+        up, down = ancestors(model, base), ancestors(model, body)
+        up, down = [b for b in up if b not in down], [b for b in down if b not in up]
+        upward = [(joint, -1.0) for b in up for joint in reversed(body_joints(model, b))]
+        paths.append(upward + [(joint, 1.0) for b in reversed(down) for joint in body_joints(model, b)])
     on_path = sorted({joint for path in paths for joint, _ in path})
     for joint in on_path:
         name, body_name = model.joint(joint).name, model.body(model.jnt_bodyid[joint]).name
@@ -132,11 +139,3 @@ def body_joints(model: "MjModel", body: int) -> range:
     """Returns the numbers of the joints between a body and its parent, in order."""
     first = int(model.body_jntadr[body])
     return range(first, first + int(model.body_jntnum[body]))
-
-
-def _path(model: "MjModel", base: int, body: int) -> list[tuple[int, float]]:
-    """Returns the joints from base to body, with a sign of -1 for those that are passed towards their parent."""
-    up, down = ancestors(model, base), ancestors(model, body)
-    up, down = [b for b in up if b not in down], [b for b in down if b not in up]
-    upward = [(joint, -1.0) for b in up for joint in reversed(body_joints(model, b))]
-    return upward + [(joint, 1.0) for b in reversed(down) for joint in body_joints(model, b)]

@@ -42,10 +42,8 @@ def read(path: str | Path, *, visual: bool = False) -> tuple["MjModel", tuple[st
         return model, tuple(parsed.missing.values())
     missing = parsed.missing["collision"]
     if missing and not visual:
-        which = f"{missing[0]}{', ...' if len(missing) > 1 else ''}"
-        message = (
-            f"{len(missing)} collision meshes left out, not there or neither OBJ nor binary STL: {which}"
-        )
+        why, which = "not there or neither OBJ nor binary STL", f"{missing[0]}{', ...' * (len(missing) > 1)}"
+        message = f"{len(missing)} collision meshes left out, {why}: {which}"
         warnings.warn(f"{found.name}: {message}", HandWarning, stacklevel=4)
     return model, tuple(dict.fromkeys(parsed.missing["visual"] + missing))
 
