@@ -76,16 +76,6 @@ def candidates(belief: Belief, heights: ArrayLike, rng: np.random.Generator) -> 
     return sweeps
 
 
-def shortened(belief: Belief, sweep: Sweep, radius: float) -> Sweep:
-    """Returns the part of a sweep in which it may meet the object; all of it if it meets the object of no particle.
-    `radius` is the tip's [m]."""
-    distances, _, _ = cast(belief.model, belief.Ts_world_object, [sweep], radius)
-    hits = distances[np.isfinite(distances)]
-    if not len(hits):
-        return sweep
-    return sweep.part(max(hits.min() - SWEEPS.margin, 0.0), min(hits.max() + SWEEPS.margin, sweep.length))
-
-
 def best_sweep(belief: Belief, heights: ArrayLike, radius: float) -> Sweep:
     """Returns the sweep with the most expected information, as short as possible; the same for the same belief.
 
@@ -93,5 +83,10 @@ def best_sweep(belief: Belief, heights: ArrayLike, radius: float) -> Sweep:
     radius [m]. Raises InvalidInput.
     """
     sweeps = candidates(belief, heights, np.random.default_rng((belief.seed, len(belief.touches), 1)))
-    information = expected_information(belief, sweeps, checks.positive(radius, "radius"))
-    return shortened(belief, sweeps[int(np.argmax(information))], radius)
+    sweep = sweeps[int(np.argmax(expected_information(belief, sweeps, checks.positive(radius, "radius"))))]
+    # Only the part in which it may meet the object is swept; all, where it meets the object of no particle.
+    distances, _, _ = cast(belief.model, belief.Ts_world_object, [sweep], radius)
+    hits = distances[np.isfinite(distances)]
+    if not len(hits):
+        return sweep
+    return sweep.part(max(hits.min() - SWEEPS.margin, 0.0), min(hits.max() + SWEEPS.margin, sweep.length))
