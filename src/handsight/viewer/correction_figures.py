@@ -1,7 +1,4 @@
-"""Figures of corrections: the object before and after, contacts, and the directions that touch leaves open.
-
-They need matplotlib.
-"""
+"""Figures of corrections: the object before and after, contacts, and the directions that touch leaves open."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,4 @@
-"""Figures of objects found in pictures: outlines over colour or depth, the hand tinted, and residuals of the depth.
-
-They need matplotlib.
-"""
+"""Figures of objects found in pictures: outlines over colour or depth, the hand tinted, and residuals of the depth."""
 
 import textwrap
 from collections.abc import Sequence

@@ -4,6 +4,7 @@ import contextlib
 import re
 import secrets
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs
 
@@ -40,9 +41,7 @@ class Guard:
         serve, started = server.serve, list[Any]()
 
         def guarded(*args: Any, process_request: "Answer", **options: Any) -> Any:
-            def answer(connection: "ServerConnection", request: "Request") -> "Response | None":
-                return self._answer(connection, request, process_request)
-
+            answer = partial(self._answer, process_request)
             started.append(serve(*args, process_request=answer, close_timeout=CLOSE_TIMEOUT, **options))
             return started[-1]
 
@@ -55,7 +54,7 @@ class Guard:
             raise HandsightError("viser: expected a version whose server can be guarded, got another")
 
     def _answer(
-        self, connection: "ServerConnection", request: "Request", answer: "Answer"
+        self, answer: "Answer", connection: "ServerConnection", request: "Request"
     ) -> "Response | None":
         """Returns 403 and the reason, or viser's answer."""
         host, origins = ",".join(request.headers.get_all("Host")), request.headers.get_all("Origin")

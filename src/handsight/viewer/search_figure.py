@@ -29,9 +29,26 @@ def draw_search(name: str, beliefs: Sequence[Belief], T_world_object: Array, pat
         place.set_axis_off()
     for place, belief in zip(places, beliefs, strict=False):
         _draw_table(place, belief, T_world_object)
-    _draw_certainty(places[len(beliefs)], beliefs)
-    found = "found" if beliefs[-1].modes[0].is_certain else "not found yet"
-    figure.suptitle(f"{name}: {found} after {len(beliefs) - 1} touches (from above)")
+    # How the likeliest mode's standard deviations fall over the touches, and its certainty rises.
+    axes, best = places[len(beliefs)], [belief.modes[0] for belief in beliefs]
+    touches = range(len(best))
+    axes.semilogy(touches, [1e3 * mode.sigma_position for mode in best], "o-", color=PINK, ms=4)
+    axes.semilogy(touches, [np.rad2deg(mode.sigma_yaw) for mode in best], "s-", color=BLUE, ms=4)
+    axes.text(0.03, 0.04, "position ± mm", color=PINK, transform=axes.transAxes, fontsize=9)
+    axes.text(0.03, 0.12, "yaw ± °", color=BLUE, transform=axes.transAxes, fontsize=9)
+    axes.set(xticks=touches, ylim=(0.5, 200), yticks=[1, 2, 5, 10, 20, 50, 100])
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.minorticks_off()
+    axes.set_xlabel("touches", fontsize=8)
+    axes.tick_params(labelsize=7, which="both")
+    certain = axes.twinx()
+    certain.plot(touches, [mode.certainty for mode in best], "-", color="black", lw=1)
+    certain.axhline(CERTAINTY.probability, color=GREY, lw=0.8, ls=":")
+    certain.set(ylim=(0, 1.02))
+    certain.tick_params(labelsize=7)
+    axes.set_title("the likeliest pose\nblack: probability within 8 mm and 8°", fontsize=9)
+    found = "found" if best[-1].is_certain else "not found yet"
+    figure.suptitle(f"{name}: {found} after {len(touches) - 1} touches (from above)")
     save(figure, path)
 
 
@@ -62,27 +79,6 @@ def _draw_table(axes: "Axes", belief: Belief, T_world_object: Array) -> None:
     axes.set_xlabel("world x [mm]", fontsize=8)
     axes.tick_params(labelsize=7)
     axes.set_title(f"{title}\nwithin 8 mm and 8°: {best.certainty:.2f}", fontsize=9)
-
-
-def _draw_certainty(axes: "Axes", beliefs: Sequence[Belief]) -> None:
-    """Draws the standard deviations of the likeliest mode and its certainty over the touches."""
-    best = [belief.modes[0] for belief in beliefs]
-    touches = range(len(best))
-    axes.semilogy(touches, [1e3 * mode.sigma_position for mode in best], "o-", color=PINK, ms=4)
-    axes.semilogy(touches, [np.rad2deg(mode.sigma_yaw) for mode in best], "s-", color=BLUE, ms=4)
-    axes.text(0.03, 0.04, "position ± mm", color=PINK, transform=axes.transAxes, fontsize=9)
-    axes.text(0.03, 0.12, "yaw ± °", color=BLUE, transform=axes.transAxes, fontsize=9)
-    axes.set(xticks=touches, ylim=(0.5, 200), yticks=[1, 2, 5, 10, 20, 50, 100])
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.minorticks_off()
-    axes.set_xlabel("touches", fontsize=8)
-    axes.tick_params(labelsize=7, which="both")
-    certain = axes.twinx()
-    certain.plot(touches, [mode.certainty for mode in best], "-", color="black", lw=1)
-    certain.axhline(CERTAINTY.probability, color=GREY, lw=0.8, ls=":")
-    certain.set(ylim=(0, 1.02))
-    certain.tick_params(labelsize=7)
-    axes.set_title("the likeliest pose\nblack: probability within 8 mm and 8°", fontsize=9)
 
 
 def _outline(belief: Belief, T_world_object: Array) -> Array:
