@@ -63,12 +63,7 @@ class HandInImage:
 
 
 def hand_mask(
-    camera: Camera,
-    depth: Depth,
-    vertices_palm: Array,
-    faces: Indices,
-    T_camera_palm: Array,
-    slack: float = SLACK,
+    camera: Camera, depth: Depth, vertices_palm: Array, faces: Indices, T_camera_palm: Array
 ) -> Mask:
     """Returns (h, w) whether a pixel of a depth image (h, w) [m] is the hand's.
 
@@ -85,5 +80,5 @@ def hand_mask(
     far = np.where(np.isfinite(near), near, -np.inf)
     nearest = scipy.ndimage.minimum_filter(near, size=size, mode="constant", cval=np.inf)
     farthest = scipy.ndimage.maximum_filter(far, size=size, mode="constant", cval=-np.inf)
-    mask[box] = (nearest - slack < depth[box]) & (depth[box] < farthest + slack)
+    mask[box] = (nearest - SLACK < depth[box]) & (depth[box] < farthest + SLACK)
     return mask
