@@ -154,12 +154,8 @@ class HandFit:
     def _tips(self, q: Array) -> Array:
         """Returns T_palm_surface (n, 4, 4) of the fingers' tips."""
         Ts = self._hand.Ts_palm_tip(dict(zip(self._names, q.tolist(), strict=True)))
-        return np.array(
-            [
-                Ts[self._place[name]] @ part.T_frame_surface
-                for name, part in zip(self._fingers, self._parts, strict=True)
-            ]
-        )
+        parts = zip(self._fingers, self._parts, strict=True)
+        return np.array([Ts[self._place[name]] @ part.T_frame_surface for name, part in parts])
 
     def _distances(self, points: Array) -> tuple[Array, Array]:
         """Returns distances (n,) of points from the standing object's planes [m], and normals (n, 3), blended."""

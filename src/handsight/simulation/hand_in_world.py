@@ -36,22 +36,14 @@ SERVO = ServoOptions()
 class TipInWorld:
     """A `TipInWorld` is a fingertip on a six-axis sensor, on a link of the hand."""
 
-    link: str
-    """The body in the scene."""
-    T_link_sensor: Array
-    """(4, 4)."""
-    T_sensor_surface: Array
-    """(4, 4) pose of the ellipsoid's centre."""
-    semi_axes: Array
-    """(3,) [m]."""
-    mass: float
-    """[kg]."""
-    center: Array
-    """(3,) centre of mass in the sensor's frame [m]."""
-    unloaded: Array
-    """(6,) the sensor's reading without load [N, N m]."""
-    sign: float
-    """1 for a sensor that reads what the link does to the tip, -1 for one that reads the reverse."""
+    link: str  # the body in the scene
+    T_link_sensor: Array  # (4, 4)
+    T_sensor_surface: Array  # (4, 4) pose of the ellipsoid's centre
+    semi_axes: Array  # (3,) [m]
+    mass: float  # [kg]
+    center: Array  # (3,) centre of mass in the sensor's frame [m]
+    unloaded: Array  # (6,) the sensor's reading without load [N, N m]
+    sign: float  # 1 for a sensor that reads what the link does to the tip, -1 for one that reads the reverse
 
     @classmethod
     def of(cls, finger: Finger, link: str) -> "TipInWorld":
@@ -74,18 +66,12 @@ class TipInWorld:
 class HandInWorld:
     """A `HandInWorld` says which bodies of a scene are a hand's; each of its joints has a servo."""
 
-    palm: str
-    """The body in whose frame poses are given."""
-    mount: str
-    """The body that the arm carries."""
-    T_mount_palm: Array
-    """(4, 4), constant."""
-    tips: Mapping[str, TipInWorld]
-    """By finger."""
-    joints: tuple[str, ...]
-    """Names of its hinges and slides."""
-    neighbours: tuple[tuple[str, str], ...]
-    """Pairs of fingers whose tips collide."""
+    palm: str  # the body in whose frame poses are given
+    mount: str  # the body that the arm carries
+    T_mount_palm: Array  # (4, 4), constant
+    tips: Mapping[str, TipInWorld]  # by finger
+    joints: tuple[str, ...]  # names of its hinges and slides
+    neighbours: tuple[tuple[str, str], ...]  # pairs of fingers whose tips collide
 
 
 def servo_name(joint: str) -> str:

@@ -103,9 +103,7 @@ def least_rotation(first: Array, second: Array) -> Array:
     a, b = first / np.linalg.norm(first), second / np.linalg.norm(second)
     axis = np.cross(a, b)
     sine = float(np.linalg.norm(axis))
-    if (
-        sine < 1e-9
-    ):  # exact, so that an object that rests as in its file or upside down is not turned by rounding
+    if sine < 1e-9:  # exact: an object that rests as in its file or upside down is not turned by rounding
         axis = np.cross(se3.perpendicular(a), a)
         return np.eye(3) if a @ b > 0 else 2 * np.outer(axis, axis) - np.eye(3)
     return se3.rotation_exp(np.arctan2(sine, a @ b) * axis / sine)

@@ -320,15 +320,14 @@ def simulate_touch_search(
     grasp = grasp or grasp_for(scenario.object, int(scenario.seed))
     R_scene_object = grasp.R_world_palm @ grasp.T_palm_middle[:3, :3]
     probe, belief = start_search(scenario, model_of(scenario), R_scene_object, recording=True)
+    watch = watch or (lambda *_: None)
+    watch(belief, probe.T_world_object)
     while not belief.modes[0].is_certain:
-        if watch is not None:
-            watch(belief, probe.T_world_object)
         if len(belief.touches) == TOUCH_SEARCH.max_touches:
             raise NotFound(f"the object was not found by {len(belief.touches)} touches: {open_text(belief)}")
         belief = belief.after(probe.touch(best_sweep(belief, probe.heights, PROBE.radius)))
         yield from probe.recorded
         probe.recorded.clear()
-    if watch is not None:
         watch(belief, probe.T_world_object)
     # The hand closes at the estimated pose, the object is at the true one.
     found, begins = belief.pose, probe.time + 0.5  # [s]; the hand's way to the object is not simulated
