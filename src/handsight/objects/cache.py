@@ -21,10 +21,8 @@ from handsight.objects.fields import FieldError, GridField
 from handsight.objects.geometry import Geometry, frozen
 from handsight.objects.surface import Cloud, ObjectWarning, Triangles
 
-VERSION = 10
-"""Part of every key; raise it whenever the same shape gives another geometry."""
-KEPT = 200
-"""Files of each kind that are kept; the oldest are removed."""
+VERSION = 10  # part of every key; raise it whenever the same shape gives another geometry
+KEPT = 200  # files of each kind that are kept; the oldest are removed
 _warned: set[str] = set()
 T = TypeVar("T")
 Number = TypeVar("Number", bound=np.generic)

@@ -82,14 +82,10 @@ class GridField(Field):
     distance between them and the sheet's `blur`.
     """
 
-    origin: Array
-    """(3,) node (0, 0, 0) [m]."""
-    cell: float
-    """Between neighbouring nodes [m]."""
-    values: NDArray[np.float32]
-    """(nx, ny, nz) distances [m], each side at least 4; read-only."""
-    sheet: bool = False
-    """Whether the surface has no inside; the sign is then that of its sides."""
+    origin: Array  # (3,) node (0, 0, 0) [m]
+    cell: float  # between neighbouring nodes [m]
+    values: NDArray[np.float32]  # (nx, ny, nz) distances [m], each side at least 4; read-only
+    sheet: bool = False  # whether the surface has no inside; the sign is then that of its sides
     blur: float = 0.0
     """How much the distances at two places on different sides of the sheet may add up to beyond the distance between
     these places [m]."""
@@ -135,10 +131,8 @@ class FieldError:
     by less than one. A contact is only as exact as the model where it touches.
     """
 
-    origin: Array
-    """(3,) the first node [m]."""
-    cell: float
-    """Spacing of the nodes [m]."""
+    origin: Array  # (3,) the first node [m]
+    cell: float  # spacing of the nodes [m]
     values: Array
     """(nx, ny, nz, 4): variances of the distance [m²] and of the normal per axis [rad²]; then those of the slope [rad²]
     and of the curvature [1/m²], from which follows the spurious information that a scan's bumps add about a flat
@@ -149,10 +143,8 @@ class FieldError:
 class Grid:
     """A `Grid` is a regular grid of nodes."""
 
-    origin: Array
-    """(3,) node (0, 0, 0) [m]."""
-    cell: float
-    """Between neighbours [m]."""
+    origin: Array  # (3,) node (0, 0, 0) [m]
+    cell: float  # between neighbours [m]
     shape: tuple[int, int, int]
 
     def nodes(self) -> Array:

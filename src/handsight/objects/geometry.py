@@ -78,12 +78,9 @@ class Geometry:
 class Roughness:
     """A `Roughness` is the error of a scanned surface at points of it."""
 
-    points: Array
-    """(m, 3) on the surface [m]."""
-    variances: Array
-    """(m, 4) variances, as in `FieldError`."""
-    weights: Array
-    """(m,) weight of each point in the mean over neighbours."""
+    points: Array  # (m, 3) on the surface [m]
+    variances: Array  # (m, 4) variances, as in `FieldError`
+    weights: Array  # (m,) weight of each point in the mean over neighbours
 
 
 def geometry_of(

@@ -31,10 +31,8 @@ from handsight.objects.symmetry import Symmetries, check_kept, kept_center, near
 class ModelRecord(NamedTuple):
     """A `ModelRecord` is an object as kernels take it."""
 
-    model: NDArray[np.void]
-    """(1,) MODEL."""
-    nodes: NDArray[np.float32]
-    """The nodes of its grids, one grid after another."""
+    model: NDArray[np.void]  # (1,) MODEL
+    nodes: NDArray[np.float32]  # the nodes of its grids, one grid after another
     symmetry_known: bool
     """Whether kernels can find the object's equivalent poses: where its symmetries are none, finitely many, or one axis
     through the origin. For others `symmetry.nearest` finds them."""
@@ -81,8 +79,7 @@ def model_record(geometry: Geometry, symmetries: Symmetries) -> ModelRecord:
 
 
 NONE = Symmetries()
-USUAL_SIGMA = 2e-3
-"""Standard deviation per axis of a centre of mass that is given without one [m]."""
+USUAL_SIGMA = 2e-3  # standard deviation per axis of a centre of mass that is given without one [m]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -114,7 +111,6 @@ class ObjectModel(Geometry):
             raise InvalidInput(f"symmetries: expected Symmetries or None, got {came}")
 
     def __repr__(self) -> str:
-        """Returns the name, the size, and whether the surface is closed."""
         size = " × ".join(f"{1000 * side:.3g}" for side in np.ptp(self.bounds_object, axis=0))
         kind = "closed" if self.closed else "open"
         return f"<ObjectModel {self.name or 'without a name'}: {size} mm, {kind}>"

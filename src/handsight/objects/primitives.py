@@ -17,10 +17,8 @@ from handsight.objects.symmetry import Symmetries
 class Rounded(Triangles):
     """A `Rounded` is a curved surface with an exact distance field; its triangles approximate it."""
 
-    field: ExactField
-    """The exact distance field."""
-    exact_area: float
-    """Area of the curved surface [m²]."""
+    field: ExactField  # the exact distance field
+    exact_area: float  # area of the curved surface [m²]
 
     @property
     def area(self) -> float:

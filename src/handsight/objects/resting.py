@@ -42,16 +42,11 @@ FREE = 2 * np.pi
 class RestingPose:
     """A `RestingPose` is one way in which an object rests on a table, at any yaw, and rolled along a curved side."""
 
-    down: Array
-    """(m, 3) unit directions in the object's frame that can point down, the lowest first."""
-    heights: Array
-    """(m,) the height of the centre of mass above the table with each of them [m]."""
-    weights: Array
-    """(m,) how likely each of them is, relative to the others."""
-    center_object: Array
-    """(3,) the centre of mass in the object's frame [m]."""
-    probability: float
-    """Of this pose among all of the object's resting poses."""
+    down: Array  # (m, 3) unit directions in the object's frame that can point down, the lowest first
+    heights: Array  # (m,) the height of the centre of mass above the table with each of them [m]
+    weights: Array  # (m,) how likely each of them is, relative to the others
+    center_object: Array  # (3,) the centre of mass in the object's frame [m]
+    probability: float  # of this pose among all of the object's resting poses
 
     def near(self, down: Array) -> tuple[Array, float, Array]:
         """Returns the direction (3,) of this pose near a direction (3,), the centre of mass's height with it [m], and

@@ -32,22 +32,17 @@ class ObjectWarning(UserWarning):
 class Edges(NamedTuple):
     """`Edges` are the edges of a mesh, and the triangles that have them."""
 
-    vertices: Indices
-    """(e, 2) the two vertices of each edge, the smaller index first."""
-    of_face: Indices
-    """(m, 3) the edges of each triangle: from its corner 0 to 1, 1 to 2 and 2 to 0."""
-    counts: Indices
-    """(e,) how many triangles have each edge."""
+    vertices: Indices  # (e, 2) the two vertices of each edge, the smaller index first
+    of_face: Indices  # (m, 3) the edges of each triangle: from its corner 0 to 1, 1 to 2 and 2 to 0
+    counts: Indices  # (e,) how many triangles have each edge
 
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
     """A `Triangles` is the surface of a triangle mesh."""
 
-    vertices: Array
-    """(k, 3) [m]."""
-    faces: Indices
-    """(m, 3) vertex indices, counterclockwise from outside."""
+    vertices: Array  # (k, 3) [m]
+    faces: Indices  # (m, 3) vertex indices, counterclockwise from outside
 
     @property
     def area(self) -> float:
@@ -116,12 +111,9 @@ class Triangles:
 class Cloud:
     """A `Cloud` is a surface given by points on it, with their normals and areas."""
 
-    vertices: Array
-    """(n, 3) [m]."""
-    normals: Array
-    """(n, 3) unit, outward."""
-    areas: Array
-    """(n,) each point's share of the surface [m²]."""
+    vertices: Array  # (n, 3) [m]
+    normals: Array  # (n, 3) unit, outward
+    areas: Array  # (n,) each point's share of the surface [m²]
 
     @property
     def faces(self) -> Indices:

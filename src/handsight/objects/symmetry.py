@@ -16,8 +16,7 @@ from handsight.errors import InvalidInput
 
 MAX_ROTATIONS = 120
 """Largest discrete group. The icosahedron's has 60 elements: a larger one is a continuous axis, or a mistake."""
-SAME = 1e-6
-"""Transforms whose entries differ by less are the same."""
+SAME = 1e-6  # transforms whose entries differ by less are the same
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)

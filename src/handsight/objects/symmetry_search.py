@@ -17,12 +17,10 @@ from handsight.objects.model import ObjectModel
 from handsight.objects.surface import Triangles
 from handsight.objects.symmetry import MAX_ROTATIONS, Symmetries, about
 
-ORDERS = (8, 6, 5, 4, 3, 2)
-"""Orders of the rotations that are tried about an axis, the highest first."""
-
-
-EQUAL_MOMENTS = 0.15
-"""Where two principal moments differ by less than this share, axes between theirs are tried too."""
+ORDERS = (8, 6, 5, 4, 3, 2)  # orders of the rotations that are tried about an axis, the highest first
+EQUAL_MOMENTS = (
+    0.15  # share by which two principal moments differ, below which axes between theirs are tried too
+)
 DECLARED_TOLERANCE = 0.04  # `tolerance` for a symmetry that a person declares [diameters]
 
 _SPINS = 2 * np.pi * np.modf(0.381966 * np.arange(1, 12))[0]

@@ -20,8 +20,7 @@ from handsight.objects.files.pcd import pcd_shape
 from handsight.objects.files.ply import ply_shape
 from handsight.objects.files.shape import BadText, Shape, number_table, numbers, rows, text_lines, triangles
 
-LARGEST_FILE = 500_000_000
-"""The largest number of bytes that a file may have."""
+LARGEST_FILE = 500_000_000  # the largest number of bytes that a file may have
 
 
 def read_shape(path: str | os.PathLike[str]) -> Shape:

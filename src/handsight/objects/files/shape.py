@@ -23,14 +23,10 @@ class BadText(Exception):
 class Shape:
     """A `Shape` is a mesh or a point cloud in its file's own unit."""
 
-    vertices: Array
-    """(k, 3)"""
-    faces: Indices | None = None
-    """(m, 3) vertex indices; None for a cloud."""
-    normals: Array | None = None
-    """(k, 3) of a cloud, of any length; None where the file has none."""
-    remarks: tuple[str, ...] = ()
-    """A sentence for each kind of content that was left out."""
+    vertices: Array  # (k, 3)
+    faces: Indices | None = None  # (m, 3) vertex indices; None for a cloud
+    normals: Array | None = None  # (k, 3) of a cloud, of any length; None where the file has none
+    remarks: tuple[str, ...] = ()  # a sentence for each kind of content that was left out
     sigmas: Array | None = None
     """(k,) standard deviation of a cloud's points, by errors that neighbours share; None if the file declares none."""
 

@@ -23,8 +23,7 @@ from handsight.objects.files.read import LARGEST_FILE
 from handsight.objects.model import ObjectModel
 from handsight.objects.symmetry import MAX_ROTATIONS, Symmetries, about, closed_group
 
-METRES = 1e-3
-"""Metres in the unit of a BOP library's files."""
+METRES = 1e-3  # metres in the unit of a BOP library's files
 TOLERANCE = 0.01
 """Rotation matrices are meant to be equal if their entries differ by less, and shifts if they differ by less than this
 part of the diameter, because files have few digits."""
@@ -44,15 +43,13 @@ class ContinuousAxis(msgspec.Struct):
     """A `ContinuousAxis` is a line about which every turn is a symmetry."""
 
     axis: Vector
-    offset: Vector = (0.0, 0.0, 0.0)
-    """A point on the line [mm]."""
+    offset: Vector = (0.0, 0.0, 0.0)  # a point on the line [mm]
 
 
 class Info(msgspec.Struct):
     """An `Info` is the entry of `models_info.json` for an object; other keys are ignored."""
 
-    diameter: Annotated[float, msgspec.Meta(ge=1e-4, le=1e10)]
-    """[mm]"""
+    diameter: Annotated[float, msgspec.Meta(ge=1e-4, le=1e10)]  # [mm]
     size_x: float | None = None
     size_y: float | None = None
     size_z: float | None = None
@@ -153,12 +150,9 @@ def _exact_group(turns: list[Array], near: float) -> Array:
 
 
 INFO, FACTS = "models_info.json", "handsight.json"
-LARGEST_DOCUMENT = 20_000_000
-"""The largest number of bytes of a document: about ten thousand objects."""
-MAX_NUMBER = 999_999_999
-"""The largest number of an object."""
-VERSION = 1
-"""Version of the format of `handsight.json`."""
+LARGEST_DOCUMENT = 20_000_000  # the largest number of bytes of a document: about ten thousand objects
+MAX_NUMBER = 999_999_999  # the largest number of an object
+VERSION = 1  # version of the format of `handsight.json`
 
 
 class NoLibrary(InvalidFile):

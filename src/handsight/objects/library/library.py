@@ -45,11 +45,9 @@ class Library:
         if not isinstance(place, str | os.PathLike) or "\0" in (named := os.fspath(place)):
             raise InvalidInput(f"library: expected a folder or a URL, got {checks.brief(place)!r}")
         self.place = without_password(named)
-        self._source: Folder | Remote
-        self._source = Remote(named) if "://" in named else Folder(Path(named))
+        self._source: Folder | Remote = Remote(named) if "://" in named else Folder(Path(named))
 
     def __repr__(self) -> str:
-        """Returns the folder or URL in angle brackets."""
         return f"<Library {self.place}>"
 
     def entries(self) -> tuple[Entry, ...]:

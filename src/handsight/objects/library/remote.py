@@ -34,8 +34,7 @@ REDIRECTS = "HANDSIGHT_REDIRECTS"
 class _Copy(msgspec.Struct):
     """The documents of a library as they were fetched, and the checksums of fetched files."""
 
-    base: str
-    """The URL of the folder with the documents and the models."""
+    base: str  # the URL of the folder with the documents and the models
     info: bytes
     facts: bytes | None
     sha256: dict[int, str]

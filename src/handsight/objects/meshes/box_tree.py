@@ -17,8 +17,7 @@ from handsight.objects.surface import Triangles
 class BoxTree:
     """A `BoxTree` is an order of items in which neighbours in space follow each other, divided into leaves."""
 
-    order: Indices
-    """(n,) indices of the items in that order."""
+    order: Indices  # (n,) indices of the items in that order
     starts: Indices
     """(leaves + 1,) the place in the order where each leaf begins, and n; the number of leaves is a power of two."""
 
@@ -60,12 +59,9 @@ def box_tree(centers: Array, most: int = 16) -> BoxTree:
 class ClosestPoints:
     """`ClosestPoints` are the points of a mesh closest to n given points."""
 
-    distance: Array
-    """(n,) distances from the given points [m], not signed."""
-    points: Array
-    """(n, 3) on the surface [m]."""
-    face: Indices
-    """(n,) index of the triangle that each is on."""
+    distance: Array  # (n,) distances from the given points [m], not signed
+    points: Array  # (n, 3) on the surface [m]
+    face: Indices  # (n,) index of the triangle that each is on
     weights: Array
     """(n, 3) barycentric; an exact 0 where the closest point is on the edge opposite that corner."""
 

@@ -18,8 +18,7 @@ from handsight._kernels.runtime.threads import in_parts
 from handsight.checks import Array, Indices
 from handsight.objects.scans.normals import enough_neighbours, outwards, planes
 
-Patches = NDArray[np.void]
-"""(m,) quadrics about points, PATCH records."""
+Patches = NDArray[np.void]  # (m,) quadrics about points, PATCH records
 
 
 class NoiseOptions(NamedTuple):
@@ -53,24 +52,18 @@ NOISE = NoiseOptions()
 class Points:
     """`Points` are noisy points of a surface in a random order, with their normals if these are known."""
 
-    places: Array
-    """(n, 3) [m]."""
-    normals: Array
-    """(n, 3) unit, outward; NaN where unknown."""
-    spacing: float
-    """Distance between neighbours [m]."""
-    diameter: float
-    """Diameter of the object [m]."""
+    places: Array  # (n, 3) [m]
+    normals: Array  # (n, 3) unit, outward; NaN where unknown
+    spacing: float  # distance between neighbours [m]
+    diameter: float  # diameter of the object [m]
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
     """A `Noise` is the error of a scan's points along the normal of the surface."""
 
-    sigma: float
-    """One standard deviation [m]."""
-    together: float = 1.0
-    """Number of neighbouring points that share one error; 1 where each has its own."""
+    sigma: float  # one standard deviation [m]
+    together: float = 1.0  # number of neighbouring points that share one error; 1 where each has its own
     is_shape: bool = False
     """Whether `sigma` comes from the object's shape, in which case the noise is smaller."""
 
@@ -224,12 +217,9 @@ class ScannedSurface:
     """A `ScannedSurface` is a surface of many quadric patches, each blended into its neighbours."""
 
     patches: Patches
-    tree: cKDTree
-    """The tree over the patches' points (m, 3)."""
-    around: Indices
-    """(m, k) indices of the patches nearest to each patch, itself first."""
-    spacing: float
-    """Distance between neighbouring patches [m]."""
+    tree: cKDTree  # the tree over the patches' points (m, 3)
+    around: Indices  # (m, k) indices of the patches nearest to each patch, itself first
+    spacing: float  # distance between neighbouring patches [m]
 
     @property
     def variances(self) -> Array:
