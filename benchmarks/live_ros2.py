@@ -26,8 +26,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from benchmarks.live import POSE, recording
-from handsight.bridge.bridge import Network, carried
-from handsight.bridge.message_types import message_type
+from handsight.bridge.bridge import Network, carried, message_type
 from handsight.messages import OwnTopic, RawMessage, RosType
 from handsight.messages.decode import typestore
 from handsight.messages.topics import rig_topics

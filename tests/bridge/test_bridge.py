@@ -14,8 +14,16 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.topic import Topic
 
 from handsight.bridge import Bridge, Network
-from handsight.bridge.bridge import FAST_DDS_3, LOOPBACK, carried, configuration, domain_id
-from handsight.bridge.message_types import dds_name, message_type, ros_name
+from handsight.bridge.bridge import (
+    FAST_DDS_3,
+    LOOPBACK,
+    carried,
+    configuration,
+    dds_name,
+    domain_id,
+    message_type,
+    ros_name,
+)
 from handsight.errors import InvalidInput
 from handsight.messages import OwnTopic, RosType
 

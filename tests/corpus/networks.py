@@ -41,8 +41,7 @@ class Robot:
         from cyclonedds.pub import DataWriter
         from cyclonedds.topic import Topic
 
-        from handsight.bridge.bridge import carried
-        from handsight.bridge.message_types import message_type
+        from handsight.bridge.bridge import carried, message_type
 
         if (topic, kind) not in self.writers:
             writer = DataWriter(self.participant, Topic(self.participant, carried(topic), message_type(kind)))

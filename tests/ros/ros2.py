@@ -14,8 +14,7 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
-from handsight.bridge.bridge import Network, carried
-from handsight.bridge.message_types import message_type
+from handsight.bridge.bridge import Network, carried, message_type
 from handsight.live import Answer
 from handsight.messages import OwnTopic, RosType
 from handsight.messages.decode import typestore
