@@ -36,8 +36,7 @@ class Contacts:
     group: Indices
     """(n,) the number of the group whose error each contact shares, an index of `shared_covariance`; -1: of none."""
     shared_covariance: Array
-    """(g, 6, 6) covariance of each group's error, a shift [m] and a turn [rad] about the centroid of its contacts,
-    along the palm's axes."""
+    """(g, 6, 6) covariance, along the palm's axes, of each group's shift [m] and turn [rad] about its centroid."""
 
     __repr__ = short_repr
 

@@ -93,8 +93,7 @@ class Gel(TactileSurface):
 
 
 def block_of(rows: Any, columns: Any) -> int:
-    """Returns the pixels along the side of a block, so that an image has at most `MOST_CELLS` blocks; raises
-    InvalidInput."""
+    """Returns the pixels along a block's side, for an image of at most `MOST_CELLS` blocks; raises InvalidInput."""
     for name, value in (("rows", rows), ("columns", columns)):
         checks.integer(value, name, 10_000, 1)
     return math.ceil(math.sqrt(rows * columns / MOST_CELLS))

@@ -27,14 +27,12 @@ from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 
 MAX_CONTACTS, MAX_PATCHES = 32, 16
-"""Contacts of flat patches of one surface at most, the pressed taxels that are farthest from each other; and patches of
-one surface at most."""
+"""Most contacts of a surface's flat patches, the pressed taxels that are farthest from each other; and most patches."""
 CLEARANCE, SIGMA_CLEARANCE = 5e-4, 3e-4
 """Height above an untouched taxel at which there is no object, as a face that lies on the skin is at no depth in it,
 and its standard deviation [m]. A can's side is that high 6 mm beside the line where it touches."""
 GIVES = 2e-8
-"""By how much skin gives way to pressure, one standard deviation [m/Pa]: 1.5 mm of rubber gives 1.7e-8, 5 mm of foam
-1e-7."""
+"""How much skin gives way to pressure, one standard deviation [m/Pa]: 1.5 mm of rubber 1.7e-8, 5 mm of foam 1e-7."""
 MOST_TAXELS, FLAT = 4096, math.radians(3.0)
 """Taxels of one surface at most; the angle up to which normals are parallel [rad]."""
 
