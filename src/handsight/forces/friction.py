@@ -27,11 +27,9 @@ class Friction:
         self.coefficient = declared  # μ; None before it was declared or there were enough turns
         self.sigma = sigma  # standard deviation of μ; None where μ is
         self._declared = None if declared is None or sigma is None else (declared, sigma)
-        self._turns = np.zeros(BINS, dtype=np.int64)
-        """(BINS,) number of turns in each bin of the logarithm of the ratio."""
+        self._turns = np.zeros(BINS, dtype=np.int64)  # (BINS,) turns in each bin of the ratio's logarithm
         self._error = 0  # standard deviation of the ratios in bins
-        self._heap: tuple[float, int] | None = None
-        """Mean ratio of the highest heap, and its turns; None before there was one."""
+        self._heap: tuple[float, int] | None = None  # mean ratio of the highest heap, and its turns
         self._kept_up = 0.0  # the highest ratio that two fingers have kept up
 
     def update(self, turns: Sequence[tuple[float, int]], kept_up: float, error: float = 0.0) -> None:

@@ -36,8 +36,7 @@ class LoadOptions(NamedTuple):
     span: float = 0.1  # length of a polynomial [s]
     min_instants: int = 5  # fewest instants of a polynomial
     saturated: float = 0.99  # a reading beyond this share of the sensor's full scale is not used
-    min_travel: float = 0.005
-    """A tip that moves this far in the palm during a window is in the air, not pressed against something [m]."""
+    min_travel: float = 0.005  # a tip that moves so far in the palm in a window is in the air [m]
     still: float = 0.3  # length of the means by which a sensor is calibrated [s]
     still_turn: float = np.deg2rad(0.5)  # a hand whose sensors turn less than this meanwhile is still [rad]
     max_bias: float = 0.5  # a larger reading in the air is a load, or a broken sensor [N]

@@ -63,8 +63,7 @@ class SlipDetector:
         self.now = Slip()  # the value after the last update
         relative, prior = declared_friction(rig, friction)
         self.friction = Friction(*prior)
-        self.stamp = self._at_limit = -math.inf
-        """Stamps of the last update, and of the last one at the limit [s]."""
+        self.stamp = self._at_limit = -math.inf  # stamps of the last update, and of the last at the limit [s]
         skin = {LINK_TAXELS.format(surface.frame) for surface in rig.skin.values()}
         fingers = {finger.frame: name for name, finger in rig.fingers.items()}
         by_wrench = {sensor.name: _limits(sensor) for sensor in load_sensors(rig, fingers.values())}

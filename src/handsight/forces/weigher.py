@@ -32,14 +32,11 @@ class WeigherOptions(NamedTuple):
     min_observations: int = 3  # fewest observations of a mean
     max_reach: float = 0.5  # a centre of mass farther from the loads is not that of an object in a hand [m]
     min_weight: float = 0.25  # a smaller force is not weighed [N]
-    new_direction: float = np.deg2rad(3.0)
-    """Angle by which gravity must have turned in the palm for another instant to be kept [rad]."""
-    same_direction: float = np.deg2rad(1.5)
-    """A kept instant is replaced when gravity is within this angle of its direction [rad]."""
+    new_direction: float = np.deg2rad(3.0)  # turn of gravity in the palm for another instant to be kept [rad]
+    same_direction: float = np.deg2rad(1.5)  # a kept instant with gravity so near is replaced [rad]
     max_kept: int = 8  # most instants that are kept
     max_acceleration: float = 0.3
-    """Only instants with less acceleration [m/s²], and less than `max_turning`, are kept: the errors of others would be
-    correlated."""
+    """Instants with less acceleration [m/s²], and less than `max_turning`, are kept: others' errors are correlated."""
     max_turning: float = 0.5  # angular acceleration [rad/s²]
     creep: float = 5e-4  # standard deviation of the speed at which contacts creep [m/(N s)]
     object_creep: float = 1.5e-4
@@ -56,8 +53,7 @@ class WeigherOptions(NamedTuple):
     biased: float = 5.0  # a larger bias, in sigmas of a reading, is reported
     pull: float = 0.3  # cosine of forces with the way out of the grasp, below whose negative fingers pull
     restart_after: float = 3.0  # how long loads may contradict the kept instants before these are dropped [s]
-    trusted_directions: int = 3
-    """After that, so many directions must fit before a weighing is trusted: with one direction any load fits."""
+    trusted_directions: int = 3  # directions that must fit after that: with one, any load fits
 
 
 WEIGHER = WeigherOptions()
@@ -83,8 +79,7 @@ class Weigher:
         """Why there is no weighing, or why it is not trusted; empty where it is trusted."""
         self.instants: tuple[Carried, ...] = ()  # the instants that it used, the last one at its end
         self.assumed = ""  # what the rig does not have, and a trusted weighing still has to assume
-        self._names: frozenset[str] = frozenset()
-        """Those of all readings that have come so far, by which the sensors are chosen."""
+        self._names: frozenset[str] = frozenset()  # names of readings that came, by which sensors are chosen
         self.sensors = load_sensors(rig)  # the t load sensors
         self.tare = np.zeros((len(self.sensors), 6))
         """(t, 6) the biases, read while the tips touched nothing, in their sensors' frames [N, N m]."""
@@ -95,8 +90,7 @@ class Weigher:
         self._last: LoadSum | None = None
         self._fits_at = -np.inf
         self._loose = False  # whether the object could turn about one finger at any time since the last load
-        self._doubted = False
-        """Whether the kept instants were dropped because loads contradicted them, and no weighing was trusted since."""
+        self._doubted = False  # whether loads contradicted what was kept, and no weighing was trusted since
 
     @property
     def believed(self) -> Weighing | None:

@@ -39,17 +39,14 @@ class WeightOptions(NamedTuple):
     sigma_reach: float = 0.15
     """Prior sigma of the centre of mass about the middle of the loads, per axis [m]: all that is known of its height
     along gravity while gravity has had only one direction."""
-    acceleration_share: float = 0.1
-    """Sigma of an acceleration as a share of it: arms lag behind the poses that they report, and hands bend."""
+    acceleration_share: float = 0.1  # sigma of an acceleration, as a share of it: arms lag, and hands bend
     gyration: float = 0.05
     """Radius of gyration of objects: the torque of an angular acceleration is not subtracted, but is an error [m]."""
     passes: int = 2
     """The effect of gravity's direction on the torque depends on m c, which only the second pass knows."""
     min_p: float = 0.003  # with a smaller p-value, something else bears a part of the load, or adds to it
-    min_p_fixed: float = 0.02
-    """The same for a wrench that is fixed in the palm, such as that of an object which leans on a link of the hand."""
-    unobservable: float = 1e-6
-    """A direction whose information is smaller than this share of the largest is unobservable."""
+    min_p_fixed: float = 0.02  # the same for a wrench fixed in the palm, as of an object that leans on a link
+    unobservable: float = 1e-6  # share of the largest information below which a direction is unobservable
 
 
 WEIGHT_FIT = WeightOptions()
