@@ -1,7 +1,6 @@
 """MJCF files as MuJoCo gets them: one text with all that it includes, without what kinematics does not need.
 
-MuJoCo would read any file that a text names, allocate any size that a text states, and crash for a model that includes
-itself.
+MuJoCo would read any file that a text names, allocate any size that it states, and crash where it includes itself.
 """
 
 import os

@@ -193,8 +193,7 @@ def _shape_triangles(model: "MjModel", g: int) -> Array:
 
 
 def turned(radii: Array, heights: Array, segments: int) -> Array:
-    """Returns the triangles (f, 3, 3) of the surface that a profile, `radii` and `heights` (k,) upwards, sweeps in one
-    turn about z."""
+    """Returns the triangles (f, 3, 3) that a profile, `radii` and `heights` (k,) upwards, sweeps in a turn about z."""
     angle = 2 * np.pi / segments * np.arange(segments)
     around = np.stack([np.cos(angle), np.sin(angle), np.ones(segments)], axis=1)[:, None]
     low = around * np.column_stack([radii, radii, heights])  # (segments, k, 3)
