@@ -48,8 +48,7 @@ returns the nodes' heights (n,) [m] above that surface."""
 def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
     """Returns the geometry of finite points (n, 3) [m] with unit outward normals or None; raises InvalidObject.
 
-    Equal points are merged. Missing normals are estimated and turned outwards. The geometry of noisy points is that of
-    the surface fitted to them.
+    Equal points are merged, missing normals are estimated, and noisy points are replaced by the surface fitted to them.
     """
     points, normals, remarks = _checked(points, normals)
     scan = scanned(points, normals, diameter(points))
@@ -72,8 +71,7 @@ def cloud_geometry(points: Array, normals: Array | None) -> Geometry:
     for axis, n in enumerate(coarse.shape):
         nearer = np.minimum(gap.take(range(n - 1), axis), gap.take(range(1, n), axis))
         hole = max(hole, float(2 * nearer[np.diff(inside, axis=axis)].max(initial=0.0)))
-    # Is the winding number 1 behind nearly all points, and 0 in front of them? Nearer than two spacings, single points
-    # change it.
+    # Is the winding number 1 behind nearly all points, and 0 in front? Within two spacings, single points change it.
     index = np.random.default_rng(3).permutation(len(points))[:400]
     step = 2 * cloud.spacing * normals[index]
     behind, front = winding.at(points[index] - step), winding.at(points[index] + step)

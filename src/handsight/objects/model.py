@@ -292,8 +292,7 @@ class ObjectModel(Geometry):
         return dataclasses.replace(self, mass=weight, center_of_mass=center, sigma_center_of_mass=sigma)
 
     def with_friction(self, friction: float | None, sigma: float = 0.1) -> Self:
-        """Returns the same object with this coefficient of friction and its sigma; None: to be learnt. Raises
-        InvalidInput."""
+        """Returns the object with that coefficient of friction and sigma; None: to be learnt. Raises InvalidInput."""
         check_friction(friction, sigma, "friction")
         return dataclasses.replace(self, friction=friction, sigma_friction=sigma)
 

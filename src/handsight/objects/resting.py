@@ -24,8 +24,7 @@ class RestingOptions(NamedTuple):
     """Height of the centre of mass above the higher of two minima below which both are one [diameters]: a scan's facets
     leave less, a block that stands on its narrow end (a twentieth of its height) has more."""
     placed: float = 0.5
-    """Share of objects that were put on any of their sides, and not dropped: a bottle stands upright more often than it
-    would by chance."""
+    """Share of objects that were put on any side, not dropped: a bottle stands upright more often than by chance."""
     least: float = 0.002  # probability of a pose that is kept
     window: float = float(np.deg2rad(10.0))
     """Within this turn [rad], one standard deviation, members of a curved side count for its direction here."""

@@ -45,8 +45,7 @@ class _Element(NamedTuple):
 
 Column = tuple[NDArray[np.generic], NDArray[np.generic] | None]
 """The values of a property, row after row, and the length of each row's list; None for a property that is no list."""
-Table = dict[str, Column]
-"""The columns of an element by the names of its properties."""
+Table = dict[str, Column]  # the columns of an element by the names of its properties
 
 
 def ply_shape(data: bytes) -> Shape:

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight.checks import Array, Indices
 
-LONGEST_LINE = 1 << 20
-"""The largest number of bytes in a line; a polygon of a hundred thousand corners fits in."""
+LONGEST_LINE = 1 << 20  # most bytes in a line; a polygon of a hundred thousand corners fits in
 
 
 class BadText(Exception):

@@ -41,8 +41,7 @@ from handsight.objects.library.documents import (
 from handsight.objects.model import ObjectModel
 from handsight.objects.symmetry import Symmetries
 
-LOCK_SECONDS = 60.0
-"""How long a writer waits for another [s]; an add holds the lock while it writes three small files."""
+LOCK_SECONDS = 60.0  # how long a writer waits for another [s]; an add holds the lock for three small files
 
 if sys.platform == "win32":
     import msvcrt

@@ -68,8 +68,7 @@ class Library:
         return self._source.file(entry)
 
     def model(self, name: str | Entry) -> ObjectModel:
-        """Returns the object with that name, or of that entry, its symmetries and its weight; raises the errors of
-        `entry` and `file`."""
+        """Returns the object of that name or entry, with symmetries and weight; raises as `entry` and `file`."""
         entry = name if isinstance(name, Entry) else self.entry(name)
         model = ObjectModel.from_file(self.file(entry), scale=METRES)
         model = replace(model, name=entry.name, symmetries=entry.symmetries)

@@ -37,8 +37,7 @@ class _Copy(msgspec.Struct):
     base: str  # the URL of the folder with the documents and the models
     info: bytes
     facts: bytes | None
-    sha256: dict[int, str]
-    """SHA-256, by the object's number, of those fetched files for which no document states one."""
+    sha256: dict[int, str]  # SHA-256, by the object's number, of fetched files for which no document has one
 
 
 @dataclass(frozen=True)

@@ -62,8 +62,7 @@ class ClosestPoints:
     distance: Array  # (n,) distances from the given points [m], not signed
     points: Array  # (n, 3) on the surface [m]
     face: Indices  # (n,) index of the triangle that each is on
-    weights: Array
-    """(n, 3) barycentric; an exact 0 where the closest point is on the edge opposite that corner."""
+    weights: Array  # (n, 3) barycentric; exactly 0 where the closest point is on the edge opposite a corner
 
 
 class ClosestPointSearch:
@@ -86,8 +85,7 @@ class ClosestPointSearch:
         self._tree = tree.starts, boxes, frames, turned, around
 
     def closest(self, points: Array, within: float = np.inf) -> tuple[ClosestPoints, Indices]:
-        """Returns the closest surface points of those points (n, 3) that are nearer than `within` [m], and the indices
-        of these.
+        """Returns the closest surface points of the points (n, 3) nearer than `within` [m], and the indices of these.
 
         Of equally near triangles any one is returned. The search is fastest if neighbours in space follow each other.
         """
@@ -115,8 +113,7 @@ class Winding:
     ) -> None:
         """Builds the patches of a surface from `centers` (m, 3) [m] and outward `area_vectors` (m, 3) [m²].
 
-        `corners` (m, 3, 3): of the triangles [m]; None for points. `tree`: over the centers, if it was built before;
-        its leaves are the patches.
+        `corners` (m, 3, 3): of triangles [m]; None for points. `tree`: over the centers; its leaves are the patches.
         """
         tree = tree or box_tree(centers)
         starts = tree.starts

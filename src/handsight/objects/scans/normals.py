@@ -25,8 +25,7 @@ NORMALS = NormalOptions()
 def planes(points: Array, places: Array, count: int) -> Array:
     """Returns unit normals (k, 3), of either sign, of planes through about `count` points around the places (k, 3).
 
-    `points` (n, 3) [m] are in a random order. Where `count` is large, the points are thinned, so that a plane has fewer
-    points on the same area.
+    `points` (n, 3) [m] are in a random order. Where `count` is large they are thinned: fewer points on the same area.
     """
     share = len(points) * NORMALS.max_neighbours // max(count, NORMALS.max_neighbours)
     thinned = points[: max(share, NORMALS.neighbours)]

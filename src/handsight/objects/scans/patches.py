@@ -36,8 +36,7 @@ class NoiseOptions(NamedTuple):
     smoothest: float = 0.25  # share of the surface that shows the noise: the smoothest
     noise_power: float = 0.6  # residuals that grow with less than this power of the window are noise
     shape_power: float = 1.5  # residuals that grow with more than this power are shape
-    chance: float = 0.9
-    """The residuals of the smoothest quarter of windows are by chance this share of the noise."""
+    chance: float = 0.9  # residuals of the smoothest quarter of windows are by chance this share of the noise
     start_points: int = 30  # points of the first plane in a window
     min_width: float = 4.0  # radius of the smallest window, in standard deviations of the noise
     near: float = 1.5  # distance of pairs of points that show whether noise is shared [spacings]
@@ -64,8 +63,7 @@ class Noise:
 
     sigma: float  # one standard deviation [m]
     together: float = 1.0  # number of neighbouring points that share one error; 1 where each has its own
-    is_shape: bool = False
-    """Whether `sigma` comes from the object's shape, in which case the noise is smaller."""
+    is_shape: bool = False  # whether `sigma` comes from the object's shape: the noise is smaller
 
 
 def estimated_noise(points: Points) -> tuple[Points, Noise]:
@@ -161,8 +159,7 @@ def widths(least: float, most: float, ratio: float) -> Array:
 def widened(points: Points, patches: Patches, windows: Array, **level: Any) -> Array:
     """Returns the values of each fit (m, k, WINDOW_VALUES) of patches in one window after another.
 
-    `patches` (m,) are changed in place. `windows` (k,): radii [m]. `level`: fields of the kernel's LEVEL record, such
-    as the `variance` of the noise.
+    `patches` (m,) are changed in place. `windows` (k,): radii [m]. `level`: fields of the record LEVEL, as `variance`.
     """
     fitted = np.full((len(patches), len(windows), kernel.WINDOW_VALUES), np.nan)
     for place, window in enumerate(windows):
@@ -192,8 +189,7 @@ class PatchOptions(NamedTuple):
     first: float = 3.0  # radius of the smallest window [spacings]
     ratio: float = 1.35  # radius of each window by that of the one before
     last: float = 0.3  # radius of the largest window [diameters]
-    max_widened: float = 9.0
-    """The smallest window grows with the number of points that share one error, up to this number."""
+    max_widened: float = 9.0  # most by which the smallest window grows with the points that share one error
     min_width: float = 3.0  # radius of the smallest window, in standard deviations of the noise
     min_lever: float = 5.0
     """Radius of the smallest window by the geometric mean of noise and spacing; its normal is then known to a tenth."""

@@ -170,8 +170,7 @@ def smoothed(mesh: Triangles, diameter: float) -> tuple[Triangles, Roughness | N
         np.add.at(normals, faces[:, k], mesh.doubled_normals)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     # The noise that vertices do not share with their neighbours, from second differences to these, where the surface is
-    # smoothest. Detail as fine as the triangles leaves the same residuals of quadrics as noise does, but it is smooth
-    # from vertex to vertex.
+    # smoothest. Detail as fine as the triangles leaves such residuals of quadrics too, but is smooth between vertices.
     start, end, count = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1), len(vertices)
     both = np.r_[start, end], np.r_[end, start]
     adjacent = coo_array((np.ones(2 * len(start)), both), (count, count)).tocsr()
