@@ -16,8 +16,7 @@ from handsight.objects.symmetry import nearest
 from handsight.rig import Table
 
 MAX_CAST_STEPS = 40
-CAST_TOLERANCE = 2e-4
-"""A cast ball has met the surface once it is this near to it; no step of a cast is shorter [m]."""
+CAST_TOLERANCE = 2e-4  # a cast ball so near to the surface has met it; no step of a cast is shorter [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

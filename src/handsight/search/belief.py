@@ -33,8 +33,7 @@ class ParticleOptions(NamedTuple):
     max_modes: int = 8
     contact_draws: int = 2048  # placements that decide whether a contact can be one with the object
     min_inside: int = 8  # so many of them must be within the area
-    tip_positions: int = 20_000
-    """Random positions of the tip around the object, for each stable pose; those that touch it are used."""
+    tip_positions: int = 20_000  # random tip positions about each stable pose; those that touch it are used
     shell: float = 0.003  # a tip within this distance of touching the surface counts as touching [m]
     widening: float = 1.5  # factor on a contact's sigmas for placements about it: a proposal needs wide tails
 
@@ -72,11 +71,9 @@ MAX_SEED = 2**32
 class Mode:
     """A `Mode` is particles within 15 mm and 20° of each other, modulo symmetry, as one Gaussian."""
 
-    pose_world_object: GaussianPose
-    """Their mean and covariance, with the errors of the table's height and tilt."""
+    pose_world_object: GaussianPose  # mean and covariance, with the errors of the table's height and tilt
     probability: float  # the mode's share of all particles
-    certainty: float
-    """Probability that the object is within 8 mm and 8° of the mode's pose: the share of all particles that are."""
+    certainty: float  # probability that the object is within 8 mm and 8° of its pose: the share of particles
     sigma_position: float  # standard deviation of the object's middle in the table's plane [m]
     sigma_yaw: float  # standard deviation of the rotation about the vertical, modulo symmetry [rad]
 
@@ -165,8 +162,7 @@ class Belief:
         """Returns random placements (m, 4) and the logarithms (m,) of their importance weights.
 
         Before the first contact they are drawn from the area, later from a proposal density q_a about each contact a. A
-        placement that is drawn from any of these has the weight p / Σ q_a (the balance heuristic, Veach and Guibas
-        1995).
+        placement drawn from any of these has the weight p / Σ q_a (the balance heuristic, Veach and Guibas 1995).
         """
         model, area = self.model, self.area
         contacts = [(t.contact_world, t.radius) for t in self.touches if t.contact_world is not None]

@@ -22,8 +22,7 @@ class SweepOptions(NamedTuple):
     curvature_radius: float = 0.03  # of a surface that a sweep brushes [m]
     max_sweeps: int = 256  # sweeps that are compared
     max_poses: int = 128  # particles on which each sweep is cast
-    margin: float = 0.03
-    """Length of a sweep before the first and beyond the last point at which it may meet the object [m]."""
+    margin: float = 0.03  # length of a sweep before and beyond the points at which it may meet the object [m]
 
 
 SWEEPS = SweepOptions()
@@ -76,6 +75,16 @@ def candidates(belief: Belief, heights: ArrayLike, rng: np.random.Generator) -> 
     return sweeps
 
 
+def shortened(belief: Belief, sweep: Sweep, radius: float) -> Sweep:
+    """Returns the part of a sweep in which it may meet the object; all of it if it meets the object of no particle.
+    `radius` is the tip's [m]."""
+    distances, _, _ = cast(belief.model, belief.Ts_world_object, [sweep], radius)
+    hits = distances[np.isfinite(distances)]
+    if not len(hits):
+        return sweep
+    return sweep.part(max(hits.min() - SWEEPS.margin, 0.0), min(hits.max() + SWEEPS.margin, sweep.length))
+
+
 def best_sweep(belief: Belief, heights: ArrayLike, radius: float) -> Sweep:
     """Returns the sweep with the most expected information, as short as possible; the same for the same belief.
 
@@ -83,10 +92,5 @@ def best_sweep(belief: Belief, heights: ArrayLike, radius: float) -> Sweep:
     radius [m]. Raises InvalidInput.
     """
     sweeps = candidates(belief, heights, np.random.default_rng((belief.seed, len(belief.touches), 1)))
-    sweep = sweeps[int(np.argmax(expected_information(belief, sweeps, checks.positive(radius, "radius"))))]
-    # Only the part in which it may meet the object is swept; all, where it meets the object of no particle.
-    distances, _, _ = cast(belief.model, belief.Ts_world_object, [sweep], radius)
-    hits = distances[np.isfinite(distances)]
-    if not len(hits):
-        return sweep
-    return sweep.part(max(hits.min() - SWEEPS.margin, 0.0), min(hits.max() + SWEEPS.margin, sweep.length))
+    information = expected_information(belief, sweeps, checks.positive(radius, "radius"))
+    return shortened(belief, sweeps[int(np.argmax(information))], radius)
