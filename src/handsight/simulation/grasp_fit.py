@@ -167,8 +167,7 @@ class HandFit:
         return most, normals / np.linalg.norm(normals, axis=1)[:, None]
 
     def _contacts(self, x: Array, used: tuple[int, ...], R0: Array) -> tuple[Array, Array, Array]:
-        """Returns the tips' points (k, 3) that face the object, its normals (k, 3), and how far each is below the
-        sensed cap [m]."""
+        """Returns the tips' points (k, 3) that face the object, its normals (k, 3), depths below the caps (k,) [m]."""
         T = se3.compose(se3.rotation_exp(x[3:6]) @ R0, x[:3]) @ self._tips(x[6:])[list(used)]
         _, normals = self._distances(T[:, :3, 3])
         towards = -np.einsum("kij,ki->kj", T[:, :3, :3], normals)
@@ -178,8 +177,7 @@ class HandFit:
         return T[:, :3, 3] + np.einsum("kij,kj->ki", T[:, :3, :3], at), normals, caps + 0.003 - at[:, 2]
 
     def _clearance(self, x: Array, used: tuple[int, ...], R0: Array) -> Array:
-        """Returns how far links and unused tips are from the object, all from the table, and tips from each other
-        [m]."""
+        """Returns how far links and unused tips are from the object, all from the table, tips from each other [m]."""
         T = se3.compose(se3.rotation_exp(x[3:6]) @ R0, x[:3])
         links = se3.apply(T, self._surface.points_palm(dict(zip(self._names, x[6:].tolist(), strict=True))))
         tips = se3.apply(T, self._tips(x[6:])[:, :3, 3])

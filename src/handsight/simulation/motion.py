@@ -152,8 +152,7 @@ def least_jerk(s: Array) -> Array:
 def palm_poses(legs: Array, times: Array, T_world_palm: Array, pivot: Array) -> Array:
     """Returns Ts_world_palm (n, 4, 4) at `times` (n,) after the start [s]; the palm is at rest at the end of each leg.
 
-    It starts at `T_world_palm` (4, 4) and turns about the point `pivot` (3,) in the world [m]. `legs` (m, 6 or 7) have
-    the columns of `LEGS` or `WEIGH_LEGS`.
+    It starts at `T_world_palm` (4, 4) and turns about `pivot` (3,) [m]. `legs` (m, 6 or 7): as `LEGS` or `WEIGH_LEGS`.
     """
     ends = np.cumsum(legs[:, 0])
     i = np.minimum(np.searchsorted(ends, times), len(ends) - 1)

@@ -76,8 +76,7 @@ def rig_of(scenario: Scenario) -> Rig:
 def model_of(scenario: Scenario) -> ObjectModel:
     """Returns the robot's model of the object: scaled, dented or scanned as the scenario's nuisances say.
 
-    The model of a mesh is its convex hull, which is simulated. Raises InvalidFile or InvalidObject for a mesh that
-    cannot be used.
+    The model of a mesh is its convex hull, which is simulated. Raises InvalidFile, InvalidObject for an unusable mesh.
     """
     n, seed = scenario.nuisances, int(scenario.seed)
     if scenario.object == "can":

@@ -41,8 +41,7 @@ class SceneOptions(NamedTuple):
     sensor_z: float = 0.002  # of a sensor's frame along its distal link [m]
     tip_mass: float = 0.004  # of a tip [kg]
     focal_length: float = 525.0  # of the camera's images, as a Kinect's [pixels]
-    supersampling: int = 2
-    """Factor by which a picture for people is drawn larger, each way, before it is averaged."""
+    supersampling: int = 2  # factor by which a picture for people is drawn larger, each way, and averaged
     table_collision_bit: int = 2
     """Collision bit of object and fingertips: nothing else collides with the table. A random draw may lower the palm's
     edge some millimetres into the table, where a collision would bend the wrist."""
@@ -60,8 +59,7 @@ UNLOADED = np.array([
     [0.09, -0.19, -0.37, 0.0007, 0.0012, -0.0016],
 ])  # fmt: skip
 """(5, 6) readings of the fingers' sensors without load [N, N m]; the rig's calibration has the same."""
-CAN_SIZE, BOX_SIZE = (0.033, 0.122), (0.060, 0.090, 0.140)
-"""Radius and height of the can; sides of the box [m]."""
+CAN_SIZE, BOX_SIZE = (0.033, 0.122), (0.060, 0.090, 0.140)  # radius, height of the can; sides of the box [m]
 TABLE = ((-0.075, 0.6), (-0.45, 0.45), (-0.03, 0.0))  # first and last coordinate along x, y, z [m]
 IMAGE_SIZE = (640, 480)  # width and height of the camera's images, a Kinect's [pixels]
 

@@ -79,8 +79,7 @@ class Hold:
     normals: Mapping[str, Array]  # (3,) outward normals of the object there
     roll: float  # of the hand about x [rad]
     merit: float  # its rank: about 1 for the best, without a lower bound
-    kin: tuple[int, float, float]
-    """Number of its resting pose, roll and offset: candidates that share all three tend to fail together."""
+    kin: tuple[int, float, float]  # number of its rest, roll and offset: equal ones tend to fail together
 
 
 def body_of(vertices: Array) -> Body:
@@ -186,8 +185,7 @@ def _directions(body: Body) -> list[float]:
 
 
 def _holds_along_x(body: Body, R: Array, order: int) -> Iterator[Hold]:
-    """Yields holds of a body, the grip's axis along x; the body is turned by R (3, 3) from its file, in its
-    `order`-th rest."""
+    """Yields holds of a body in its `order`-th rest, turned by R (3, 3) from its file; the grip's axis is along x."""
     # The hand's roll about the grip's axis: from thumb up beside the object to palm down above it [rad].
     rolls = np.deg2rad([0.0, 45.0, 90.0])
     # Shifts of the grip from the centre of mass along the row of fingers, as shares of the object's size.
@@ -363,8 +361,7 @@ class Posture:
         self._mujoco.mj_kinematics(self._model, self._data)
 
     def _tip(self, finger: str) -> tuple[Array, Array, float]:
-        """Returns the point of a tip that meets the object's side [m], its direction in the tip, and the tip's
-        height [m]."""
+        """Returns a tip's point that meets the object's side [m], its direction in the tip, the tip's height [m]."""
         geom, semi_axes = self._data.geom(f"{finger}_tip"), tip_shape(finger)[0]
         R = geom.xmat.reshape(3, 3)
         towards = -R.T @ self.hold.normals[finger]

@@ -1,8 +1,7 @@
 """The simulated elastic skin of palm and fingertips, what its taxels read, and the messages of their drivers.
 
 The skin is a bed of springs (an elastic foundation; Johnson 1985, chapter 4.3): a body that presses on it sinks in
-until the springs below it hold its force. A physics engine's contact points would not do, for they are at the corners
-of a face alone.
+until the springs below it hold its force. A physics engine's contact points would not do: they are at a face's corners.
 
 Products' counts are published, places on this hand's fingertips are not: they are spread over each tip, a pitch from
 each other. A reading has the errors of elastic skin and of its electronics, in this order: crosstalk between
@@ -99,8 +98,7 @@ class Solid:
 def spring_forces(gaps: Array, force: float, stiffness: Array | float) -> Array:
     """Returns the forces (n,) of springs that a body compresses until together they hold `force` [N].
 
-    `gaps` (n,) are the distances of the unloaded springs from the body [m], infinite beside it; `stiffness`, of each
-    spring or of all, is in N/m.
+    `gaps` (n,): from the unloaded springs to the body [m], infinite beside it; `stiffness`: of each or of all [N/m].
     """
     order = np.argsort(gaps)[: np.isfinite(gaps).sum()]
     if force <= 0 or not len(order):
