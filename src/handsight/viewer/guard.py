@@ -34,8 +34,7 @@ class Guard:
 
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:
-        """Guards the server that viser starts inside, which has no option for it; raises HandsightError at the end if
-        none has started."""
+        """Guards the server that viser starts inside, as it has no option; raises HandsightError if none started."""
         from websockets.asyncio import server
 
         serve, started = server.serve, list[Any]()

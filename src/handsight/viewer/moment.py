@@ -37,8 +37,7 @@ class Moment:
     state: State
     reason: str  # why the state is no better; empty while tracking
     estimate: PoseEstimate | None  # none: nothing is known of the object yet
-    sigma: float
-    """Largest standard deviation of the position of the object's middle [m]; infinite before there is an estimate."""
+    sigma: float  # largest sigma of the position of the object's middle [m]; infinite without an estimate
     fingertips: FingertipContacts
     T_world_palm: Array | None  # (4, 4)
     joint_positions: Mapping[str, float] | None  # by name [rad]

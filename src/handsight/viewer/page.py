@@ -30,8 +30,7 @@ class PageOptions(NamedTuple):
     host: str = "127.0.0.1"  # this machine alone
     port: int = 8080  # the default
     max_port: int = 65535  # the largest port
-    min_change: float = 1e-3
-    """Change of a pose, in any of its numbers, below which its outline on the same image is not drawn again."""
+    min_change: float = 1e-3  # change of a pose, in any number, from which its outline on an image is redrawn
     image_period: float = 0.1  # between two outlines on the same image [s]
     distance: float = 2.4  # of the camera from object and palm, relative to half their span
 

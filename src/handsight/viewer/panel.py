@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 STATES: dict[State, str] = {"tracking": "#2e7d32", "uncertain": "#c77800", "lost": "#b71c1c"}
 NOW, SLIP = "#111111", "#6a1b9a"
-CONTROLS = 10
-"""Position of a player's controls in the panel: after the status at 0, before the strip of states at 20."""
+CONTROLS = 10  # position of a player's controls in the panel: after the status, 0, before the strip, 20
 
 
 class Panel:
@@ -59,8 +58,7 @@ class Panel:
                 box.on_update(lambda _, name=name, box=box: choose(name, box))
 
     def draw(self, moment: Moment, forces: dict[str, Array], when: str) -> None:
-        """Writes the time as HTML, the state, its reason, and a label for each finger: its force, or why it has no
-        contact."""
+        """Writes the time as HTML, the state, its reason, and for each finger its force, or why it has no contact."""
         labels = ""
         for name in (*moment.fingertips.fingers, *moment.fingertips.reasons):
             color, label = "#9e9e9e", moment.fingertips.reasons.get(name, "")

@@ -24,12 +24,10 @@ class Picture:
     """A `Picture` is an image of the rig's camera."""
 
     camera: Camera | None  # the camera of these pixels; None where it is not known
-    image: Color | bytes
-    """Colour (h, w, 3), or depth in grey, the nearer the lighter; or either as a JPEG file."""
+    image: Color | bytes  # colour (h, w, 3), or depth in grey, the nearer the lighter; or either as JPEG
     points_palm: NDArray[np.floating]  # (n, 3) [m]; none where the camera's pose is not known
     colors: Color  # (n, 3) of the points
-    T_camera_palm: Array | None
-    """(4, 4) as measured from images of the hand, else as calibrated; None where neither is known."""
+    T_camera_palm: Array | None  # (4, 4) as measured from images of the hand, else as calibrated, where known
     T_camera_palm_calibrated: Array | None
     """(4, 4) by the rig's calibration, whose error it has; it brings vision's measurements into the palm."""
 

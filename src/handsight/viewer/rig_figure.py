@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
 PIXELS, FAR = 1000, 3.0  # width and height of a view; distance from which it is drawn [m]
 NORMAL, AXIS, SMALL, BEHIND = 0.004, 0.03, 0.012, 0.0015
-"""Length of a normal, of the palm's and the camera's axes, and of the others'; a taxel that is farther behind the
-hand's surface is drawn hollow [m]."""
+"""Length of a normal, of the palm's and camera's axes, of other axes; a taxel farther behind the hand is hollow [m]."""
 RING = 2 * np.pi * np.arange(41) / 40
 
 

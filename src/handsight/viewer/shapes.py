@@ -56,8 +56,7 @@ def middle(model: ObjectModel, T_palm_object: Array) -> Array:
 
 
 def direction_line(direction: Array, center: Array, model: ObjectModel) -> tuple[Array, bool]:
-    """Returns a line (n, 3) in the palm [m] for a direction (6,) of `PoseEstimate.unobservable`, and whether it is a
-    turn.
+    """Returns a line (n, 3) in the palm [m] for a direction (6,) of `PoseEstimate.unobservable`; whether it is a turn.
 
     A slide has two ends. A turn is an arc about the object's middle `center` (3,), where it leaves the drawn object in
     place, with an arrowhead at its last point.

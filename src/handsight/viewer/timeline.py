@@ -95,8 +95,7 @@ class Curves(NamedTuple):
 
     times: Array  # (n,) ascending, since the page's origin [s]
     sigmas: Array  # (n,) of the position [mm], NaN where nothing is known
-    errors: Array | None
-    """(n,) of the object's middle [mm], NaN where the truth is not known; None where it never is."""
+    errors: Array | None  # (n,) of the object's middle [mm], NaN where the truth is unknown, None if always
     states: Sequence[State]  # n states of the track
     slips: Sequence[tuple[float, float]] = ()  # begin and end of each time that the object slipped [s]
 
