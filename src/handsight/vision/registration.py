@@ -17,8 +17,7 @@ from handsight.vision.pixels import Color
 class Registered(NamedTuple):
     """A `Registered` has the colours of a depth image's pixels."""
 
-    color: Color
-    """(h, w, 3) red, green, blue of each depth pixel; 0 where it is not visible to the colour camera."""
+    color: Color  # (h, w, 3) red, green, blue of each pixel; 0 where it is not visible to the colour camera
     visible: Mask  # (h, w) whether it is
 
 

@@ -63,8 +63,7 @@ STAGES = np.array(
 """How candidates are moved to the image, with bounds in diameters."""
 POINTS, KEPT, AT_PLACE = (0.3, 0.5, 1.0, 1.0), (24, 12, 8, 8), (2, 2, 3, 6)
 """Share of the observed points by which each stage moves them, candidates that go on, and of one place at most."""
-BESIDE = (150, 300, 600, 1200)
-"""Pixels around each candidate that show whether the surface goes on beyond its outline."""
+BESIDE = (150, 300, 600, 1200)  # pixels about a candidate that show whether the surface goes on beyond it
 TURNED = 3  # before this stage the best candidates are also turned to where the surface is nearly the same
 
 EVIDENCE = -3.71, 8.82, -2.23, -6.47, -8.38
@@ -217,8 +216,7 @@ def slid(
 
 
 def score_candidates(model: ObjectModel, scene: Scene, candidates: Candidates, *, effort: int = -1) -> None:
-    """Fills in the score of CANDIDATE (k,), which have a bound, and the pixels that it is made of, with the
-    effort of a stage."""
+    """Fills in the score of CANDIDATE (k,) with a bound, and the pixels that it is made of, with a stage's effort."""
     appearance, camera, image = appearance_of(model), scene.camera, (scene.depth, scene.labels)
     sides = appearance.sides if BESIDE[effort] == BESIDE[-1] else appearance.few_sides
     pose_score.score_all(camera.record, image, sides, model.center_object, candidates, pose_score.NOT_ASKED)

@@ -352,8 +352,7 @@ def _nowhere(given: list[GaussianPose]) -> JudgedStarts:
 
 
 def surface_distance(model: ObjectModel, T: Array, T_reference: Array) -> float:
-    """Returns the largest distance of a point of the surface at a pose (4, 4) from the same at another, modulo symmetry
-    [m]."""
+    """Returns the largest distance of a surface point at a pose (4, 4) from that at another, modulo symmetry [m]."""
     points = model.points_object
     off = se3.apply(model.nearest(T, T_reference), points) - se3.apply(T_reference, points)
     return float(np.linalg.norm(off, axis=1).max())

@@ -242,8 +242,7 @@ class _Pool:
     def best(self, limits: Mapping[str, int], start: list[int], banned: Collection[int] = ()) -> list[int]:
         """Returns the candidates that explain the image best together, at most so many of a name, none that is banned.
 
-        From the start on one is added, or put in the place of another, as long as that raises the value; where some
-        are banned, they are only added.
+        From the start on one is added, or put in another's place, while that raises the value; with some banned, added.
         """
         chosen, value, names = list(start), self.value(start), np.array(self.names)
 

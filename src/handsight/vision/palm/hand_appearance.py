@@ -120,8 +120,7 @@ class PlacedHand:
         return float((observed[counts] < hand[counts] + within).mean()) if counts.any() else 1.0
 
     def beside(self, camera: Camera, T_camera_palm: Array, most: int) -> Array:
-        """Returns at most so many points (k, 3) in the air, in the palm's axes, off the hand's outline and as near as
-        it [m]."""
+        """Returns at most `most` points (k, 3) in the air, in the palm, off the hand's outline, as near as it [m]."""
         small, drawn = _smaller(camera), _drawn(self, camera, T_camera_palm.tobytes())
         distance = max(se3.apply(T_camera_palm, self.middle[None])[0, 2], APPEARANCE.beside)
         off = max(round(APPEARANCE.beside * small.matrix[0, 0] / distance), 1)

@@ -67,8 +67,7 @@ def hand_mask(
 ) -> Mask:
     """Returns (h, w) whether a pixel of a depth image (h, w) [m] is the hand's.
 
-    The hand is triangles `faces` (m, 3) of vertices (k, 3) [m]. What is in front of it is not masked: it may be the
-    object.
+    The hand is triangles `faces` (m, 3) of vertices (k, 3) [m]. What is in front of it, as the object, is not masked.
     """
     drawn = camera.draw(se3.apply(T_camera_palm, vertices_palm), faces).depth
     rows, columns = np.nonzero(np.isfinite(drawn))

@@ -73,8 +73,7 @@ class DetectorOptions(NamedTuple):
     min_pixels: float = 400.0  # that the hand explains
     min_fit: float = 0.25  # and their share of those that it should fill
     continued_weight: float = 0.3
-    """Cost of a surface that continues beside the hand's entire outline, as a share of the pixels that the hand should
-    fill."""
+    """Cost of a surface that continues beside the hand's entire outline, by the pixels that the hand should fill."""
     max_continued: float = 0.55  # share of the outline above which the hand was found in a table or a wall
     candidate_spacing: float = 0.025  # poses farther than this from each other are different [m]
     as_good: float = 0.85  # another pose with so much of the best score makes the answer ambiguous
@@ -162,8 +161,7 @@ def follow_palm(
     *,
     noise: DepthNoise = STRUCTURED_LIGHT,
 ) -> PalmDetection | PalmNotFound:
-    """Returns the palm's pose as `detect_palm` does, near that in the last image; it takes a few ms, as nothing is
-    searched.
+    """Returns the palm's pose as `detect_palm` does, near that in the last image, without a search: in a few ms.
 
     T_camera_palm: off by about 10 mm and 3° per axis. The answer is `no_fit` where too little of the hand is there.
     """
@@ -199,8 +197,7 @@ class Picture:
         return self.depth, self.camera.rays, self.cells, self.corner
 
     def differences(self, middles: Array, rotations: Array) -> tuple[Array, Array]:
-        """Returns how far middles (..., 3) and rotations (..., 3, 3) of the hand are off the predicted pose (..., 3)
-        [m], [rad]."""
+        """Returns how far middles (..., 3) [m] and rotations (..., 3, 3) [rad] of the hand are off the prediction."""
         off = middles - se3.apply(self.T, self.hand.middle[None])[0]
         return off, se3.rotation_log(rotations @ self.T[:3, :3].T)
 
@@ -282,8 +279,7 @@ def _turns(reach: float, step: float) -> Array:
 
 
 def _shifts(reach: float) -> Array:
-    """Returns shifts (s, 3) up to `reach` [m], close together across the direction to the camera, in layers along
-    it."""
+    """Returns shifts (s, 3) up to `reach` [m], close together across the direction to the camera, layers along it."""
     steps = np.array([PALM_SEARCH.shift, PALM_SEARCH.shift, PALM_SEARCH.layer])
     count, _, layers = np.maximum(np.ceil(reach / steps - 0.5).astype(int), 0).tolist()
     across, along = steps[0] * np.arange(-count, count + 1), steps[2] * np.arange(-layers, layers + 1)

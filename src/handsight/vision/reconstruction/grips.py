@@ -41,8 +41,7 @@ class GripOptions(NamedTuple):
     spread: float = 0.02  # of their positions [m]
     points: int = 500  # that are registered
     best: int = 30  # of the poses of the coarse stage that are refined
-    distinct: tuple[float, float] = (0.01, float(np.deg2rad(10)))
-    """Two poses are not the same beyond this [m, rad]."""
+    distinct: tuple[float, float] = (0.01, float(np.deg2rad(10)))  # two poses beyond this differ [m, rad]
     clearly_worse: float = 0.1  # by so much cost a pose is not a rival of the best one
     odd: float = 0.008  # so far from its own surface a symmetry takes no point into free space [m]
     max_odd: float = 0.02  # share of the points that may be so, by noise
@@ -57,8 +56,7 @@ class Grip:
 
     reconstruction: Reconstruction
     tips_object: Array  # (k, 3) fingertips that hold the object, in its frame [m]
-    surface: SurfacePoints | None = None
-    """What the fingers hold, as of `views` views; None where there is nothing."""
+    surface: SurfacePoints | None = None  # what the fingers hold, as of `views` views; None: nothing
     views: int = 0
 
     @property

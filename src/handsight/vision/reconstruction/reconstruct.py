@@ -44,8 +44,7 @@ class View:
     """A `View` is a depth image of the object."""
 
     depth: Depth  # (h, w) along the optical axis [m]; 0 or NaN where there is none, or where it is the hand's
-    T_camera_object: Array
-    """(4, 4) as far as it is known; the object's frame is any that moves with the object."""
+    T_camera_object: Array  # (4, 4) as far as known; the object's frame is any that moves with it
     tips_object: Array | None = None
     """(k, 3) centres of the fingertips that hold the object, in its frame [m]; None: it is not in a hand."""
 
