@@ -109,9 +109,7 @@ class HandFit:
             drawn.append((cost, R0, x))
         _, R0, x = min(drawn, key=lambda start: start[0])
         q = x[6:]
-        low, high = (
-            np.concatenate([np.full(6, s * np.inf), b]) for s, b in ((-1, self._low), (1, self._high))
-        )
+        low, high = np.r_[np.full(6, -np.inf), self._low], np.r_[np.full(6, np.inf), self._high]
         found = least_squares(
             self._residuals, np.clip(x, low + 1e-4, high - 1e-4), bounds=(low, high), args=(used, R0, q),
             x_scale=np.repeat([0.1, 0.5], [6, len(q)]), max_nfev=FIT.steps, ftol=1e-3, xtol=1e-4,

@@ -48,8 +48,7 @@ def _draw(left: "Axes", right: "Axes", row: Located | LocatedAll) -> None:
         image = np.where(frame.hand[..., None], 0.55 * image + 0.45 * HAND, image)
     left.imshow(image, interpolation="nearest")
     for axes in (left, right):
-        axes.set_xticks([])
-        axes.set_yticks([])
+        axes.set(xticks=[], yticks=[])
     if row.reason is not None:
         one = isinstance(row, Located) and row.recognition is None
         text = f"{each[0].model.name or 'object'} is not here" if one else "none of them is here"
