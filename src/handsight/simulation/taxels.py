@@ -285,6 +285,7 @@ class TaxelSensors:
         self._noise = np.random.default_rng((seed, 12))
         self.surfaces = surfaces(scenario.sensors, scenario.skin)
         self.product, self._last = PRODUCTS[scenario.sensors], dict[str, Array]()
+        self._plain = not self.product.pads  # the palm's array beside wrenches has noise and offsets alone
         self._uneven, self._offset, self._dead = dict[str, Array](), dict[str, Array](), dict[str, Any]()
         self._links = dict[str, tuple[str, ElasticSkin, list[str]]]()
         for name, surface in self.surfaces.items():
@@ -302,11 +303,6 @@ class TaxelSensors:
             self._links[finger] = mine[0].frame, skin, names
         if "palm" in self.surfaces:
             self._links["palm"] = PALM, ElasticSkin.flat(self.surfaces["palm"]), ["palm"]
-
-    @property
-    def _plain(self) -> bool:
-        """Whether it is the palm's array beside wrenches, which has noise and offsets alone."""
-        return not self.product.pads
 
     def readings(self, world: World) -> dict[str, Array]:
         """Returns the readings of all surfaces, by name, in their shape and in the driver's unit."""
