@@ -54,7 +54,7 @@ REAL_FRAMES = 5
 OCCLUDERS, HIDDEN = ("edge", "bar", "disc"), 0.2
 """What hides a part of an object, and what share of it: beyond a straight edge, along a bar, in a disc."""
 IMAGES = ((320, 240), (640, 480), (1280, 960), (1920, 1440), (3840, 2160))
-RECORDED = (150, 500, 1500)
+RECORDED = (150, 500, 1500, 5000)
 """Depth images of a recording, 0.6 MB each before compression, and 17 joint states for each."""
 READ = (250, 1000, 4000)
 """The same, of one that is read and not tracked."""

@@ -96,9 +96,8 @@ def build_chains(model: "MjModel", base: int, bodies: Sequence[int], file: str) 
         Ts_world_body[body] = Ts_world_body[model.body_parentid[body]] @ Ts_world_body[body]
     Ts_base_body = se3.inverse(Ts_world_body[base]) @ Ts_world_body
     paths = list[list[tuple[int, float]]]()
-    for (
-        body
-    ) in bodies:  # the joints from base to body, with a sign of -1 where they are passed towards their parent
+    for body in bodies:
+        # The joints from base to body, with a sign of -1 where they are passed towards their parent.
         up, down = ancestors(model, base), ancestors(model, body)
         up, down = [b for b in up if b not in down], [b for b in down if b not in up]
         upward = [(joint, -1.0) for b in up for joint in reversed(body_joints(model, b))]
