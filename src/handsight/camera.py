@@ -72,9 +72,8 @@ class Camera:
             expected = "expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
             raise InvalidInput(f"matrix: {expected}, got {checks.brief(K)}")
         if min(K[0, 0], K[1, 1]) < MIN_FOCAL or np.abs(K).max() > MAX_FOCAL:
-            expected = (
-                f"expected fx, fy from {MIN_FOCAL:g} to {MAX_FOCAL:g} pixels, and cx, cy within {MAX_FOCAL:g}"
-            )
+            focal = f"fx, fy from {MIN_FOCAL:g} to {MAX_FOCAL:g} pixels"
+            expected = f"expected {focal}, and cx, cy within {MAX_FOCAL:g}"
             raise InvalidInput(f"matrix: {expected}, got {checks.brief(K)}")
         width, height = (checks.integer(n, "size", MAX_PIXELS) for n in self.size)
         if not 0 < width * height <= MAX_PIXELS:

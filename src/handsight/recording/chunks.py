@@ -255,9 +255,8 @@ def unpack_file(path: Path, unpacked_file: BinaryIO) -> None:
             if not unpacked_file.tell():
                 raise InvalidFile(f"{path}: expected a file compressed by zstd, got none ({error})") from None
     if unpacked_file.tell() > most:
-        raise InvalidFile(
-            f"{path}: expected at most {CHUNKS.max_expansion} times its bytes when unpacked, got more"
-        )
+        expected = f"expected at most {CHUNKS.max_expansion} times its bytes when unpacked"
+        raise InvalidFile(f"{path}: {expected}, got more")
 
 
 def _unpack(new: Callable[[], "BZ2Decompressor"], pieces: Iterable[bytes], size: int) -> Iterator[bytes]:

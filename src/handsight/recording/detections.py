@@ -122,16 +122,10 @@ def json_line(row: Located | LocatedAll | Unread, *, complete: bool = False) -> 
 
 def _pose_fields(row: Located, complete: bool) -> dict[str, object]:
     """Returns an object's pose, probability and hypotheses as JSON has them; not `complete`: the likeliest of these."""
-    columns = row.found.Ts_camera_object, row.found.covariances, row.found.weights
-    poses = [
-        {
-            "position": T[:3, 3].tolist(),
-            "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3]).tolist(),
-            "covariance": covariance.tolist(),
-            "weight": float(weight),
-        }
-        for T, covariance, weight in zip(*columns, strict=True)
-    ]
+    columns, poses = (row.found.Ts_camera_object, row.found.covariances, row.found.weights), []
+    for T, covariance, weight in zip(*columns, strict=True):
+        pose = {**se3.position_quaternion(T), "covariance": covariance}
+        poses.append({key: value.tolist() for key, value in pose.items()} | {"weight": float(weight)})
     if not complete:  # the likeliest is the first
         likely = 1 + int((row.found.weights[1:MAX_HYPOTHESES] > MIN_WEIGHT).sum())
         poses = poses[:likely]
