@@ -210,13 +210,8 @@ class FingerForm(Section, kw_only=True):
         sensor = self.sensor or SensorForm(reading="on_tip")
         T_frame_surface = (self.surface or LinkPoseForm()).matrix()
         T_surface_sensor, bias = (sensor.pose or LinkPoseForm()).matrix(), sensor.bias or BiasForm()
-        calibration = WrenchCalibration(
-            bias_force=np.array(bias.force),
-            bias_torque=np.array(bias.torque),
-            mass=sensor.tip_mass,
-            center_of_mass=np.array(sensor.tip_center),
-            reading=sensor.reading,
-        )
+        biases, center = (np.array(bias.force), np.array(bias.torque)), np.array(sensor.tip_center)
+        calibration = WrenchCalibration(*biases, sensor.tip_mass, center, reading=sensor.reading)
         return Finger(
             frame=self.frame,
             T_frame_surface=T_frame_surface,
@@ -269,9 +264,8 @@ class SkinForm(Form, kw_only=True):
             message_steps(self.message_field or "data")
         except InvalidInput as error:
             raise ValueError(f"field: {error}") from None
-        kinds = [
-            name for name in ("rows", "taxels", "file", "urdf", "layout") if getattr(self, name) is not None
-        ]
+        places = "rows", "taxels", "file", "urdf", "layout"
+        kinds = [name for name in places if getattr(self, name) is not None]
         if len(kinds) != 1:
             expected = "expected one of rows (with columns, pitch), taxels, file, urdf, layout"
             raise ValueError(f"{expected}, got {' and '.join(kinds) or 'none'}")

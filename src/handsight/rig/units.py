@@ -40,10 +40,8 @@ class Units:
                 continue
             if isinstance(given, Mapping) and not given.keys() <= known:
                 name = next(name for name in given if name not in known)
-                near = checks.suggestion(str(name), known)
-                raise InvalidInput(
-                    f"observation.{argument}: expected names of the rig, got {checks.brief(name)!r}{near}"
-                )
+                came = f"{checks.brief(name)!r}{checks.suggestion(str(name), known)}"
+                raise InvalidInput(f"observation.{argument}: expected names of the rig, got {came}")
 
     def check(self, observation: Observation) -> None:
         """Raises InvalidInput for a value of a valid observation that seems to be in a wrong unit."""
