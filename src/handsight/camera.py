@@ -19,8 +19,7 @@ from handsight.representation import short_repr
 MAX_PIXELS = 50_000_000
 MIN_FOCAL, MAX_FOCAL = 0.01, 1e6
 """Smallest and largest focal length, and largest distance of the principal point from pixel (0, 0) [pixels]."""
-MAX_LENS = 1e4
-"""Largest coefficient of a lens."""
+MAX_LENS = 1e4  # largest coefficient of a lens
 Depth = NDArray[np.float32]
 
 
@@ -155,10 +154,7 @@ class Camera:
 
 
 def check_lens(value: ArrayLike, name: str) -> Array:
-    """Returns the coefficients of a lens (n,): none, plumb_bob without or with k3, or a rational polynomial.
-
-    Raises InvalidInput for another number of them, and for one beyond `MAX_LENS`.
-    """
+    """Returns the numbers (n,) of a lens: none, plumb_bob without or with k3, or rational; raises InvalidInput."""
     lens = checks.finite(value, name, (None,))
     if (np.abs(lens) > MAX_LENS).any():
         raise InvalidInput(f"{name}: expected numbers within {MAX_LENS:g}, got {checks.brief(lens)}")

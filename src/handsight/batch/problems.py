@@ -159,10 +159,7 @@ class Reader:
 
 
 def answer(problem: Problem) -> dict[str, Any]:
-    """Returns the answer to a problem, ready for JSON but for arrays in place of lists.
-
-    Raises InvalidInput.
-    """
+    """Returns the answer to a problem, ready for JSON but for arrays in place of lists; raises InvalidInput."""
     started = time.perf_counter()
     estimate = correct_pose(problem.model, problem.contacts, vision=problem.vision, **problem.options)
     seconds = time.perf_counter() - started

@@ -25,11 +25,9 @@ from handsight.errors import HandsightError, needing
 if TYPE_CHECKING:
     from handsight.batch.problems import Reader
 
-DEATHS = 3
-"""If so many workers die on the same line, the line is to blame."""
+DEATHS = 3  # if so many workers die on the same line, the line is to blame
 CONNECT_SECONDS = 5
-RETURN_SECONDS = 60
-"""How long a scheduler that was lost is waited for."""
+RETURN_SECONDS = 60  # how long a scheduler that was lost is waited for
 
 
 class WorkerFailure(HandsightError):
@@ -63,10 +61,7 @@ _one_at_a_time = threading.Lock()  # a reader's models must not be used by sever
 
 
 def answer_lines(folder: str, lines: list[bytes]) -> Answers:
-    """Returns the answers to lines, computed on one thread; relative paths of meshes start at `folder`.
-
-    A process builds each model once.
-    """
+    """Returns the answers to lines, computed on one thread; relative paths of meshes start at `folder`."""
     from handsight._kernels.runtime.threads import alone
     from handsight.batch.problems import answer_text
 

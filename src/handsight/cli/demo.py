@@ -135,10 +135,7 @@ def examples() -> Iterator[Comparison]:
 
 
 def find_can(plot: Path) -> str:
-    """Returns sentences about how well the can is located in the built-in image; draws it if matplotlib is installed.
-
-    Raises MissingExtra.
-    """
+    """Returns sentences about how well the can is located in the built-in image, and draws it; raises MissingExtra."""
     from handsight import se3
     from handsight.cli.locate import draw, locator
     from handsight.rig import Rig
@@ -161,10 +158,7 @@ def find_can(plot: Path) -> str:
 
 
 def picture(rig: "Rig", known: dict[str, Any]) -> "Frame":
-    """Returns the built-in image of the can in the hand, with the hand's mask by joints and calibration.
-
-    Raises MissingExtra.
-    """
+    """Returns the built-in image of the can in the hand, masked by joints and calibration; raises MissingExtra."""
     import numpy as np
 
     from handsight import se3

@@ -35,10 +35,8 @@ if TYPE_CHECKING:
     from handsight.tracking.replay import Step, Tally
     from handsight.tracking.verdicts import Diagnosis
 
-CHECKPOINT_PERIOD = 10.0
-"""Between two checkpoints, from which tracking goes on after it has ended early [s]."""
-MAX_STEPS = 4000
-"""Steps that are kept in memory; of more, every second one is left out."""
+CHECKPOINT_PERIOD = 10.0  # between two checkpoints, from which tracking goes on after it has ended early [s]
+MAX_STEPS = 4000  # steps that are kept in memory; of more, every second one is left out
 
 
 def track(
@@ -424,8 +422,8 @@ def latency_text(tracker: "Tracker") -> list[str]:
     if abs(latency - declared) <= 0.02 + 2 * sigma:
         return []
     age = f"{1e3 * latency:.0f} ± {1e3 * sigma:.0f} ms older than their stamps"
-    known = f"(the rig says {1e3 * declared:.0f}), which is taken into account"
-    return [f"vision's poses are {age} {known}; see camera.latency"]
+    rig_says = f"(the rig says {1e3 * declared:.0f}), which is taken into account"
+    return [f"vision's poses are {age} {rig_says}; see camera.latency"]
 
 
 def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:

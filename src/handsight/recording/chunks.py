@@ -216,10 +216,7 @@ def seconds(nanoseconds: int) -> float:
 
 
 def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | None]:
-    """Returns at most `size` bytes that `data` unpacks to, and what is wrong with them (None: nothing).
-
-    Raises MissingExtra.
-    """
+    """Returns at most `size` bytes that `data` unpacks to, and what is wrong (None: nothing); raises MissingExtra."""
     if size > CHUNKS.max_unpacked:
         return b"", f"says it unpacks to {size} bytes, at most {CHUNKS.max_unpacked} are read"
     if compression in ("", "none"):

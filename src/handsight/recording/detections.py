@@ -12,8 +12,7 @@ from handsight.recording.frames import Frame, Unread
 from handsight.vision import JudgedStarts, ObjectDetection, SceneDetection
 from handsight.vision.object.locate import Recognition
 
-MAX_REASONS = 3
-"""Reasons that are listed why none of several objects was found."""
+MAX_REASONS = 3  # reasons that are listed why none of several objects was found
 MAX_HYPOTHESES, MIN_WEIGHT = 3, 0.01
 """Hypotheses of an object that are written, and the weight above which the others than the best are."""
 FAR, IMPROBABLE = 3.0, 0.005

@@ -453,10 +453,9 @@ class ObjectForm(ShapeForm):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.sigma_center_of_mass is not None and self.center_of_mass is None:
-            raise ValueError("sigma_center_of_mass: expected beside center_of_mass only, got it alone")
-        if self.sigma_friction is not None and self.friction is None:
-            raise ValueError("sigma_friction: expected beside friction only, got it alone")
+        for name in ("center_of_mass", "friction"):
+            if getattr(self, f"sigma_{name}") is not None and getattr(self, name) is None:
+                raise ValueError(f"sigma_{name}: expected beside {name} only, got it alone")
 
 
 class RigForm(Section):

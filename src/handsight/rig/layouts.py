@@ -148,25 +148,22 @@ def by_name(name: str, pitch: float | None, radius: float | None) -> Layout:
             raise InvalidInput(f"layout: unknown variant {variant!r}{checks.suggestion(variant, known)}")
         places = [[each[f"{axis}_mm"] for axis in "xyz"] for each in known[variant]["points"]]
         points = 1e-3 * np.array(places)
-        return Layout(points, _fitted_normals(points), components=3)
+        near = np.argsort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, :7]
+        arms = points[near] - points[near].mean(axis=1, keepdims=True)
+        normals = np.linalg.svd(arms)[2][:, 2]
+        # They point away from the centre of a sphere that is fitted to all points.
+        sphere = np.column_stack([2 * points, np.ones(len(points))])
+        center = np.linalg.lstsq(sphere, (points**2).sum(axis=1), rcond=None)[0][:3]
+        outward = np.sign((normals * (points - center)).sum(axis=1))
+        return Layout(points, normals * outward[:, None], components=3)
     if name not in PRODUCTS:
-        near = checks.suggestion(name, [*PRODUCTS, "paxini:VARIANT"])
-        raise InvalidInput(f"layout: unknown layout {name!r}{near}")
+        hint = checks.suggestion(name, [*PRODUCTS, "paxini:VARIANT"])
+        raise InvalidInput(f"layout: unknown layout {name!r}{hint}")
     rows, columns, usual_pitch, usual_radius, components = PRODUCTS[name]
     if (pitch := pitch or usual_pitch) is None:
         expected = f"expected the distance of {name}'s taxels [m], as it is not published"
         raise InvalidInput(f"pitch: {expected}, got none")
     return Layout.bent(rows, columns, pitch, radius or usual_radius, components)._replace(nominal=True)
-
-
-def _fitted_normals(points: Array) -> Array:
-    """Returns (n, 3) the normals of planes through the seven nearest points, away from a fitted sphere's centre."""
-    sphere = np.column_stack([2 * points, np.ones(len(points))])
-    center = np.linalg.lstsq(sphere, (points**2).sum(axis=1), rcond=None)[0][:3]
-    near = np.argsort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, :7]
-    arms = points[near] - points[near].mean(axis=1, keepdims=True)
-    normals = np.linalg.svd(arms)[2][:, 2]
-    return np.asarray(normals * np.sign((normals * (points - center)).sum(axis=1))[:, None])
 
 
 def tactile_sensors(file: str | Path) -> dict[str, tuple[Element, Element]]:

@@ -179,15 +179,12 @@ class SkinContacts:
         return found
 
     def news(self, last: "SkinContacts") -> bool:
-        """Returns whether many other taxels are pressed than in `last`, the value at the last correction.
-
-        The contacts of fingers are compared elsewhere.
-        """
+        """Returns whether many other taxels are pressed than in `last`, the value at the last correction."""
         if self.touches.keys() != last.touches.keys():
             return True
         for name, (touch, _) in self.touches.items():
             if name in self.tips.values():
-                continue
+                continue  # contacts of fingers are compared elsewhere
             before = last.touches[name][0]
             if not len(touch.patches) and not len(before.patches):
                 continue

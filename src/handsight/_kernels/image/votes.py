@@ -99,12 +99,12 @@ def vote(
         votes[:] = 0
         _count(table, observed, references[n], diameter, partners, votes)
         best[:] = -1.0
-        for i in range(len(votes)):  # the best spin of each model point
+        for m in range(len(votes)):  # the best spin of each model point
             for s in range(SPINS):  # the half steps beside it count by half
                 before, after = (2 * s - 1) % (2 * SPINS), (2 * s + 2) % (2 * SPINS)
-                total = votes[i, 2 * s] + votes[i, 2 * s + 1] + 0.5 * (votes[i, before] + votes[i, after])
-                if total > best[i]:
-                    best[i], spins[i] = total, s
+                total = votes[m, 2 * s] + votes[m, 2 * s + 1] + 0.5 * (votes[m, before] + votes[m, after])
+                if total > best[m]:
+                    best[m], spins[m] = total, s
         reference = observed[references[n]]
         back = transpose(about_normal(vector(reference.normal)))
         for peak in range(PEAKS):
