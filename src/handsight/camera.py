@@ -19,7 +19,8 @@ from handsight.representation import short_repr
 MAX_PIXELS = 50_000_000
 MIN_FOCAL, MAX_FOCAL = 0.01, 1e6
 """Smallest and largest focal length, and largest distance of the principal point from pixel (0, 0) [pixels]."""
-MAX_LENS = 1e4  # largest coefficient of a lens
+MAX_LENS = 1e4
+"""Largest coefficient of a lens."""
 Depth = NDArray[np.float32]
 
 

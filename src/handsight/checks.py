@@ -18,9 +18,12 @@ MAX_DISTANCE = 1e3
 """Largest coordinate of a position on or near a robot, in any frame [m]; a larger one is no measurement."""
 MAX_REACH = 5.0
 """Largest coordinate of what a hand touches or holds, in the palm frame [m]; a larger one has another unit."""
-MAX_LOAD = 1e5  # largest component of a force [N] or torque [N m] that a fingertip can bear
-MIN_SIGMA = 1e-9  # smallest standard deviation [m, rad]; the square of a smaller one is lost in rounding
-MAX_NAME_LENGTH = 100  # characters of a name that may be a misspelling of another one
+MAX_LOAD = 1e5
+"""Largest component of a force [N] or torque [N m] that a fingertip can bear."""
+MIN_SIGMA = 1e-9
+"""Smallest standard deviation [m, rad]; the square of a smaller one is lost in rounding."""
+MAX_NAME_LENGTH = 100
+"""Characters of a name that may be a misspelling of another one."""
 
 
 def finite(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:

@@ -18,10 +18,12 @@ from handsight.errors import InvalidInput
 from handsight.representation import short_repr
 
 VisionFrame = Literal["camera", "world", "palm"]
-MAX_STAMP = 1e11  # largest stamp [s], some 3000 years; a larger one is in milliseconds or nanoseconds
+MAX_STAMP = 1e11
+"""Largest stamp [s], some 3000 years; a larger one is in milliseconds or nanoseconds."""
 MAX_JUMP = 1.0
 """A stamp that differs by more from the one before it is a jump of the clock, which later stamps must confirm [s]."""
-MAX_PIXEL = 1e6  # largest column or row of a detection
+MAX_PIXEL = 1e6
+"""Largest column or row of a detection."""
 VISION_FRAMES: tuple[VisionFrame, ...] = ("camera", "world", "palm")
 
 

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-MAX_ITEMS = 3  # an array or a sequence with more items on an axis is shown by its shape
+MAX_ITEMS = 3
+"""An array or a sequence with more items on an axis is shown by its shape."""
 MAX_CHARACTERS = 600
 
 

@@ -18,7 +18,8 @@ from handsight.batch.workers import DEATHS, Answers, Cluster, Processes, WorkerD
 from handsight.errors import InvalidFile
 from handsight.files import stream_name
 
-LONGEST = 32_000_000  # largest size of a line [bytes]; decoded, it takes up to thirty times as much memory
+LONGEST = 32_000_000
+"""Largest size of a line [bytes]; decoded, it takes up to thirty times as much memory."""
 BLOCK_BYTES = 256_000
 Source = io.BufferedIOBase
 
@@ -33,7 +34,8 @@ class BatchLimits(NamedTuple):
 
 
 BATCH = BatchLimits()
-Answered = tuple[list[bytes], Answers]  # consecutive lines with their answers
+Answered = tuple[list[bytes], Answers]
+"""Consecutive lines with their answers."""
 Event = list[bytes] | BaseException | None | Future[Answers]
 """Lines that were read; or the end of the input, as None or an error; or the future of a chunk that is done."""
 

@@ -25,9 +25,11 @@ from handsight.errors import HandsightError, needing
 if TYPE_CHECKING:
     from handsight.batch.problems import Reader
 
-DEATHS = 3  # if so many workers die on the same line, the line is to blame
+DEATHS = 3
+"""If so many workers die on the same line, the line is to blame."""
 CONNECT_SECONDS = 5
-RETURN_SECONDS = 60  # how long a scheduler that was lost is waited for
+RETURN_SECONDS = 60
+"""How long a scheduler that was lost is waited for."""
 
 
 class WorkerFailure(HandsightError):

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from handsight.batch.problems import Problem
     from handsight.batch.run import Source
 
-MOST_PANELS = 6  # number of problems in the picture
+MOST_PANELS = 6
+"""Number of problems in the picture."""
 
 
 def correct(

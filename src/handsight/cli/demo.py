@@ -127,10 +127,8 @@ def examples() -> Iterator[Comparison]:
             for pose in (json.loads(truth), json.loads(line)["vision"], answered)
         )
         unobservable = np.asarray(answered["unobservable"]).reshape(-1, 6)
-        vision, corrected = (
-            correction_errors(problem.model, T, T_true, problem.contacts.points_palm, unobservable)
-            for T in (T_vision, T_corrected)
-        )
+        given = T_true, problem.contacts.points_palm, unobservable
+        vision, corrected = (correction_errors(problem.model, T, *given) for T in (T_vision, T_corrected))
         yield Comparison(name, problem, answered, vision, corrected)
 
 

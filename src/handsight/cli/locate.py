@@ -27,11 +27,14 @@ if TYPE_CHECKING:
 
     Row = Located | LocatedAll | Unread
 
-MAX_INSTANCES = 100  # most instances of one object in an image
-MOST_PANELS = 6  # number of images in the picture
+MAX_INSTANCES = 100
+"""Most instances of one object in an image."""
+MOST_PANELS = 6
+"""Number of images in the picture."""
 COLUMNS = "x, y, z in the camera [mm]", "± [mm]", "± [°]", "explained", "weight", "others", "ms"
 """Columns of the table, behind those of the image and of the object."""
-MAX_MESSAGES = 5  # number of messages about unreadable images, and about images without the object
+MAX_MESSAGES = 5
+"""Number of messages about unreadable images, and about images without the object."""
 
 
 def locate(

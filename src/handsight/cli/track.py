@@ -35,8 +35,10 @@ if TYPE_CHECKING:
     from handsight.tracking.replay import Step, Tally
     from handsight.tracking.verdicts import Diagnosis
 
-CHECKPOINT_PERIOD = 10.0  # between two checkpoints, from which tracking goes on after it has ended early [s]
-MAX_STEPS = 4000  # steps that are kept in memory; of more, every second one is left out
+CHECKPOINT_PERIOD = 10.0
+"""Between two checkpoints, from which tracking goes on after it has ended early [s]."""
+MAX_STEPS = 4000
+"""Steps that are kept in memory; of more, every second one is left out."""
 
 
 def track(

@@ -10,7 +10,8 @@ from handsight.messages.decode import typestore
 from handsight.messages.encode import Message, header, pose_with_covariance, transform
 from handsight.messages.topics import OwnTopic, RosType
 
-OBJECT_FRAME = "object"  # the object's frame id in /tf; its parent is the palm's
+OBJECT_FRAME = "object"
+"""The object's frame id in /tf; its parent is the palm's."""
 
 
 class Answer(NamedTuple):

@@ -31,10 +31,12 @@ class HealthOptions(NamedTuple):
 
 
 HEALTH = HealthOptions()
-OK, WARN, ERROR, STALE = 0, 1, 2, 3  # the severity of a status, as diagnostic_msgs defines it
+OK, WARN, ERROR, STALE = 0, 1, 2, 3
+"""The severity of a status, as diagnostic_msgs defines it."""
 OCCASIONAL = "vision", "detections", "mask", "color"
 """Roles of topics on which nothing may come, as where a detector does not find the object."""
-ONCE = "tf_static", "info"  # roles of topics that are published once
+ONCE = "tf_static", "info"
+"""Roles of topics that are published once."""
 
 
 class Rate(NamedTuple):

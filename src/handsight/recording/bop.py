@@ -31,7 +31,8 @@ BOP_COLUMNS = "scene_id,im_id,obj_id,score,R,t,time"
 Number = Annotated[int, Meta(ge=0, lt=10**9)]
 Place = Annotated[float, Meta(ge=-MAX_PIXEL, le=MAX_PIXEL)]
 Extent = Annotated[float, Meta(ge=0, le=MAX_PIXEL)]
-ImageNumber = tuple[int, int]  # BOP's numbers of the scene and of the image
+ImageNumber = tuple[int, int]
+"""BOP's numbers of the scene and of the image."""
 
 
 MAX_BYTES = 1 << 29  # of a file of detections or targets

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from handsight.recording.frames import Frame, Unread
 from handsight.vision import JudgedStarts, ObjectDetection, SceneDetection
 from handsight.vision.object.locate import Recognition
 
-MAX_REASONS = 3  # reasons that are listed why none of several objects was found
+MAX_REASONS = 3
+"""Reasons that are listed why none of several objects was found."""
 MAX_HYPOTHESES, MIN_WEIGHT = 3, 0.01
 """Hypotheses of an object that are written, and the weight above which the others than the best are."""
 FAR, IMPROBABLE = 3.0, 0.005
@@ -72,11 +74,9 @@ class LocatedAll:
     @property
     def instances(self) -> list[Located]:
         """Each object that was found, the most probable first."""
+        located = partial(Located, frame=self.frame, seconds=self.seconds)
         each = ((i.name, replace(i.detection, probability=i.probability)) for i in self.found.instances)
-        return [
-            Located(frame=self.frame, model=self.models[name], found=one, seconds=self.seconds)
-            for name, one in each
-        ]
+        return [located(model=self.models[name], found=one) for name, one in each]
 
     @property
     def reason(self) -> str | None:

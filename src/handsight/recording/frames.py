@@ -29,7 +29,8 @@ from handsight.vision.object.locate import search_mask
 from handsight.vision.pixels import MILLIMETRE, Color
 
 CAMERAS = "scene_camera.json"
-Box = tuple[float, float, float, float]  # first column and row, last column and row, both included [pixels]
+Box = tuple[float, float, float, float]
+"""First column and row, last column and row, both included [pixels]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -12,7 +12,8 @@ from pathlib import Path
 from handsight.messages import RawMessage
 from handsight.recording.chunks import Chunk, ChunkedSource, seconds
 
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 2, 3, 4, 5, 6  # the kinds of records
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 2, 3, 4, 5, 6
+"""The kinds of records."""
 RECORD, TEXT = struct.Struct("<BQ"), struct.Struct("<I")
 MESSAGE_HEAD, CHUNK_HEAD = struct.Struct("<HIQQ"), struct.Struct("<QQQI")
 

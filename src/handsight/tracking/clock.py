@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 from handsight.observation import MAX_JUMP
 from handsight.tracking.track_state import TrackState
 
-MAX_UNCONFIRMED = 3  # the most jumps ahead in a row that can be undone
+MAX_UNCONFIRMED = 3
+"""The most jumps ahead in a row that can be undone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,7 +22,8 @@ from handsight.objects import ObjectModel
 from handsight.rig import Rig
 from handsight.tracking.images import ImageResult, ObjectInImages, TakenImage
 
-MAX_TRACKS = 4  # number of tracks whose object the process follows; of more, the oldest are forgotten
+MAX_TRACKS = 4
+"""Number of tracks whose object the process follows; of more, the oldest are forgotten."""
 _tracks = itertools.count()
 
 

@@ -21,7 +21,8 @@ from handsight.rig import MountedCamera, Rig
 from handsight.tracking.fingertips import FingertipContacts, FingertipSensors
 from handsight.tracking.skin import NOTHING, SkinContacts, SkinSensors
 
-Change = Callable[[Observation], Observation]  # what an observation is read as in place of what was recorded
+Change = Callable[[Observation], Observation]
+"""What an observation is read as in place of what was recorded."""
 
 
 class ConsistencyOptions(NamedTuple):

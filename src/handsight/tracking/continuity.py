@@ -15,7 +15,8 @@ from handsight.correction.estimate import point_uncertainty
 from handsight.objects import ObjectModel
 from handsight.tracking.track_state import Correction
 
-CONFIRM_AFTER = 0.1  # for so long corrections must dispute the last answer before one of them counts [s]
+CONFIRM_AFTER = 0.1
+"""For so long corrections must dispute the last answer before one of them counts [s]."""
 
 
 def disputed(

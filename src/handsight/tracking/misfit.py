@@ -73,7 +73,8 @@ OTHER_OBJECT = "this may be another object than the model"
 FINGER_OR_OBJECT = "a finger is calibrated badly, or this is another object"
 TOUCH, OBJECT = "touch", "object"
 """Names of the misfits of all contacts together: those that a finger may cause, and those that none can."""
-SUSPICIONS = {OBJECT: OTHER_OBJECT, TOUCH: FINGER_OR_OBJECT}  # what these suggest, the worse first
+SUSPICIONS = {OBJECT: OTHER_OBJECT, TOUCH: FINGER_OR_OBJECT}
+"""What these suggest, the worse first."""
 
 
 @dataclass(frozen=True, slots=True)

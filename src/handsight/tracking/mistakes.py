@@ -47,7 +47,8 @@ LARGE, LONGEST_ARM = 50.0, 0.2
 """A largest force that no fingertip bears [N], and a largest torque by the largest force of no tip [m]."""
 NOISY = "balance", "squeeze", "object"
 """Measures that a weight, links that touch as well, and outliers among contacts raise."""
-EXACT = "rest", "outward"  # measures that are no mean of samples of the recording
+EXACT = "rest", "outward"
+"""Measures that are no mean of samples of the recording."""
 
 
 class Mistake(NamedTuple):
@@ -336,8 +337,9 @@ def _palms(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
         return observation if T is None else replace(observation, T_world_palm=T @ T_palm_true)
 
     def from_link(link: str, observation: Observation) -> Observation:
-        poses = rig.hand.link_poses(observation.joint_positions or {})
-        return moved(se3.inverse(poses[link]), observation)
+        if observation.T_world_palm is None:
+            return observation
+        return moved(se3.inverse(rig.hand.link_poses(observation.joint_positions or {})[link]), observation)
 
     fix = f"set world.gravity: {(-rig.gravity).tolist()}"
     yield Mistake("gravity the other way", fix, replace(rig, gravity=-rig.gravity), _as_is)

@@ -36,7 +36,8 @@ from handsight._kernels.math.vec3 import (
 from handsight._kernels.mesh.field import FLAT, clamped, field_at
 from handsight._kernels.runtime.compilation import inner
 
-Pose = tuple[Mat33, Vec3]  # R and p of T_palm_object
+Pose = tuple[Mat33, Vec3]
+"""R and p of T_palm_object."""
 Frame = tuple[Vec3, float]
 """A center and a radius: a step is a shift τ, and a turn ω about the center multiplied by the radius."""
 Surface = tuple[float, Vec3, Vec3, Mat33, Vec3]

@@ -20,7 +20,8 @@ from handsight._kernels.runtime.compilation import inner
 
 POWER = 8
 """Exponent of the norm, an even number; a hundred points of the same depth count as 1.8 times one of them."""
-CLEARANCE_REACH = 0.2  # clearances are measured again when the object has moved by this many radii
+CLEARANCE_REACH = 0.2
+"""Clearances are measured again when the object has moved by this many radii."""
 MAX_FIELD_SLOPE = 1.25
 """Upper bound of the gradient's length on a grid, whose distance is not exact everywhere."""
 

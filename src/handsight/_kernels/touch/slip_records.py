@@ -78,7 +78,8 @@ class SlipOptions(NamedTuple):
 
 SLIP = SlipOptions()
 
-MOST_READINGS = 32  # the most readings of a window; above 2000 a second it is shorter
+MOST_READINGS = 32
+"""The most readings of a window; above 2000 a second it is shorter."""
 LOAD_LIMITS = record(
     ("min_force", "f8"),  # normal force above which a sensor's ratio counts [N]
     ("sure_force", "f8"),  # the same above which friction is learnt from it [N]
