@@ -88,16 +88,18 @@ class Layout(NamedTuple):
         points = se3.apply(T, self.points)
         fields = {"components": self.components, "frame": self.frame, "nominal": self.nominal} | given
         if self.normals is None:
-            mesh = None if hand is None else hand.link_meshes().get(fields["frame"])
-            of = f"{fields['frame']!r}"
+            frame: Any = fields["frame"]
+            mesh = None if hand is None else hand.link_meshes().get(frame)
             if mesh is None:
-                expected = f"expected three more numbers for each taxel, as {of} has no mesh"
+                expected = f"expected three more numbers for each taxel, as {frame!r} has no mesh"
                 raise InvalidInput(f"normals: {expected}, got none")
             fields["normals"], distance = _nearest(mesh, points)
             if not distance.max() <= ON_LINK:
-                expected = f"expected taxels within {1e3 * ON_LINK:g} mm of the mesh of {of}"
-                came = f"which gives their normals, got {1e3 * distance.max():.3g} mm"
-                raise InvalidInput(f"points[{distance.argmax()}]: {expected}, {came}")
+                of = f"the mesh of {frame!r}, which gives their normals"
+                expected = f"expected taxels within {1e3 * ON_LINK:g} mm of {of}"
+                raise InvalidInput(
+                    f"points[{distance.argmax()}]: {expected}, got {1e3 * distance.max():.3g} mm"
+                )
         else:
             fields["normals"] = self.normals @ T[:3, :3].T
         if self.x_axes is not None:

@@ -50,7 +50,6 @@ class FingertipContacts:
     about the normal [N m]; NaN where a tip does not measure it."""
     doubts: Mapping[str, str] = field(default_factory=dict)
     """By finger, how far its taxels and its wrench are from each other where they contradict each other."""
-
     by_taxels: tuple[str, ...] = ()
     """Fingers whose loads, if any, are their taxels', as they have no wrench."""
     records: NDArray[np.void] | None = None
@@ -112,7 +111,6 @@ class FingertipSensors:
         doubts = self._put_taxels(skin, Ts_palm_tip, by_tip, by_error, records) if skin.tips else {}
         if T is not None and self._table is not None:
             kernels.mark_on_table(np.array(T), self._table, ON_TABLE, records)
-
         numbers = zip(self.names, records["reason"].tolist(), strict=True)
         reasons = {name: REASONS[k] for name, k in numbers if k}
         fingers = tuple([name for name in self.names if name not in reasons]) if reasons else self.names
