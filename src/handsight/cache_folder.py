@@ -41,9 +41,8 @@ def private_folder(base: Path, name: str = "") -> Path:
     if reason is None:
         return base / name
     folder = _temporary_folder() / name
-    _warn_once(
-        f"{reason}; {folder} is used as cache instead (HANDSIGHT_CACHE or NUMBA_CACHE_DIR may name another)"
-    )
+    other = "HANDSIGHT_CACHE or NUMBA_CACHE_DIR may name another"
+    _warn_once(f"{reason}; {folder} is used as cache instead ({other})")
     return folder
 
 

@@ -72,9 +72,8 @@ class Camera:
             expected = "expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
             raise InvalidInput(f"matrix: {expected}, got {checks.brief(K)}")
         if min(K[0, 0], K[1, 1]) < MIN_FOCAL or np.abs(K).max() > MAX_FOCAL:
-            expected = (
-                f"expected fx, fy from {MIN_FOCAL:g} to {MAX_FOCAL:g} pixels, and cx, cy within {MAX_FOCAL:g}"
-            )
+            focal = f"fx, fy from {MIN_FOCAL:g} to {MAX_FOCAL:g} pixels"
+            expected = f"expected {focal}, and cx, cy within {MAX_FOCAL:g}"
             raise InvalidInput(f"matrix: {expected}, got {checks.brief(K)}")
         width, height = (checks.integer(n, "size", MAX_PIXELS) for n in self.size)
         if not 0 < width * height <= MAX_PIXELS:
@@ -156,10 +155,7 @@ class Camera:
 
 
 def check_lens(value: ArrayLike, name: str) -> Array:
-    """Returns the coefficients of a lens (n,): none, plumb_bob without or with k3, or a rational polynomial.
-
-    Raises InvalidInput for another number of them, and for one beyond `MAX_LENS`.
-    """
+    """Returns the numbers (n,) of a lens: none, plumb_bob without or with k3, or rational; raises InvalidInput."""
     lens = checks.finite(value, name, (None,))
     if (np.abs(lens) > MAX_LENS).any():
         raise InvalidInput(f"{name}: expected numbers within {MAX_LENS:g}, got {checks.brief(lens)}")

@@ -115,9 +115,8 @@ def sigma(value: ArrayLike, name: str) -> float:
     """Returns `value` as a standard deviation [m or rad] from `MIN_SIGMA` to `MAX_DISTANCE`; raises InvalidInput."""
     number = positive(value, name)
     if not MIN_SIGMA <= number <= MAX_DISTANCE:
-        raise InvalidInput(
-            f"{name}: expected a number from {MIN_SIGMA:g} to {MAX_DISTANCE:g}, got {number:g}"
-        )
+        expected = f"expected a number from {MIN_SIGMA:g} to {MAX_DISTANCE:g}"
+        raise InvalidInput(f"{name}: {expected}, got {number:g}")
     return number
 
 

@@ -50,10 +50,7 @@ def pose_errors(model: ObjectModel, Ts: Array, Ts_true: Array, Ts_world_palm: Ar
 
 
 def base_center(model: ObjectModel, T_world_object: Array) -> Array:
-    """Returns the middle (..., 3) of the side of the object's bounding box that faces down, in the object's frame [m].
-
-    `T_world_object` is (..., 4, 4).
-    """
+    """Returns (..., 3) in the object [m] the middle of its bounding box's side that faces down at poses (..., 4, 4)."""
     low, high = model.bounds_object
     down = -T_world_object[..., 2, :3]
     axis = np.argmax(np.abs(down), axis=-1)[..., None]

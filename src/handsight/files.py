@@ -108,10 +108,8 @@ def check_not_overwritten(destination: object, what: str, other: object, whose: 
     """
     identity = _file_identity(destination)
     if identity is not None and identity == _file_identity(other):
-        is_path = isinstance(destination, str | os.PathLike)
-        raise InvalidFile(
-            f"{destination if is_path else stream_name(destination)}: {what} would overwrite {whose}"
-        )
+        name = destination if isinstance(destination, str | os.PathLike) else stream_name(destination)
+        raise InvalidFile(f"{name}: {what} would overwrite {whose}")
 
 
 def _file_identity(place: object) -> tuple[str] | tuple[int, int] | None:

@@ -66,11 +66,9 @@ def _is_clearly_rigid(T: object) -> bool:
         + abs(b * c + e * f + h * i)
     )
     right_handed = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) > 0
-    near = min(x, y, z) > -MAX_DISTANCE and max(x, y, z) < MAX_DISTANCE
+    near = min(x, y, z) > -MAX_DISTANCE and max(x, y, z) < MAX_DISTANCE and math.isfinite(x + y + z)
     # Half of the tolerance of `check`, so that rounding decides nothing.
-    return (
-        math.isfinite(x + y + z) and drift < 5e-7 and right_handed and near and last == [0.0, 0.0, 0.0, 1.0]
-    )
+    return near and drift < 5e-7 and right_handed and last == [0.0, 0.0, 0.0, 1.0]
 
 
 def compose(R: Array, p: Array) -> Array:
@@ -210,6 +208,11 @@ def from_position_quaternion(position: ArrayLike, quaternion_xyzw: ArrayLike) ->
     """Returns the transform (4, 4) of a ROS pose; raises InvalidInput where the quaternion is zero or not finite."""
     R = rotation_from_quaternion(unit(quaternion_xyzw, "quaternion_xyzw", (4,)))
     return compose(R, finite(position, "position", (3,)))
+
+
+def position_quaternion(T: Array) -> dict[str, Array]:
+    """Returns the position and the `quaternion_xyzw` of a transform (4, 4), by their names in files."""
+    return {"position": T[:3, 3], "quaternion_xyzw": quaternion_from_rotation(T[:3, :3])}
 
 
 def perpendicular(vectors: Array) -> Array:

@@ -132,9 +132,8 @@ class Reader:
             planes.append(Plane(point, normal, checks.sigma(plane.sigma, f"planes[{i}].sigma")))
         if planes:
             outside = Outside(() if outside is None else outside, planes)
-        contacts = _contacts(
-            fields.contacts, fields.shared_covariance, of_residual=fields.contacts_of_residual
-        )
+        shared, of_residual = fields.shared_covariance, fields.contacts_of_residual
+        contacts = _contacts(fields.contacts, shared, of_residual=of_residual)
         options = {name: getattr(fields, name) for name in ("answer", "samples", "budget", "method")}
         options |= {"outside": outside, "weight": _weight(fields.weight)}
         if (depth := fields.depth) is not None:
@@ -160,16 +159,13 @@ class Reader:
 
 
 def answer(problem: Problem) -> dict[str, Any]:
-    """Returns the answer to a problem, ready for JSON but for arrays in place of lists.
-
-    Raises InvalidInput.
-    """
+    """Returns the answer to a problem, ready for JSON but for arrays in place of lists; raises InvalidInput."""
     started = time.perf_counter()
     estimate = correct_pose(problem.model, problem.contacts, vision=problem.vision, **problem.options)
     seconds = time.perf_counter() - started
     normal_deg = [None if np.isnan(a) else float(np.rad2deg(a)) for a in estimate.residuals.normal]
     return {
-        **_pose(estimate.T_palm_object),
+        **se3.position_quaternion(estimate.T_palm_object),
         "covariance": estimate.covariance,
         "information": estimate.information,
         "converged": estimate.converged,
@@ -184,7 +180,7 @@ def answer(problem: Problem) -> dict[str, Any]:
             for conflict in estimate.conflicts
         ],
         "hypotheses": [
-            {**_pose(h.T_palm_object), "covariance": h.covariance, "weight": h.weight}
+            se3.position_quaternion(h.T_palm_object) | {"covariance": h.covariance, "weight": h.weight}
             for h in estimate.hypotheses
         ],
     }
@@ -262,15 +258,9 @@ def _contacts(rows: list[ContactFields], shared: Any = None, *, of_residual: boo
         covariance[i] = np.diag(np.repeat([sigma_point**2, sigma_normal**2], 3))
     groups = [row.group for row in rows]
     group = None if shared is None and all(g == -1 for g in groups) else groups
+    noise: dict[str, Any] = {"covariance": covariance, "of_residual": of_residual}
     try:
-        return Contacts(
-            points,
-            normals,
-            covariance=covariance,
-            of_residual=of_residual,
-            group=group,
-            shared_covariance=shared,
-        )
+        return Contacts(points, normals, **noise, group=group, shared_covariance=shared)
     except InvalidInput as error:
         raise InvalidInput(f"contacts: {error}") from None
 
@@ -286,11 +276,8 @@ def _vision(fields: VisionFields | None) -> PosePrior | None:
     T = se3.compose(se3.rotation_from_quaternion(quaternion), position)
     given = [value is not None for value in (fields.sigma_position, fields.sigma_rotation_deg)]
     if (fields.covariance is not None) == any(given):
-        expected, came = (
-            "sigma_position and sigma_rotation_deg or a covariance",
-            "both" if any(given) else "neither",
-        )
-        raise InvalidInput(f"vision: expected {expected}, got {came}")
+        expected = "expected sigma_position and sigma_rotation_deg or a covariance"
+        raise InvalidInput(f"vision: {expected}, got {'both' if any(given) else 'neither'}")
     if fields.covariance is not None:
         return PosePrior(T, checks.covariance(fields.covariance, "vision.covariance", (6, 6)))
     for field in ("sigma_position", "sigma_rotation_deg"):
@@ -320,7 +307,3 @@ def _radians(degrees: float, name: str, most: float) -> float:
         lowest, highest = np.rad2deg([checks.MIN_SIGMA, most])
         raise InvalidInput(f"{name}: expected degrees from {lowest:.1g} to {highest:.3g}, got {degrees:g}")
     return radians
-
-
-def _pose(T: Array) -> dict[str, Array]:
-    return {"position": T[:3, 3], "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3])}

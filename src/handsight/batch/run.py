@@ -28,9 +28,8 @@ class BatchLimits(NamedTuple):
     """`BatchLimits` bound how much of a batch is in memory at the same time."""
 
     chunk_lines: int = 256  # largest number of lines in a worker's chunk
-    max_pending_bytes: int = (
-        64_000_000  # no line is submitted while lines without a returned answer take more
-    )
+    max_pending_bytes: int = 64_000_000
+    """No line is submitted while lines without a returned answer take more."""
     line_overhead: int = 3000  # memory of a line besides its characters: its answer, Python's objects [bytes]
 
 
@@ -130,11 +129,8 @@ class Batch:
 
     def _submit(self) -> None:
         """Submits chunks of the lines that were read, while there is room."""
-        while (
-            self._lines
-            and self._running < self._workers.room
-            and self._pending_bytes < BATCH.max_pending_bytes
-        ):
+        most = BATCH.max_pending_bytes
+        while self._lines and self._running < self._workers.room and self._pending_bytes < most:
             chunk = self._lines[: self._size]
             future = self._workers.submit(chunk)
             del self._lines[: self._size]

@@ -63,10 +63,7 @@ _one_at_a_time = threading.Lock()  # a reader's models must not be used by sever
 
 
 def answer_lines(folder: str, lines: list[bytes]) -> Answers:
-    """Returns the answers to lines, computed on one thread; relative paths of meshes start at `folder`.
-
-    A process builds each model once.
-    """
+    """Returns the answers to lines, computed on one thread; relative paths of meshes start at `folder`."""
     from handsight._kernels.runtime.threads import alone
     from handsight.batch.problems import answer_text
 
@@ -165,10 +162,8 @@ class Processes(contextlib.AbstractContextManager["Processes"]):
             except (BrokenProcessPool, OSError) as error:  # the worker may have died before it read its work
                 _check_broken(error)
                 self._end()
-        message = ", ".join(str(child.exitcode) for child in children)
-        raise WorkerFailure(
-            f"worker processes end as they start (exit code {message}); --workers 1 needs none"
-        )
+        codes = ", ".join(str(child.exitcode) for child in children)
+        raise WorkerFailure(f"worker processes end as they start (exit code {codes}); --workers 1 needs none")
 
 
 def _check_broken(error: BrokenProcessPool | OSError) -> None:
@@ -287,7 +282,10 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
                 if (gone or getattr(client, "status", "") != "running") and self._returned(client):
                     self._send(lines, answers)
                 else:
-                    answers.set_exception(self._lost(error))
+                    message = f"the cluster was lost ({type(error).__name__}: {error})"
+                    if isinstance(error, ModuleNotFoundError):
+                        message = f"the workers have no module {error.name!r}; install handsight there"
+                    answers.set_exception(WorkerFailure(f"{self._address}: {message}"))
 
     def _returned(self, lost: Any) -> bool:
         """Returns whether a scheduler answers again at the address, after `RETURN_SECONDS` at most, and replaces the
@@ -301,9 +299,3 @@ class Cluster(contextlib.AbstractContextManager["Cluster"]):
         with contextlib.suppress(Exception):
             lost.close(timeout=CONNECT_SECONDS)
         return self._client is not None
-
-    def _lost(self, error: BaseException) -> WorkerFailure:
-        message = f"the cluster was lost ({type(error).__name__}: {error})"
-        if isinstance(error, ModuleNotFoundError):
-            message = f"the workers have no module {error.name!r}; install handsight there"
-        return WorkerFailure(f"{self._address}: {message}")

@@ -127,18 +127,13 @@ def examples() -> Iterator[Comparison]:
             for pose in (json.loads(truth), json.loads(line)["vision"], answered)
         )
         unobservable = np.asarray(answered["unobservable"]).reshape(-1, 6)
-        vision, corrected = (
-            correction_errors(problem.model, T, T_true, problem.contacts.points_palm, unobservable)
-            for T in (T_vision, T_corrected)
-        )
+        given = T_true, problem.contacts.points_palm, unobservable
+        vision, corrected = (correction_errors(problem.model, T, *given) for T in (T_vision, T_corrected))
         yield Comparison(name, problem, answered, vision, corrected)
 
 
 def find_can(plot: Path) -> str:
-    """Returns sentences about how well the can is located in the built-in image; draws it if matplotlib is installed.
-
-    Raises MissingExtra.
-    """
+    """Returns sentences about how well the can is located in the built-in image, and draws it; raises MissingExtra."""
     from handsight import se3
     from handsight.cli.locate import draw, locator
     from handsight.rig import Rig
@@ -161,10 +156,7 @@ def find_can(plot: Path) -> str:
 
 
 def picture(rig: "Rig", known: dict[str, Any]) -> "Frame":
-    """Returns the built-in image of the can in the hand, with the hand's mask by joints and calibration.
-
-    Raises MissingExtra.
-    """
+    """Returns the built-in image of the can in the hand, masked by joints and calibration; raises MissingExtra."""
     import numpy as np
 
     from handsight import se3

@@ -220,11 +220,9 @@ def locate(
             except NoLibrary:
                 known = {}
             hints = Hints(list(models), known, detections=detections, start=start, targets=targets)
-            for sentence in hints.sentences:
-                terminal.say(f"handsight: {sentence}")
-            frames = frames._replace(
-                total=None if targets else frames.total, each=hints.beside_each(frames.each)
-            )
+            terminal.say(*(f"handsight: {sentence}" for sentence in hints.sentences))
+            total = None if targets else frames.total
+            frames = frames._replace(total=total, each=hints.beside_each(frames.each))
     if box is not None:
         try:
             left, top, right, bottom = (float(part) for part in box.split(","))
@@ -334,8 +332,7 @@ def _locate_each(
         sentences.append(end.message or stopped)
     if plot is not None and panels:
         sentences.append(draw(panels, plot))
-    for sentence in sentences:
-        terminal.say(sentence)
+    terminal.say(*sentences)
     if end.exit_code or not unread:
         return end.exit_code
     return terminal.FAILED if panels else terminal.WRONG_INPUT
@@ -385,9 +382,8 @@ def locator(
             model, one = models[name], here[name]
             return Located(frame=frame, model=model, found=one, seconds=seconds, recognition=which)
         if beside:
-            found = {
-                name: _found_beside(frame, model, name, noise, each=True) for name, model in asked.items()
-            }
+            named = asked.items()
+            found = {name: _found_beside(frame, model, name, noise, each=True) for name, model in named}
         scene = locate_all(asked, depth, camera, counts=most, found=found, mask=mask, hand=hand, noise=noise)
         judged = {name: each[0].starts for name, each in (found or {}).items() if each}
         starts = {name: one for name, one in judged.items() if one is not None}
@@ -409,17 +405,9 @@ def _found_beside(
     known = (Detection2D(),) if frame.detections is None else frame.detections
     mine = sorted((one for one in known if one.label in ("", name)), key=lambda one: -(one.score or 1.0))
     groups = [[one] for one in mine[:MAX_DETECTIONS]] if each else [mine]
-    located = partial(
-        locate_detected,
-        model,
-        frame.depth,
-        frame.camera,
-        mask=frame.wanted,
-        start=(frame.starts or {}).get(name),
-        hand=frame.hand,
-        noise=noise,
-    )
-    return [located(detections=group) for group in groups]
+    located = partial(locate_detected, model, frame.depth, frame.camera, hand=frame.hand, noise=noise)
+    start = (frame.starts or {}).get(name)
+    return [located(detections=group, mask=frame.wanted, start=start) for group in groups]
 
 
 def draw(panels: "Sequence[Located | LocatedAll]", path: Path) -> str:

@@ -211,10 +211,9 @@ def weigh(
     say(f"{model.name}: {text}, by {found.directions} directions of gravity")
     max_sigma = 0.01  # [m] per axis; a less certain centre is of no use
     if sigma > max_sigma:
-        raise InvalidInput(
-            f"{recording.name}: expected a centre of mass known to {1e3 * max_sigma:g} mm, got {1e3 * sigma:.1f} mm: "
-            "not written (where the object is in the hand must be known: by more contacts, or by vision)"
-        )
+        hint = "where the object is in the hand must be known: by more contacts, or by vision"
+        expected = f"expected a centre of mass known to {1e3 * max_sigma:g} mm, got {1e3 * sigma:.1f} mm"
+        raise InvalidInput(f"{recording.name}: {expected}: not written ({hint})")
     opened.weigh(name, found.mass, center, sigma)
     say(f"wrote {opened.place}")
 

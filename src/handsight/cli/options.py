@@ -4,6 +4,7 @@ import contextlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -174,10 +175,8 @@ def find_models(
     objects, opened = {} if rig is None else rig.objects, Library(library)
     if wanted := tuple(names) or tuple(objects):
         place = "" if rig is None else str(rig_path)
-        models = [
-            find_model(name, objects, place, library=opened, scale=scale, argument="--object")
-            for name in wanted
-        ]
+        find = partial(find_model, library=opened, scale=scale, argument="--object")
+        models = [find(name, objects, place) for name in wanted]
     elif rig is not None:
         raise InvalidInput(f"--object: expected one of the rig, got nothing; {rig_path} has none")
     else:

@@ -100,8 +100,7 @@ def reconstruct(
             file.write(content)
         messages += [*sentences, f"wrote {output}: {len(model.points)} points"]
     finally:
-        for sentence in messages:
-            say(sentence)
+        say(*messages)
     if end.exit_code:
         raise typer.Exit(end.exit_code)
 
@@ -167,14 +166,13 @@ class Fusion:
 
         min_views, min_points = 5, 100
         if self.reconstruction is None:
-            where = (
-                f"{'in the hand' if self.in_hand else 'on a table'}, got none in {self.images} depth images"
-            )
-            raise InvalidInput(f"recording: expected an object {where}{self.reasons}")
+            where = "in the hand" if self.in_hand else "on a table"
+            came = f"none in {self.images} depth images{self.reasons}"
+            raise InvalidInput(f"recording: expected an object {where}, got {came}")
         if self.views < min_views:
+            came = f"{self.views} in {self.images} depth images, of which {self.fitted} fitted{self.reasons}"
             raise InvalidInput(
-                f"recording: expected at least {min_views} views of different sides, got {self.views} "
-                f"in {self.images} depth images, of which {self.fitted} fitted{self.reasons}"
+                f"recording: expected at least {min_views} views of different sides, got {came}"
             )
         misfits = self.images - self.skipped.total() - self.fitted
         used = f"{self.views} views fused of {self.images} depth images, {misfits} did not fit"
@@ -186,10 +184,9 @@ class Fusion:
             volume = self.reconstruction.volume
             surface = one_object(volume.surface(), volume, table=True)
         if len(surface.points) < min_points:
-            raise InvalidInput(
-                f"recording: expected a surface of at least {min_points} points, got {len(surface.points)} "
-                "(do depth, intrinsics and the camera's pose belong together?)"
-            )
+            hint = "(do depth, intrinsics and the camera's pose belong together?)"
+            expected = f"expected a surface of at least {min_points} points"
+            raise InvalidInput(f"recording: {expected}, got {len(surface.points)} {hint}")
         model = closed(surface, volume, table=not self.in_hand, symmetries=self.guesses)
         size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(model.points, axis=0))
         observed, guessed = 100 * share_observed(surface, volume), "; ".join(model.guesses) or "nothing"

@@ -74,12 +74,10 @@ def new(
             with path.open("x", encoding="utf-8") as file:
                 file.write(text)
         except FileExistsError:
-            raise InvalidFile(
-                f"{path}: expected a new file, got one that exists; --output names another"
-            ) from None
-    say(
-        f"wrote {path}; next: handsight rig check {path}{'' if recording is None else f' {recording}'} --plot hand.png"
-    )
+            expected = "expected a new file, got one that exists"
+            raise InvalidFile(f"{path}: {expected}; --output names another") from None
+    files = f"{path}{'' if recording is None else f' {recording}'}"
+    say(f"wrote {path}; next: handsight rig check {files} --plot hand.png")
 
 
 def _guessed(file: Path, recording: Path | None) -> str:
@@ -104,15 +102,11 @@ def _guessed(file: Path, recording: Path | None) -> str:
     if recording is None:
         topics = Topics(wrenches={name: f"/{name}/wrench" for name in tips})
     unread = WrenchCalibration(*(np.zeros(3), np.zeros(3), 0.0, np.zeros(3)), reading="on_sensor")
-    fingers = {
-        name: Finger(
-            frame=tip.link,
-            T_frame_surface=tip.T_link_surface,
-            tip=Sphere(tip.radius, cap=-tip.radius / 2, T_surface_sensor=se3.inverse(tip.T_link_surface)),
-            calibration=unread,
-        )
-        for name, tip in tips.items()
-    }
+    fingers = dict[str, Finger]()
+    for name, tip in tips.items():
+        T = tip.T_link_surface
+        shape = Sphere(tip.radius, cap=-tip.radius / 2, T_surface_sensor=se3.inverse(T))
+        fingers[name] = Finger(frame=tip.link, T_frame_surface=T, tip=shape, calibration=unread)
     in_images = topics.vision is not None or topics.depth is not None
     rig = Rig(
         hand=Hand.from_file(file, palm=palm, tips={name: tip.link for name, tip in tips.items()}),
@@ -122,10 +116,9 @@ def _guessed(file: Path, recording: Path | None) -> str:
         topics=topics,
     )
     lines = [f"palm: {palm}, the last link that all fingers hang on"]
-    lines += [
-        f"finger {name}: {tip.link} is its tip, a sphere of {1e3 * tip.radius:.1f} mm by its mesh: measure it"
-        for name, tip in tips.items()
-    ]
+    for name, tip in tips.items():
+        shape_text = f"a sphere of {1e3 * tip.radius:.1f} mm by its mesh"
+        lines.append(f"finger {name}: {tip.link} is its tip, {shape_text}: measure it")
     lines += [f"topic {topic}: {what}" for topic, what in used.items()]
     lines += [f"skin {name}: of {entry.get('topic', 'a topic to fill in')}" for name, entry in skin.items()]
     if others := sorted(types.keys() - used.keys() - {entry.get("topic") for entry in skin.values()}):
@@ -154,10 +147,7 @@ def _skin(
     skin = {name: {"urdf": name, "threshold": 0.1, **topic} for name in tactile_sensors(file)}
     for finger, entry in taxels.items() if not skin else ():
         T, radius = tips[finger].T_link_surface, tips[finger].radius
-        end = {
-            "position": T[:3, 3] + radius * T[:3, 2],
-            "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3]),
-        }
+        end = se3.position_quaternion(T) | {"position": T[:3, 3] + radius * T[:3, 2]}
         skin[f"{finger}_tip"] = {"frame": tips[finger].link, "pose": end, **entry}
     return skin
 
@@ -206,15 +196,11 @@ def check(
 
         draw_rig(found, rig.name, plot)
         say(f"wrote {plot}")
-    sentences = [
-        f"skin {name}: {text}"
-        for name, text in (misplaced(found.skin, found.hand) if found.skin else {}).items()
-    ]
-    sentences += [
-        f"fingers.{name}.surface: the tip points into its finger: its +z must leave it (turn it by 180°)"
-        for name, cosine in outward(found).items()
-        if cosine < INTO_FINGER
-    ]
+    off = misplaced(found.skin, found.hand) if found.skin else {}
+    sentences = [f"skin {name}: {text}" for name, text in off.items()]
+    inward = [name for name, cosine in outward(found).items() if cosine < INTO_FINGER]
+    why = "the tip points into its finger: its +z must leave it (turn it by 180°)"
+    sentences += [f"fingers.{name}.surface: {why}" for name in inward]
     for sentence in sentences:
         typer.echo(printable(f"- {sentence}"))
     wrong = bool(sentences)
@@ -352,10 +338,7 @@ def camera(recording: RecordingPath, rig: RigPath = None, object: ObjectName = N
     if by_vision is None and views.images:
         counts = ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in views.refusals.items())
         say(f"too few images show the hand: {views.images} images, {counts or 'too few'}")
-    for sentence in refusals(tally):
-        say(sentence)
-    if end.message:
-        say(end.message)
+    say(*refusals(tally), *([end.message] if end.message else []))
     if end.exit_code:
         raise typer.Exit(end.exit_code)
     if touched is None and by_vision is None:
@@ -387,10 +370,10 @@ def sensors(recording: RecordingPath, rig: RigPath = None) -> None:
             typer.echo(printable(line))
         was = before.fingers[name]
         if finger.sigma_force > was.sigma_force or finger.sigma_torque > was.sigma_torque:
-            say(
-                f"{name}: readings are off by {1e3 * finger.sigma_force:.0f} mN, {1e3 * finger.sigma_torque:.2g} mN m; "
-                f"the rig has {1e3 * was.sigma_force:.0f} mN, {1e3 * was.sigma_torque:.2g} mN m"
+            off, known = (
+                f"{1e3 * of.sigma_force:.0f} mN, {1e3 * of.sigma_torque:.2g} mN m" for of in (finger, was)
             )
+            say(f"{name}: readings are off by {off}; the rig has {known}")
 
 
 def _mm(values: "Array") -> str:

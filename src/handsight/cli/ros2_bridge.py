@@ -61,9 +61,8 @@ def ros2_bridge(
         say(f"look at {viewer.address}")
     worker = threading.Thread(target=work, args=(live, bridge.step, bridge.publish, say, ended), daemon=True)
     worker.start()
-    say(
-        f"the bridge is ready: it follows {live.tracker.model.name}, {len(live.subscriptions)} topics are heard"
-    )
+    heard = f"{len(live.subscriptions)} topics are heard"
+    say(f"the bridge is ready: it follows {live.tracker.model.name}, {heard}")
     while not ended.wait(1.0):
         bridge.check_network()
     worker.join(1.0)

@@ -213,9 +213,8 @@ def nuisances(settings: Iterable[str], start: "Nuisances | None" = None) -> "Nui
             continue
         name, equals, value = setting.partition("=")
         if not equals or name not in names:
-            raise InvalidInput(
-                f"--nuisance: expected none or NAME=VALUE, got {setting!r}{checks.suggestion(name, names)}"
-            )
+            came = f"{setting!r}{checks.suggestion(name, names)}"
+            raise InvalidInput(f"--nuisance: expected none or NAME=VALUE, got {came}")
         # A rig file cannot say these: see `handsight.simulation.model_of`.
         if name in ("object_dent", "object_scan"):
             expected = "expected one of the recording, got one of the object's model"

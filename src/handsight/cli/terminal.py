@@ -30,15 +30,16 @@ def _messages() -> "Console":
     return Console(stderr=True, soft_wrap=True, highlight=False)
 
 
-def say(message: str) -> None:
-    """Prints one line on stderr, with control characters escaped."""
-    try:
-        if sys.stderr.isatty():  # above a progress bar, if there is one
-            _messages().print(printable(message), markup=False)
-        else:
-            print(printable(message), file=sys.stderr, flush=True)
-    except OSError:  # stderr is closed or full; there is no other place for a message
-        discard(sys.stderr)
+def say(*messages: str) -> None:
+    """Prints each message as one line on stderr, with control characters escaped."""
+    for line in map(printable, messages):
+        try:
+            if sys.stderr.isatty():  # above a progress bar, if there is one
+                _messages().print(line, markup=False)
+            else:
+                print(line, file=sys.stderr, flush=True)
+        except OSError:  # stderr is closed or full; there is no other place for a message
+            discard(sys.stderr)
 
 
 @cache

@@ -102,8 +102,7 @@ def track(
         wrote.extend(write(result, run, folder, log))
     finally:
         log.close(resumable=bool(result.ends))
-        for sentence in (*result.messages, *result.sentences(), *wrote):
-            say(sentence)
+        say(*result.messages, *result.sentences(), *wrote)
         if diagnose and result.diagnosis is not None:
             print_diagnosis(result.diagnosis)
     if code := result.exit_code:
@@ -195,9 +194,8 @@ def tracked(
     elif not tally.answered and (unplaced := tracker.vision.unplaced):
         why = "as the palm's pose in the world was not known"
         result.reason = f"{unplaced} poses of vision could not be placed, {why}"
-    result.untouched = {
-        name: dict(tally.without.get(name, {})) for name in run.rig.fingers if name not in tally.touched
-    }
+    untouched = [name for name in run.rig.fingers if name not in tally.touched]
+    result.untouched = {name: dict(tally.without.get(name, {})) for name in untouched}
     with result.part():
         for name, vision in (("vision", True), ("tracked", False)):
             errors = track_errors(run.model, result.steps, result.truths, vision=vision)
@@ -333,9 +331,7 @@ class TrackResult:
             "refused": dict(tally.refused),
             "fingers_without_contact": self.untouched,
             "fingers_rejected": {finger: round(part, 3) for finger, part in self.rejected.items()},
-            "link_margins_mm": {
-                link: round(1e3 * margin, 1) for link, margin in tracker.link_margins.items()
-            },
+            "link_margins_mm": {link: round(1e3 * m, 1) for link, m in tracker.link_margins.items()},
             "depth_images": tracker.images,
             "diagnosis": [value.numbers() for value in self.diagnosis.values] if self.diagnosis else [],
             "vision_latency_ms": None if latency is None else [round(1e3 * x, 1) for x in latency],
@@ -361,10 +357,9 @@ class TrackResult:
         """Returns the result as sentences for a person."""
         tally, tracker = self.tally, self.tracker
         factor = f"{tally.recorded / tally.wall:.0f}x real time" if tally.wall else "nothing to time"
-        lines = [
-            f"{tally.answered} poses of {tally.observations} observations, {tracker.corrections} corrections; "
-            f"{tally.recorded:.1f} s in {tally.wall:.1f} s ({factor})"
-        ]
+        poses = f"{tally.answered} poses of {tally.observations} observations"
+        took = f"{tally.recorded:.1f} s in {tally.wall:.1f} s ({factor})"
+        lines = [f"{poses}, {tracker.corrections} corrections; {took}"]
         if not tally.answered:
             lines.append(f"no pose: {self.reason}")
         longest_first = sorted(tally.states.items(), key=lambda state: -state[1])
@@ -374,9 +369,8 @@ class TrackResult:
         lines += self._touch_sentences()
         differed = "contacts and vision have differed" in self.reason
         if differed or ("vision" in self.reason and not tally.answered):
-            lines.append(
-                "vision: check its topic, the order of its quaternion (x, y, z, w), camera.pose and frames.palm"
-            )
+            pose = "the order of its quaternion (x, y, z, w), camera.pose and frames.palm"
+            lines.append(f"vision: check its topic, {pose}")
         if tracker.images:
             searched, detected, searched_hand, hands = tracker.images.values()
             hand = f"the hand in {hands} of {searched_hand} searched for it"
@@ -384,10 +378,8 @@ class TrackResult:
         lines += latency_text(tracker)
         if margins := tracker.link_margins:
             by = ", ".join(f"{link} by {1e3 * margin:.1f} mm" for link, margin in margins.items())
-            lines.append(
-                "these shapes in the hand's file are too large, as they would be inside the object although the "
-                f"contacts fit, and were shrunk: {by}"
-            )
+            why = "as they would be inside the object although the contacts fit"
+            lines.append(f"these shapes in the hand's file are too large, {why}, and were shrunk: {by}")
         if self.weight is not None:
             lines.append(f"weight: {weight_text(self.weight)}")
         for value in () if self.diagnosis is None else self.diagnosis.wrong:
@@ -395,10 +387,9 @@ class TrackResult:
         lines += [end.message for end in self.ends if end.message]
         for name, errors in self.errors.items():
             n = errors.summary()
-            lines.append(
-                f"{name}: base centre off by {n['base_mean']:.1f} mm on average ({n['base_last']:.1f} at the end), "
-                f"middle {n['middle_mean']:.1f} mm, rotation {n['rotation_mean']:.1f}°"
-            )
+            base = f"{n['base_mean']:.1f} mm on average ({n['base_last']:.1f} at the end)"
+            others = f"middle {n['middle_mean']:.1f} mm, rotation {n['rotation_mean']:.1f}°"
+            lines.append(f"{name}: base centre off by {base}, {others}")
         return lines
 
     def _touch_sentences(self) -> Iterator[str]:
@@ -408,10 +399,9 @@ class TrackResult:
             yield f"finger {finger}: no contact in any observation ({reasons or 'none was taken'})"
         for finger, part in self.rejected.items():
             if part >= 0.5:
-                yield (
-                    f"finger {finger}: contradicts the others in {100 * part:.0f} % of the poses while it touched; "
-                    "check its topic, reading, bias, sensor.pose and surface; `handsight rig check` tries them"
-                )
+                often = f"in {100 * part:.0f} % of the poses while it touched"
+                check = "check its topic, reading, bias, sensor.pose and surface"
+                yield f"finger {finger}: contradicts the others {often}; {check}; `handsight rig check` tries them"
         if self.pressed:
             yield f"tactile arrays: pressed in {self.pressed} of {self.poses} poses"
         if self.unmeasured:
@@ -421,10 +411,8 @@ class TrackResult:
         if slips := self.slips:
             first = next(iter(slips)) - self.steps[0].stamp
             times = "once" if len(slips) == 1 else f"{len(slips)} times"
-            yield (
-                f"the object slipped {times}, {sum(slips.values()):.2f} s in all, first at "
-                f"{first:.2f} s; friction {self.friction:.2f}"
-            )
+            when = f"{sum(slips.values()):.2f} s in all, first at {first:.2f} s"
+            yield f"the object slipped {times}, {when}; friction {self.friction:.2f}"
 
 
 def latency_text(tracker: "Tracker") -> list[str]:
@@ -435,10 +423,9 @@ def latency_text(tracker: "Tracker") -> list[str]:
     (latency, sigma), declared = known, tracker.vision.camera.latency
     if abs(latency - declared) <= 0.02 + 2 * sigma:
         return []
-    return [
-        f"vision's poses are {1e3 * latency:.0f} ± {1e3 * sigma:.0f} ms older than their stamps (the rig "
-        f"says {1e3 * declared:.0f}), which is taken into account; see camera.latency"
-    ]
+    age = f"{1e3 * latency:.0f} ± {1e3 * sigma:.0f} ms older than their stamps"
+    rig_says = f"(the rig says {1e3 * declared:.0f}), which is taken into account"
+    return [f"vision's poses are {age} {rig_says}; see camera.latency"]
 
 
 def weight_text(weight: "ObjectWeight | None", why: str = "") -> str:
@@ -462,20 +449,15 @@ def refusals(tally: "Tally") -> list[str]:
 
 def print_diagnosis(diagnosis: "Diagnosis") -> None:
     """Prints a line for each value that a recording measures, the most doubtful first, and names the others."""
-    measured = sorted(
-        (v for v in diagnosis.values if v.measured or v.wrong), key=lambda v: (not v.wrong, -v.chi2)
-    )
-    rows = [
-        (v.name, v.unit, f"{v.declared:.4g} ± {v.sigma:.3g}", f"{v.estimated:.4g} ± {v.sigma_estimated:.3g}",
-         f"{v.chi2:.1f}", v.verdict)
-        for v in measured
-    ]  # fmt: skip
+    measured, rows = [v for v in diagnosis.values if v.measured or v.wrong], list[tuple[str, ...]]()
+    for v in sorted(measured, key=lambda v: (not v.wrong, -v.chi2)):
+        known = f"{v.declared:.4g} ± {v.sigma:.3g}", f"{v.estimated:.4g} ± {v.sigma_estimated:.3g}"
+        rows.append((v.name, v.unit, *known, f"{v.chi2:.1f}", v.verdict))
     if rows:
         print_out("", plain_table(("value", "in", "declared", "recording", "χ²", "verdict"), rows, texts=2))
-    others = [v.name for v in diagnosis.values if not (v.measured or v.wrong)]
-    joints, shifts = (
-        [name for name in others if re.match(kind, name)] for kind in ("joint ", "tip .* shift")
-    )
+    others = [v.name for v in diagnosis.values if v not in measured]
+    joints = [name for name in others if re.match("joint ", name)]
+    shifts = [name for name in others if re.match("tip .* shift", name)]
     kinds = [f"{len(joints)} joints"] * bool(joints) + [f"{len(shifts)} shifts of tips"] * bool(shifts)
     kinds += [name for name in others if name not in joints and name not in shifts]
     text = f"Different grasps that were compared: {diagnosis.instants}."

@@ -75,8 +75,7 @@ def view(
                     raise
                 say(f"handsight: {error}")
             player.finish()
-            for sentence in (*opened.report.sentences(), *refusals(tally)):
-                say(sentence)
+            say(*opened.report.sentences(), *refusals(tally))
             if not timeline.moments:
                 say(f"no pose: {tracker.reason}")
                 raise typer.Exit(FAILED)

@@ -124,11 +124,8 @@ class Health:
             if answers.silence > tracker.settings.lost_after:
                 return ERROR, "lost", what
             return STALE, tracker.state, f"{what}, before {tracker.reason or tracker.state}"
-        return (
-            {"tracking": OK, "uncertain": WARN, "lost": ERROR}[tracker.state],
-            tracker.state,
-            tracker.reason,
-        )
+        level = {"tracking": OK, "uncertain": WARN, "lost": ERROR}[tracker.state]
+        return level, tracker.state, tracker.reason
 
     def statuses(self, tracker: Tracker, now: float) -> list[Status]:
         """Returns two statuses, of the pose and of the input, where they are to be published now; else none.
@@ -161,16 +158,12 @@ class Health:
         silent = [name for name, rate in rates.items() if rate.silent]
         wrong = [] if report.joint_states in rates else [f"no joint states on {report.joint_states} so far"]
         for name in [*silent, *(name for name, rate in rates.items() if rate.slow and name not in silent)]:
-            now_is = (
-                f"silent for {rates[name].silence:.1f} s"
-                if name in silent
-                else f"{rates[name].measured:.3g} Hz"
-            )
-            wrong.append(f"{name}: {now_is}, usually {rates[name].expected:.3g} Hz")
-        wrong += [
-            f"{n} messages on {name} dropped: too many came" for name, n in (self._dropped - dropped).items()
-        ]
-        wrong += [f"{n} observations left out: {why}" for why, n in (self._refusals - refused).items()]
+            rate = rates[name]
+            now_is = f"silent for {rate.silence:.1f} s" if rate.silent else f"{rate.measured:.3g} Hz"
+            wrong.append(f"{name}: {now_is}, usually {rate.expected:.3g} Hz")
+        lost, refused = self._dropped - dropped, self._refusals - refused
+        wrong += [f"{n} messages on {name} dropped: too many came" for name, n in lost.items()]
+        wrong += [f"{n} observations left out: {why}" for why, n in refused.items()]
         wrong += [*self._stream.lacks(), *report.since(before).sentences()]
         stale = any(report.topics[name].role not in OCCASIONAL for name in silent)
         return STALE if stale else WARN if wrong else OK, wrong, rates

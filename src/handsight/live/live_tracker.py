@@ -188,13 +188,10 @@ class LiveTracker:
         elif not self._flushed and now - self._came >= LIVE.quiet:
             observations += self._stream.flush()
             self._flushed = True
-        if (
-            not self.equal and len(observations) > 1
-        ):  # the newest, and all with a camera's pose or depth image
+        if not self.equal and len(observations) > 1:
+            # The newest is answered, and all with a camera's pose or depth image.
             by_depth, (*older, newest) = self.rig.topics.depth is not None, observations
-            kept = [
-                each for each in older if each.vision is not None or (each.depth is not None and by_depth)
-            ]
+            kept = [o for o in older if o.vision is not None or (o.depth is not None and by_depth)]
             self.health.skipped += len(older) - len(kept)
             observations = [*kept, newest]
         answers = [answer for each in observations for answer in self._answers(each)]
@@ -224,9 +221,8 @@ class LiveTracker:
 
     def _follow(self, model: ObjectModel, start: PosePrior | None) -> None:
         """Replaces the tracker by a new one, which starts with the joint offsets that the last one has estimated."""
-        self.tracker = Tracker(
-            self.rig, model, start=start, settings=self.settings, joint_offsets=self.tracker.joint_offsets
-        )
+        offsets = self.tracker.joint_offsets
+        self.tracker = Tracker(self.rig, model, start=start, settings=self.settings, joint_offsets=offsets)
         self._object_at = -math.inf
 
     def _fulfil(self, message: RawMessage) -> None:

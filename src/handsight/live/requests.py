@@ -32,9 +32,8 @@ def requested_text(message: RawMessage) -> str:
     except HandsightError:
         raise
     except Exception as error:  # code that rosbags generates raises anything
-        raise InvalidInput(
-            f"expected a {RosType.TEXT}, got bytes that are none ({str(error)[:80]})"
-        ) from None
+        came = f"bytes that are none ({str(error)[:80]})"
+        raise InvalidInput(f"expected a {RosType.TEXT}, got {came}") from None
 
 
 def requested_start(message: RawMessage, rig: Rig, T_world_palm: Array | None) -> PosePrior:

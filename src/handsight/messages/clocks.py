@@ -27,8 +27,6 @@ class ClockOptions(NamedTuple):
     reorder_window: float = 0.2  # a recording's messages are sorted within this [s]
     max_wait: float = 0.002  # a live robot's joint states wait this long for wrenches and transforms [s]
     max_silence: float = 0.1  # but not for a topic that has been silent for longer [s]
-    max_jump: float = MAX_JUMP
-    """A larger jump of the joint states must be confirmed: by the next ones if ahead, by the next two if back [s]."""
     confirming: int = 3  # so many joint states in a row that are back mean that the clock was set back
     max_waiting: int = 50_000  # number of measurements that wait at most
     max_waiting_bytes: int = 1 << 28  # size of the measurements that wait at most [bytes]
@@ -178,7 +176,7 @@ class ReorderBuffer:
         """Adds a measurement that is in the clock of the joint states; returns those whose order is now known."""
         is_joints, found = measurement.topic.role == "joints", list[Measurement]()
         in_order, rejected = [measurement], None
-        if measurement.stamp < self._newest - CLOCKS.max_jump and (is_joints or self._back):
+        if measurement.stamp < self._newest - MAX_JUMP and (is_joints or self._back):
             self._back.append(measurement)
             joints = [each for each in self._back if each.topic.role == "joints"]
             if len(joints) < CLOCKS.confirming:
@@ -194,8 +192,8 @@ class ReorderBuffer:
         elif is_joints:
             # Joint states that jump ahead are used only if the next ones agree; those back are late after all.
             jumped, self._jumped = self._jumped, None
-            if self._newest > -float("inf") and measurement.stamp > self._newest + CLOCKS.max_jump:
-                if jumped is not None and abs(measurement.stamp - jumped.stamp) <= CLOCKS.max_jump:
+            if self._newest > -float("inf") and measurement.stamp > self._newest + MAX_JUMP:
+                if jumped is not None and abs(measurement.stamp - jumped.stamp) <= MAX_JUMP:
                     in_order, jumped = [jumped, measurement], None
                 else:
                     in_order, self._jumped = [], measurement

@@ -115,10 +115,8 @@ def _transforms(raw: RawMessage, topic: TopicReport, reader: FastReader | None) 
     transforms = (reader.transforms(raw.data) if reader else None) or []
     for each in () if transforms else _deserialized(raw).transforms:
         p, q = each.transform.translation, each.transform.rotation
-        numbers = (*_xyz(p), *_xyz(q), q.w)
-        transforms.append(
-            StampedTransform(_seconds(each), each.header.frame_id, each.child_frame_id, numbers)
-        )
+        frames, numbers = (each.header.frame_id, each.child_frame_id), (*_xyz(p), *_xyz(q), q.w)
+        transforms.append(StampedTransform(_seconds(each), *frames, numbers))
     found = list[Measurement]()
     for each in transforms:
         topic.messages += 1

@@ -53,10 +53,9 @@ class Report:
         if self.backwards:
             count, far, stamp = self.backwards
             times = "once" if count == 1 else f"{count} times"
-            messages.append(
-                f"{self.joint_states}: stamps went back {times}, by up to {far:.3f} s, first from {stamp:.3f} s "
-                "(played in a loop, or a clock that was set back?): a new track each time"
-            )
+            back = f"stamps went back {times}, by up to {far:.3f} s, first from {stamp:.3f} s"
+            hint = "(played in a loop, or a clock that was set back?)"
+            messages.append(f"{self.joint_states}: {back} {hint}: a new track each time")
         messages += shortened(f"finger {finger}: {what}" for finger, what in self.fingers.items())
         messages += [] if self.units is None else self.units.sentences()
         for topic in self.topics.values():

@@ -137,9 +137,8 @@ def _run_lengths(text: str) -> list[int]:
     for character in text:
         digit = ord(character) - 48
         if not 0 <= digit < 64 or shift > 30:
-            raise InvalidInput(
-                f"counts: expected COCO's run lengths, got {character!r} after {len(counts)} numbers"
-            )
+            came = f"{character!r} after {len(counts)} numbers"
+            raise InvalidInput(f"counts: expected COCO's run lengths, got {came}")
         value |= (digit & 31) << shift
         shift += 5
         if not digit & 32:
@@ -147,9 +146,8 @@ def _run_lengths(text: str) -> list[int]:
             counts.append(value + counts[-2] if len(counts) > 2 else value)
             value = shift = 0
     if shift:
-        raise InvalidInput(
-            f"counts: expected COCO's run lengths, got a text that ends in number {len(counts)}"
-        )
+        came = f"a text that ends in number {len(counts)}"
+        raise InvalidInput(f"counts: expected COCO's run lengths, got {came}")
     return counts
 
 
@@ -227,9 +225,8 @@ class Hints:
             listed = ", ".join(map(str, strange[:5]))
             if len(strange) == len(came):
                 alone = f"one object only, as {self._name} has no number in a library"
-                raise InvalidFile(
-                    f"{path}: {key}: expected {f'one of {known}' if known else alone}, got {listed}"
-                )
+                expected = f"one of {known}" if known else alone
+                raise InvalidFile(f"{path}: {key}: expected {expected}, got {listed}")
             self.sentences.append(f"{path}: {key} {listed}: no such object; left out")
         found: Rows = defaultdict(list)
         for k, row in enumerate(rows):
@@ -248,9 +245,8 @@ class Hints:
             listed, expected = ", ".join(map(str, scenes[:5])), "files of one scene beside images of none"
             raise InvalidInput(f"{frame.name}: expected {expected}, got {listed}")
         if not digits and len(rows) > 1:
-            raise InvalidInput(
-                f"{frame.name}: expected a number in its name, by which a file has it, got none"
-            )
+            expected = "expected a number in its name, by which a file has it"
+            raise InvalidInput(f"{frame.name}: {expected}, got none")
         return next((rows[each] for each in rows if not digits or each[1] == int(digits[-1])), [])
 
     def beside_each(self, frames: Iterable[Frame | Unread]) -> Iterator[Frame | Unread]:

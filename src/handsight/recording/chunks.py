@@ -216,10 +216,7 @@ def seconds(nanoseconds: int) -> float:
 
 
 def unpacked(data: bytes, compression: str, size: int) -> tuple[bytes, str | None]:
-    """Returns at most `size` bytes that `data` unpacks to, and what is wrong with them (None: nothing).
-
-    Raises MissingExtra.
-    """
+    """Returns at most `size` bytes that `data` unpacks to, and what is wrong (None: nothing); raises MissingExtra."""
     if size > CHUNKS.max_unpacked:
         return b"", f"says it unpacks to {size} bytes, at most {CHUNKS.max_unpacked} are read"
     if compression in ("", "none"):
@@ -255,9 +252,8 @@ def unpack_file(path: Path, unpacked_file: BinaryIO) -> None:
             if not unpacked_file.tell():
                 raise InvalidFile(f"{path}: expected a file compressed by zstd, got none ({error})") from None
     if unpacked_file.tell() > most:
-        raise InvalidFile(
-            f"{path}: expected at most {CHUNKS.max_expansion} times its bytes when unpacked, got more"
-        )
+        expected = f"expected at most {CHUNKS.max_expansion} times its bytes when unpacked"
+        raise InvalidFile(f"{path}: {expected}, got more")
 
 
 def _unpack(new: Callable[[], "BZ2Decompressor"], pieces: Iterable[bytes], size: int) -> Iterator[bytes]:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -73,11 +74,9 @@ class LocatedAll:
     @property
     def instances(self) -> list[Located]:
         """Each object that was found, the most probable first."""
+        located = partial(Located, frame=self.frame, seconds=self.seconds)
         each = ((i.name, replace(i.detection, probability=i.probability)) for i in self.found.instances)
-        return [
-            Located(frame=self.frame, model=self.models[name], found=one, seconds=self.seconds)
-            for name, one in each
-        ]
+        return [located(model=self.models[name], found=one) for name, one in each]
 
     @property
     def reason(self) -> str | None:
@@ -122,16 +121,10 @@ def json_line(row: Located | LocatedAll | Unread, *, complete: bool = False) -> 
 
 def _pose_fields(row: Located, complete: bool) -> dict[str, object]:
     """Returns an object's pose, probability and hypotheses as JSON has them; not `complete`: the likeliest of these."""
-    columns = row.found.Ts_camera_object, row.found.covariances, row.found.weights
-    poses = [
-        {
-            "position": T[:3, 3].tolist(),
-            "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3]).tolist(),
-            "covariance": covariance.tolist(),
-            "weight": float(weight),
-        }
-        for T, covariance, weight in zip(*columns, strict=True)
-    ]
+    columns, poses = (row.found.Ts_camera_object, row.found.covariances, row.found.weights), []
+    for T, covariance, weight in zip(*columns, strict=True):
+        pose = {**se3.position_quaternion(T), "covariance": covariance}
+        poses.append({key: value.tolist() for key, value in pose.items()} | {"weight": float(weight)})
     if not complete:  # the likeliest is the first
         likely = 1 + int((row.found.weights[1:MAX_HYPOTHESES] > MIN_WEIGHT).sum())
         poses = poses[:likely]

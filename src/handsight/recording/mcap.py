@@ -83,11 +83,8 @@ class McapSource(ChunkedSource):
             if op == SCHEMA:
                 name, at = _text(data, 2)
                 _, at = _text(data, at)
-                with suppress(
-                    struct.error, UnicodeDecodeError
-                ):  # the type is known without its definition, too
-                    self._schemas[key] = name, ""
-                    self._schemas[key] = name, _text(data, at)[0]
+                self._schemas[key] = name, ""  # the type is known without its definition, too
+                self._schemas[key] = name, _text(data, at)[0]
             else:
                 topic, at = _text(data, 4)
                 kind, definition = self._schemas.get(int.from_bytes(data[2:4], "little"), ("", ""))

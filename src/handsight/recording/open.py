@@ -139,10 +139,8 @@ class Recording(AbstractContextManager["Recording"]):
         topic, names, most = self._rig.topics.joint_states, sorted(self._topics), 12
         more = f" and {len(names) - most} more" if len(names) > most else ""
         cut = f" ({self.report.truncated})" if self.report.truncated else ""
-        return InvalidFile(
-            f"{self._path}: expected joint states on {topic}, got none; "
-            f"topics there: {', '.join(names[:most]) or 'none'}{more}{cut}"
-        )
+        there = f"topics there: {', '.join(names[:most]) or 'none'}{more}{cut}"
+        return InvalidFile(f"{self._path}: expected joint states on {topic}, got none; {there}")
 
     def close(self) -> None:
         """Closes the files."""

@@ -29,25 +29,19 @@ class TrackLog:
             self.folder = folder / "track.part"
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             self._rows = (self.folder / "rows").open("a+b")
-        end, self.state = 0, None
+        end, size, self.state = 0, self._digest.digest_size, None
         with contextlib.suppress(Exception):  # there is none, or one of another track, or a damaged one
-            end, self.state = self._checkpoint()
+            content = (self.folder / "checkpoint").read_bytes()
+            end = int.from_bytes(content[size : size + 8], "little")  # of the rows that belong to it
+            self._rows.seek(0)
+            for left in range(end, 0, -(1 << 20)):
+                self._digest.update(self._rows.read(min(left, 1 << 20)))
+            if hmac.compare_digest(content[:size], self._signature(content[size:])):
+                self.state = pickle.loads(content[size + 8 :])
         if self.state is None:
             end, self._digest = 0, hashlib.sha256()
         self._rows.truncate(end)
         self._rows.seek(end)
-
-    def _checkpoint(self) -> tuple[int, Any]:
-        """Returns the length of the rows that belong to the checkpoint, and its state; raises ValueError, OSError."""
-        content = (self.folder / "checkpoint").read_bytes()
-        size = self._digest.digest_size
-        end = int.from_bytes(content[size : size + 8], "little")
-        self._rows.seek(0)
-        for left in range(end, 0, -(1 << 20)):
-            self._digest.update(self._rows.read(min(left, 1 << 20)))
-        if not hmac.compare_digest(content[:size], self._signature(content[size:])):
-            raise ValueError("damaged, or of another track")
-        return end, pickle.loads(content[size + 8 :])
 
     def _signature(self, content: bytes) -> bytes:
         """Returns the signature of the rows until now and of a checkpoint's content."""

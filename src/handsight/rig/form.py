@@ -210,13 +210,8 @@ class FingerForm(Section, kw_only=True):
         sensor = self.sensor or SensorForm(reading="on_tip")
         T_frame_surface = (self.surface or LinkPoseForm()).matrix()
         T_surface_sensor, bias = (sensor.pose or LinkPoseForm()).matrix(), sensor.bias or BiasForm()
-        calibration = WrenchCalibration(
-            bias_force=np.array(bias.force),
-            bias_torque=np.array(bias.torque),
-            mass=sensor.tip_mass,
-            center_of_mass=np.array(sensor.tip_center),
-            reading=sensor.reading,
-        )
+        biases, center = (np.array(bias.force), np.array(bias.torque)), np.array(sensor.tip_center)
+        calibration = WrenchCalibration(*biases, sensor.tip_mass, center, reading=sensor.reading)
         return Finger(
             frame=self.frame,
             T_frame_surface=T_frame_surface,
@@ -269,9 +264,8 @@ class SkinForm(Form, kw_only=True):
             message_steps(self.message_field or "data")
         except InvalidInput as error:
             raise ValueError(f"field: {error}") from None
-        kinds = [
-            name for name in ("rows", "taxels", "file", "urdf", "layout") if getattr(self, name) is not None
-        ]
+        places = "rows", "taxels", "file", "urdf", "layout"
+        kinds = [name for name in places if getattr(self, name) is not None]
         if len(kinds) != 1:
             expected = "expected one of rows (with columns, pitch), taxels, file, urdf, layout"
             raise ValueError(f"{expected}, got {' and '.join(kinds) or 'none'}")
@@ -459,10 +453,9 @@ class ObjectForm(ShapeForm):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.sigma_center_of_mass is not None and self.center_of_mass is None:
-            raise ValueError("sigma_center_of_mass: expected beside center_of_mass only, got it alone")
-        if self.sigma_friction is not None and self.friction is None:
-            raise ValueError("sigma_friction: expected beside friction only, got it alone")
+        for name in ("center_of_mass", "friction"):
+            if getattr(self, f"sigma_{name}") is not None and getattr(self, name) is None:
+                raise ValueError(f"sigma_{name}: expected beside {name} only, got it alone")
 
 
 class RigForm(Section):

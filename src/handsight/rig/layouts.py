@@ -88,7 +88,18 @@ class Layout(NamedTuple):
         points = se3.apply(T, self.points)
         fields = {"components": self.components, "frame": self.frame, "nominal": self.nominal} | given
         if self.normals is None:
-            fields["normals"] = _mesh_normals(points, fields["frame"], hand)
+            frame: Any = fields["frame"]
+            mesh = None if hand is None else hand.link_meshes().get(frame)
+            if mesh is None:
+                expected = f"expected three more numbers for each taxel, as {frame!r} has no mesh"
+                raise InvalidInput(f"normals: {expected}, got none")
+            fields["normals"], distance = _nearest(mesh, points)
+            if not distance.max() <= ON_LINK:
+                of = f"the mesh of {frame!r}, which gives their normals"
+                expected = f"expected taxels within {1e3 * ON_LINK:g} mm of {of}"
+                raise InvalidInput(
+                    f"points[{distance.argmax()}]: {expected}, got {1e3 * distance.max():.3g} mm"
+                )
         else:
             fields["normals"] = self.normals @ T[:3, :3].T
         if self.x_axes is not None:
@@ -114,9 +125,8 @@ def from_file(name: str, folder: Path, unit: float) -> Layout:
             named = bool(lines) and not lines[0][0].strip().lstrip("+-.")[:1].isdigit()
             rows = [[float(cell) for cell in line] for line in lines[named:]]
     except (ValueError, RecursionError, csv.Error) as error:
-        raise InvalidInput(
-            f"file: {path.name}: expected numbers in CSV or JSON, got other text ({error})"
-        ) from None
+        expected = f"expected numbers in CSV or JSON, got other text ({error})"
+        raise InvalidInput(f"file: {path.name}: {expected}") from None
     return Layout.of(rows, f"file: {path.name}", unit)
 
 
@@ -134,36 +144,28 @@ def by_name(name: str, pitch: float | None, radius: float | None) -> Layout:
         known: dict[str, Any] = {}
         for path in sorted((Path(spec.origin).parent / "data").glob("*_points.json")):
             value = json.loads(read_bytes(path, 1 << 20, path.name))
-            known |= dict.fromkeys(
-                (value["vendor_part_code"], value["sensor_model"].split("GEN3-")[-1]), value
-            )
+            names = value["vendor_part_code"], value["sensor_model"].split("GEN3-")[-1]
+            known |= dict.fromkeys(names, value)
         if variant not in known:
             raise InvalidInput(f"layout: unknown variant {variant!r}{checks.suggestion(variant, known)}")
-        points = 1e-3 * np.array(
-            [[each[f"{axis}_mm"] for axis in "xyz"] for each in known[variant]["points"]]
-        )
-        return Layout(points, _fitted_normals(points), components=3)
+        places = [[each[f"{axis}_mm"] for axis in "xyz"] for each in known[variant]["points"]]
+        points = 1e-3 * np.array(places)
+        near = np.argsort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, :7]
+        arms = points[near] - points[near].mean(axis=1, keepdims=True)
+        normals = np.linalg.svd(arms)[2][:, 2]
+        # They point away from the centre of a sphere that is fitted to all points.
+        sphere = np.column_stack([2 * points, np.ones(len(points))])
+        center = np.linalg.lstsq(sphere, (points**2).sum(axis=1), rcond=None)[0][:3]
+        outward = np.sign((normals * (points - center)).sum(axis=1))
+        return Layout(points, normals * outward[:, None], components=3)
     if name not in PRODUCTS:
-        raise InvalidInput(
-            f"layout: unknown layout {name!r}{checks.suggestion(name, [*PRODUCTS, 'paxini:VARIANT'])}"
-        )
+        hint = checks.suggestion(name, [*PRODUCTS, "paxini:VARIANT"])
+        raise InvalidInput(f"layout: unknown layout {name!r}{hint}")
     rows, columns, usual_pitch, usual_radius, components = PRODUCTS[name]
     if (pitch := pitch or usual_pitch) is None:
-        raise InvalidInput(
-            f"pitch: expected the distance of {name}'s taxels [m], as it is not published, got none"
-        )
+        expected = f"expected the distance of {name}'s taxels [m], as it is not published"
+        raise InvalidInput(f"pitch: {expected}, got none")
     return Layout.bent(rows, columns, pitch, radius or usual_radius, components)._replace(nominal=True)
-
-
-def _fitted_normals(points: Array) -> Array:
-    """Returns (n, 3) the normals of planes through the seven nearest points, away from a fitted sphere's centre."""
-    solution = np.linalg.lstsq(
-        np.column_stack([2 * points, np.ones(len(points))]), (points**2).sum(axis=1), rcond=None
-    )[0]
-    near = np.argsort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, :7]
-    arms = points[near] - points[near].mean(axis=1, keepdims=True)
-    normals = np.linalg.svd(arms)[2][:, 2]
-    return np.asarray(normals * np.sign((normals * (points - solution[:3])).sum(axis=1))[:, None])
 
 
 def tactile_sensors(file: str | Path) -> dict[str, tuple[Element, Element]]:
@@ -229,14 +231,12 @@ def misplaced(surfaces: Mapping[str, TactileSurface], hand: Hand) -> dict[str, s
             normals, distance = _nearest(meshes[surface.frame], surface.points)
             most, of = 1e3 * distance.max(), f"the mesh of {surface.frame!r}"
             if np.median((normals * surface.normals).sum(axis=1)) < INWARD:
-                found[name] = (
-                    f"expected normals that point out of {of}, got into it: turn its pose, or negate them"
-                )
+                expected = f"expected normals that point out of {of}"
+                found[name] = f"{expected}, got into it: turn its pose, or negate them"
             elif most > 1e3 * FAR_OFF:
                 expected = f"expected taxels within {1e3 * FAR_OFF:g} mm of {of}"
-                found[name] = (
-                    f"{expected}, got taxel {distance.argmax()} {most:.3g} mm off: is its pose right?"
-                )
+                came = f"taxel {distance.argmax()} {most:.3g} mm off"
+                found[name] = f"{expected}, got {came}: is its pose right?"
     return found
 
 
@@ -247,19 +247,3 @@ def _nearest(mesh: LinkMesh, points: Array) -> tuple[Array, Array]:
     shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     _, distance, face = trimesh.proximity.closest_point_naive(shape, points)  # type: ignore[no-untyped-call]
     return np.asarray(shape.face_normals[face]), distance
-
-
-def _mesh_normals(points: Array, frame: str, hand: Hand | None) -> Array:
-    """Returns (n, 3) the normals of a link's mesh at points on it (n, 3); raises InvalidInput."""
-    mesh = None if hand is None else hand.link_meshes().get(frame)
-    if mesh is None:
-        raise InvalidInput(
-            f"normals: expected three more numbers for each taxel, as {frame!r} has no mesh, got none"
-        )
-    normals, distance = _nearest(mesh, points)
-    if not distance.max() <= ON_LINK:
-        expected = (
-            f"expected taxels within {1e3 * ON_LINK:g} mm of the mesh of {frame!r}, which gives their normals"
-        )
-        raise InvalidInput(f"points[{distance.argmax()}]: {expected}, got {1e3 * distance.max():.3g} mm")
-    return normals

@@ -98,8 +98,5 @@ def _topics(form: RigForm, file: YamlFile) -> Topics:
     by_wrench = [name for name in with_sensor if name not in given.get("contacts", ())]
     skin = {name: array.topic or f"/{name}/taxels" for name, array in arrays.items()} | given.pop("skin", {})
     paths = {name: array.message_field for name, array in arrays.items() if array.message_field is not None}
-    return Topics(
-        **({"wrenches": {name: f"/{name}/wrench" for name in by_wrench}} | given),
-        skin=skin,
-        skin_fields=paths,
-    )
+    usual = {"wrenches": {name: f"/{name}/wrench" for name in by_wrench}}
+    return Topics(**(usual | given), skin=skin, skin_fields=paths)

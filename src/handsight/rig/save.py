@@ -43,9 +43,7 @@ def text(rig: Rig, tables: Mapping[str, str] | None = None) -> str:
     document = {
         "version": form.VERSION,
         "hand": _values(form.HandForm, rig, file=_file_name(rig.hand.file), palm=rig.hand.palm),
-        "fingers": {
-            name: _finger(finger, sensed=name in rig.topics.wrenches) for name, finger in rig.fingers.items()
-        },
+        "fingers": {name: _finger(f, sensed=name in rig.topics.wrenches) for name, f in rig.fingers.items()},
         "skin": {name: _surface(name, rig, (tables or {}).get(name)) for name in rig.skin},
         "camera": None if rig.camera is None else _camera(rig.camera),
         "table": None if rig.table is None else _values(form.TableForm, rig.table),
@@ -60,17 +58,14 @@ def text(rig: Rig, tables: Mapping[str, str] | None = None) -> str:
 
 def pose_text(T: Array) -> str:
     """Returns a pose (4, 4) as the rig file has it."""
-    return inline(_pose(T))
+    return inline(se3.position_quaternion(T))
 
 
 def sensor_text(finger: Finger) -> list[str]:
     """Returns what a calibration finds of a finger's sensor, as the rig file's lines below `sensor`."""
-    sensor = _finger(finger)["sensor"]
+    sensor, number = _finger(finger)["sensor"], re.compile(r"\d+\.\d+(e-\d+)?")
     lines = (f"{name}: {inline(sensor[name])}" for name in ("noise", "bias", "tip_mass", "tip_center"))
-    return [
-        re.sub(r"\d+\.\d+(e-\d+)?", lambda number: inline(float(f"{float(number[0]):.4g}")), line)
-        for line in lines
-    ]
+    return [number.sub(lambda found: inline(float(f"{float(found[0]):.4g}")), line) for line in lines]
 
 
 def _values(kind: type[Form], part: object, /, **given: object) -> Values:
@@ -89,7 +84,7 @@ def _surface(name: str, rig: Rig, file: str | None) -> Values:
     given["kind"] = None if surface.kind == "taxels" else surface.kind
     if surface.layout is not None:
         T, given["rows"], given["columns"] = surface.layout
-        given["pose"] = _pose(T)
+        given["pose"] = se3.position_quaternion(T)
         if isinstance(surface, Gel) and surface.image is not None:
             given["rows"], given["columns"] = surface.image
             given |= {"image": None, "pitch": surface.pitch / surface.block}
@@ -112,7 +107,7 @@ def _finger(finger: Finger, sensed: bool = True) -> Values:
     sensor = _values(
         form.SensorForm,
         finger,
-        pose=_pose(finger.T_frame_surface @ T_surface_sensor),
+        pose=se3.position_quaternion(finger.T_frame_surface @ T_surface_sensor),
         reading=known.reading,
         noise=_values(form.SensorNoiseForm, finger),
         bias={"force": known.bias_force, "torque": known.bias_torque},
@@ -120,7 +115,7 @@ def _finger(finger: Finger, sensed: bool = True) -> Values:
         tip_center=known.center_of_mass,
     )
     shape = _values(form.TipForm, tip, **size)
-    given: dict[str, Any] = {"surface": _pose(finger.T_frame_surface), "tip": shape}
+    given: Values = {"surface": se3.position_quaternion(finger.T_frame_surface), "tip": shape}
     given["sensor"] = sensor if sensed or known.mass or known.bias_force.any() else None
     if finger.friction is None:
         given["sigma_friction"] = None
@@ -128,7 +123,7 @@ def _finger(finger: Finger, sensed: bool = True) -> Values:
 
 
 def _camera(camera: MountedCamera) -> Values:
-    given: dict[str, Any] = {"fixed_to": camera.on, "pose": _pose(camera.T_mount_camera)}
+    given: Values = {"fixed_to": camera.on, "pose": se3.position_quaternion(camera.T_mount_camera)}
     for name, kind in form.CAMERA_ERRORS.items():
         sigmas = {key: getattr(camera, key + kind) for key in ("sigma_position", "sigma_rotation")}
         given[name] = _values(form.VisionNoiseForm, camera, **sigmas)
@@ -153,10 +148,6 @@ def _object(entry: ObjectSpec) -> Values:
 def _file_name(name: str) -> str:
     """Returns the name of a file that does not depend on the folder of the rig."""
     return name if name.startswith(PACKAGE) else str(Path(name).absolute())
-
-
-def _pose(T: Array) -> Values:
-    return {"position": T[:3, 3], "quaternion_xyzw": se3.quaternion_from_rotation(T[:3, :3])}
 
 
 def _section(values: Mapping[str, Any], kind: object, comments: bool = True) -> Iterator[str]:

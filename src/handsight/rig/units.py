@@ -26,8 +26,7 @@ class Units:
         hand = rig.hand
         limits = zip(hand.joint_names, np.abs(hand.limits).max(axis=1).tolist(), strict=True)
         # The hand's file may limit a joint too narrowly, hence the margin of a radian.
-        known = ((name, limit) for name, limit in limits if name in hand.moving and np.isfinite(limit))
-        self._limits = [(name, limit, 2 * limit + 1) for name, limit in known]
+        self._limits = [(n, m, 2 * m + 1) for n, m in limits if n in hand.moving and np.isfinite(m)]
 
     def check_names(self, observation: Observation) -> None:
         """Raises InvalidInput where an observation names a finger or a tactile array that the rig lacks."""
@@ -40,10 +39,8 @@ class Units:
                 continue
             if isinstance(given, Mapping) and not given.keys() <= known:
                 name = next(name for name in given if name not in known)
-                near = checks.suggestion(str(name), known)
-                raise InvalidInput(
-                    f"observation.{argument}: expected names of the rig, got {checks.brief(name)!r}{near}"
-                )
+                came = f"{checks.brief(name)!r}{checks.suggestion(str(name), known)}"
+                raise InvalidInput(f"observation.{argument}: expected names of the rig, got {came}")
 
     def check(self, observation: Observation) -> None:
         """Raises InvalidInput for a value of a valid observation that seems to be in a wrong unit."""

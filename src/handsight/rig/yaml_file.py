@@ -3,7 +3,7 @@
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import msgspec
 
@@ -11,10 +11,6 @@ from handsight import checks
 from handsight.errors import InvalidFile, needing
 from handsight.files import read_bytes
 from handsight.msgspec_errors import FieldPath, explain, field_name
-
-if TYPE_CHECKING:
-    from ruamel.yaml.comments import CommentedMap
-
 
 MAX_BYTES = 1 << 20  # of a file; a rig is a page or two
 MAX_VALUES = 5_000
@@ -32,11 +28,34 @@ class YamlFile:
 
     def __init__(self, path: Path) -> None:
         """Reads the file; raises InvalidFile where it is not a mapping of names to values, MissingExtra."""
-        self.path = path
-        self._marked = _parse(path)
-        self._count = 0
+        with needing("rig files need ruamel.yaml", "robot"):
+            from ruamel.yaml import YAML
+            from ruamel.yaml.comments import CommentedMap
+            from ruamel.yaml.error import MarkedYAMLError, YAMLError
         try:
-            self.values = self._plain(self._marked, ())  # type: ignore[assignment]
+            text = read_bytes(path, MAX_BYTES).decode("utf-8")
+        except UnicodeDecodeError:
+            raise InvalidFile(f"{path}: expected YAML in UTF-8, got other bytes") from None
+        # Each value takes a comma or a line; counting these takes no time.
+        lines = (line for line in text.splitlines() if not line.lstrip().startswith("#"))
+        if sum(line.count(",") + 1 for line in lines) > MAX_VALUES:
+            raise _too_many(path)
+        try:
+            marked = YAML(typ="rt", pure=True).load(text)
+        except MarkedYAMLError as error:
+            mark, problem = error.problem_mark or error.context_mark, str(error.problem).splitlines()[0]
+            line = f":{mark.line + 1}" if mark is not None else ""
+            raise InvalidFile(f"{path}{line}: expected YAML, got: {problem}") from None
+        except (ValueError, RecursionError, YAMLError) as error:
+            raise InvalidFile(f"{path}: expected YAML, got: {str(error).splitlines()[0]:.200}") from None
+        except Exception:  # ruamel.yaml fails in many ways for strange tags and merges
+            message = "expected YAML, got tags, merges or aliases that stand for nothing"
+            raise InvalidFile(f"{path}: {message}") from None
+        if not isinstance(marked, CommentedMap):
+            raise InvalidFile(f"{path}: expected a mapping of keys to values, got {checks.brief(marked)}")
+        self.path, self._marked, self._count = path, marked, 0
+        try:
+            self.values = self._plain(marked, ())  # type: ignore[assignment]
         except RecursionError:
             raise InvalidFile(f"{path}: expected YAML, got: too deep") from None
 
@@ -91,36 +110,6 @@ class YamlFile:
         if isinstance(value, str) and re.search("[\ud800-\udfff]", value):
             raise self.error(field, "expected text, got half of a surrogate pair")
         return next((kind(value) for kind in (bool, int, float, str) if isinstance(value, kind)), value)
-
-
-def _parse(path: Path) -> "CommentedMap":
-    """Returns the file's mapping with the lines of its keys; raises InvalidFile, MissingExtra."""
-    with needing("rig files need ruamel.yaml", "robot"):
-        from ruamel.yaml import YAML
-        from ruamel.yaml.comments import CommentedMap
-        from ruamel.yaml.error import MarkedYAMLError, YAMLError
-    try:
-        text = read_bytes(path, MAX_BYTES).decode("utf-8")
-    except UnicodeDecodeError:
-        raise InvalidFile(f"{path}: expected YAML in UTF-8, got other bytes") from None
-    # Each value takes a comma or a line; counting these takes no time.
-    lines = (line for line in text.splitlines() if not line.lstrip().startswith("#"))
-    if sum(line.count(",") + 1 for line in lines) > MAX_VALUES:
-        raise _too_many(path)
-    try:
-        value = YAML(typ="rt", pure=True).load(text)
-    except MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        line = f":{mark.line + 1}" if mark is not None else ""
-        raise InvalidFile(f"{path}{line}: expected YAML, got: {str(error.problem).splitlines()[0]}") from None
-    except (ValueError, RecursionError, YAMLError) as error:
-        raise InvalidFile(f"{path}: expected YAML, got: {str(error).splitlines()[0]:.200}") from None
-    except Exception:  # ruamel.yaml fails in many ways for strange tags and merges
-        message = "expected YAML, got tags, merges or aliases that stand for nothing"
-        raise InvalidFile(f"{path}: {message}") from None
-    if not isinstance(value, CommentedMap):
-        raise InvalidFile(f"{path}: expected a mapping of keys to values, got {checks.brief(value)}")
-    return value
 
 
 def _too_many(path: Path) -> InvalidFile:

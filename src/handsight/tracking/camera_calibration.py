@@ -147,11 +147,9 @@ class HandViews:
         """Of each view: T_mount_camera (4, 4), the hand's middle in the mount (3,) [m], and a covariance (6, 6)."""
         self._last, self.images, self.refusals = -np.inf, 0, Counter[str]()
         """Stamp of the last image that was used [s], their number, and why the palm was not detected in some."""
-        self._camera: Camera | None = None
-        self._hand = HandInImage(rig)
-        camera = rig.camera
-        if camera is not None and camera.intrinsics is not None and camera.size is not None:
-            self._camera = Camera.of(camera)
+        camera, self._hand = rig.camera, HandInImage(rig)
+        known = camera is not None and camera.intrinsics is not None and camera.size is not None
+        self._camera = Camera.of(camera) if known else None
 
     def watched(self, observations: Iterable[Observation]) -> Iterator[Observation]:
         """Yields the same observations, and evaluates their depth images as they pass."""
@@ -191,9 +189,8 @@ class HandViews:
         pivot, T_rig = np.median(pivots, axis=0), self._rig.camera.T_mount_camera
         corrections = np.stack([correction_between(T_rig, T, pivot) for T in Ts])
         away = np.abs(corrections[:, None] - corrections)
-        far = np.maximum(
-            away[..., :3].max(axis=2) / HAND_VIEWS.max_shift, away[..., 3:].max(axis=2) / HAND_VIEWS.max_turn
-        )
+        shift, turn = away[..., :3].max(axis=2), away[..., 3:].max(axis=2)
+        far = np.maximum(shift / HAND_VIEWS.max_shift, turn / HAND_VIEWS.max_turn)
         agree = far[np.median(far, axis=1).argmin()] < 1
         if agree.sum() < HAND_VIEWS.min_views:
             return None

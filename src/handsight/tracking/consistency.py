@@ -31,14 +31,12 @@ class ConsistencyOptions(NamedTuple):
     kept: int = 800  # observations that are kept of a recording, spread over it
     instants: int = 48  # of these, how many are read again with each change
     poses: int = 10  # grasps of which the contacts are compared with the object
-    loaded: float = (
-        0.1  # a tip is loaded above this share of the largest load, and three times its `min_force`
-    )
+    loaded: float = 0.1
+    """A tip is loaded above this share of the largest load, and three times its `min_force`."""
     lifted: float = 0.02  # a palm that rose by so much while it grasped has lifted something [m]
     rest: float = 0.1  # a sensor that never reads less beside its bias has another bias [N]
-    turn: float = math.radians(
-        40.0
-    )  # by which vision's pose turns where nothing does, that no noise explains [rad]
+    turn: float = math.radians(40.0)
+    """By which vision's pose turns where nothing does, that no noise explains [rad]."""
     arm: float = 0.008  # a joint nearer to a tip's centre does not say where its finger comes from [m]
     beyond: float = 0.2  # so far no joint is beyond its limits [rad]
 
@@ -127,8 +125,24 @@ class Reading:
         """(n, f, 3) the load on each tip [N] and its centre [m] in the palm."""
         tips = [list(rig.hand.tips).index(name) for name in rig.fingers]
         for k, each in enumerate(self.observations):
-            self.touches.append(self._touch(each))
-            self._put_loads(k, each, rig.hand.Ts_palm_tip(each.joint_positions or {})[tips])
+            touch, T_world_palm = self._touch(each), each.T_world_palm
+            self.touches.append(touch)
+            Ts_palm_tip = rig.hand.Ts_palm_tip(each.joint_positions or {})[tips]
+            gravity = np.zeros(3) if T_world_palm is None else T_world_palm[:3, :3].T @ rig.gravity
+            for i, (name, finger) in enumerate(rig.fingers.items()):
+                T, known = Ts_palm_tip[i] @ finger.T_frame_surface, finger.calibration
+                T_sensor = finger.tip.T_surface_sensor
+                self.places[k, i] = T[:3, 3]
+                if name in each.wrenches:
+                    R = T[:3, :3] if T_sensor is None else T[:3, :3] @ T_sensor[:3, :3]
+                    sign = 1.0 if known.reading == "on_sensor" else -1.0
+                    read = np.asarray(each.wrenches[name])[:3] - known.bias_force
+                    self.forces[k, i] = sign * R @ read - known.mass * gravity
+                elif name in touch.fingers and touch.contacts is not None and touch.loads is not None:
+                    at = touch.fingers.index(name)
+                    normal, load = touch.contacts.normals_palm[at], touch.loads[at]
+                    push = 1.0 if math.isnan(load[3]) else load[3]
+                    self.forces[k, i] = np.nan_to_num(load[:3]) + push * normal
         self.forces[np.isnan(self.forces)] = 0.0
         self.sizes = np.linalg.norm(self.forces, axis=2)
 
@@ -136,26 +150,6 @@ class Reading:
         at_rest = SkinContacts(watched=self._excerpt.baselines.watched)
         skin = self._skin.observed(observation, at_rest, touched=True) if observation.skin else NOTHING
         return self._sensors.contacts(observation, None, skin)
-
-    def _put_loads(self, k: int, observation: Observation, Ts_palm_tip: Array) -> None:
-        """Fills in the loads of an observation, by its wrenches, else by its contacts."""
-        touch, T_world_palm = self.touches[k], observation.T_world_palm
-        gravity = np.zeros(3) if T_world_palm is None else T_world_palm[:3, :3].T @ self.rig.gravity
-        for i, (name, finger) in enumerate(self.rig.fingers.items()):
-            T, known = Ts_palm_tip[i] @ finger.T_frame_surface, finger.calibration
-            T_sensor = finger.tip.T_surface_sensor
-            self.places[k, i] = T[:3, 3]
-            if name in observation.wrenches:
-                R = T[:3, :3] if T_sensor is None else T[:3, :3] @ T_sensor[:3, :3]
-                sign = 1.0 if known.reading == "on_sensor" else -1.0
-                read = np.asarray(observation.wrenches[name])[:3] - known.bias_force
-                self.forces[k, i] = sign * R @ read - known.mass * gravity
-            elif name in touch.fingers and touch.contacts is not None and touch.loads is not None:
-                at = touch.fingers.index(name)
-                normal, load = touch.contacts.normals_palm[at], touch.loads[at]
-                self.forces[k, i] = (
-                    np.nan_to_num(load[:3]) + (1.0 if math.isnan(load[3]) else load[3]) * normal
-                )
 
     @cached_property
     def rows(self) -> Array:

@@ -34,7 +34,7 @@ from handsight.tracking.fingertips import FingertipSensors
 from handsight.tracking.joint_offsets import JointOffsets, contact_equations
 from handsight.tracking.table import TableEstimate
 from handsight.tracking.tracker import Tracker
-from handsight.tracking.verdicts import DIAGNOSIS, Diagnosed, Diagnosis, diagnosed, measured
+from handsight.tracking.verdicts import DIAGNOSIS, Diagnosed, Diagnosis, diagnosed
 
 UNLIKE = (
     "no small errors of hand and object explain the contacts: another object, or a finger that is far off"
@@ -103,9 +103,8 @@ class Diagnoser:
         self._sigmas = np.maximum(np.concatenate(list(sigmas.values())), 1e-6)
         """(k,) declared sigmas of the values that all grasps have in common."""
         ends = np.cumsum([len(part) for part in sigmas.values()]).tolist()
-        self._at = {
-            kind: slice(e - len(part), e) for e, (kind, part) in zip(ends, sigmas.items(), strict=True)
-        }
+        starts = [0, *ends[:-1]]
+        self._at = dict(zip(sigmas, map(slice, starts, ends), strict=True))
         """Where the values of each kind are among them."""
         self._grasps = list[tuple[tuple[Carried, ...], Weighing]]()
         """The loads of each grasp in the air, by joints as declared, where gravity had most directions."""
@@ -149,26 +148,24 @@ class Diagnoser:
         state, last = self.tracker.track_state, self._grasps[-1][1] if self._in_hand else None
         found, instants = state.weight.weigher.weighing, state.weight.weigher.instants
         self._in_hand = found is not None
-        if any(
-            sensor.taxels for sensor in state.weight.weigher.sensors
-        ):  # no value of the rig says what these read
-            return
+        if any(sensor.taxels for sensor in state.weight.weigher.sensors):
+            return  # no value of the rig says what these read
         if found is None or found is last or (last is not None and found.directions < last.directions):
             return
         if last is not None:
             self._grasps.pop()
-        self._grasps.append((tuple(self._as_declared(each, state.offsets.mean) for each in instants), found))
-
-    def _as_declared(self, instant: Carried, offsets: Array) -> Carried:
-        """Returns a load without the joints' estimated offsets (j,), whose readings are without the tips' weights."""
-        load, readings = instant.load, instant.load.readings.copy()
-        for i, finger in enumerate(self.tracker.rig.fingers.values()):
-            own, known = load.by_bias[:3, 6 * i : 6 * i + 3].T @ load.gravity, finger.calibration
-            readings[6 * i : 6 * i + 6] -= known.mass * np.concatenate(
-                [own, np.cross(known.center_of_mass, own)]
-            )
-        wrench = load.wrench + load.by_joint @ offsets
-        return replace(instant, load=replace(load, wrench=wrench, readings=readings))
+        declared = list[
+            Carried
+        ]()  # without the joints' estimated offsets, and readings without the tips' weights
+        for instant in instants:
+            load, readings = instant.load, instant.load.readings.copy()
+            for i, finger in enumerate(self.tracker.rig.fingers.values()):
+                own, known = load.by_bias[:3, 6 * i : 6 * i + 3].T @ load.gravity, finger.calibration
+                weight = np.concatenate([own, np.cross(known.center_of_mass, own)])
+                readings[6 * i : 6 * i + 6] -= known.mass * weight
+            wrench = load.wrench + load.by_joint @ state.offsets.mean
+            declared.append(replace(instant, load=replace(load, wrench=wrench, readings=readings)))
+        self._grasps.append((tuple(declared), found))
 
     def _add_contacts(self, observation: Observation, estimate: PoseEstimate) -> None:
         """Adds the contacts of an instant with the object at its estimated pose, if they are a new grasp."""
@@ -184,9 +181,8 @@ class Diagnoser:
             return
         others = [self._larger.contacts(observation)]
         others += [self._sensors.contacts(self._with_gain(observation, axis)) for axis in range(6)]
-        found = [
-            each.contacts for each in others if each.contacts is not None and each.fingers == touch.fingers
-        ]
+        alike = [each.contacts for each in others if each.fingers == touch.fingers]
+        found = [each for each in alike if each is not None]
         if len(found) < len(others):
             return
         # (7, n, 6) by how much each change moves the point and the normal of each contact.
@@ -227,11 +223,8 @@ class Diagnoser:
     def diagnosis(self) -> Diagnosis:
         """Returns the diagnosis of all that was watched."""
         errors, H = self._solve()
-        hand = (
-            np.abs(errors / self._sigmas)[self._at[kind]].max()
-            for kind in ("joint", "place", "radius", "size")
-        )
-        far = max(hand) > DIAGNOSIS.max_errors
+        parts = [self._at[kind] for kind in ("joint", "place", "radius", "size")]
+        far = max(np.abs(errors / self._sigmas)[part].max() for part in parts) > DIAGNOSIS.max_errors
         rows = [] if far else self._rows()
         others = [*self._vision_values(), *self._other_values()]
         # Bonferroni: that any of n right values is called wrong has at most the stated probability.
@@ -247,9 +240,8 @@ class Diagnoser:
         rows = [(f"joint {joint}", "°", 0.0, [next(k["joint"])]) for joint in self._offsets.joints]
         for name, finger in fingers.items():
             rows += [(f"tip {name} shift {axis}", "mm", 0.0, [next(k["place"])]) for axis in "xy"]
-            rows.append(
-                (f"tip {name} radius", "mm", float(np.mean(finger.tip.semi_axes)), [next(k["radius"])])
-            )
+            radius = float(np.mean(finger.tip.semi_axes))
+            rows.append((f"tip {name} radius", "mm", radius, [next(k["radius"])]))
             rows.append((f"sensor {name} gain", "%", 1.0, [next(k["gain"]) for _ in range(6)]))
         rows.append(("object size", "%", 1.0, [next(k["size"])]))
         if model.mass is not None:
@@ -272,9 +264,8 @@ class Diagnoser:
                 sigma = math.sqrt(S[np.ix_(at, at)].sum()) / len(at)
                 value = diagnosed(name, unit, declared, float(prior), float(errors[at].mean()), sigma)
                 if k in wrong:
-                    value = replace(
-                        value, sigma=value.sigma / DIAGNOSIS.max_errors, chi2=wrong[k], wrong=True
-                    )
+                    before = value.sigma / DIAGNOSIS.max_errors
+                    value = replace(value, sigma=before, chi2=wrong[k], wrong=True)
                 values.append(value)
             k = max(range(len(rows)), key=lambda k: 0.0 if k in wrong else values[k].chi2, default=-1)
             if k < 0 or k in wrong or chi2_survival(values[k].chi2, 1) >= level:
@@ -309,9 +300,8 @@ class Diagnoser:
             H, parts, worst = by_loads + np.diag(self._sigmas**-2), list[Array](), (1.0, -1)
             slope = H @ errors + pulled
             for instant, T, motion in zip(kept, Ts, moved, strict=True):
-                A, b = contact_equations(
-                    self.tracker.model, instant.with_errors(errors), instant.covariance, instant.by_value, T
-                )
+                given = instant.with_errors(errors), instant.covariance, instant.by_value, T
+                A, b = contact_equations(self.tracker.model, *given)
                 A[:6, :6] += by_pose
                 b[:6] += by_pose @ motion
                 eliminated = np.linalg.solve(A[:6, :6], np.column_stack([A[:6, 6:], b[:6]]))
@@ -348,9 +338,8 @@ class Diagnoser:
                 [f.sigma_force] * 3 + [math.hypot(f.sigma_torque, f.sigma_point * force)] * 3
                 for f, force in zip(rig.fingers.values(), forces, strict=True)
             ]
-            unknowns = Unknowns(
-                joints, np.concatenate(biases), WEIGHER.creep, rig.gravity, WEIGHER.sigma_gravity, gains
-            )
+            gravity = rig.gravity, WEIGHER.sigma_gravity
+            unknowns = Unknowns(joints, np.concatenate(biases), WEIGHER.creep, *gravity, gains)
             wide = replace(unknowns, gains=np.full_like(gains, DIAGNOSIS.wide_gain))
             if (found := weigh(instants, wide, start)).consistent:
                 mass = found.mass if mass is None else mass
@@ -386,11 +375,12 @@ class Diagnoser:
             yield replace(value, chi2=value.chi2 if value.measured else 0.0, freedom=2)
         weigher, slip = self.tracker.track_state.weight.weigher, self.tracker.slip
         if model.friction is not None and slip.friction is not None:
-            off = slip.friction - model.friction
-            yield diagnosed(
-                "friction", "", model.friction, model.sigma_friction, off, slip.sigma_friction or math.inf
-            )
+            off, sigma = slip.friction - model.friction, slip.sigma_friction or math.inf
+            yield diagnosed("friction", "", model.friction, model.sigma_friction, off, sigma)
         for row, (name, finger) in zip(weigher.tare, rig.fingers.items(), strict=False):
-            if row.any():  # a mean of ten readings or so
+            if row.any():  # a mean of ten readings or so, in which what is declared is not a prior
                 force, sigma = float(np.linalg.norm(row[:3])), finger.sigma_force
-                yield replace(measured(f"sensor {name} bias", "N", 0.0, sigma, force, sigma / 3), freedom=3)
+                information = sigma**-2 + (sigma / 3) ** -2
+                error = force / (sigma / 3) ** 2 / information
+                value = diagnosed(f"sensor {name} bias", "N", 0.0, sigma, error, information**-0.5)
+                yield replace(value, freedom=3)

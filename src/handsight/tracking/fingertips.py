@@ -50,7 +50,6 @@ class FingertipContacts:
     about the normal [N m]; NaN where a tip does not measure it."""
     doubts: Mapping[str, str] = field(default_factory=dict)
     """By finger, how far its taxels and its wrench are from each other where they contradict each other."""
-
     by_taxels: tuple[str, ...] = ()
     """Fingers whose loads, if any, are their taxels', as they have no wrench."""
     records: NDArray[np.void] | None = None
@@ -112,7 +111,6 @@ class FingertipSensors:
         doubts = self._put_taxels(skin, Ts_palm_tip, by_tip, by_error, records) if skin.tips else {}
         if T is not None and self._table is not None:
             kernels.mark_on_table(np.array(T), self._table, ON_TABLE, records)
-
         numbers = zip(self.names, records["reason"].tolist(), strict=True)
         reasons = {name: REASONS[k] for name, k in numbers if k}
         fingers = tuple([name for name in self.names if name not in reasons]) if reasons else self.names
@@ -230,10 +228,8 @@ def put_sensed(
             raise InvalidInput(f"{argument}.frame: expected one of {known}, got {came}")
         T = frames[contact.frame]
         point, normal = T[:3, :3] @ contact.point + T[:3, 3], T[:3, :3] @ contact.normal
-        if (
-            point - T_palm_surface[:3, 3]
-        ) @ normal > 0:  # some sensors report the direction in which the tip pushes
-            normal = -normal
+        if (point - T_palm_surface[:3, 3]) @ normal > 0:
+            normal = -normal  # some sensors report the direction in which the tip pushes
         # From the effect of the joints' errors on the tip's frame to that on the contact's point and normal.
         J[:3] = (se3.point_jacobian(point - T_palm_tip[:3, 3]) @ J)[:3]
         J[3:] = -se3.skew(normal) @ J[3:]

@@ -54,11 +54,8 @@ class LinkMargins:
     @property
     def known(self) -> dict[str, float]:
         """By link with enough notes, its margin: the median of their depths [m]."""
-        return {
-            link: median(depth for _, depth in notes)
-            for link, notes in self.notes.items()
-            if len(notes) >= HAND_OUTSIDE.min_notes
-        }
+        enough = {link: n for link, n in self.notes.items() if len(n) >= HAND_OUTSIDE.min_notes}
+        return {link: median(depth for _, depth in notes) for link, notes in enough.items()}
 
     def noted(self, depths: Mapping[str, float], stamp: float) -> "LinkMargins":
         """Returns the value with notes of the links' depths inside the object [m], unless noted just before."""
@@ -115,10 +112,7 @@ class HandOutside:
         return yielding, self._conflicts(yielding, outside)
 
     def _conflicts(self, estimate: PoseEstimate, outside: Outside) -> dict[str, float]:
-        """Returns, by link that is deeper inside the object than its sigma and margin explain, its depth [m].
-
-        The depth includes the margin.
-        """
+        """Returns, by link deeper inside the object than sigma and margin explain, its depth with the margin [m]."""
         T, (least, most) = estimate.T_palm_object, self._model.bounds_object
         places = (np.asarray(outside.points_palm) - T[:3, 3]) @ T[:3, :3]
         in_bounds = ((places > least) & (places < most)).all(axis=1)

@@ -56,17 +56,12 @@ class SearchHints:
     def source(self) -> FirstPoseSource:
         """Returns what searches the object where the hints have it, then where `elsewhere` finds it."""
         T = self.T_camera_object
-        anywhere = () if T is None else (Detection2D(),)
-        return partial(
-            locate_detected, detections=self.detections or anywhere, elsewhere=self.elsewhere, start=T
-        )
+        places = self.detections or (() if T is None else (Detection2D(),))
+        return partial(locate_detected, detections=places, elsewhere=self.elsewhere, start=T)
 
 
 def mask_of(labels: NDArray[np.integer], label: str) -> list[Detection2D]:
-    """Returns where a mask image (h, w) has an object: where it has the object's number, or its only one but 0.
-
-    The list is empty where it does not have the object.
-    """
+    """Returns where a mask image (h, w) has an object, if it does: at the object's number, or at its only one but 0."""
     number = int(label) if label.isdecimal() and len(label) < 10 else None
     mask = labels == number if number is not None and number > 0 else np.zeros(labels.shape, dtype=bool)
     if not mask.any():

@@ -81,10 +81,7 @@ class History:
         return History((*blocks, (*last, instant)))
 
     def at(self, stamp: float | None) -> Instant | None:
-        """Returns the instant nearest to a stamp [s]; None where the history does not reach back to it.
-
-        For the stamp None it is the last instant.
-        """
+        """Returns the instant nearest to a stamp [s] (None: the last); None where the history is too short for it."""
         kept = tuple(chain.from_iterable(self.blocks))
         if stamp is None or not kept:
             return kept[-1] if kept else None
@@ -182,9 +179,8 @@ class ImageVision:
         measured it. `T_palm_object` (4, 4): the pose of an object in the hand; None where it is not grasped. Raises
         InvalidInput for an image that cannot be the camera's.
         """
-        self.history = self.history.after(
-            Instant(observation.stamp, observation.joint_positions, observation.T_world_palm)
-        )
+        now = Instant(observation.stamp, observation.joint_positions, observation.T_world_palm)
+        self.history = self.history.after(now)
         camera, depth, hand = self._rig.camera, observation.depth, None
         if self._on and camera is not None:
             self._hints, taken = self._hints.after(observation), None
@@ -243,10 +239,8 @@ class ObjectInImages:
             return known(stamp, image, gripped=expected is not None)
 
         found = updated(self.tracker, expected if self.lost else None)
-        if (
-            expected is not None
-            and self._distance(found, expected) > IMAGES.twin_distance * self.tracker.model.diameter
-        ):
+        far = IMAGES.twin_distance * self.tracker.model.diameter
+        if expected is not None and self._distance(found, expected) > far:
             # What is followed is not in the hand: it is another object of the kind, if one is seen in the hand, too.
             other = self.tracker.restarted(stamp, expected)
             in_hand = updated(other, None)

@@ -138,9 +138,8 @@ class VisionUpdate:
         # Even a camera without a constant error gets a tiny one: a covariance must be invertible.
         position, rotation = max(c.sigma_position_constant, 1e-6), max(c.sigma_rotation_constant, 1e-6)
         bias = np.diag([position**2] * 3 + [rotation**2] * 3)
-        smoother = PoseBiasSmoother.from_prior(
-            T_palm_object, invertible(covariance), bias, pivot, c.drift, (c.latency, c.sigma_latency)
-        )
+        pose, errors = (T_palm_object, invertible(covariance)), (c.drift, (c.latency, c.sigma_latency))
+        smoother = PoseBiasSmoother.from_prior(*pose, bias, pivot, *errors)
         for view in self.camera_from_palm.confirmed:
             smoother = smoother.informed(view.bias(pivot))
         return smoother
@@ -174,11 +173,7 @@ class VisionUpdate:
         return float(np.sqrt((covariance.diagonal() / np.repeat(usual, 3) ** 2).mean()))
 
     def _gated(
-        self,
-        smoother: PoseBiasSmoother,
-        pose_mount_object: GaussianPose,
-        T_mount_palm: Array,
-        motion: Motion,
+        self, smoother: PoseBiasSmoother, pose_mount_object: GaussianPose, T_mount_palm: Array, motion: Motion
     ) -> tuple["VisionUpdate", PoseBiasSmoother]:
         """Returns this and the smoother after a measured pose; one beyond the gate is rejected.
 

@@ -110,13 +110,13 @@ class Misfit:
         """Returns a sentence such as "finger ff contradicts the others"."""
         if self.name in SUSPICIONS:
             return "contacts contradict the model"
-        if self.name == "motion":
-            return f"the answer has moved by {math.sqrt(self.nis):.0f} sigma at once"
-        if self.name == "vision":
-            return f"contacts and vision have differed by {math.sqrt(self.nis):.0f} sigma"
-        if self.name == "weight":
-            return f"the weight has contradicted the rest by {math.sqrt(self.nis):.0f} sigma"
-        return f"finger {self.name} contradicts the others"
+        by = f"by {math.sqrt(self.nis):.0f} sigma"
+        others = {
+            "motion": f"the answer has moved {by} at once",
+            "vision": f"contacts and vision have differed {by}",
+            "weight": f"the weight has contradicted the rest {by}",
+        }
+        return others.get(self.name, f"finger {self.name} contradicts the others")
 
     def after(self, share: float, nis: float, expected: float, rejected: float = 0.0) -> "Misfit":
         """Returns the averages with new values, whose share of the window is `share`."""
@@ -178,9 +178,8 @@ class Innovations:
         off = se3.difference(estimate.T_palm_object, prior.T_palm_object)
         expected = 6.0 - float((inverse * estimate.bounded_covariance).sum())
         expected = min(max(expected, 0.0), 6.0)
-        new["vision"] = new.get("vision", Misfit("vision", expected=expected)).after(
-            share, float(off @ inverse @ off), expected
-        )
+        vision = new.get("vision", Misfit("vision", expected=expected))
+        new["vision"] = vision.after(share, float(off @ inverse @ off), expected)
         return Innovations(new)
 
     def moved(

@@ -81,8 +81,9 @@ class Compared:
 
     @property
     def measures(self) -> dict[str, float]:
-        """The mean cost of each measure's samples."""
-        return {name: _mean(costs) for name, costs in self.costs.items()}
+        """The mean cost of each measure's samples, 0 of none."""
+        known = {name: costs[~np.isnan(costs)] for name, costs in self.costs.items()}
+        return {name: float(costs.mean()) if len(costs) else 0.0 for name, costs in known.items()}
 
     @property
     def total(self) -> float:
@@ -157,17 +158,10 @@ def find_mistakes(excerpt: Excerpt, model: ObjectModel | None = None) -> list[Fo
         tied = [each for each in tried if each.total < least + MISTAKES.tie]
         if not tied:
             break
-        found.append(
-            Found(now, tied[0], tuple(each.mistake for each in tied[1:3]))
-        )  # the likeliest one first
-        now = tied[0]
+        likeliest, others = tied[0], tuple(each.mistake for each in tied[1:3])
+        found.append(Found(now, likeliest, others))
+        now = likeliest
     return found
-
-
-def _mean(costs: Array) -> float:
-    """Returns the mean of those that are numbers; 0 of none."""
-    known = costs[~np.isnan(costs)]
-    return float(known.mean()) if len(known) else 0.0
 
 
 def _then(first: Change, second: Change, observation: Observation) -> Observation:
@@ -187,25 +181,18 @@ def _topics(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
         groups.append(("skin", [name for name in on_tips if rig.skin[name].shape == shape]))
     for kind, names in groups:
         topics: Mapping[str, str] = getattr(rig.topics, kind)
-        orders = permutations(names) if len(names) <= MISTAKES.all_orders else _exchanges(names)
+        paths = rig.topics.skin_fields if kind == "skin" else {}
+        orders: Iterable[Sequence[str]] = permutations(names)
+        if len(names) > MISTAKES.all_orders:
+            orders = [[{a: b, b: a}.get(n, n) for n in names] for a, b in combinations(names, 2)]
         for order in sorted(orders, key=lambda order: sum(map(str.__ne__, order, names))):
             if changed := {a: b for a, b in zip(names, order, strict=True) if a != b}:
-                fix = ", ".join(
-                    f"skin.{a}.field: {rig.topics.skin_fields[b]}"
-                    if kind == "skin" and b in rig.topics.skin_fields
-                    else f"topics.{kind}.{a}: {topics[b]}"
+                fixes = [
+                    f"skin.{a}.field: {paths[b]}" if b in paths else f"topics.{kind}.{a}: {topics[b]}"
                     for a, b in changed.items()
-                )
-                change = partial(_exchanged, "wrenches" if kind == "wrenches" else kind, changed)
-                yield Mistake(
-                    f"another order of the topics of {', '.join(changed)}", f"set {fix}", rig, change
-                )
-
-
-def _exchanges(names: Sequence[str]) -> Iterator[list[str]]:
-    """Yields the orders of names in which two are exchanged."""
-    for one, other in combinations(names, 2):
-        yield [{one: other, other: one}.get(name, name) for name in names]
+                ]
+                what = f"another order of the topics of {', '.join(changed)}"
+                yield Mistake(what, f"set {', '.join(fixes)}", rig, partial(_exchanged, kind, changed))
 
 
 def _exchanged(field: str, sources: Mapping[str, str], observation: Observation) -> Observation:
@@ -218,11 +205,8 @@ def _exchanged(field: str, sources: Mapping[str, str], observation: Observation)
 
 def _turns() -> Iterator[tuple[str, Array]]:
     """Yields the 23 turns (3, 3) of axes onto axes, with their names, those about one axis first."""
-    turns = [
-        np.eye(3)[list(order)] * signs
-        for order in permutations(range(3))
-        for signs in product((1, -1), repeat=3)
-    ]
+    axes = product(permutations(range(3)), product((1, -1), repeat=3))
+    turns = [np.eye(3)[list(order)] * signs for order, signs in axes]
     for R in sorted((R for R in turns if np.linalg.det(R) > 0), key=lambda R: -np.abs(np.diag(R)).max())[1:]:
         w = se3.rotation_log(R)
         axis = w / np.linalg.norm(w)
@@ -242,12 +226,9 @@ def _turned(T: Array, R: Array) -> Array:
 
 def _linear(matrix: Array, offsets: Mapping[str, Array], observation: Observation) -> Observation:
     """Returns an observation whose wrenches are multiplied by a matrix (6, 6), each about its offset (6,)."""
-    new = {
-        name: b + matrix @ (observation.wrenches[name] - b)
-        for name, b in offsets.items()
-        if name in observation.wrenches
-    }
-    return replace(observation, wrenches={**observation.wrenches, **new})
+    given = observation.wrenches
+    new = {name: b + matrix @ (given[name] - b) for name, b in offsets.items() if name in given}
+    return replace(observation, wrenches={**given, **new})
 
 
 def _each_and_all(names: Iterable[str]) -> list[tuple[str, ...]]:
@@ -278,9 +259,8 @@ def _sensors(rig: Rig, observations: Sequence[Observation], bias: bool = False) 
 def _units(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
     """Forces, torques and joints in other units, where they are too large for the usual ones."""
     read = np.array([wrench for each in observations for wrench in each.wrenches.values()]).reshape(-1, 6)
-    force, torque = (
-        float(np.nan_to_num(np.abs(part)).max(initial=0.0)) for part in (read[:, :3], read[:, 3:])
-    )
+    read = np.nan_to_num(np.abs(read))
+    force, torque = (float(part.max(initial=0.0)) for part in (read[:, :3], read[:, 3:]))
     for what, factors, possible in (
         ("torques in N mm", (1.0, 1e-3), torque > LONGEST_ARM * force),
         ("forces in millinewtons", (1e-3, 1.0), force > LARGE),
@@ -289,10 +269,8 @@ def _units(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
         if possible:
             change = partial(_linear, np.diag(np.repeat(factors, 3)), dict.fromkeys(rig.fingers, np.zeros(6)))
             yield Mistake(what, "have the sensors' driver publish N and N m", rig, change)
-    if (
-        max((abs(x) for each in observations for x in (each.joint_positions or {}).values()), default=0.0)
-        > 2 * math.pi
-    ):
+    angles = (abs(x) for each in observations for x in (each.joint_positions or {}).values())
+    if max(angles, default=0.0) > 2 * math.pi:
         fix = f"have the driver of {rig.topics.joint_states} publish radians"
         yield Mistake("joints in degrees", fix, rig, _in_radians)
 
@@ -335,11 +313,8 @@ def _camera_poses(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mis
     if (camera := rig.camera) is None:
         return
     T = camera.T_mount_camera
-    poses = [
-        ("in its inverse pose", se3.inverse(T)),
-        *((f"turned by {turn}", _turned(T, R)) for turn, R in TURNS),
-    ]
-    for what, pose in poses:
+    turned = ((f"turned by {turn}", _turned(T, R)) for turn, R in TURNS)
+    for what, pose in (("in its inverse pose", se3.inverse(T)), *turned):
         other = replace(rig, camera=replace(camera, T_mount_camera=pose))
         yield Mistake(f"the camera {what}", f"set camera.pose: {pose_text(pose)}", other, _as_is)
 
@@ -354,31 +329,28 @@ def _as_wxyz(observation: Observation) -> Observation:
     return replace(observation, vision=replace(vision, T_frame_object=T))
 
 
-def _constant(T: Array, observation: Observation) -> Array:
-    return T
-
-
 def _palms(rig: Rig, observations: Sequence[Observation]) -> Iterator[Mistake]:
     """Gravity the other way, and a palm in the world that is another link, or turned."""
 
-    def moved(T_palm_true: Callable[[Observation], Array], observation: Observation) -> Observation:
+    def moved(T_palm_true: Array, observation: Observation) -> Observation:
         T = observation.T_world_palm
-        return observation if T is None else replace(observation, T_world_palm=T @ T_palm_true(observation))
+        return observation if T is None else replace(observation, T_world_palm=T @ T_palm_true)
 
-    def from_link(link: str, observation: Observation) -> Array:
-        return se3.inverse(rig.hand.link_poses(observation.joint_positions or {})[link])
+    def from_link(link: str, observation: Observation) -> Observation:
+        if observation.T_world_palm is None:
+            return observation
+        return moved(se3.inverse(rig.hand.link_poses(observation.joint_positions or {})[link]), observation)
 
     fix = f"set world.gravity: {(-rig.gravity).tolist()}"
     yield Mistake("gravity the other way", fix, replace(rig, gravity=-rig.gravity), _as_is)
     for link in rig.hand.link_poses(observations[0].joint_positions or {}) if rig.world_from == "tf" else ():
         if link != rig.hand.palm:
             fix = f"set hand.palm: {link}, or as frames.palm the frame of {rig.hand.palm}"
-            change = partial(moved, partial(from_link, link))
-            yield Mistake(f"{rig.frames['palm']!r} on {rig.topics.tf} as {link}", fix, rig, change)
+            what = f"{rig.frames['palm']!r} on {rig.topics.tf} as {link}"
+            yield Mistake(what, fix, rig, partial(from_link, link))
     for turn, R in TURNS:
         fix = f"frames.palm ({rig.frames['palm']!r}) must be the frame of hand.palm ({rig.hand.palm!r})"
-        T = se3.compose(R, np.zeros(3))
-        change = partial(moved, partial(_constant, T))
+        change = partial(moved, se3.compose(R, np.zeros(3)))
         yield Mistake(f"the palm in the world turned by {turn}", fix, rig, change)
 
 

@@ -109,8 +109,12 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
             message = str(error)
             known = message in tally.refused or len(tally.refused) < MAX_MESSAGES
             tally.refused[message if known else "others"] += 1
-            if not waiting:
-                tally.counted_to = _refused(observation, tally.counted_to, tally)
+            stamp, last = getattr(observation, "stamp", None), tally.counted_to
+            if waiting or not isinstance(stamp, float) or not math.isfinite(stamp):
+                continue
+            if not (stamp <= last or stamp - last > MAX_JUMP):
+                tally.recorded += 0.0 if math.isnan(last) else stamp - last
+                tally.counted_to = stamp
             continue
         finally:
             tally.wall = time.perf_counter() - began
@@ -124,15 +128,6 @@ def replay(observations: Iterable[Observation], tracker: Tracker, tally: Tally) 
             yield from _confirmed(waiting.pop(0), tally)
     while waiting:
         yield from _confirmed(waiting.pop(0), tally)
-
-
-def _refused(observation: Observation, last: float, tally: Tally) -> float:
-    """Returns the stamp up to which time is counted after an invalid observation: its own if plausible, else `last`."""
-    stamp = getattr(observation, "stamp", None)
-    if not isinstance(stamp, float) or not math.isfinite(stamp) or stamp <= last or stamp - last > MAX_JUMP:
-        return last
-    tally.recorded += 0.0 if math.isnan(last) else stamp - last
-    return stamp
 
 
 def _step(tracker: Tracker, estimate: PoseEstimate) -> Step:
@@ -182,9 +177,7 @@ def best_weight(observations: Iterable[Observation], tracker: Tracker) -> tuple[
             continue
         if found.reason:
             reason = found.reason
-        elif (
-            found.directions < 2
-        ):  # loads do not measure the centre's height along a single direction of gravity
+        elif found.directions < 2:  # along a single one, loads do not measure the centre's height
             reason = "gravity had one direction in the palm all the time: tilt the hand by 20° about two axes"
         elif best is None or np.trace(found.covariance) < np.trace(best.covariance):
             best = found

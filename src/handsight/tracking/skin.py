@@ -179,15 +179,12 @@ class SkinContacts:
         return found
 
     def news(self, last: "SkinContacts") -> bool:
-        """Returns whether many other taxels are pressed than in `last`, the value at the last correction.
-
-        The contacts of fingers are compared elsewhere.
-        """
+        """Returns whether many other taxels are pressed than in `last`, the value at the last correction."""
         if self.touches.keys() != last.touches.keys():
             return True
         for name, (touch, _) in self.touches.items():
             if name in self.tips.values():
-                continue
+                continue  # contacts of fingers are compared elsewhere
             before = last.touches[name][0]
             if not len(touch.patches) and not len(before.patches):
                 continue
@@ -206,14 +203,12 @@ class SkinSensors:
     def __init__(self, rig: Rig) -> None:
         """The frame of each surface must be a body of the rig's hand."""
         self.rig = rig
-        self._chains = {
-            name: rig.hand.chains_to({f"skin[{name!r}].frame": surface.frame})
-            for name, surface in rig.skin.items()
-        }
+        frames = {name: surface.frame for name, surface in rig.skin.items()}
+        self._chains = {n: rig.hand.chains_to({f"skin[{n!r}].frame": link}) for n, link in frames.items()}
         self._joints = {name: frozenset(chains.joints) for name, chains in self._chains.items()}
         fingers = {finger.frame: name for name, finger in rig.fingers.items()}
-        self._fingers = {name: fingers.get(surface.frame) for name, surface in rig.skin.items()}
-        self._links = {name: LINK_TAXELS.format(surface.frame) for name, surface in rig.skin.items()}
+        self._fingers = {name: fingers.get(link) for name, link in frames.items()}
+        self._links = {name: LINK_TAXELS.format(link) for name, link in frames.items()}
         self._sigma_joint = float(np.hypot(rig.sigma_joint_offset, rig.sigma_joint))
 
     def observed(

@@ -238,10 +238,8 @@ class PoseBiasSmoother:
         # NumPy copies structured rows ten times slower than plain ones.
         measurements.view(np.float64)[: -MEASUREMENT.itemsize // 8] = self.measurements.view(np.float64)
         measurements[-1] = self._measurement(pose_mount_object, T_mount_palm, motion)
-        Ts, latency = self.solved.Ts, self.latency
-        count = pose_bias.merge(
-            measurements, MOST_MEASUREMENTS, SAME_PALM, Ts, latency, self.pivot, self.drift
-        )
+        known = self.solved.Ts, self.latency, self.pivot, self.drift
+        count = pose_bias.merge(measurements, MOST_MEASUREMENTS, SAME_PALM, *known)
         return self._solved(measurements[:count])
 
     @property

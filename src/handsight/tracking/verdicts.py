@@ -85,9 +85,8 @@ class Diagnosed:
         differs = f"{abs(more):.{1 if abs(more) < 10 else 0}f}{unit}{self.unit} {'larger' if more > 0 else 'smaller'}"
         if self.wrong:
             return f"{differs} than declared"
-        return (
-            f"{differs}, within ±" if abs(more) > DIAGNOSIS.significant * self.sigma_estimated else "agrees"
-        )
+        significant = abs(more) > DIAGNOSIS.significant * self.sigma_estimated
+        return f"{differs}, within ±" if significant else "agrees"
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,16 +103,6 @@ class Diagnosis:
     def wrong(self) -> tuple[Diagnosed, ...]:
         """The values that the recording contradicts, the worst first."""
         return tuple(sorted((value for value in self.values if value.wrong), key=lambda value: -value.chi2))
-
-
-def measured(
-    name: str, unit: str, declared: float, prior: float, estimated: float, sigma: float
-) -> Diagnosed:
-    """Returns a value, with its sigma `prior`, from an estimate that does not include it; all in SI units."""
-    information = prior**-2 + sigma**-2
-    return diagnosed(
-        name, unit, declared, prior, (estimated - declared) / sigma**2 / information, information**-0.5
-    )
 
 
 def diagnosed(name: str, unit: str, declared: float, prior: float, error: float, sigma: float) -> Diagnosed:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -94,11 +95,9 @@ def track() -> None:
     tip = partial(Finger, tip=Sphere(0.01), calibration=calibration)
     fingers = {name: tip(frame=name, T_frame_surface=T) for name, T in poses.items()}
     T_frame_grid = fingers["left"].T_frame_surface @ se3.compose(np.eye(3), np.array([0, 0, 0.01]))
-    taxels = TactileSurface.grid(
-        frame="left", T_frame_grid=T_frame_grid, rows=2, columns=2, pitch=1e-3, threshold=0.1
-    )
-    gel = Gel.grid(frame="left", T_frame_grid=T_frame_grid, rows=3, columns=3, pitch=1e-3, threshold=0.1)
-    gel.touch(np.ones((3, 3)))
+    grid: dict[str, Any] = {"T_frame_grid": T_frame_grid, "pitch": 1e-3, "threshold": 0.1}
+    taxels = TactileSurface.grid(frame="left", rows=2, columns=2, **grid)
+    Gel.grid(frame="left", rows=3, columns=3, **grid).touch(np.ones((3, 3)))
     rig = Rig(hand=hand, fingers=fingers, table=Table(height=-0.2), skin={"left": taxels})
     follower, joints = Follower(rig, _touched_box()[0], TrackerSettings()), dict.fromkeys(hand.moving, 0.0)
     state = follower.initial(None, JointOffsets.of(rig))
@@ -155,10 +154,8 @@ LATER = ("corrections from many starts", "hands and tracking")
 
 def _touched_box() -> tuple[ObjectModel, Contacts]:
     """Returns a box and three contacts on it."""
-    points, normals = (
-        [[0.03, 0, 0.02], [-0.03, 0.01, 0], [0, 0.045, 0.01]],
-        [[1, 0, 0], [-1, 0, 0], [0, 1, 0]],
-    )
+    points = [[0.03, 0, 0.02], [-0.03, 0.01, 0], [0, 0.045, 0.01]]
+    normals = [[1, 0, 0], [-1, 0, 0], [0, 1, 0]]
     return ObjectModel.box((0.06, 0.09, 0.14)), Contacts(points, normals, sigma_point=5e-4, sigma_normal=0.03)
 
 

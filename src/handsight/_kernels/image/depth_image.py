@@ -164,33 +164,6 @@ def leave_out_plane(image: Any, window: Any) -> None:
                 labels[v, u] = OUT
 
 
-@inner
-def _gathered(surface: Any, image: Any, window: Any, at: Any, found: Any) -> int:
-    """Fills in the pixels, by row and column in one, whose points are near the surface at a POSE; returns their number.
-
-    window: WINDOW, and the step from pixel to pixel.
-    """
-    model, nodes = surface
-    rays, depth, labels = image
-    here, step = window
-    coarse, pose = model[0].coarse, pose_of(at)
-    # No point of an object is farther from its centre than 1.2 radii.
-    center, reach2 = apply(pose, vector(model[0].center)), (1.2 * model[0].radius + here.within) ** 2
-    count = 0
-    for v in range(here.rows[0], here.rows[1], step):
-        for u in range(here.columns[0], here.columns[1], step):
-            if labels[v, u] < 0 or not depth[v, u] > 0:
-                continue
-            P = point_at(rays, depth, v, u)
-            way = sub(P, center)
-            if not dot(way, way) < reach2:
-                continue
-            if abs(field_at(nodes, coarse, apply_inverse(pose, P))[0]) < here.within:
-                found[count] = v * depth.shape[1] + u
-                count += 1
-    return count
-
-
 @entry
 def near_points(surface: Any, image: Any, window: Any, candidate: Any, out: Any) -> int:
     """Fills in DEPTH_POINT (n,) with points near the surface at CANDIDATE (1,), evenly over all such; returns how many.
@@ -198,12 +171,24 @@ def near_points(surface: Any, image: Any, window: Any, candidate: Any, out: Any)
     surface: MODEL (1,), its nodes. image: rays (h, w, 2), depth (h, w) [m], labels (h, w), of which the negative are
     left out. window: WINDOW (1,), whose step is made smaller until there are n.
     """
-    here, step = window[0], window[0].step
-    rays, depth, _ = image
+    (rays, depth, labels), (model, nodes) = image, surface
+    here, step, pose = window[0], window[0].step, pose_of(candidate[0].pose)
+    # No point of an object is farther from its centre than 1.2 radii.
+    center, reach2 = apply(pose, vector(model[0].center)), (1.2 * model[0].radius + here.within) ** 2
     while True:
         rows, columns = here.rows[1] - here.rows[0], here.columns[1] - here.columns[0]
-        found = np.empty((rows // step + 1) * (columns // step + 1), np.int64)
-        count = _gathered(surface, image, (here, step), candidate[0].pose, found)
+        found, count = np.empty((rows // step + 1) * (columns // step + 1), np.int64), 0
+        for v in range(here.rows[0], here.rows[1], step):
+            for u in range(here.columns[0], here.columns[1], step):
+                if labels[v, u] < 0 or not depth[v, u] > 0:
+                    continue
+                P = point_at(rays, depth, v, u)
+                way = sub(P, center)
+                if not dot(way, way) < reach2:
+                    continue
+                if abs(field_at(nodes, model[0].coarse, apply_inverse(pose, P))[0]) < here.within:
+                    found[count] = v * depth.shape[1] + u
+                    count += 1
         if step == 1 or count >= len(out):
             break
         # Where most of the object is hidden, the visible part still gives that many points.

@@ -103,18 +103,6 @@ def is_far(point: Any, center: Vec3, radius: float, bound: float) -> bool:
     return dot(way, way) > reach * reach
 
 
-@inner
-def _expect(model: Any, information: Any, pose: Pose, prior: Any) -> None:
-    """Fills in the prior that expects the object at a pose, with information (6, 6) by (δp, δθ) of its centre."""
-    prior.kind, prior.has_axis = VISION_PRIOR if information[0, 0] > 0 else NO_PRIOR, 0
-    store(vector(model.center), prior.pivot_object)
-    store(apply(pose, vector(model.center)), prior.pivot_palm)
-    store33(pose[0], prior.rotation)
-    for i in range(6):
-        for j in range(6):
-            prior.information[i, j] = information[i, j]
-
-
 @entry
 def refine_poses(
     model: Any, nodes: Any, points: Any, stages: Any, unit: float, known: Any, candidates: Any
@@ -129,9 +117,15 @@ def refine_poses(
     center, radius = vector(model[0].center), model[0].radius
     equations, longest = workspace.now, (MAX_SHIFT * 2 * radius, MAX_TURN)
     wall = MAX_WALL * 2 * radius
+    prior.kind, prior.has_axis = VISION_PRIOR if known[0, 0] > 0 else NO_PRIOR, 0
+    store(center, prior.pivot_object)
+    for i in range(6):
+        for j in range(6):
+            prior.information[i, j] = known[i, j]
     for k in range(len(candidates)):
         pose = pose_of(candidates[k].pose)
-        _expect(model[0], known, pose, prior)
+        store(apply(pose, center), prior.pivot_palm)
+        store33(pose[0], prior.rotation)
         for s in range(len(stages)):
             stage = stages[s]
             surface = nodes, model[0].fine if stage.fine else model[0].coarse

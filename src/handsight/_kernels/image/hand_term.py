@@ -83,38 +83,6 @@ def refine_hand(
         store_pose(pose, candidates[k].pose)
 
 
-@inner
-def _add(camera: Any, image: Any, P: Vec3, n: Vec3, area: float, bound: float, candidate: Any) -> None:
-    """Adds to a candidate what the image says of one point that stands for so much area [m²]."""
-    way = norm(P)
-    cosine = -dot(n, P) / way
-    if not cosine > PALM_SCAN.facing_cosine:
-        return
-    _, _, z = observed_at(camera, image[0], P)
-    if z < 0:
-        return
-    pixels = area * camera.fx * camera.fy * cosine / (P[2] * P[2])
-    candidate.expected += pixels if z > 0 else HAND_SCORE.unknown * pixels
-    if z == 0:
-        return
-    along = (z - P[2]) * way / P[2]
-    off = along * cosine
-    if off > bound or along > RANGE_FACTOR * bound:
-        candidate.passed += pixels
-    elif off < -bound or along < -RANGE_FACTOR * bound:
-        candidate.hidden += pixels
-    else:
-        alike = _cosine(image[2], image[3], P, n)
-        least, enough = 0.2, 0.8  # from none of a pixel to all of it
-        share = min(max((alike - least) / (enough - least), 0.0), 1.0)
-        if alike > 1.5:  # the pixel has no normal
-            share = 0.6
-        score = pixels * (1 - (off / bound) ** 2) * share
-        candidate.explained += score
-        candidate.unexplained += pixels * (1 - share)
-        candidate.rms += score * off * off
-
-
 @entry
 def score_hand(camera: Any, image: Any, hand: Any, area: float, bound: float, candidates: Any) -> None:
     """Fills in the score of CANDIDATE (k,), and what it is made of; `unexplained`: pixels that have another normal.
@@ -129,7 +97,33 @@ def score_hand(camera: Any, image: Any, hand: Any, area: float, bound: float, ca
         candidate.unexplained = candidate.rms = 0.0
         for m in range(hand.shape[1]):
             P, n = apply(pose, vector(hand[0, m])), mul(pose[0], vector(hand[1, m]))
-            _add(camera[0], image, P, n, area, bound, candidate)
+            way = norm(P)
+            cosine = -dot(n, P) / way
+            if not cosine > PALM_SCAN.facing_cosine:
+                continue
+            _, _, z = observed_at(camera[0], image[0], P)
+            if z < 0:
+                continue
+            pixels = area * camera[0].fx * camera[0].fy * cosine / (P[2] * P[2])
+            candidate.expected += pixels if z > 0 else HAND_SCORE.unknown * pixels
+            if z == 0:
+                continue
+            along = (z - P[2]) * way / P[2]
+            off = along * cosine
+            if off > bound or along > RANGE_FACTOR * bound:
+                candidate.passed += pixels
+            elif off < -bound or along < -RANGE_FACTOR * bound:
+                candidate.hidden += pixels
+            else:
+                alike = _cosine(image[2], image[3], P, n)
+                least, enough = 0.2, 0.8  # from none of a pixel to all of it
+                share = min(max((alike - least) / (enough - least), 0.0), 1.0)
+                if alike > 1.5:  # the pixel has no normal
+                    share = 0.6
+                score = pixels * (1 - (off / bound) ** 2) * share
+                candidate.explained += score
+                candidate.unexplained += pixels * (1 - share)
+                candidate.rms += score * off * off
         finish_score(HAND_SCORE, candidate)
 
 

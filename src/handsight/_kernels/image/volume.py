@@ -12,7 +12,7 @@ import numpy as np
 from handsight._kernels.image.depth_image import step_at
 from handsight._kernels.image.pinhole import project
 from handsight._kernels.math.symmetry import transform_of
-from handsight._kernels.math.vec3 import Vec3, apply, norm
+from handsight._kernels.math.vec3 import apply, norm
 from handsight._kernels.runtime.compilation import entry, inner
 
 CLEAR = 3.0
@@ -35,26 +35,6 @@ def _depth_between(depth: Any, u: float, v: float) -> float:
     return 1 / ((1 - y) * ((1 - x) / a + x / b) + y * ((1 - x) / c + x / d))
 
 
-@inner
-def _see(voxel: Any, depth: Any, pixel: tuple[float, float], node: Vec3, bound: float) -> None:
-    """Adds to a voxel what a depth image says of it: `node` in the camera, its `pixel` (column, row), `bound` [m]."""
-    u, v = pixel
-    nearest = depth[int(v + 0.5), int(u + 0.5)]
-    gap = nearest - node[2]
-    if not nearest > 0 or gap < -2 * bound:
-        return
-    if gap > CLEAR * bound:
-        voxel.passed += np.float32(1)
-        return
-    observed = _depth_between(depth, u, v)
-    gap = (observed - node[2]) * norm(node) / node[2]  # along the ray
-    if observed > 0 and abs(gap) <= bound:
-        weight = np.float32(1 / (observed * observed * observed * observed))
-        voxel.sum += weight * np.float32(gap)
-        voxel.weight += weight
-        voxel.views += np.float32(1)
-
-
 @entry
 def fuse(camera: Any, depth: Any, to_camera: Any, bound: float, voxels: Any) -> None:
     """Adds a depth image (h, w) [m], 0 where there is none, to VOXEL (nx, ny, nz). `to_camera` (3, 4): from a node's
@@ -63,7 +43,21 @@ def fuse(camera: Any, depth: Any, to_camera: Any, bound: float, voxels: Any) -> 
     for i in range(voxels.shape[0]):
         for j in range(voxels.shape[1]):
             for k in range(voxels.shape[2]):
-                node = apply(pose, (i, j, k))
+                node, voxel = apply(pose, (i, j, k)), voxels[i, j, k]
                 u, v = project(camera[0], node)
-                if u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5:
-                    _see(voxels[i, j, k], depth, (u, v), node, bound)
+                if not (u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5):
+                    continue
+                nearest = depth[int(v + 0.5), int(u + 0.5)]
+                gap = nearest - node[2]
+                if not nearest > 0 or gap < -2 * bound:
+                    continue
+                if gap > CLEAR * bound:
+                    voxel.passed += np.float32(1)
+                    continue
+                observed = _depth_between(depth, u, v)
+                gap = (observed - node[2]) * norm(node) / node[2]  # along the ray
+                if observed > 0 and abs(gap) <= bound:
+                    weight = np.float32(1 / (observed * observed * observed * observed))
+                    voxel.sum += weight * np.float32(gap)
+                    voxel.weight += weight
+                    voxel.views += np.float32(1)

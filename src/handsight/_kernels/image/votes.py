@@ -83,19 +83,6 @@ def _count(table: Any, points: Any, r: int, diameter: float, most: int, votes: A
             break
 
 
-@inner
-def _best_spins(votes: Any, most: Any, spins: Any) -> None:
-    """Fills in the most votes of any spin of each model point (m,), and that spin; the half steps beside it count by
-    half."""
-    for i in range(len(votes)):
-        most[i] = -1.0
-        for s in range(SPINS):
-            before, after = (2 * s - 1) % (2 * SPINS), (2 * s + 2) % (2 * SPINS)
-            total = votes[i, 2 * s] + votes[i, 2 * s + 1] + 0.5 * (votes[i, before] + votes[i, after])
-            if total > most[i]:
-                most[i], spins[i] = total, s
-
-
 @entry
 def vote(
     table: Any, model: Any, diameter: float, observed: Any, references: Any, partners: int, candidates: Any
@@ -111,7 +98,13 @@ def vote(
     for n in range(len(references)):
         votes[:] = 0
         _count(table, observed, references[n], diameter, partners, votes)
-        _best_spins(votes, best, spins)
+        best[:] = -1.0
+        for m in range(len(votes)):  # the best spin of each model point
+            for s in range(SPINS):  # the half steps beside it count by half
+                before, after = (2 * s - 1) % (2 * SPINS), (2 * s + 2) % (2 * SPINS)
+                total = votes[m, 2 * s] + votes[m, 2 * s + 1] + 0.5 * (votes[m, before] + votes[m, after])
+                if total > best[m]:
+                    best[m], spins[m] = total, s
         reference = observed[references[n]]
         back = transpose(about_normal(vector(reference.normal)))
         for peak in range(PEAKS):

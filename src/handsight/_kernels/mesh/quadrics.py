@@ -288,18 +288,6 @@ def _has_drifted(patch: Any, earlier: Any, windows: int, tensor: Any) -> bool:
     return False
 
 
-@inner
-def _note(patch: Any, tensor: Any, row: Any) -> None:
-    """Writes the WINDOW_VALUES of a fit, with which fits in wider windows are compared."""
-    C = patch.covariance
-    for k in range(3):
-        row[k], row[3 + k] = patch.point[k], patch.normal[k]
-    for k in range(6):
-        row[6 + k] = tensor[k]
-    row[12], row[13], row[14] = C[0, 0], 0.5 * (C[1, 1] + C[2, 2]), 0.5 * (C[3, 3] + C[5, 5])
-    row[15] = patch.spread
-
-
 @entry
 def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> None:
     """Fits each of `patches` (m,) PATCH in a wider window, and keeps the new fit unless it contradicts earlier ones.
@@ -334,5 +322,10 @@ def widen(cloud: Any, keys: Any, levels: Any, patches: Any, earlier: Any) -> Non
                 continue
         patches[k] = trial
         patch.window = level.window
-        _note(patch, room.tensor, earlier[k, level.place])
+        row, C = earlier[k, level.place], patch.covariance
+        store(vector(patch.point), row[:3])
+        store(vector(patch.normal), row[3:6])
+        row[6:12] = room.tensor
+        row[12], row[13], row[14] = C[0, 0], 0.5 * (C[1, 1] + C[2, 2]), 0.5 * (C[3, 3] + C[5, 5])
+        row[15] = patch.spread
         patch.fits += 1

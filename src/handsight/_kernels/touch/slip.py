@@ -67,11 +67,8 @@ def _turned(one: Any, relative: float, rise: float, read: Any) -> bool:
         return risen
     least, most = min(size, length), max(size, length)
     # A motion that hardly changed the length was a turn. Without an anchor the comparisons are false.
-    if (
-        least >= FRICTION.min_ratio
-        and most <= FRICTION.max_ratio
-        and most - least <= FRICTION.max_radial * away
-    ):
+    counts = least >= FRICTION.min_ratio and most <= FRICTION.max_ratio
+    if counts and most - least <= FRICTION.max_radial * away:
         read.turned = math.sqrt(least * most)
     anchor[0], anchor[1], anchor[2], anchor[3] = x, y, z, w
     return True

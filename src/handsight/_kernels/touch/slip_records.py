@@ -84,10 +84,8 @@ LOAD_LIMITS = record(
     ("min_force", "f8"),  # normal force above which a sensor's ratio counts [N]
     ("sure_force", "f8"),  # the same above which friction is learnt from it [N]
     ("noise", "f8"),  # of its tangential load [N]
-    (
-        "gain",
-        "f8",
-    ),  # relative error of its ratio; 0: of a six-axis sensor, which has the same gain at every place
+    # Relative error of its ratio; 0: of a six-axis sensor, which has the same gain at every place.
+    ("gain", "f8"),
     ("relative", "f8"),  # its μ relative to the common one
 )
 LOAD_MEMORY = record(
