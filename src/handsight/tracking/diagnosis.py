@@ -154,9 +154,8 @@ class Diagnoser:
             return
         if last is not None:
             self._grasps.pop()
-        declared = list[
-            Carried
-        ]()  # without the joints' estimated offsets, and readings without the tips' weights
+        # Loads are without the joints' estimated offsets, readings without the tips' weights.
+        declared = list[Carried]()
         for instant in instants:
             load, readings = instant.load, instant.load.readings.copy()
             for i, finger in enumerate(self.tracker.rig.fingers.values()):
