@@ -79,15 +79,16 @@ def reachable(evidence: Any, field: Any, pose: Pose) -> int:
     """Returns how many rows of OUTSIDE, the points, can matter at a pose: all or, where that is certain, none.
 
     A point that was farther from the object than any part of the object has moved since then is outside. So clearances
-    are measured only when the object has moved by CLEARANCE_REACH, or on another field; `measured.move` tells how far
-    it has moved since. To leave out points that are farther away does not change the cost, as long as the distance of a
-    grid rises by at most MAX_FIELD_SLOPE per metre.
+    are measured only when the object has moved by CLEARANCE_REACH and past the least of them, or on another field;
+    `measured.move` tells how far it has moved since. To leave out points that are farther away does not change the
+    cost, as long as the distance of a grid rises by at most MAX_FIELD_SLOPE per metre.
     """
     rows, measured = evidence.outside, evidence.measured
     if len(rows) == 0:
         return 0
     move = largest_move(evidence.model, pose, pose_of(measured.pose))
-    if not move <= CLEARANCE_REACH * evidence.model.radius or measured.nodes != field.nodes:
+    limit = max(measured.least, CLEARANCE_REACH * evidence.model.radius)
+    if not move <= limit or measured.nodes != field.nodes:
         move, measured.least, measured.points, measured.nodes = 0.0, np.inf, 0, field.nodes
         store_pose(pose, measured.pose)
         for i in range(len(rows)):
