@@ -24,7 +24,6 @@ from handsight.representation import short_repr
 
 MOST_POINTS, MOST_PLANES = 10_000, 100
 """Points and planes of one correction."""
-_FLOAT = np.dtype(np.float64)
 NO_OUTSIDE = np.empty(0, dtype=OUTSIDE)
 
 
@@ -173,7 +172,7 @@ def outside_records(
     planes: Sequence[Plane] = () if given is None else given.planes
     places: Any = outside if given is None else given.points_palm
     # The numbers in a usual array are checked as they become records: every call saved here is some per cent of all.
-    usual = type(places) is np.ndarray and places.dtype == _FLOAT and places.shape[1:] == (3,)
+    usual = type(places) is np.ndarray and places.dtype == np.float64 and places.shape[1:] == (3,)
     if not usual or len(places) > MOST_POINTS:
         places = _points(() if places is None else places)
     untouched = () if skin is None else skin.untouched_palm
@@ -181,16 +180,14 @@ def outside_records(
     count = n + m + len(planes)
     # Of bytes: np.zeros would read more from memory.
     rows = np.ndarray(count, OUTSIDE, bytearray(count * OUTSIDE.itemsize))
-    if n:
-        if not load_points(places, contacts.record, model.diameter, rows):
-            _points(places)  # raises InvalidInput
-        if given is not None:
-            points = rows[:n]
-            for name, values in (("sigma", given.sigmas), ("slack", given.slacks), ("link", given.links)):
-                if values is not None:
-                    points[name] = values
-            if given.links is not None and (given.links[1:] < given.links[:-1]).any():
-                points[:] = points[np.argsort(given.links, kind="stable")]
+    if n and not load_points(places, contacts.record, model.diameter, rows):
+        _points(places)  # raises InvalidInput
+    if given is not None:
+        for name, values in (("sigma", given.sigmas), ("slack", given.slacks), ("link", given.links)):
+            if values is not None:
+                rows[name][:n] = values
+        if given.links is not None and (given.links[1:] < given.links[:-1]).any():
+            rows[:n] = rows[np.argsort(given.links, kind="stable")]
     if m:
         taxels = rows[n : n + m]
         taxels["point"], taxels["sigma"] = untouched, SIGMA_CLEARANCE
