@@ -115,19 +115,22 @@ def hypotheses(seconds: float) -> list[Row]:
 def batch(seconds: float) -> tuple[list[Row], dict[str, Any]]:
     """One correction against one hypothesis of a batch of 4 096, and against one with a hand: rows and ratios.
 
-    On one core, so that the ratio says nothing of who else is busy.
+    On one core, so that the ratio says nothing of who else is busy. Each correction follows a batch in turn: one that
+    follows another finds what they share in the cache.
     """
     problem, count = workload.draw("box", workload.NEAR, 1), 4096
     model, scene = problem.model, problem.scene
     given, hand = (model, scene.contacts), scenes.behind_contacts(scene, HAND)
+    many = with_starts(problem, count)
     calls = [
         ("one correction", lambda: hs.correct_pose(*given, vision=scene.vision)),
+        ("between", many),
         ("with a hand", lambda: hs.correct_pose(*given, vision=scene.vision, outside=hand)),
-        (f"a batch of {count}", with_starts(problem, count)),
+        (f"a batch of {count}", many),
     ]
     with alone():
         times = timing.in_turn(calls, seconds)
-    single, held, each = (times[name] for name, _ in calls)
+    single, _, held, each = (times[name] for name, _ in calls)
     rows = [
         {"name": "one correction, the public call", **timing.summary(single)},
         {"name": f"the same with {HAND} points of the hand", **timing.summary(held)},

@@ -1,6 +1,8 @@
 """Points of the hand that cannot be inside the object: a link counts as its deepest point, and none is left out."""
 
 import functools
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -156,6 +158,42 @@ def test_an_answer_is_that_of_all_points_however_many_are_far():
 def test_wrong_points_of_a_hand_are_refused(given, message):
     with pytest.raises(InvalidInput, match=message):
         Outside(**{"points_palm": np.zeros((2, 3)), **given})
+
+
+@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (np.array([[0, 0, 0.1], [0, np.nan, 0]]), "finite numbers of shape (n, 3), got [[0.0, 0.0, 0.1], [0.0, nan, 0.0]]"),
+        (np.full((1, 3), -np.inf), "finite numbers of shape (n, 3), got [[-inf, -inf, -inf]]"),
+        (np.array([[0, 0, -1000.1]]), "metres within 1000, got -1000.1"),
+        (np.zeros((10_001, 3)), "at most 10000 points, got 10001"),
+        (np.zeros((3, 4)), "finite numbers of shape (n, 3), got shape (3, 4)"),
+        (np.array(0.1), "finite numbers of shape (n, 3), got 0.1"),
+        (np.ma.masked_less(np.zeros((1, 3)), 1), "numbers, got a masked array (NaN is for unknown numbers)"),
+    ],
+)  # fmt: skip
+def test_wrong_arrays_of_points_are_refused_for_an_open_surface_too(points, message, closed):
+    thing, scene = replace(model("box"), closed=closed), grasp("box")
+    with pytest.raises(InvalidInput, match=f"^outside: expected {re.escape(message)}$"):
+        hs.correct_pose(thing, scene.contacts, vision=scene.vision, outside=points)
+
+
+def test_points_are_the_same_in_any_layout_and_have_one_and_a_half_times_the_sigma_of_the_median_contact():
+    thing, rng = model("box"), np.random.default_rng(0)
+    for n in (1, 4, 7, 64):
+        scene = scenes.random_scene(scenes.anywhere_on(thing)(rng, n), rng)
+        sigmas, points = 10 ** rng.uniform(-4, -2, n), rng.normal(size=(30, 3))
+        contacts, frozen = hs.Contacts(scene.contacts.points_palm, sigma_point=sigmas), points.copy()
+        frozen.setflags(write=False)
+        usual = outside_records(thing, contacts, points)
+        np.testing.assert_array_equal(usual["point"], points)
+        np.testing.assert_array_equal(usual["link"], np.arange(30))
+        expected = 1.5 * max(np.median(sigmas), 1e-3 * thing.diameter)
+        np.testing.assert_allclose(usual["sigma"], expected, rtol=1e-12)
+        for same in (frozen, np.asfortranarray(points), np.repeat(points, 2, axis=0)[::2], points.tolist()):
+            np.testing.assert_array_equal(outside_records(thing, contacts, same), usual)
+        assert not len(outside_records(replace(thing, closed=False), contacts, points))
 
 
 def gripped_beside_a_link(rng):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks
+from handsight._kernels.evidence.outside_term import load_points
 from handsight._kernels.records import OUTSIDE
 from handsight.checks import Array, Indices
 from handsight.contact import Contacts
@@ -25,7 +25,6 @@ from handsight.representation import short_repr
 MOST_POINTS, MOST_PLANES = 10_000, 100
 """Points and planes of one correction."""
 NO_OUTSIDE = np.empty(0, dtype=OUTSIDE)
-_EACH = np.arange(MOST_POINTS)
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ class Outside:
     def __post_init__(self) -> None:
         if not isinstance(self.planes, list | tuple) or not all(isinstance(p, Plane) for p in self.planes):
             raise InvalidInput(f"outside.planes: expected a list of Planes, got {checks.brief(self.planes)}")
-        points = np.array(_points(self.points_palm))  # a copy, as the caller may change its own array
+        points = _points(self.points_palm)
         check_number(len(self.planes), MOST_PLANES, "outside.planes", "planes")
         object.__setattr__(self, "points_palm", points)
         if self.links is not None:
@@ -132,15 +131,11 @@ class Outside:
 
 
 def _points(value: ArrayLike) -> Array:
-    """Returns points (m, 3) [m], of which there may be none; raises InvalidInput."""
-    if isinstance(value, np.ndarray | list | tuple) and not len(value):
-        return np.empty((0, 3))
-    usual = isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape[1:] == (3,)
-    # The sum of squares is quick, and fails for NaN too; only then is the full check made.
-    if not (usual and np.vdot(value, value) <= checks.MAX_DISTANCE**2):  # type: ignore[arg-type]
-        value = checks.position(value, "outside", (None, 3))
-    check_number(len(value), MOST_POINTS, "outside", "points")  # type: ignore[arg-type]
-    return value  # type: ignore[return-value]
+    """Returns a copy of points (m, 3) [m], of which there may be none; raises InvalidInput."""
+    empty = isinstance(value, np.ndarray | list | tuple) and checks.ndim(value) and not len(value)
+    points = np.empty((0, 3)) if empty else checks.position(value, "outside", (None, 3))
+    check_number(len(points), MOST_POINTS, "outside", "points")
+    return points
 
 
 def _each(value: ArrayLike, name: str, n: int, limits: tuple[float, float]) -> Array:
@@ -175,44 +170,30 @@ def outside_records(
         return NO_OUTSIDE
     given: Any = outside if isinstance(outside, Outside) else None
     planes: Sequence[Plane] = () if given is None else given.planes
-    places: Any = (
-        outside.points_palm if isinstance(outside, Outside) else _points(() if outside is None else outside)
-    )
+    places: Any = outside if given is None else given.points_palm
+    # The numbers in a usual array are checked as they become records: every call saved here is some per cent of all.
+    usual = type(places) is np.ndarray and places.dtype == np.float64 and places.shape[1:] == (3,)
+    if not usual or len(places) > MOST_POINTS:
+        places = _points(() if places is None else places)
     untouched = () if skin is None else skin.untouched_palm
-    n, m = (len(places), len(untouched)) if model.closed else (0, 0)
+    n, m = len(places), len(untouched)
     count = n + m + len(planes)
     # Of bytes: np.zeros would read more from memory.
     rows = np.ndarray(count, OUTSIDE, bytearray(count * OUTSIDE.itemsize))
-    if n:
-        points = rows[:n]
-        points["point"], points["link"] = places, _EACH[:n]
-        if given is None or given.sigmas is None:
-            points["sigma"] = _usual_sigma(model, contacts)
-        if given is not None:
-            for name, values in (("sigma", given.sigmas), ("slack", given.slacks), ("link", given.links)):
-                if values is not None:
-                    points[name] = values
-            if given.links is not None and (given.links[1:] < given.links[:-1]).any():
-                points[:] = points[np.argsort(given.links, kind="stable")]
+    if n and not load_points(places, contacts.record, model.diameter, rows):
+        _points(places)  # raises InvalidInput
+    if given is not None:
+        for name, values in (("sigma", given.sigmas), ("slack", given.slacks), ("link", given.links)):
+            if values is not None:
+                rows[name][:n] = values
+        if given.links is not None and (given.links[1:] < given.links[:-1]).any():
+            rows[:n] = rows[np.argsort(given.links, kind="stable")]
     if m:
         taxels = rows[n : n + m]
         taxels["point"], taxels["sigma"] = untouched, SIGMA_CLEARANCE
         taxels["link"] = np.arange(m) + (rows["link"][:n].max() + 1 if n else 0)
-    for row, plane in zip(rows[n + m :], planes, strict=True):
+    for i, plane in enumerate(planes, n + m):
+        row = rows[i]
         row["is_plane"], row["sigma"] = True, plane.sigma
         row["point"], row["normal"] = plane.point_palm, plane.normal_palm
-    return rows
-
-
-def _usual_sigma(model: ObjectModel, contacts: Contacts) -> float:
-    """Returns the sigma of points for which none is given [m]: 1.5 times that of the median contact or a thousandth of
-    the object's diameter, whichever is larger.
-
-    Points are as uncertain as contacts, because of the same kinematics; the factor is for the common error of points
-    near each other.
-    """
-    # This is much faster than np.median; the first three of a covariance's diagonal are of the point.
-    variances = sorted(map(sum, contacts.covariance.reshape(-1, 36)[:, :15:7].tolist()))
-    middle = variances[(len(variances) - 1) // 2], variances[len(variances) // 2]
-    median = (math.sqrt(middle[0] / 3) + math.sqrt(middle[1] / 3)) / 2
-    return 1.5 * max(median, 1e-3 * model.diameter)
+    return rows if model.closed else rows[n + m :]

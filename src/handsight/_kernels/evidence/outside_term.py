@@ -16,7 +16,8 @@ from handsight._kernels.math.simd import accumulate
 from handsight._kernels.math.symmetry import pose_of, store_pose
 from handsight._kernels.math.vec3 import Vec3, add, apply, apply_inverse, cross, mul, norm, scale, sub, vector
 from handsight._kernels.mesh.field import field_at
-from handsight._kernels.runtime.compilation import inner
+from handsight._kernels.runtime.compilation import entry, inner
+from handsight.checks import MAX_DISTANCE
 
 POWER = 8
 """Exponent of the norm, an even number; a hundred points of the same depth count as 1.8 times one of them."""
@@ -24,6 +25,28 @@ CLEARANCE_REACH = 0.2
 """Clearances are measured again when the object has moved by this many radii."""
 MAX_FIELD_SLOPE = 1.25
 """Upper bound of the gradient's length on a grid, whose distance is not exact everywhere."""
+
+
+@entry
+def load_points(points: Any, contacts: Any, diameter: float, rows: Any) -> bool:
+    """Fills in OUTSIDE rows of points (n, 3), each of a link by itself; returns whether all are within MAX_DISTANCE.
+
+    Their sigma is 1.5 times that of the median contact (k,) or a thousandth of the object's diameter, whichever is
+    larger: they are as uncertain as contacts, because of the same kinematics; the factor is for the common error of
+    points near each other.
+    """
+    sigmas, good = np.empty(len(contacts)), True
+    for i in range(len(contacts)):
+        C = contacts[i].covariance
+        sigmas[i] = np.sqrt((C[0, 0] + C[1, 1] + C[2, 2]) / 3)
+    sigma = 1.5 * max(np.median(sigmas), 1e-3 * diameter)
+    for i in range(len(points)):
+        row = rows[i]
+        row.sigma, row.link = sigma, i
+        for k in range(3):
+            row.point[k] = points[i, k]
+            good = good and abs(points[i, k]) <= MAX_DISTANCE
+    return good
 
 
 @inner
@@ -56,15 +79,16 @@ def reachable(evidence: Any, field: Any, pose: Pose) -> int:
     """Returns how many rows of OUTSIDE, the points, can matter at a pose: all or, where that is certain, none.
 
     A point that was farther from the object than any part of the object has moved since then is outside. So clearances
-    are measured only when the object has moved by CLEARANCE_REACH, or on another field; `measured.move` tells how far
-    it has moved since. To leave out points that are farther away does not change the cost, as long as the distance of a
-    grid rises by at most MAX_FIELD_SLOPE per metre.
+    are measured only when the object has moved by CLEARANCE_REACH and past the least of them, or on another field;
+    `measured.move` tells how far it has moved since. To leave out points that are farther away does not change the
+    cost, as long as the distance of a grid rises by at most MAX_FIELD_SLOPE per metre.
     """
     rows, measured = evidence.outside, evidence.measured
     if len(rows) == 0:
         return 0
     move = largest_move(evidence.model, pose, pose_of(measured.pose))
-    if not move <= CLEARANCE_REACH * evidence.model.radius or measured.nodes != field.nodes:
+    limit = max(measured.least, CLEARANCE_REACH * evidence.model.radius)
+    if not move <= limit or measured.nodes != field.nodes:
         move, measured.least, measured.points, measured.nodes = 0.0, np.inf, 0, field.nodes
         store_pose(pose, measured.pose)
         for i in range(len(rows)):
