@@ -4,6 +4,7 @@ Instants with different directions of gravity are kept, carried along as the obj
 together. A weighing that something contradicts is not trusted; a trusted one measures the centre of mass in the palm.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.copies import shallow_copy
 from handsight.correction import PoseEstimate, WeightEvidence
-from handsight.forces.loads import LoadSum, lacking, load_sensors, load_sum, read_in_air
+from handsight.forces.loads import LoadSum, lacking, load_sensors, load_sum, read_all, read_in_air
 from handsight.forces.object_motion import moved_with_tips
 from handsight.forces.weight import Carried, Unknowns, Weighing, weigh
 from handsight.gaussian_pose import GaussianPose
@@ -120,8 +121,8 @@ class Weigher:
         """Measures the sensors' biases while nothing is lifted, if their tips are in the air."""
         self._lifted = False
         window = self._full_window(observation)
-        if window and not lacking(self.sensors, window):
-            read = read_in_air(self.rig, window, self.sensors)
+        if window and not lacking(measured := read_all(self.sensors, window)):
+            read = read_in_air(self.rig, window, measured)
             self.tare = np.where(np.isnan(read), self.tare, read)
 
     def update(
@@ -145,12 +146,12 @@ class Weigher:
         window = self._full_window(observation)
         if not window:
             return False
-        if reason := lacking(self.sensors, window):
+        if reason := lacking(measured := read_all(self.sensors, window)):
             self.reason = reason
             return False
         places = [] if contacts is None else zip(contacts.points_palm, contacts.normals_palm, strict=True)
         touched = dict(zip(fingers, places, strict=False))
-        load = load_sum(self.rig, window, touched, joints[0], self.sensors)
+        load = load_sum(self.rig, window, touched, joints[0], measured)
         tare = self.tare.ravel()
         load = replace(load, wrench=load.wrench - load.by_bias @ tare, readings=load.readings - tare)
         if np.linalg.norm(load.wrench[:3]) < WEIGHER.min_weight:
@@ -190,9 +191,10 @@ class Weigher:
 
     def _weigh(self, load: LoadSum, root: Array) -> None:
         """Weighs with the kept instants and a new one, and decides whether the result is trusted."""
-        direction, others = load.gravity / np.linalg.norm(load.gravity), [each for each, _ in self._kept]
-        others = [each for each in others if _angle(each.load.gravity, direction) > WEIGHER.new_direction]
-        self.instants = instants = (*others, Carried(load))
+        direction = load.gravity / np.linalg.norm(load.gravity)
+        angles = _angles([each.load.gravity for each, _ in self._kept], direction)
+        far = [each for (each, _), angle in zip(self._kept, angles, strict=True) if angle > WEIGHER.new_direction]
+        self.instants = instants = (*far, Carried(load))
         # Calibration leaves biases that are about as large as a reading's noise.
         biases = np.concatenate([sensor.sigma for sensor in self.sensors])
         gains = np.repeat([sensor.sigma_gain for sensor in self.sensors], 6)
@@ -200,7 +202,7 @@ class Weigher:
         before = self.weighing
         found = weigh(instants, replace(exactly, gains=gains), before)
         if before is None or before.directions != found.directions:
-            self.assumed = "" if weigh(instants, exactly, before).consistent else ASSUMED
+            self.assumed = "" if weigh(instants, exactly, found).consistent else ASSUMED
         limit = WEIGHER.right_mass if self.reason.startswith(WEIGHS) else WEIGHER.wrong_mass
         self.reason = ""
         if found.mass < -WEIGHER.wrong_mass * found.sigma_mass:
@@ -233,8 +235,8 @@ class Weigher:
     def _keep(self, load: LoadSum) -> None:
         """Keeps a static instant if its direction of gravity is new, or replaces the one of the same direction."""
         direction = load.gravity / np.linalg.norm(load.gravity)
-        angles = [_angle(way, direction) for _, way in self._kept]
-        near = int(np.argmin(angles)) if angles else -1
+        angles = _angles([way for _, way in self._kept], direction)
+        near = int(angles.argmin()) if self._kept else -1
         if near < 0 or angles[near] > WEIGHER.new_direction:
             kept = self._kept if len(self._kept) < WEIGHER.max_kept else self._kept[1:]
             self._kept = (*kept, (Carried(load), direction))
@@ -243,9 +245,10 @@ class Weigher:
             self._kept = (*self._kept[:near], new, *self._kept[near + 1 :])
 
 
-def _angle(gravity: Array, direction: Array) -> float:
-    """Returns the angle between a vector and a unit vector [rad]."""
-    return float(np.arctan2(np.linalg.norm(se3.skew(gravity) @ direction), gravity @ direction))
+def _angles(vectors: Sequence[Array], direction: Array) -> Array:
+    """Returns the angles (k,) between k vectors (3,) and a unit vector [rad]."""
+    rows = np.array(vectors).reshape(-1, 3)
+    return np.arctan2(np.linalg.norm(rows @ se3.skew(direction), axis=1), rows @ direction)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

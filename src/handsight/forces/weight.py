@@ -151,10 +151,9 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     else:
         mass, moment, passes = start.mass, start.mass * start.center_palm, 1
     for _ in range(passes):
-        rows = np.concatenate([_whitened(instant, unknowns, mass, moment) for instant in instants])
+        rows = _whitened(instants, unknowns, mass, moment)
         C = rows[:, 4:-7]
-        L = np.linalg.cholesky(np.eye(len(rows)) + C @ C.T)
-        rows = np.asarray(np.linalg.solve(L, rows))
+        rows = _uncorrelated(rows, np.eye(len(rows)) + C @ C.T)
         H, C, y, fixed = rows[:, :4], rows[:, 4:-7], rows[:, -7], rows[:, -6:]
         covariance = np.asarray(np.linalg.inv(H.T @ H + prior.T @ prior))  # c is near the loads
         x = covariance @ (H.T @ y)
@@ -170,7 +169,8 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     within = np.eye(Cj.shape[1]) - Cj.T @ Cj + Cj.T @ H @ covariance @ H.T @ Cj
     joints = unknowns.joints
     across, within = joints @ by_center, joints @ within @ joints.T
-    joint = np.block([[D @ covariance @ D.T, by_center.T @ joints.T], [across, within]])
+    joint = np.empty((4 + len(joints),) * 2)
+    joint[:4, :4], joint[4:, 4:], joint[4:, :4], joint[:4, 4:] = D @ covariance @ D.T, within, across, across.T
     mean = np.concatenate([[mass], moment / mass, joints @ (Cj.T @ left)])
     return Weighing(mean, joint, chi2, len(rows) - 1, p_fixed, len(instants))
 
@@ -183,13 +183,12 @@ def common_equations(instants: Sequence[Carried], unknowns: Unknowns, found: Wei
     creep and biases.
     """
     mass, moment, j = found.mass, found.mass * found.center_palm, unknowns.joints.shape[1]
-    rows = np.concatenate([_whitened(instant, unknowns, mass, moment) for instant in instants])
+    rows = _whitened(instants, unknowns, mass, moment)
     start, own = rows[:, 1:4] @ moment, rows[:, [*range(1, 8), *range(8 + j, 8 + j + len(unknowns.biases))]]
     own[:, :3] *= WEIGHT_FIT.sigma_reach * mass
-    L = np.linalg.cholesky(np.eye(len(rows)) + own @ own.T)
     left, gains = rows[:, -7] - start - mass * rows[:, 0], rows[:, 8 + j + len(unknowns.biases) : -7]
     common = np.column_stack([rows[:, 0], rows[:, 8 : 8 + j], gains, left])
-    common = np.asarray(np.linalg.solve(L, common))
+    common = _uncorrelated(common, np.eye(len(rows)) + own @ own.T)
     return common[:, :-1].T @ common[:, :-1], -common[:, :-1].T @ common[:, -1]
 
 
@@ -203,31 +202,48 @@ def score_test(columns: Array, residuals: Array, H: Array, covariance: Array) ->
     return chi2_survival(chi2, int(observable.sum()))
 
 
-def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) -> Array:
-    """Returns the six whitened rows of an instant, linear at (m, m c) = (`mass`, `moment`).
+def _whitened(instants: Sequence[Carried], unknowns: Unknowns, mass: float, moment: Array) -> Array:
+    """Returns the six whitened rows of each instant, linear at (m, m c) = (`mass`, `moment`).
 
     The columns are the derivatives by (m, m c, φ, κ, joints, biases, gains), 4 + 3 + 1 + j + 12 t, all but the first
     four in units of their sigmas; then the measured wrench (1), and the derivatives by a wrench fixed in the palm (6).
     """
-    load, g = instant.load, instant.load.gravity
-    R, t = instant.T_now_then[:3, :3], instant.T_now_then[:3, 3]
-    G = se3.skew(g)
-    lever = se3.skew(R.T @ (moment - mass * t))
-    tilted = -load.R_palm_world @ se3.skew(unknowns.gravity) * unknowns.sigma_gravity
-    crept = mass * instant.creep[:3] + se3.skew(instant.creep[3:]) @ moment  # m d
-    rows = np.zeros((6, 8))
-    rows[:3, 0], rows[3:, 0] = g, G @ (R.T @ t)
-    rows[3:, 1:4] = -G @ R.T
-    rows[:3, 4:7], rows[3:, 4:7] = mass * tilted, lever @ tilted
-    rows[3:, 7] = G @ (R.T @ crept) * unknowns.creep
-    # Force and torque are off by the same error of the acceleration.
-    shaken = WEIGHT_FIT.acceleration_share * load.acceleration * np.vstack([mass * np.eye(3), lever])
-    noise = load.noise + shaken @ shaken.T
-    noise[3:, 3:] += (mass * WEIGHT_FIT.gyration**2 * load.turning) ** 2 * np.eye(3)
-    noise[3:, 3:] += (mass * instant.sigma) ** 2 * G @ G.T
-    by_joints, by_biases = load.by_joint @ unknowns.joints, load.by_bias * unknowns.biases
-    by_gains = load.by_bias * (load.readings * unknowns.gains)
+    n, j, loads = len(instants), unknowns.joints.shape[1], [instant.load for instant in instants]
+    Ts, creep = (np.array([getattr(each, name) for each in instants]) for name in ("T_now_then", "creep"))
+    Rt, t, v, w = Ts[:, :3, :3].swapaxes(1, 2), Ts[:, :3, 3:], creep[:, :3, None], creep[:, 3:]
+    g = np.array([load.gravity for load in loads])
+    G, moment = se3.skew(g), moment[:, None]
+    lever = se3.skew((Rt @ (moment - mass * t))[:, :, 0])
+    R_palm_world = np.array([load.R_palm_world for load in loads])
+    tilted = -R_palm_world @ se3.skew(unknowns.gravity) * unknowns.sigma_gravity
+    crept = mass * v + se3.skew(w) @ moment  # m d
+    by_bias = np.array([load.by_bias for load in loads])
+    k, b = 8 + j, by_bias.shape[2]
+    rows = np.zeros((n, 6, k + 2 * b + 7))
+    rows[:, :3, 0], rows[:, 3:, :1] = g, G @ (Rt @ t)
+    rows[:, 3:, 1:4] = -G @ Rt
+    rows[:, :3, 4:7], rows[:, 3:, 4:7] = mass * tilted, lever @ tilted
+    rows[:, 3:, 7:8] = G @ (Rt @ crept) * unknowns.creep
+    rows[:, :, 8:k] = np.array([load.by_joint for load in loads]) @ unknowns.joints
+    rows[:, :, k : k + b] = by_bias * unknowns.biases
+    readings = np.array([load.readings for load in loads])
+    rows[:, :, k + b : -7] = by_bias * (readings * unknowns.gains)[:, None]
+    rows[:, :, -7] = [load.wrench for load in loads]
     # In units of 1 N, and of the torque of 1 N at `sigma_reach`.
-    fixed = np.diag(np.repeat([1.0, WEIGHT_FIT.sigma_reach], 3))
-    rows = np.column_stack([rows, by_joints, by_biases, by_gains, load.wrench, fixed])
-    return np.asarray(np.linalg.solve(np.linalg.cholesky(noise), rows))
+    rows[:, :, -6:] = np.diag(np.repeat([1.0, WEIGHT_FIT.sigma_reach], 3))
+    # Force and torque are off by the same error of the acceleration.
+    acceleration, turning, sigma = np.array(
+        [(load.acceleration, load.turning, each.sigma) for load, each in zip(loads, instants, strict=True)]
+    ).T[:, :, None, None]
+    shaken = np.concatenate([mass * np.eye(3) + np.zeros((n, 1, 1)), lever], axis=1)
+    shaken *= WEIGHT_FIT.acceleration_share * acceleration
+    noise = np.array([load.noise for load in loads]) + shaken @ shaken.swapaxes(1, 2)
+    noise[:, 3:, 3:] += (mass * WEIGHT_FIT.gyration**2 * turning) ** 2 * np.eye(3)
+    noise[:, 3:, 3:] += (mass * sigma) ** 2 * G @ G.swapaxes(1, 2)
+    return _uncorrelated(rows, noise).reshape(6 * n, -1)
+
+
+def _uncorrelated(rows: Array, covariance: Array) -> Array:
+    """Returns rows (..., n, k) combined so that their noise, of `covariance` (..., n, n), has the identity's."""
+    # For many columns NumPy's `solve` takes four times as long.
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)) @ rows)
