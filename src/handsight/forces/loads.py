@@ -245,13 +245,12 @@ def _second_derivative(n: int, length: int) -> Array:
     The windows at both ends are those of the samples there that are complete. It is what `scipy.signal.savgol_filter`
     makes of the identity, without loading `scipy.signal`, which takes as long as all else together.
     """
-    derivative, steps = np.zeros((n, n)), np.arange(length)
-    rows = [
-        2 * np.linalg.pinv(np.vander(steps - float(i), LOADS.order + 1, increasing=True))[2] for i in steps
-    ]
-    for i in range(n):
-        first = min(max(i - length // 2, 0), n - length)
-        derivative[i, first : first + length] = rows[i - first]
+    derivative, steps, samples = np.zeros((n, n)), np.arange(length), np.arange(n)
+    powers = np.vander(steps - length / 2, LOADS.order + 1, increasing=True)
+    orders = np.arange(2, LOADS.order + 1)
+    rows = (orders * (orders - 1) * powers[:, :-2]) @ np.linalg.pinv(powers)[2:]  # by step of the window
+    first = np.clip(samples - length // 2, 0, n - length)
+    derivative[samples[:, None], first[:, None] + steps] = rows[samples - first]
     return derivative
 
 
