@@ -259,7 +259,11 @@ def _summed(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Returns the sum of mean loads (6,), its derivatives by joints and biases, the readings, and the forces (t, 3).
     `gravity` is that of a `LoadSum`, and `J` (t, 6, j) the Jacobians at the sensors' origins."""
-    R, s, known = Ts_palm_sensor[:, :3, :3], Ts_palm_sensor[:, :3, 3], [each.calibration for each, _ in measured]
+    R, s, known = (
+        Ts_palm_sensor[:, :3, :3],
+        Ts_palm_sensor[:, :3, 3],
+        [each.calibration for each, _ in measured],
+    )
     means = [readings.mean(axis=0) for _, readings in measured]
     rows = [compensated(x[:3], x[3:], np.zeros(3), one) for x, one in zip(means, known, strict=True)]
     readings = np.array(rows)  # (t, 2, 3), with the tips' own weight
@@ -278,9 +282,7 @@ def _summed(
     return wrench, by_joint, by_bias.reshape(6, -1), readings.ravel(), f
 
 
-def read_in_air(
-    rig: Rig, observations: Sequence[Observation], measured: Readings | None = None
-) -> Array:
+def read_in_air(rig: Rig, observations: Sequence[Observation], measured: Readings | None = None) -> Array:
     """Returns (t, 6) the bias of each sensor (`load_sum`): its mean load in the air, in the sensor's frame [N, N m].
 
     It is NaN for one that may touch something: one that has hardly moved, or whose load has changed or is too large.

@@ -93,6 +93,7 @@ class Weigher:
         self._window: tuple[Observation, ...] = ()
         self._kept: tuple[tuple[Carried, Array], ...] = ()
         """Earlier instants with other directions of gravity, each with its unit vector (3,) as it was first kept."""
+        self._summed: LoadSum | None = None  # that of a window that has just ended, until it is weighed
         self._last: LoadSum | None = None
         self._fits_at = -np.inf
         self._loose = False  # whether the object could turn about one finger at any time since the last load
@@ -106,9 +107,9 @@ class Weigher:
 
     def forget(self, reason: str) -> None:
         """Drops all weighings and kept instants, for a reason such as that the object was released or has slipped."""
-        if self._last is not None or self.reason != reason:
-            self._window, self._kept, self._last, self.weighing, self.reason = (), (), None, None, reason
-            self._doubted, self.assumed = False, ""
+        if self._last is not None or self._summed is not None or self.reason != reason:
+            self._window, self._kept, self._doubted, self.assumed, self.reason = (), (), False, "", reason
+            self._summed = self._last = self.weighing = None
 
     @property
     def biased(self) -> tuple[str, ...]:
@@ -136,27 +137,21 @@ class Weigher:
     ) -> bool:
         """Returns whether there is a new weighing, after an observation of an object in the air.
 
+        It is that of the window that ended with the last observation: to sum a window's loads and to weigh would take
+        too long for one update.
         `fingers` touch it, and `contacts` are theirs in the palm, in the same order. `joints`: the estimated constant
         errors of the joints, their mean (j,) and L (j, j), where L Lᵀ is their covariance [rad]. `pivots`: fewer than
         two of the fingers are below their limits of friction (`Slip.pivots`).
         """
         self._loose = self._loose or pivots
         if not self._lifted:
-            self._lifted, self._window = True, ()
+            self._lifted, self._window, self._summed = True, (), None
         window = self._full_window(observation)
-        if not window:
+        if (load := self._summed) is None:
+            if window:
+                self._sum(window, fingers, contacts, joints[0])
             return False
-        if reason := lacking(measured := read_all(self.sensors, window)):
-            self.reason = reason
-            return False
-        places = [] if contacts is None else zip(contacts.points_palm, contacts.normals_palm, strict=True)
-        touched = dict(zip(fingers, places, strict=False))
-        load = load_sum(self.rig, window, touched, joints[0], measured)
-        tare = self.tare.ravel()
-        load = replace(load, wrench=load.wrench - load.by_bias @ tare, readings=load.readings - tare)
-        if np.linalg.norm(load.wrench[:3]) < WEIGHER.min_weight:
-            self.reason = f"less than {WEIGHER.min_weight:g} N hangs on the fingertips"
-            return False
+        self._summed = None
         if self._kept and self._last is not None:  # they are carried on as the object moves in the grip
             motion = moved_with_tips(self._last, load)
             T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
@@ -168,6 +163,27 @@ class Weigher:
         if load.acceleration <= WEIGHER.max_acceleration and load.turning <= WEIGHER.max_turning:
             self._keep(load)
         return True
+
+    def _sum(
+        self,
+        window: Sequence[Observation],
+        fingers: tuple[str, ...],
+        contacts: Contacts | None,
+        offsets: Array,
+    ) -> None:
+        """Sums the loads over a window, for the next update to weigh; `offsets` (j,) are the mean of the joints'."""
+        if reason := lacking(measured := read_all(self.sensors, window)):
+            self.reason = reason
+            return
+        places = [] if contacts is None else zip(contacts.points_palm, contacts.normals_palm, strict=True)
+        touched = dict(zip(fingers, places, strict=False))
+        load = load_sum(self.rig, window, touched, offsets, measured)
+        tare = self.tare.ravel()
+        load = replace(load, wrench=load.wrench - load.by_bias @ tare, readings=load.readings - tare)
+        if np.linalg.norm(load.wrench[:3]) < WEIGHER.min_weight:
+            self.reason = f"less than {WEIGHER.min_weight:g} N hangs on the fingertips"
+        else:
+            self._summed = load
 
     def _full_window(self, observation: Observation) -> tuple[Observation, ...]:
         """Returns the observations of the window that this one completes, or an empty tuple."""
@@ -193,7 +209,9 @@ class Weigher:
         """Weighs with the kept instants and a new one, and decides whether the result is trusted."""
         direction = load.gravity / np.linalg.norm(load.gravity)
         angles = _angles([each.load.gravity for each, _ in self._kept], direction)
-        far = [each for (each, _), angle in zip(self._kept, angles, strict=True) if angle > WEIGHER.new_direction]
+        far = [
+            each for (each, _), angle in zip(self._kept, angles, strict=True) if angle > WEIGHER.new_direction
+        ]
         self.instants = instants = (*far, Carried(load))
         # Calibration leaves biases that are about as large as a reading's noise.
         biases = np.concatenate([sensor.sigma for sensor in self.sensors])

@@ -170,7 +170,12 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     joints = unknowns.joints
     across, within = joints @ by_center, joints @ within @ joints.T
     joint = np.empty((4 + len(joints),) * 2)
-    joint[:4, :4], joint[4:, 4:], joint[4:, :4], joint[:4, 4:] = D @ covariance @ D.T, within, across, across.T
+    joint[:4, :4], joint[4:, 4:], joint[4:, :4], joint[:4, 4:] = (
+        D @ covariance @ D.T,
+        within,
+        across,
+        across.T,
+    )
     mean = np.concatenate([[mass], moment / mass, joints @ (Cj.T @ left)])
     return Weighing(mean, joint, chi2, len(rows) - 1, p_fixed, len(instants))
 
