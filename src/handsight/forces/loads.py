@@ -10,7 +10,6 @@ A tip that moves through the air bears only its own weight. If the rest of its r
 the way, it is the sensor's bias: the load of a touched object would change.
 """
 
-import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -100,15 +99,6 @@ def load_sensors(rig: Rig, names: Collection[str] = ()) -> tuple[LoadSensor, ...
     return (*found, *(_of_taxels(frame, own) for frame, own in surfaces.items()))
 
 
-Readings = Sequence[tuple[LoadSensor, Array]]
-"""Each load sensor with its readings (n, 6) in its own frame."""
-
-
-def read_all(sensors: Sequence[LoadSensor], observations: Sequence[Observation]) -> Readings:
-    """Returns each sensor with what it has read."""
-    return [(sensor, sensor.readings(observations)) for sensor in sensors]
-
-
 def _of_taxels(frame: str, surfaces: Sequence[TactileSurface]) -> LoadSensor:
     """Returns the sensor that a link's taxels are, about their middle; its gain is as uncertain as a taxel's.
 
@@ -153,17 +143,17 @@ class LoadSum:
         return np.asarray(pressed @ self.Ts_palm_tip[:, :3, 3] / pressed.sum())
 
 
-def lacking(measured: Readings) -> str:
-    """Returns why readings do not measure the loads of all sensors; empty where they do."""
-    alike, six_axis = [], [sensor for sensor, _ in measured if not sensor.taxels]
-    for sensor, readings in measured:
-        force, torque = np.abs(readings).max(axis=0, initial=0.0).reshape(2, 3).max(axis=1).tolist()
-        if len(readings) < LOADS.min_readings or not math.isfinite(force + torque):
+def lacking(sensors: Sequence[LoadSensor], observations: Sequence[Observation]) -> str:
+    """Returns why the observations do not measure the loads of all sensors; empty where they do."""
+    alike, six_axis = [], [sensor for sensor in sensors if not sensor.taxels]
+    for sensor in sensors:
+        readings = sensor.readings(observations)
+        largest = np.abs(readings).max(axis=0, initial=0.0).reshape(2, 3).max(axis=1)
+        if len(readings) < LOADS.min_readings or not np.isfinite(largest).all():
             why = "measure no force: pressure alone, or full scale" if sensor.taxels else "is silent"
             return f"{sensor.name} {why}"
         alike += [sensor.name] if not sensor.taxels and (readings == readings[0]).all() else []
-        full_scale = sensor.full_scale
-        if force >= LOADS.saturated * full_scale[0] or torque >= LOADS.saturated * full_scale[1]:
+        if (largest >= LOADS.saturated * np.array(sensor.full_scale)).any():
             return f"{sensor.name} is at the end of its sensor's scale"
     # If all of them read the same all the time, it is a simulation without noise.
     return f"{alike[0]} always reads the same" if 0 < len(alike) < len(six_axis) else ""
@@ -174,16 +164,15 @@ def load_sum(
     observations: Sequence[Observation],
     touched: Mapping[str, tuple[Array, Array]],
     joints: Array,
-    measured: Readings | None = None,
+    sensors: Sequence[LoadSensor] | None = None,
 ) -> LoadSum:
     """Returns the mean sum of loads over n observations, evenly spaced, of a grip that hardly changes.
 
-    Nothing may be `lacking` in their readings. `touched`: by finger that touches, the contact's point in the palm [m], and its
+    Nothing may be `lacking` in them. `touched`: by finger that touches, the contact's point in the palm [m], and its
     normal. `joints` (j,): the estimated offsets of the hand's moving joints, reading less true position [rad].
-    `measured`: what the load sensors have read (`read_all`); None: that of the fingers' six-axis sensors.
+    `sensors`: what measures the loads; None: the fingers' six-axis sensors.
     """
-    measured = read_all(load_sensors(rig), observations) if measured is None else measured
-    n, sensors = len(observations), [sensor for sensor, _ in measured]
+    n, sensors = len(observations), load_sensors(rig) if sensors is None else sensors
     chains, learnt = _chains(rig.hand, tuple(sensor.frame for sensor in sensors))
     offsets = dict(zip(rig.hand.moving, joints.tolist(), strict=True))
     rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]
@@ -198,7 +187,7 @@ def load_sum(
     acceleration, turning = accelerations(Ts_world_palm, middle, step)
     gravity = np.einsum("nji,nj->i", Ts_world_palm[:, :3, :3], rig.gravity - acceleration) / n
     J = chains.jacobians(places.copy(), np.arange(len(sensors)), axes, learnt)
-    wrench, by_joint, by_bias, readings, forces = _summed(measured, gravity, Ts_palm_sensor, J)
+    wrench, by_joint, by_bias, readings, forces = _summed(sensors, observations, gravity, Ts_palm_sensor, J)
     sigmas, taxels = np.array([sensor.sigma for sensor in sensors]), np.array([s.taxels for s in sensors])
     B = by_bias * sigmas.ravel()
     # Errors in proportion to a load, as of hysteresis, last longer than a mean.
@@ -255,18 +244,18 @@ def _second_derivative(n: int, length: int) -> Array:
 
 
 def _summed(
-    measured: Readings, gravity: Array, Ts_palm_sensor: Array, J: Array
+    sensors: Sequence[LoadSensor],
+    observations: Sequence[Observation],
+    gravity: Array,
+    Ts_palm_sensor: Array,
+    J: Array,
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Returns the sum of mean loads (6,), its derivatives by joints and biases, the readings, and the forces (t, 3).
     `gravity` is that of a `LoadSum`, and `J` (t, 6, j) the Jacobians at the sensors' origins."""
-    R, s, known = (
-        Ts_palm_sensor[:, :3, :3],
-        Ts_palm_sensor[:, :3, 3],
-        [each.calibration for each, _ in measured],
-    )
-    means = [readings.mean(axis=0) for _, readings in measured]
-    rows = [compensated(x[:3], x[3:], np.zeros(3), one) for x, one in zip(means, known, strict=True)]
-    readings = np.array(rows)  # (t, 2, 3), with the tips' own weight
+    R, s, known = Ts_palm_sensor[:, :3, :3], Ts_palm_sensor[:, :3, 3], [each.calibration for each in sensors]
+    means = [sensor.readings(observations).mean(axis=0) for sensor in sensors]
+    measured = [compensated(x[:3], x[3:], np.zeros(3), one) for x, one in zip(means, known, strict=True)]
+    readings = np.array(measured)  # (t, 2, 3), with the tips' own weight
     weights = np.array([[one.mass] for one in known]) * gravity
     centers = R @ np.array([one.center_of_mass for one in known])[:, :, None]
     F, M = (readings @ R.swapaxes(1, 2)).swapaxes(0, 1)
@@ -275,29 +264,30 @@ def _summed(
     S, by_force, turned = se3.skew(s), se3.skew(f), se3.skew(F)
     by_torque = by_force @ J[:, :3] + (S @ turned + se3.skew(m)) @ J[:, 3:]
     by_joint = -np.concatenate([turned @ J[:, 3:], by_torque], axis=1).sum(axis=0)
-    by_bias = np.zeros((6, len(measured), 6))
+    by_bias = np.zeros((6, len(sensors), 6))
     by_bias[:3, :, :3] = by_bias[3:, :, 3:] = R.swapaxes(0, 1)
     by_bias[3:, :, :3] = (S @ R).swapaxes(0, 1)
     wrench = np.concatenate([f.sum(axis=0), (m + (S @ f[:, :, None])[:, :, 0]).sum(axis=0)])
     return wrench, by_joint, by_bias.reshape(6, -1), readings.ravel(), f
 
 
-def read_in_air(rig: Rig, observations: Sequence[Observation], measured: Readings | None = None) -> Array:
+def read_in_air(
+    rig: Rig, observations: Sequence[Observation], sensors: Sequence[LoadSensor] | None = None
+) -> Array:
     """Returns (t, 6) the bias of each sensor (`load_sum`): its mean load in the air, in the sensor's frame [N, N m].
 
     It is NaN for one that may touch something: one that has hardly moved, or whose load has changed or is too large.
-    `observations` are those of a short time, with joints and T_world_palm; nothing may be `lacking` in what was
-    `measured`, see `load_sum`.
+    `observations` are those of a short time, with joints and T_world_palm; nothing may be `lacking` in them.
     """
-    measured = read_all(load_sensors(rig), observations) if measured is None else measured
-    sensors = [sensor for sensor, _ in measured]
+    sensors = load_sensors(rig) if sensors is None else sensors
     first, last = (_placed(rig, sensors, o) for o in (observations[0], observations[-1]))
     far = np.linalg.norm(last[:, :3, 3] - first[:, :3, 3], axis=1) > LOADS.min_travel
     found = np.full((len(sensors), 6), np.nan)
     R_palm_world = np.asarray(observations[-1].T_world_palm)[:3, :3].T
-    for i, (sensor, readings) in enumerate(measured):
+    for i, sensor in enumerate(sensors):
         if not far[i]:
             continue
+        readings = sensor.readings(observations)
         gravity = last[i, :3, :3].T @ R_palm_world @ rig.gravity
         loads = np.hstack(compensated(readings[:, :3], readings[:, 3:], gravity, sensor.calibration))
         mean = loads.mean(axis=0)
@@ -326,7 +316,7 @@ def calibrate_sensors(rig: Rig, observations: Iterable[Observation]) -> Rig:
         first, last = (np.array(o.T_world_palm) @ _placed(rig, sensors, o) for o in (window[0], window[-1]))
         readings, window = window, []
         turned = np.linalg.norm(se3.rotation_log(first[:, :3, :3].swapaxes(1, 2) @ last[:, :3, :3]), axis=1)
-        if turned.max() > LOADS.still_turn or lacking(read_all(sensors, readings)):
+        if turned.max() > LOADS.still_turn or lacking(sensors, readings):
             continue
         for R, (name, means) in zip(last[:, :3, :3], rows.items(), strict=True):
             wrenches = np.array([o.wrenches[name] for o in readings if name in o.wrenches])

@@ -30,9 +30,8 @@ def moved_with_tips(then: LoadSum, now: LoadSum) -> tuple[Array, Array] | None:
     moved = (steps[:, :3, :3] @ points[:, :, None])[..., 0] + steps[:, :3, 3]
     forces, normals = then.forces[gripping], np.array([then.touched[tip][1] for tip in gripping])
     tangential = forces - (forces * normals).sum(axis=1, keepdims=True) * normals
-    (v, creep), (w, turn) = small_motion(
-        points, np.array([moved - points, tangential * (now.stamp - then.stamp)])
-    )
+    crept = tangential * (now.stamp - then.stamp)
+    (v, creep), (w, turn) = small_motion(points, np.array([moved - points, crept]))
     return se3.compose(se3.rotation_exp(w), v), np.concatenate([creep, turn])
 
 

@@ -15,7 +15,7 @@ from handsight.checks import Array
 from handsight.contact import Contacts
 from handsight.copies import shallow_copy
 from handsight.correction import PoseEstimate, WeightEvidence
-from handsight.forces.loads import LoadSum, lacking, load_sensors, load_sum, read_all, read_in_air
+from handsight.forces.loads import LoadSum, lacking, load_sensors, load_sum, read_in_air
 from handsight.forces.object_motion import moved_with_tips
 from handsight.forces.weight import Carried, Unknowns, Weighing, weigh
 from handsight.gaussian_pose import GaussianPose
@@ -122,8 +122,8 @@ class Weigher:
         """Measures the sensors' biases while nothing is lifted, if their tips are in the air."""
         self._lifted = False
         window = self._full_window(observation)
-        if window and not lacking(measured := read_all(self.sensors, window)):
-            read = read_in_air(self.rig, window, measured)
+        if window and not lacking(self.sensors, window):
+            read = read_in_air(self.rig, window, self.sensors)
             self.tare = np.where(np.isnan(read), self.tare, read)
 
     def update(
@@ -135,10 +135,9 @@ class Weigher:
         *,
         pivots: bool = False,
     ) -> bool:
-        """Returns whether there is a new weighing, after an observation of an object in the air.
+        """Returns whether there is a new weighing, after an observation of an object in the air: one observation after
+        a window has ended, as to sum its loads and to weigh would take too long for one update.
 
-        It is that of the window that ended with the last observation: to sum a window's loads and to weigh would take
-        too long for one update.
         `fingers` touch it, and `contacts` are theirs in the palm, in the same order. `joints`: the estimated constant
         errors of the joints, their mean (j,) and L (j, j), where L Lᵀ is their covariance [rad]. `pivots`: fewer than
         two of the fingers are below their limits of friction (`Slip.pivots`).
@@ -147,43 +146,24 @@ class Weigher:
         if not self._lifted:
             self._lifted, self._window, self._summed = True, (), None
         window = self._full_window(observation)
-        if (load := self._summed) is None:
-            if window:
-                self._sum(window, fingers, contacts, joints[0])
+        if self._summed is not None:
+            self._weigh(self._summed, joints[1], pivots=pivots)
+            return True
+        if not window:
             return False
-        self._summed = None
-        if self._kept and self._last is not None:  # they are carried on as the object moves in the grip
-            motion = moved_with_tips(self._last, load)
-            T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
-            sigma = WEIGHER.loose_object_creep if self._loose or motion is None else WEIGHER.object_creep
-            sigma *= float(np.sqrt(max(load.stamp - self._last.stamp, 0.0)))
-            self._kept = tuple((each.moved(T, creep, sigma), way) for each, way in self._kept)
-        self._last, self._loose = load, pivots
-        self._weigh(load, joints[1])
-        if load.acceleration <= WEIGHER.max_acceleration and load.turning <= WEIGHER.max_turning:
-            self._keep(load)
-        return True
-
-    def _sum(
-        self,
-        window: Sequence[Observation],
-        fingers: tuple[str, ...],
-        contacts: Contacts | None,
-        offsets: Array,
-    ) -> None:
-        """Sums the loads over a window, for the next update to weigh; `offsets` (j,) are the mean of the joints'."""
-        if reason := lacking(measured := read_all(self.sensors, window)):
+        if reason := lacking(self.sensors, window):
             self.reason = reason
-            return
+            return False
         places = [] if contacts is None else zip(contacts.points_palm, contacts.normals_palm, strict=True)
         touched = dict(zip(fingers, places, strict=False))
-        load = load_sum(self.rig, window, touched, offsets, measured)
+        load = load_sum(self.rig, window, touched, joints[0], self.sensors)
         tare = self.tare.ravel()
         load = replace(load, wrench=load.wrench - load.by_bias @ tare, readings=load.readings - tare)
         if np.linalg.norm(load.wrench[:3]) < WEIGHER.min_weight:
             self.reason = f"less than {WEIGHER.min_weight:g} N hangs on the fingertips"
         else:
             self._summed = load
+        return False
 
     def _full_window(self, observation: Observation) -> tuple[Observation, ...]:
         """Returns the observations of the window that this one completes, or an empty tuple."""
@@ -205,13 +185,18 @@ class Weigher:
         self._window = ()
         return window
 
-    def _weigh(self, load: LoadSum, root: Array) -> None:
+    def _weigh(self, load: LoadSum, root: Array, *, pivots: bool) -> None:
         """Weighs with the kept instants and a new one, and decides whether the result is trusted."""
+        if self._kept and self._last is not None:  # they are carried on as the object moves in the grip
+            motion = moved_with_tips(self._last, load)
+            T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
+            sigma = WEIGHER.loose_object_creep if self._loose or motion is None else WEIGHER.object_creep
+            sigma *= float(np.sqrt(max(load.stamp - self._last.stamp, 0.0)))
+            self._kept = tuple((each.moved(T, creep, sigma), way) for each, way in self._kept)
+        self._last, self._loose, self._summed = load, pivots, None
         direction = load.gravity / np.linalg.norm(load.gravity)
-        angles = _angles([each.load.gravity for each, _ in self._kept], direction)
-        far = [
-            each for (each, _), angle in zip(self._kept, angles, strict=True) if angle > WEIGHER.new_direction
-        ]
+        new = _angles([each.load.gravity for each, _ in self._kept], direction) > WEIGHER.new_direction
+        far = [each for (each, _), is_new in zip(self._kept, new, strict=True) if is_new]
         self.instants = instants = (*far, Carried(load))
         # Calibration leaves biases that are about as large as a reading's noise.
         biases = np.concatenate([sensor.sigma for sensor in self.sensors])
@@ -249,6 +234,8 @@ class Weigher:
             self._fits_at = load.stamp
         if load.stamp - self._fits_at > WEIGHER.restart_after:
             self._kept, self._fits_at, self._doubted = (), load.stamp, True
+        if load.acceleration <= WEIGHER.max_acceleration and load.turning <= WEIGHER.max_turning:
+            self._keep(load)
 
     def _keep(self, load: LoadSum) -> None:
         """Keeps a static instant if its direction of gravity is new, or replaces the one of the same direction."""
@@ -266,7 +253,7 @@ class Weigher:
 def _angles(vectors: Sequence[Array], direction: Array) -> Array:
     """Returns the angles (k,) between k vectors (3,) and a unit vector [rad]."""
     rows = np.array(vectors).reshape(-1, 3)
-    return np.arctan2(np.linalg.norm(rows @ se3.skew(direction), axis=1), rows @ direction)
+    return np.asarray(np.arctan2(np.linalg.norm(rows @ se3.skew(direction), axis=1), rows @ direction))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -169,13 +169,7 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     within = np.eye(Cj.shape[1]) - Cj.T @ Cj + Cj.T @ H @ covariance @ H.T @ Cj
     joints = unknowns.joints
     across, within = joints @ by_center, joints @ within @ joints.T
-    joint = np.empty((4 + len(joints),) * 2)
-    joint[:4, :4], joint[4:, 4:], joint[4:, :4], joint[:4, 4:] = (
-        D @ covariance @ D.T,
-        within,
-        across,
-        across.T,
-    )
+    joint = np.vstack([np.hstack([D @ covariance @ D.T, across.T]), np.hstack([across, within])])
     mean = np.concatenate([[mass], moment / mass, joints @ (Cj.T @ left)])
     return Weighing(mean, joint, chi2, len(rows) - 1, p_fixed, len(instants))
 
@@ -213,38 +207,34 @@ def _whitened(instants: Sequence[Carried], unknowns: Unknowns, mass: float, mome
     The columns are the derivatives by (m, m c, φ, κ, joints, biases, gains), 4 + 3 + 1 + j + 12 t, all but the first
     four in units of their sigmas; then the measured wrench (1), and the derivatives by a wrench fixed in the palm (6).
     """
-    n, j, loads = len(instants), unknowns.joints.shape[1], [instant.load for instant in instants]
-    Ts, creep = (np.array([getattr(each, name) for each in instants]) for name in ("T_now_then", "creep"))
-    Rt, t, v, w = Ts[:, :3, :3].swapaxes(1, 2), Ts[:, :3, 3:], creep[:, :3, None], creep[:, 3:]
-    g = np.array([load.gravity for load in loads])
-    G, moment = se3.skew(g), moment[:, None]
-    lever = se3.skew((Rt @ (moment - mass * t))[:, :, 0])
-    R_palm_world = np.array([load.R_palm_world for load in loads])
-    tilted = -R_palm_world @ se3.skew(unknowns.gravity) * unknowns.sigma_gravity
-    crept = mass * v + se3.skew(w) @ moment  # m d
-    by_bias = np.array([load.by_bias for load in loads])
-    k, b = 8 + j, by_bias.shape[2]
-    rows = np.zeros((n, 6, k + 2 * b + 7))
+    Ts, creep = np.array([each.T_now_then for each in instants]), np.array([each.creep for each in instants])
+
+    def of_loads(name: str) -> Array:
+        return np.array([getattr(each.load, name) for each in instants])
+
+    Rt, t, moment, n = Ts[:, :3, :3].swapaxes(1, 2), Ts[:, :3, 3:], moment[:, None], len(instants)
+    g, by_bias, lever = of_loads("gravity"), of_loads("by_bias"), se3.skew((Rt @ (moment - mass * t))[..., 0])
+    G, tilted = se3.skew(g), -of_loads("R_palm_world") @ se3.skew(unknowns.gravity) * unknowns.sigma_gravity
+    crept = mass * creep[:, :3, None] + se3.skew(creep[:, 3:]) @ moment  # m d
+    rows = np.zeros((n, 6, 8))
     rows[:, :3, 0], rows[:, 3:, :1] = g, G @ (Rt @ t)
     rows[:, 3:, 1:4] = -G @ Rt
     rows[:, :3, 4:7], rows[:, 3:, 4:7] = mass * tilted, lever @ tilted
-    rows[:, 3:, 7:8] = G @ (Rt @ crept) * unknowns.creep
-    rows[:, :, 8:k] = np.array([load.by_joint for load in loads]) @ unknowns.joints
-    rows[:, :, k : k + b] = by_bias * unknowns.biases
-    readings = np.array([load.readings for load in loads])
-    rows[:, :, k + b : -7] = by_bias * (readings * unknowns.gains)[:, None]
-    rows[:, :, -7] = [load.wrench for load in loads]
-    # In units of 1 N, and of the torque of 1 N at `sigma_reach`.
-    rows[:, :, -6:] = np.diag(np.repeat([1.0, WEIGHT_FIT.sigma_reach], 3))
+    rows[:, 3:, 7:] = G @ (Rt @ crept) * unknowns.creep
     # Force and torque are off by the same error of the acceleration.
-    acceleration, turning, sigma = np.array(
-        [(load.acceleration, load.turning, each.sigma) for load, each in zip(loads, instants, strict=True)]
-    ).T[:, :, None, None]
     shaken = np.concatenate([mass * np.eye(3) + np.zeros((n, 1, 1)), lever], axis=1)
-    shaken *= WEIGHT_FIT.acceleration_share * acceleration
-    noise = np.array([load.noise for load in loads]) + shaken @ shaken.swapaxes(1, 2)
-    noise[:, 3:, 3:] += (mass * WEIGHT_FIT.gyration**2 * turning) ** 2 * np.eye(3)
-    noise[:, 3:, 3:] += (mass * sigma) ** 2 * G @ G.swapaxes(1, 2)
+    shaken *= WEIGHT_FIT.acceleration_share * of_loads("acceleration")[:, None, None]
+    noise = of_loads("noise") + shaken @ shaken.swapaxes(1, 2)
+    turning = mass * WEIGHT_FIT.gyration**2 * of_loads("turning")[:, None, None]
+    moved = mass * np.array([each.sigma for each in instants])[:, None, None]
+    noise[:, 3:, 3:] += turning**2 * np.eye(3) + moved**2 * G @ G.swapaxes(1, 2)
+    by_joints, by_biases = of_loads("by_joint") @ unknowns.joints, by_bias * unknowns.biases
+    by_gains = by_bias * (of_loads("readings") * unknowns.gains)[:, None]
+    # In units of 1 N, and of the torque of 1 N at `sigma_reach`.
+    fixed = np.diag(np.repeat([1.0, WEIGHT_FIT.sigma_reach], 3)) + np.zeros((n, 1, 1))
+    rows = np.concatenate(
+        [rows, by_joints, by_biases, by_gains, of_loads("wrench")[..., None], fixed], axis=2
+    )
     return _uncorrelated(rows, noise).reshape(6 * n, -1)
 
 

@@ -99,10 +99,8 @@ def resting_poses(geometry: Geometry, center_of_mass: Array | None = None) -> tu
     corners = corners - center
     heights = np.einsum("ij,ij->i", normals, corners[:, 0])
     basin = _basins(corners, normals, heights, hull.neighbors, RESTING.barrier * geometry.diameter)
-    angles, areas = (
-        _solid_angles(corners),
-        np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1),
-    )
+    sides = corners[:, 1:] - corners[:, :1]
+    angles, areas = _solid_angles(corners), np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
     labels, shares = np.unique(basin), np.bincount(basin, weights=angles)
     share = shares[labels] / shares.sum()
     labels, share = labels[share > RESTING.least], share[share > RESTING.least]

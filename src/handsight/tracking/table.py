@@ -158,9 +158,7 @@ class TableEvidence:
         # Where touch fits none, its noise is larger than expected, and it tells that much less.
         rows, chi2 = zip(*((e.answer["rows"], e.answer["chi2"]) for e in estimates), strict=True)
         touch = np.maximum(touch - touch.max(), TABLE.least_evidence) * min(1.0, max(rows) / min(chi2))
-        if (
-            self.touch is not None
-        ):  # contacts at two instants are no independent measurements: their mean counts
+        if self.touch is not None:  # two instants are no independent measurements: their mean counts
             touch = (touch + self.touch) / 2
         now = vision.now
         measured = self.measured(now, self.supports, drift)
@@ -284,9 +282,10 @@ class TableEvidence:
         H, residuals, noise = measured
         S = H @ state.covariance[:12, :12] @ H.swapaxes(1, 2) + noise
         chi2 = (residuals * np.linalg.solve(S, residuals[:, :, None])[:, :, 0]).sum(axis=1)
-        log_density = -0.5 * (chi2 + np.linalg.slogdet(2 * np.pi * S)[1])
+        log_densities = -0.5 * (chi2 + np.linalg.slogdet(2 * np.pi * S)[1])
         leans = -math.log(4 * np.pi * self.model.diameter)
-        return np.log([support.probability for support in self.supports]) + [*log_density, leans]
+        probabilities = np.array([support.probability for support in self.supports])
+        return np.asarray(np.log(probabilities) + np.append(log_densities, leans))
 
 
 def on_table(state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm: Array) -> PoseAndBias | None:
