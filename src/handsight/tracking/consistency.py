@@ -31,14 +31,12 @@ class ConsistencyOptions(NamedTuple):
     kept: int = 800  # observations that are kept of a recording, spread over it
     instants: int = 48  # of these, how many are read again with each change
     poses: int = 10  # grasps of which the contacts are compared with the object
-    loaded: float = (
-        0.1  # a tip is loaded above this share of the largest load, and three times its `min_force`
-    )
+    loaded: float = 0.1
+    """A tip is loaded above this share of the largest load, and three times its `min_force`."""
     lifted: float = 0.02  # a palm that rose by so much while it grasped has lifted something [m]
     rest: float = 0.1  # a sensor that never reads less beside its bias has another bias [N]
-    turn: float = math.radians(
-        40.0
-    )  # by which vision's pose turns where nothing does, that no noise explains [rad]
+    turn: float = math.radians(40.0)
+    """Angle by which vision's pose turns where nothing does, that no noise explains [rad]."""
     arm: float = 0.008  # a joint nearer to a tip's centre does not say where its finger comes from [m]
     beyond: float = 0.2  # so far no joint is beyond its limits [rad]
 

@@ -230,9 +230,8 @@ def put_sensed(
             raise InvalidInput(f"{argument}.frame: expected one of {known}, got {came}")
         T = frames[contact.frame]
         point, normal = T[:3, :3] @ contact.point + T[:3, 3], T[:3, :3] @ contact.normal
-        if (
-            point - T_palm_surface[:3, 3]
-        ) @ normal > 0:  # some sensors report the direction of the tip's push
+        # Some sensors report the direction in which the tip pushes.
+        if (point - T_palm_surface[:3, 3]) @ normal > 0:
             normal = -normal
         # From the effect of the joints' errors on the tip's frame to that on the contact's point and normal.
         J[:3] = (se3.point_jacobian(point - T_palm_tip[:3, 3]) @ J)[:3]

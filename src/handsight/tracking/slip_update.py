@@ -34,10 +34,9 @@ class SlipUpdateOptions(NamedTuple):
     15°."""
     onset_delay: float = 0.03  # how long before its detection a slip may have begun [s]
     period: float = 0.02  # time between corrections while the object slips [s]
-    slide: float = (
-        0.003  # a contact slides if vision has it move so far over the object [m], more than it rolls,
-    )
-    slide_sigmas: float = 4.0  # by so many standard deviations of that motion
+    slide: float = 0.003
+    """A contact slides if vision has it move over the object by this, more than it rolls [m]"""
+    slide_sigmas: float = 4.0  # and by so many standard deviations of that motion
     slide_time: float = 1.0  # in this time at most [s]
 
 
