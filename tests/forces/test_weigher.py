@@ -36,7 +36,7 @@ def test_an_object_is_weighed_as_the_hand_tilts():
 def test_a_window_is_weighed_one_observation_after_its_end_unless_the_object_was_released_by_then():
     held, weigher = Held(), Weigher(rig())
     *window, after, later = held.observations(TILTS[0], count=23)
-    assert not any([weigher.update(seen, *contacts(held), KNOWN) for seen in window])
+    assert not any(weigher.update(seen, *contacts(held), KNOWN) for seen in window)
     assert weigher.update(after, *contacts(held), KNOWN)
     assert not weigher.update(later, *contacts(held), KNOWN)
     other = Weigher(rig())
