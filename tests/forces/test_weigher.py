@@ -33,6 +33,19 @@ def test_an_object_is_weighed_as_the_hand_tilts():
     assert np.linalg.norm(found.center_palm - CENTER) < 1e-3
 
 
+def test_a_window_is_weighed_one_observation_after_its_end_unless_the_object_was_released_by_then():
+    held, weigher = Held(), Weigher(rig())
+    *window, after, later = held.observations(TILTS[0], count=23)
+    assert not any(weigher.update(seen, *contacts(held), KNOWN) for seen in window)
+    assert weigher.update(after, *contacts(held), KNOWN)
+    assert not weigher.update(later, *contacts(held), KNOWN)
+    other = Weigher(rig())
+    for seen in window:
+        other.update(seen, *contacts(held), KNOWN)
+    other.forget("nothing is grasped")
+    assert not other.update(after, *contacts(held), KNOWN)
+
+
 def test_one_orientation_is_counted_once_however_long_it_lasts():
     once, often = weighed(Weigher(rig()), Held(), TILTS[:1]), weighed(Weigher(rig()), Held(), [TILTS[0]] * 6)
     assert often.weighing.directions == 1

@@ -144,7 +144,7 @@ def test_a_weighing_is_the_least_squares_solution_with_all_unknowns_explicit(cou
     instants, given = carried(held, TILTS[:count]), unknowns(0.02)
     start = weigh(instants, given)
     found = weigh(instants, given, start)
-    rows = np.concatenate([_whitened(i, given, start.mass, start.mass * start.center_palm) for i in instants])
+    rows = _whitened(instants, given, start.mass, start.mass * start.center_palm)
     H, y = rows[:, :-7], rows[:, -7]
     last = instants[-1].load
     reach = WEIGHT_FIT.sigma_reach * np.linalg.norm(last.wrench[:3]) / np.linalg.norm(last.gravity)

@@ -141,22 +141,18 @@ class LoadSum:
         pressed = np.sqrt((self.forces**2).sum(axis=1)) + 1e-9
         return np.asarray(pressed @ self.Ts_palm_tip[:, :3, 3] / pressed.sum())
 
-    def tangential(self, tip: int) -> Array:
-        """Returns (3,) the tangential force on a tip that touches [N]."""
-        force, normal = self.forces[tip], self.touched[tip][1]
-        return np.asarray(force - (force @ normal) * normal)
-
 
 def lacking(sensors: Sequence[LoadSensor], observations: Sequence[Observation]) -> str:
     """Returns why the observations do not measure the loads of all sensors; empty where they do."""
     alike, six_axis = [], [sensor for sensor in sensors if not sensor.taxels]
     for sensor in sensors:
         readings = sensor.readings(observations)
-        if len(readings) < LOADS.min_readings or not np.isfinite(readings).all():
+        largest = np.abs(readings).max(axis=0, initial=0.0).reshape(2, 3).max(axis=1)
+        if len(readings) < LOADS.min_readings or not np.isfinite(largest).all():
             why = "measure no force: pressure alone, or full scale" if sensor.taxels else "is silent"
             return f"{sensor.name} {why}"
         alike += [sensor.name] if not sensor.taxels and (readings == readings[0]).all() else []
-        if (np.abs(readings) >= LOADS.saturated * np.repeat(sensor.full_scale, 3)).any():
+        if (largest >= LOADS.saturated * np.array(sensor.full_scale)).any():
             return f"{sensor.name} is at the end of its sensor's scale"
     # If all of them read the same all the time, it is a simulation without noise.
     return f"{alike[0]} always reads the same" if 0 < len(alike) < len(six_axis) else ""
@@ -179,12 +175,12 @@ def load_sum(
     chains, learnt = _chains(rig.hand, tuple(sensor.frame for sensor in sensors))
     offsets = dict(zip(rig.hand.moving, joints.tolist(), strict=True))
     rows: list[Mapping[str, float]] = [o.joint_positions or {} for o in observations]
-    means = np.mean([[*map(row.__getitem__, chains.joints)] for row in rows], axis=0).tolist()
-    mean = {name: x - offsets.get(name, 0.0) for name, x in zip(chains.joints, means, strict=True)}
+    # In plain floats: NumPy takes longer to read so many from dicts than to add them up.
+    mean = {name: sum([row[name] for row in rows]) / n - offsets.get(name, 0.0) for name in chains.joints}
     Ts_palm_link, axes = chains.poses(mean)
     Ts_palm_sensor = Ts_palm_link @ np.array([sensor.T_frame_sensor for sensor in sensors])
     places = Ts_palm_sensor[:, :3, 3]
-    middle = np.mean([point for point, _ in touched.values()] or places, axis=0)
+    middle = np.array([point for point, _ in touched.values()] or places).mean(axis=0)
     Ts_world_palm = np.array([o.T_world_palm for o in observations])
     step = (observations[-1].stamp - observations[0].stamp) / max(n - 1, 1)
     acceleration, turning = accelerations(Ts_world_palm, middle, step)
@@ -237,13 +233,12 @@ def _second_derivative(n: int, length: int) -> Array:
     The windows at both ends are those of the samples there that are complete. It is what `scipy.signal.savgol_filter`
     makes of the identity, without loading `scipy.signal`, which takes as long as all else together.
     """
-    derivative, steps = np.zeros((n, n)), np.arange(length)
-    rows = [
-        2 * np.linalg.pinv(np.vander(steps - float(i), LOADS.order + 1, increasing=True))[2] for i in steps
-    ]
-    for i in range(n):
-        first = min(max(i - length // 2, 0), n - length)
-        derivative[i, first : first + length] = rows[i - first]
+    derivative, steps, samples = np.zeros((n, n)), np.arange(length), np.arange(n)
+    powers = np.vander(steps - length / 2, LOADS.order + 1, increasing=True)
+    orders = np.arange(2, LOADS.order + 1)
+    rows = (orders * (orders - 1) * powers[:, :-2]) @ np.linalg.pinv(powers)[2:]  # by step of the window
+    first = np.clip(samples - length // 2, 0, n - length)
+    derivative[samples[:, None], first[:, None] + steps] = rows[samples - first]
     return derivative
 
 
@@ -260,19 +255,19 @@ def _summed(
     means = [sensor.readings(observations).mean(axis=0) for sensor in sensors]
     measured = [compensated(x[:3], x[3:], np.zeros(3), one) for x, one in zip(means, known, strict=True)]
     readings = np.array(measured)  # (t, 2, 3), with the tips' own weight
-    weights = np.outer([one.mass for one in known], gravity)
-    centers = (R @ np.array([one.center_of_mass for one in known])[:, :, None])[..., 0]
+    weights = np.array([[one.mass] for one in known]) * gravity
+    centers = R @ np.array([one.center_of_mass for one in known])[:, :, None]
     F, M = (readings @ R.swapaxes(1, 2)).swapaxes(0, 1)
-    f, m = F - weights, M - np.cross(centers, weights)
+    f, m = F - weights, M + (se3.skew(weights) @ centers)[:, :, 0]
     # The reading turns with the tip, the tip's own weight does not.
-    S, turned = se3.skew(s), se3.skew(s) @ se3.skew(F) + se3.skew(m)
-    by_torque = se3.skew(f) @ J[:, :3] + turned @ J[:, 3:]
-    by_joint = -np.concatenate([se3.skew(F) @ J[:, 3:], by_torque], axis=1).sum(axis=0)
-    by_bias = np.zeros((len(sensors), 6, 6))
-    by_bias[:, :3, :3] = by_bias[:, 3:, 3:] = R
-    by_bias[:, 3:, :3] = S @ R
-    wrench = np.concatenate([f.sum(axis=0), (m + np.cross(s, f)).sum(axis=0)])
-    return wrench, by_joint, np.hstack([*by_bias]), readings.ravel(), f
+    S, by_force, turned = se3.skew(s), se3.skew(f), se3.skew(F)
+    by_torque = by_force @ J[:, :3] + (S @ turned + se3.skew(m)) @ J[:, 3:]
+    by_joint = -np.concatenate([turned @ J[:, 3:], by_torque], axis=1).sum(axis=0)
+    by_bias = np.zeros((6, len(sensors), 6))
+    by_bias[:3, :, :3] = by_bias[3:, :, 3:] = R.swapaxes(0, 1)
+    by_bias[3:, :, :3] = (S @ R).swapaxes(0, 1)
+    wrench = np.concatenate([f.sum(axis=0), (m + (S @ f[:, :, None])[:, :, 0]).sum(axis=0)])
+    return wrench, by_joint, by_bias.reshape(6, -1), readings.ravel(), f
 
 
 def read_in_air(

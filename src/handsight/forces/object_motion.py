@@ -28,23 +28,23 @@ def moved_with_tips(then: LoadSum, now: LoadSum) -> tuple[Array, Array] | None:
     points = np.array([then.touched[tip][0] for tip in gripping])
     steps = now.Ts_palm_tip[gripping] @ se3.inverse(then.Ts_palm_tip[gripping])
     moved = (steps[:, :3, :3] @ points[:, :, None])[..., 0] + steps[:, :3, 3]
-    v, w = small_motion(points, moved - points)
-    tangential = np.array([then.tangential(tip) for tip in gripping])
-    creep = small_motion(points, tangential * (now.stamp - then.stamp))
-    return se3.compose(se3.rotation_exp(w), v), np.concatenate(creep)
+    forces, normals = then.forces[gripping], np.array([then.touched[tip][1] for tip in gripping])
+    tangential = forces - (forces * normals).sum(axis=1, keepdims=True) * normals
+    crept = tangential * (now.stamp - then.stamp)
+    (v, creep), (w, turn) = small_motion(points, np.array([moved - points, crept]))
+    return se3.compose(se3.rotation_exp(w), v), np.concatenate([creep, turn])
 
 
 def small_motion(points: Array, displacements: Array) -> tuple[Array, Array]:
-    """Returns v, ω (3,) with v + ω × p nearest to the displacements (n, 3) of points p (n, 3), by least squares.
+    """Returns v, ω (..., 3) with v + ω × p nearest to displacements (..., n, 3) of points p (n, 3), by least squares.
 
     A rotation that the points hardly determine, such as that about the line through two of them, stays small, because
     every axis is taken to be at least 2 mm away from them.
     """
     middle = points.mean(axis=0)
-    arms, shift = points - middle, displacements.mean(axis=0)
-    A = se3.skew(arms)
+    shift, A = displacements.mean(axis=-2), se3.skew(points - middle)
     inertia = -(A @ A).sum(axis=0) + 0.002**2 * np.eye(3)
-    turn = np.linalg.solve(inertia, (A @ displacements[:, :, None]).sum(axis=0)[:, 0])
+    turn = np.linalg.solve(inertia, (A @ displacements[..., None]).sum(axis=-3))[..., 0]
     return shift - se3.skew(turn) @ middle, turn
 
 

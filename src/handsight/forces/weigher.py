@@ -4,6 +4,7 @@ Instants with different directions of gravity are kept, carried along as the obj
 together. A weighing that something contradicts is not trusted; a trusted one measures the centre of mass in the palm.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -87,6 +88,7 @@ class Weigher:
         self._window: tuple[Observation, ...] = ()
         self._kept: tuple[tuple[Carried, Array], ...] = ()
         """Earlier instants with other directions of gravity, each with its unit vector (3,) as it was first kept."""
+        self._summed: LoadSum | None = None  # that of a window that has just ended, until it is weighed
         self._last: LoadSum | None = None
         self._fits_at = -np.inf
         self._loose = False  # whether the object could turn about one finger at any time since the last load
@@ -99,9 +101,9 @@ class Weigher:
 
     def forget(self, reason: str) -> None:
         """Drops all weighings and kept instants, for a reason such as that the object was released or has slipped."""
-        if self._last is not None or self.reason != reason:
-            self._window, self._kept, self._last, self.weighing, self.reason = (), (), None, None, reason
-            self._doubted, self.assumed = False, ""
+        if self._last is not None or self._summed is not None or self.reason != reason:
+            self._window, self._kept, self._doubted, self.assumed, self.reason = (), (), False, "", reason
+            self._summed = self._last = self.weighing = None
 
     @property
     def biased(self) -> tuple[str, ...]:
@@ -127,7 +129,8 @@ class Weigher:
         *,
         pivots: bool = False,
     ) -> bool:
-        """Returns whether there is a new weighing, after an observation of an object in the air.
+        """Returns whether there is a new weighing, after an observation of an object in the air: one observation after
+        a window has ended, as to sum its loads and to weigh would take too long for one update.
 
         `fingers` touch it, and `contacts` are theirs in the palm, in the same order. `joints`: the estimated constant
         errors of the joints, their mean (j,) and L (j, j), where L Lᵀ is their covariance [rad]. `pivots`: fewer than
@@ -135,8 +138,11 @@ class Weigher:
         """
         self._loose = self._loose or pivots
         if not self._lifted:
-            self._lifted, self._window = True, ()
+            self._lifted, self._window, self._summed = True, (), None
         window = self._full_window(observation)
+        if self._summed is not None:
+            self._weigh(self._summed, joints[1], pivots=pivots)
+            return True
         if not window:
             return False
         if reason := lacking(self.sensors, window):
@@ -149,18 +155,9 @@ class Weigher:
         load = replace(load, wrench=load.wrench - load.by_bias @ tare, readings=load.readings - tare)
         if np.linalg.norm(load.wrench[:3]) < WEIGHER.min_weight:
             self.reason = f"less than {WEIGHER.min_weight:g} N hangs on the fingertips"
-            return False
-        if self._kept and self._last is not None:  # they are carried on as the object moves in the grip
-            motion = moved_with_tips(self._last, load)
-            T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
-            sigma = WEIGHER.loose_object_creep if self._loose or motion is None else WEIGHER.object_creep
-            sigma *= float(np.sqrt(max(load.stamp - self._last.stamp, 0.0)))
-            self._kept = tuple((each.moved(T, creep, sigma), way) for each, way in self._kept)
-        self._last, self._loose = load, pivots
-        self._weigh(load, joints[1])
-        if load.acceleration <= WEIGHER.max_acceleration and load.turning <= WEIGHER.max_turning:
-            self._keep(load)
-        return True
+        else:
+            self._summed = load
+        return False
 
     def _full_window(self, observation: Observation) -> tuple[Observation, ...]:
         """Returns the observations of the window that this one completes, or an empty tuple."""
@@ -182,11 +179,19 @@ class Weigher:
         self._window = ()
         return window
 
-    def _weigh(self, load: LoadSum, root: Array) -> None:
+    def _weigh(self, load: LoadSum, root: Array, *, pivots: bool) -> None:
         """Weighs with the kept instants and a new one, and decides whether the result is trusted."""
-        direction, others = load.gravity / np.linalg.norm(load.gravity), [each for each, _ in self._kept]
-        others = [each for each in others if _angle(each.load.gravity, direction) > WEIGHER.new_direction]
-        self.instants = instants = (*others, Carried(load))
+        if self._kept and self._last is not None:  # they are carried on as the object moves in the grip
+            motion = moved_with_tips(self._last, load)
+            T, creep = (np.eye(4), np.zeros(6)) if motion is None else motion
+            sigma = WEIGHER.loose_object_creep if self._loose or motion is None else WEIGHER.object_creep
+            sigma *= float(np.sqrt(max(load.stamp - self._last.stamp, 0.0)))
+            self._kept = tuple((each.moved(T, creep, sigma), way) for each, way in self._kept)
+        self._last, self._loose, self._summed = load, pivots, None
+        direction = load.gravity / np.linalg.norm(load.gravity)
+        new = _angles([each.load.gravity for each, _ in self._kept], direction) > WEIGHER.new_direction
+        far = [each for (each, _), is_new in zip(self._kept, new, strict=True) if is_new]
+        self.instants = instants = (*far, Carried(load))
         # Calibration leaves biases that are about as large as a reading's noise.
         biases = np.concatenate([sensor.sigma for sensor in self.sensors])
         gains = np.repeat([sensor.sigma_gain for sensor in self.sensors], 6)
@@ -194,7 +199,7 @@ class Weigher:
         before = self.weighing
         found = weigh(instants, replace(exactly, gains=gains), before)
         if before is None or before.directions != found.directions:
-            self.assumed = "" if weigh(instants, exactly, before).consistent else ASSUMED
+            self.assumed = "" if weigh(instants, exactly, found).consistent else ASSUMED
         limit = WEIGHER.right_mass if self.reason.startswith(WEIGHS) else WEIGHER.wrong_mass
         self.reason = ""
         if found.mass < -WEIGHER.wrong_mass * found.sigma_mass:
@@ -223,12 +228,14 @@ class Weigher:
             self._fits_at = load.stamp
         if load.stamp - self._fits_at > WEIGHER.restart_after:
             self._kept, self._fits_at, self._doubted = (), load.stamp, True
+        if load.acceleration <= WEIGHER.max_acceleration and load.turning <= WEIGHER.max_turning:
+            self._keep(load)
 
     def _keep(self, load: LoadSum) -> None:
         """Keeps a static instant if its direction of gravity is new, or replaces the one of the same direction."""
         direction = load.gravity / np.linalg.norm(load.gravity)
-        angles = [_angle(way, direction) for _, way in self._kept]
-        near = int(np.argmin(angles)) if angles else -1
+        angles = _angles([way for _, way in self._kept], direction)
+        near = int(angles.argmin()) if self._kept else -1
         if near < 0 or angles[near] > WEIGHER.new_direction:
             kept = self._kept if len(self._kept) < WEIGHER.max_kept else self._kept[1:]
             self._kept = (*kept, (Carried(load), direction))
@@ -237,9 +244,10 @@ class Weigher:
             self._kept = (*self._kept[:near], new, *self._kept[near + 1 :])
 
 
-def _angle(gravity: Array, direction: Array) -> float:
-    """Returns the angle between a vector and a unit vector [rad]."""
-    return float(np.arctan2(np.linalg.norm(se3.skew(gravity) @ direction), gravity @ direction))
+def _angles(vectors: Sequence[Array], direction: Array) -> Array:
+    """Returns the angles (k,) between k vectors (3,) and a unit vector [rad]."""
+    rows = np.array(vectors).reshape(-1, 3)
+    return np.asarray(np.arctan2(np.linalg.norm(rows @ se3.skew(direction), axis=1), rows @ direction))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -148,10 +148,9 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     else:
         mass, moment, passes = start.mass, start.mass * start.center_palm, 1
     for _ in range(passes):
-        rows = np.concatenate([_whitened(instant, unknowns, mass, moment) for instant in instants])
+        rows = _whitened(instants, unknowns, mass, moment)
         C = rows[:, 4:-7]
-        L = np.linalg.cholesky(np.eye(len(rows)) + C @ C.T)
-        rows = np.asarray(np.linalg.solve(L, rows))
+        rows = _uncorrelated(rows, np.eye(len(rows)) + C @ C.T)
         H, C, y, fixed = rows[:, :4], rows[:, 4:-7], rows[:, -7], rows[:, -6:]
         covariance = np.asarray(np.linalg.inv(H.T @ H + prior.T @ prior))  # c is near the loads
         x = covariance @ (H.T @ y)
@@ -167,7 +166,7 @@ def weigh(instants: Sequence[Carried], unknowns: Unknowns, start: Weighing | Non
     within = np.eye(Cj.shape[1]) - Cj.T @ Cj + Cj.T @ H @ covariance @ H.T @ Cj
     joints = unknowns.joints
     across, within = joints @ by_center, joints @ within @ joints.T
-    joint = np.block([[D @ covariance @ D.T, by_center.T @ joints.T], [across, within]])
+    joint = np.vstack([np.hstack([D @ covariance @ D.T, across.T]), np.hstack([across, within])])
     mean = np.concatenate([[mass], moment / mass, joints @ (Cj.T @ left)])
     return Weighing(mean, joint, chi2, len(rows) - 1, p_fixed, len(instants))
 
@@ -180,13 +179,12 @@ def common_equations(instants: Sequence[Carried], unknowns: Unknowns, found: Wei
     creep and biases.
     """
     mass, moment, j = found.mass, found.mass * found.center_palm, unknowns.joints.shape[1]
-    rows = np.concatenate([_whitened(instant, unknowns, mass, moment) for instant in instants])
+    rows = _whitened(instants, unknowns, mass, moment)
     start, own = rows[:, 1:4] @ moment, rows[:, [*range(1, 8), *range(8 + j, 8 + j + len(unknowns.biases))]]
     own[:, :3] *= WEIGHT_FIT.sigma_reach * mass
-    L = np.linalg.cholesky(np.eye(len(rows)) + own @ own.T)
     left, gains = rows[:, -7] - start - mass * rows[:, 0], rows[:, 8 + j + len(unknowns.biases) : -7]
     common = np.column_stack([rows[:, 0], rows[:, 8 : 8 + j], gains, left])
-    common = np.asarray(np.linalg.solve(L, common))
+    common = _uncorrelated(common, np.eye(len(rows)) + own @ own.T)
     return common[:, :-1].T @ common[:, :-1], -common[:, :-1].T @ common[:, -1]
 
 
@@ -200,31 +198,44 @@ def score_test(columns: Array, residuals: Array, H: Array, covariance: Array) ->
     return chi2_survival(chi2, int(observable.sum()))
 
 
-def _whitened(instant: Carried, unknowns: Unknowns, mass: float, moment: Array) -> Array:
-    """Returns the six whitened rows of an instant, linear at (m, m c) = (`mass`, `moment`).
+def _whitened(instants: Sequence[Carried], unknowns: Unknowns, mass: float, moment: Array) -> Array:
+    """Returns the six whitened rows of each instant, linear at (m, m c) = (`mass`, `moment`).
 
     The columns are the derivatives by (m, m c, φ, κ, joints, biases, gains), 4 + 3 + 1 + j + 12 t, all but the first
     four in units of their sigmas; then the measured wrench (1), and the derivatives by a wrench fixed in the palm (6).
     """
-    load, g = instant.load, instant.load.gravity
-    R, t = instant.T_now_then[:3, :3], instant.T_now_then[:3, 3]
-    G = se3.skew(g)
-    lever = se3.skew(R.T @ (moment - mass * t))
-    tilted = -load.R_palm_world @ se3.skew(unknowns.gravity) * unknowns.sigma_gravity
-    crept = mass * instant.creep[:3] + se3.skew(instant.creep[3:]) @ moment  # m d
-    rows = np.zeros((6, 8))
-    rows[:3, 0], rows[3:, 0] = g, G @ (R.T @ t)
-    rows[3:, 1:4] = -G @ R.T
-    rows[:3, 4:7], rows[3:, 4:7] = mass * tilted, lever @ tilted
-    rows[3:, 7] = G @ (R.T @ crept) * unknowns.creep
+    Ts, creep = np.array([each.T_now_then for each in instants]), np.array([each.creep for each in instants])
+
+    def of_loads(name: str) -> Array:
+        return np.array([getattr(each.load, name) for each in instants])
+
+    Rt, t, moment, n = Ts[:, :3, :3].swapaxes(1, 2), Ts[:, :3, 3:], moment[:, None], len(instants)
+    g, by_bias, lever = of_loads("gravity"), of_loads("by_bias"), se3.skew((Rt @ (moment - mass * t))[..., 0])
+    G, tilted = se3.skew(g), -of_loads("R_palm_world") @ se3.skew(unknowns.gravity) * unknowns.sigma_gravity
+    crept = mass * creep[:, :3, None] + se3.skew(creep[:, 3:]) @ moment  # m d
+    rows = np.zeros((n, 6, 8))
+    rows[:, :3, 0], rows[:, 3:, :1] = g, G @ (Rt @ t)
+    rows[:, 3:, 1:4] = -G @ Rt
+    rows[:, :3, 4:7], rows[:, 3:, 4:7] = mass * tilted, lever @ tilted
+    rows[:, 3:, 7:] = G @ (Rt @ crept) * unknowns.creep
     # Force and torque are off by the same error of the acceleration.
-    shaken = WEIGHT_FIT.acceleration_share * load.acceleration * np.vstack([mass * np.eye(3), lever])
-    noise = load.noise + shaken @ shaken.T
-    noise[3:, 3:] += (mass * WEIGHT_FIT.gyration**2 * load.turning) ** 2 * np.eye(3)
-    noise[3:, 3:] += (mass * instant.sigma) ** 2 * G @ G.T
-    by_joints, by_biases = load.by_joint @ unknowns.joints, load.by_bias * unknowns.biases
-    by_gains = load.by_bias * (load.readings * unknowns.gains)
+    shaken = np.concatenate([mass * np.eye(3) + np.zeros((n, 1, 1)), lever], axis=1)
+    shaken *= WEIGHT_FIT.acceleration_share * of_loads("acceleration")[:, None, None]
+    noise = of_loads("noise") + shaken @ shaken.swapaxes(1, 2)
+    turning = mass * WEIGHT_FIT.gyration**2 * of_loads("turning")[:, None, None]
+    moved = mass * np.array([each.sigma for each in instants])[:, None, None]
+    noise[:, 3:, 3:] += turning**2 * np.eye(3) + moved**2 * G @ G.swapaxes(1, 2)
+    by_joints, by_biases = of_loads("by_joint") @ unknowns.joints, by_bias * unknowns.biases
+    by_gains = by_bias * (of_loads("readings") * unknowns.gains)[:, None]
     # In units of 1 N, and of the torque of 1 N at `sigma_reach`.
-    fixed = np.diag(np.repeat([1.0, WEIGHT_FIT.sigma_reach], 3))
-    rows = np.column_stack([rows, by_joints, by_biases, by_gains, load.wrench, fixed])
-    return np.asarray(np.linalg.solve(np.linalg.cholesky(noise), rows))
+    fixed = np.diag(np.repeat([1.0, WEIGHT_FIT.sigma_reach], 3)) + np.zeros((n, 1, 1))
+    rows = np.concatenate(
+        [rows, by_joints, by_biases, by_gains, of_loads("wrench")[..., None], fixed], axis=2
+    )
+    return _uncorrelated(rows, noise).reshape(6 * n, -1)
+
+
+def _uncorrelated(rows: Array, covariance: Array) -> Array:
+    """Returns rows (..., n, k) combined so that their noise, of `covariance` (..., n, n), has the identity's."""
+    # For many columns NumPy's `solve` takes four times as long.
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)) @ rows)

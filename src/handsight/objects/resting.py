@@ -8,6 +8,7 @@ scan's noise, or all facets of a curved side, on which the object can roll freel
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -50,20 +51,27 @@ class RestingPose:
     def near(self, down: Array) -> tuple[Array, float, Array]:
         """Returns the direction (3,) of this pose near a direction (3,), the centre of mass's height with it [m], and
         the covariance (3, 3) of the direction [rad²], which is large along a side on which the object can roll."""
-        cosines = self.down @ down
-        angles = np.arccos(np.clip(self.down @ self.down[cosines.argmax()], -1.0, 1.0))
-        weights = self.weights * np.exp(-0.5 * (angles / RESTING.window) ** 2)
-        weights /= weights.sum()
-        mean = weights @ self.down
-        mean /= np.linalg.norm(mean)
-        across = (self.down - mean) - np.outer((self.down - mean) @ mean, mean)
-        values, vectors = np.linalg.eigh((weights * across.T) @ across)
-        rolls = values > RESTING.rolls**2
-        if rolls.any():  # there, every direction is as good as the one that is asked for
-            mean = mean + vectors[:, rolls] @ (vectors[:, rolls].T @ (down - mean))
-            mean /= np.linalg.norm(mean)
-        spread = (vectors * np.where(rolls, FREE, values)) @ vectors.T
-        return mean, float(weights @ self.heights), np.asarray(spread)
+        mean, height, spread, rolls = _member(self, int((self.down @ down).argmax()))
+        if rolls.shape[1]:  # there, every direction is as good as the one that is asked for
+            mean = mean + rolls @ (rolls.T @ (down - mean))
+            mean = mean / np.linalg.norm(mean)
+        return mean, height, spread
+
+
+@lru_cache(maxsize=256)
+def _member(pose: RestingPose, k: int) -> tuple[Array, float, Array, Array]:
+    """Returns the mean direction (3,) near member k of a pose, its height, its covariance (see `RestingPose.near`), and
+    the directions (3, r) in which it rolls."""
+    angles = np.arccos(np.clip(pose.down @ pose.down[k], -1.0, 1.0))
+    weights = pose.weights * np.exp(-0.5 * (angles / RESTING.window) ** 2)
+    weights /= weights.sum()
+    mean = weights @ pose.down
+    mean /= np.linalg.norm(mean)
+    across = (pose.down - mean) - np.outer((pose.down - mean) @ mean, mean)
+    values, vectors = np.linalg.eigh((weights * across.T) @ across)
+    rolls = values > RESTING.rolls**2
+    spread = (vectors * np.where(rolls, FREE, values)) @ vectors.T
+    return mean, float(weights @ pose.heights), spread, vectors[:, rolls]
 
 
 def resting_poses(geometry: Geometry, center_of_mass: Array | None = None) -> tuple[RestingPose, ...]:

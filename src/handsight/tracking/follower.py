@@ -227,9 +227,8 @@ class Follower:
                 # An object that is not grasped stays in the world while the palm moves.
                 state.smoother = state.smoother.transformed(se3.inverse(T_world_palm) @ state.T_world_palm)
             if stamp > state.stamp > -math.inf:
-                state.smoother = state.smoother.inflated(
-                    process_variance(self.process_noise, stamp - state.stamp), stamp - state.stamp
-                )
+                seconds = stamp - state.stamp
+                state.smoother = state.smoother.inflated(self.process_noise * seconds, seconds)
         if T_world_palm is not None:
             state.T_world_palm = T_world_palm
         state.stamp, fingers = stamp, state.fingertips.fingers

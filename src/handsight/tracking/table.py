@@ -70,7 +70,7 @@ def supports_of(poses: Sequence[RestingPose]) -> tuple[Support, ...]:
 
 
 Measured = tuple[Array, Array, Array]
-"""A linear measurement of a state: H (3, 12), the residual (3,) and the noise's covariance (3, 3)."""
+"""k linear measurements of a state: H (k, 3, 12), residuals (k, 3) and the covariances (k, 3, 3) of their noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,9 +158,7 @@ class TableEvidence:
         # Where touch fits none, its noise is larger than expected, and it tells that much less.
         rows, chi2 = zip(*((e.answer["rows"], e.answer["chi2"]) for e in estimates), strict=True)
         touch = np.maximum(touch - touch.max(), TABLE.least_evidence) * min(1.0, max(rows) / min(chi2))
-        if (
-            self.touch is not None
-        ):  # contacts at two instants are no independent measurements: their mean counts
+        if self.touch is not None:  # two instants are no independent measurements: their mean counts
             touch = (touch + self.touch) / 2
         now = vision.now
         measured = self.measured(now, self.supports, drift)
@@ -187,11 +185,11 @@ class TableEvidence:
         every = cls(model, table, supports, (state,) * len(supports), T_world_palm, stamp)
         measured = every.measured(state, supports)
         shares = normalised(every.log_densities(state, measured))
-        kept = [i for i, share in enumerate(shares) if share > TABLE.negligible or supports[i].pose is None]
+        kept = np.append(np.flatnonzero(shares[:-1] > TABLE.negligible), len(shares) - 1)
         return replace(
             every,
             supports=tuple(supports[i] for i in kept),
-            priors=tuple(state if (m := measured[i]) is None else state.updated(*m) for i in kept),
+            priors=(*(state.updated(*(part[i] for part in measured)) for i in kept[:-1]), state),
             probabilities=shares[kept] / shares[kept].sum(),
         )
 
@@ -213,42 +211,36 @@ class TableEvidence:
 
     def measured(
         self, state: PoseAndBias, supports: Sequence[Support], drift: Array | float = 0.0
-    ) -> list[Measured | None]:
-        """Returns the three numbers of each support as a linear measurement of a state: the height of the centre of
-        mass [m], and two tilts [rad]. None where the object does not rest.
+    ) -> Measured:
+        """Returns three numbers as a linear measurement of a state, for each of the k supports on which the object
+        rests: the height of the centre of mass [m], and two tilts [rad].
 
         `drift` (6,): variance of the object's random walk since it was on the table [m², rad²].
         """
-        T, table, found = state.T_palm_object, self.table, list[Measured | None]()
-        up, rests = self.T_world_palm[2, :3], dict[int, tuple[Array, Array, Array]]()
+        T, table, up = state.T_palm_object, self.table, self.T_world_palm[2, :3]
+        R, across = T[:3, :3], se3.skew(up)
+        rests = [(each.pose, each.factors) for each in supports if each.pose is not None]
+        k, near = len(rests), {pose: pose.near(-up @ R) for pose, _ in rests}
+        down = np.array([near[pose][0] for pose, _ in rests]).reshape(k, 3) @ R.T
+        arms = np.array([pose.center_object for pose, _ in rests]).reshape(k, 3) @ R.T
         # The rotation that brings a side down, about two horizontal axes; a table does not measure the yaw.
-        axes, motion = np.linalg.svd(up[None])[2][1:], self.moved + drift * np.eye(6)
-        for support in supports:
-            if (pose := support.pose) is None:
-                found.append(None)
-                continue
-            if id(pose) not in rests:  # supports that differ in the table's errors alone have the same
-                arm = T[:3, :3] @ pose.center_object
-                side, height, spread = pose.near(-up @ T[:3, :3])
-                down = T[:3, :3] @ side
-                turn = se3.cross(down, -up)
-                sine = float(np.linalg.norm(turn))
-                turn = turn * (np.arctan2(sine, -down @ up) / sine if sine > 1e-9 else 1.0)
-                H = np.zeros((3, 12))
-                H[0, :3], H[0, 3:6], H[1:, 3:6] = up, se3.cross(arm, up), axes
-                z = up @ (T[:3, 3] + arm) + self.T_world_palm[2, 3]
-                residual = np.concatenate([[table.height + height - z], axes @ turn])
-                # A direction that differs by d turns the object by d x up.
-                by_side = axes @ se3.skew(up) @ T[:3, :3]
-                rests[id(pose)] = H, residual, by_side @ spread @ by_side.T
-            H, residual, by_spread = rests[id(pose)]
-            # A covariance must be invertible.
-            sigmas = np.maximum((table.sigma_height, table.sigma_tilt), 1e-5)
-            sigma_height, sigma_tilt = support.factors * sigmas
-            noise = np.zeros((3, 3))
-            noise[0, 0], noise[1:, 1:] = sigma_height**2, sigma_tilt**2 * np.eye(2) + by_spread
-            found.append((H, residual, noise + H[:, :6] @ motion @ H[:, :6].T))
-        return found
+        axes = np.linalg.svd(up[None])[2][1:]
+        turns = -down @ across  # up x down
+        sines = np.linalg.norm(turns, axis=1)
+        turns *= np.where(sines > 1e-9, np.arctan2(sines, -down @ up) / np.maximum(sines, 1e-9), 1.0)[:, None]
+        H, residuals = np.zeros((k, 3, 12)), np.empty((k, 3))
+        H[:, 0, :3], H[:, 0, 3:6], H[:, 1:, 3:6] = up, arms @ across, axes
+        heights = table.height + np.array([near[pose][1] for pose, _ in rests]) - self.T_world_palm[2, 3]
+        residuals[:, 0], residuals[:, 1:] = heights - (T[:3, 3] + arms) @ up, turns @ axes.T
+        # A covariance must be invertible.
+        factors = np.array([factors for _, factors in rests]).reshape(k, 2)
+        variances = (factors * np.maximum((table.sigma_height, table.sigma_tilt), 1e-5)) ** 2
+        noise = H[:, :, :6] @ (self.moved + drift * np.eye(6)) @ H[:, :, :6].swapaxes(1, 2)
+        noise[:, 0, 0] += variances[:, 0]
+        # A direction that differs by d turns the object by d x up.
+        by_side, spreads = axes @ across @ R, np.array([near[pose][2] for pose, _ in rests]).reshape(k, 3, 3)
+        noise[:, 1:, 1:] += variances[:, 1, None, None] * np.eye(2) + by_side @ spreads @ by_side.T
+        return H, residuals, noise
 
     def estimated(self, estimate: PoseEstimate, drift: Array) -> TableEstimate | None:
         """Returns where the table must be, given the object's pose; None where no side of it may be on a table.
@@ -263,9 +255,7 @@ class TableEvidence:
         covariance = np.zeros((12, 12))
         covariance[:6, :6] = estimate.bounded_covariance + self.moved + drift * np.eye(6)
         now = PoseAndBias(np.stack([estimate.T_palm_object, np.eye(4)]), covariance)
-        (measured,) = self.measured(now, [support])
-        assert measured is not None
-        H, off, _ = measured
+        (H,), (off,), _ = self.measured(now, [support])
         sigma = np.sqrt(np.einsum("ij,jk,ik->i", H, covariance, H))
         height, tilt = self.table.height - float(off[0]), float(np.linalg.norm(off[1:]))
         doubt = self.doubt(estimate)
@@ -279,29 +269,23 @@ class TableEvidence:
         if best.factors == (1.0, 1.0):
             return ""
         now = PoseAndBias(np.stack([estimate.T_palm_object, np.eye(4)]), np.zeros((12, 12)))
-        (measured,) = self.measured(now, [best])
-        assert measured is not None
-        off = measured[1][0]
+        off = self.measured(now, [best])[1][0, 0]
         side = "below" if off > 0 else "above"
         return f"touch and vision have it {abs(1e3 * off):.0f} mm {side} where the rig says"
 
-    def log_densities(self, state: PoseAndBias, measured: Sequence[Measured | None]) -> Array:
+    def log_densities(self, state: PoseAndBias, measured: Measured) -> Array:
         """Returns (k,) the log probability of each support by vision alone, up to a constant.
 
-        `state` is vision's, without a table, and `measured` what each support measures of it. An object that leans has
+        `state` is vision's, without a table, and `measured` what the supports measure of it. An object that leans has
         its centre of mass at any height up to its diameter, and points in any direction.
         """
-        rows = []
-        for support, given in zip(self.supports, measured, strict=True):
-            if given is None:
-                log_density = -math.log(4 * np.pi * self.model.diameter)
-            else:
-                H, residual, noise = given
-                S = H @ state.covariance[:12, :12] @ H.T + noise
-                chi2 = float(residual @ np.linalg.solve(S, residual))
-                log_density = -0.5 * (chi2 + float(np.linalg.slogdet(2 * np.pi * S)[1]))
-            rows.append(math.log(support.probability) + log_density)
-        return np.array(rows)
+        H, residuals, noise = measured
+        S = H @ state.covariance[:12, :12] @ H.swapaxes(1, 2) + noise
+        chi2 = (residuals * np.linalg.solve(S, residuals[:, :, None])[:, :, 0]).sum(axis=1)
+        log_densities = -0.5 * (chi2 + np.linalg.slogdet(2 * np.pi * S)[1])
+        leans = -math.log(4 * np.pi * self.model.diameter)
+        probabilities = np.array([support.probability for support in self.supports])
+        return np.asarray(np.log(probabilities) + np.append(log_densities, leans))
 
 
 def on_table(state: PoseAndBias, model: ObjectModel, table: Table, T_world_palm: Array) -> PoseAndBias | None:
