@@ -2,13 +2,15 @@
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 import handsight as hs
 import scenes
 import skin_scenes
 from handsight import se3
-from handsight.correction import Outside, SkinEvidence
+from handsight.correction import Outside, SkinEvidence, open_draws
 from handsight.errors import InvalidInput
+from handsight.simulation.taxels import SKIN
 
 ARRAY = skin_scenes.palm_array()
 
@@ -33,6 +35,48 @@ def test_an_edge_on_the_array_ends_the_slide(draw):
         inside.append(scenes.region(scene.model, estimate, scene.T_palm_object)["in 95%"])
     assert np.mean(errors) < 2e-3
     assert np.mean(inside) > 0.8
+
+
+@pytest.mark.parametrize("springs", [SKIN.rubber, SKIN.foam])
+def test_errors_on_an_array_are_as_large_as_the_answer_says(springs):
+    """Where a skin is hard, half of the taxels under a face are not touched. Tilts are left out: the box has none."""
+    squared, flat = [], [0, 1, 2, 5]
+    for seed in range(30):
+        scene = skin_scenes.box_on_skin(np.random.default_rng([101, seed]), ARRAY, springs=springs)
+        skin = SkinEvidence.of(scene.touch(ARRAY), np.eye(4))
+        estimate = hs.correct_pose(scene.model, scene.tips, vision=scene.vision, skin=skin)
+        truth = scenes.nearest_truth(scene.model, scene.T_palm_object, estimate.T_palm_object)
+        error, C = (
+            se3.difference(estimate.T_palm_object, truth)[flat],
+            estimate.covariance[np.ix_(flat, flat)],
+        )
+        squared.append(error @ np.linalg.solve(C, error))
+    inside = [(np.array(squared) < chdtri(4, 1 - level)).mean() for level in (0.5, 0.95)]
+    assert 0.5 < np.mean(squared) / 4 < 1.6
+    assert 0.3 < inside[0] < 0.75
+    assert inside[1] > 0.85
+
+
+def test_more_draws_change_neither_answer_nor_uncertainty(monkeypatch):
+    """Of scenes with one mode, within what 80 draws can tell."""
+    scene = skin_scenes.box_on_skin(np.random.default_rng(3), ARRAY, springs=SKIN.rubber)
+    skin = SkinEvidence.of(scene.touch(ARRAY), np.eye(4))
+    few = hs.correct_pose(scene.model, scene.tips, vision=scene.vision, skin=skin)
+    monkeypatch.setattr(open_draws, "DRAWS", open_draws.DRAWS._replace(most=12_000, enough=1000.0))
+    many = hs.correct_pose(scene.model, scene.tips, vision=scene.vision, skin=skin)
+    sigmas = np.sqrt(np.diag(many.covariance))
+    assert (np.abs(se3.difference(few.T_palm_object, many.T_palm_object)) < 0.5 * sigmas).all()
+    np.testing.assert_allclose(np.sqrt(np.diag(few.covariance)), sigmas, rtol=0.35)
+
+
+def test_an_untouched_taxel_says_less_where_covered_ones_are_not_touched():
+    """One in four is added to the share of these; with none of either it is 0.3 mm."""
+    reading = np.zeros(ARRAY.shape)
+    assert ARRAY.touch(reading).sigma_clearance == pytest.approx(5e-4 / np.sqrt(2 * np.log(4)))
+    reading[4, 4:7] = 1.0
+    assert ARRAY.touch(reading).sigma_clearance == pytest.approx(5e-4 / np.sqrt(2 * np.log(7)))
+    reading[4, 5] = 0.0
+    assert ARRAY.touch(reading).sigma_clearance == pytest.approx(5e-4 / np.sqrt(2 * np.log(7 / 2)))
 
 
 def test_the_answer_is_as_uncertain_as_the_array():

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handsight import checks, se3
 from handsight._deprecated import renamed_members
-from handsight._kernels.touch.taxel_records import NEAR, PATCH, PRESSED, SURFACE, TAXEL, UNTOUCHED, WIDE
+from handsight._kernels.touch.taxel_records import LOW, NEAR, PATCH, PRESSED, SURFACE, TAXEL, UNTOUCHED, WIDE
 from handsight.checks import Array, Indices, Mask
 from handsight.contact.contacts import Contacts
 from handsight.errors import InvalidInput
@@ -28,9 +28,9 @@ from handsight.representation import short_repr
 
 MAX_CONTACTS, MAX_PATCHES = 32, 16
 """Most contacts of a surface's flat patches, the pressed taxels that are farthest from each other; and most patches."""
-CLEARANCE, SIGMA_CLEARANCE = 5e-4, 3e-4
-"""Height above an untouched taxel at which there is no object, as a face that lies on the skin is at no depth in it,
-and its standard deviation [m]. A can's side is that high 6 mm beside the line where it touches."""
+CLEARANCE = 5e-4
+"""Height above an untouched taxel at which there is no object, as a face that lies on the skin is at no depth in it
+[m]. A can's side is that high 6 mm beside the line where it touches."""
 GIVES = 2e-8
 """How much skin gives way to pressure, one standard deviation [m/Pa]: 1.5 mm of rubber 1.7e-8, 5 mm of foam 1e-7."""
 MOST_TAXELS, FLAT = 4096, math.radians(3.0)
@@ -387,6 +387,15 @@ class SkinTouch:
         variance = self.surface.record[0]["variance_mount"]
         more = 0.0 if by_error is None else (np.asarray(by_error) ** 2).sum(axis=1)
         return np.asarray(np.sqrt(variance + more))
+
+    @property
+    def sigma_clearance(self) -> float:
+        """The standard deviation of `CLEARANCE` [m], by which a face that lies on an untouched taxel is as improbable
+        as that a covered taxel is not touched, being lower than others: by the share of such ones between touched
+        ones, to which one in four is added. It is 0.3 mm where none is touched."""
+        state = self.states[0]
+        share = ((state == LOW).sum() + 1) / (((state >= LOW) & (state < UNTOUCHED)).sum() + 4)
+        return float(CLEARANCE / math.sqrt(-2 * math.log(share)))
 
     def outside(self, T_palm_frame: ArrayLike) -> Array:
         """Returns points (m, 3) in the palm that are not in the object: `CLEARANCE` above untouched taxels [m].

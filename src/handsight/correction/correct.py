@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from handsight import checks, se3
 from handsight.checks import Array
 from handsight.contact import Contacts
-from handsight.correction import conflicts, outliers, paper, solve, starts
+from handsight.correction import conflicts, outliers, paper, solve
 from handsight.correction.depth import DepthPoints
 from handsight.correction.estimate import PoseEstimate, PosePrior, Vision, checked_prior
 from handsight.correction.mean import (
@@ -26,9 +26,11 @@ from handsight.correction.mean import (
     after_draws,
     checked_answer,
     kind_of,
+    known_information,
     mean_by_sampling,
     with_means,
 )
+from handsight.correction.open_draws import DRAWS, draw
 from handsight.correction.outside import NO_OUTSIDE, Outside, outside_records
 from handsight.correction.paper import PaperMethod
 from handsight.correction.problem import (
@@ -164,13 +166,6 @@ def corrected(
 ) -> Steps[PoseEstimate]:
     """Returns `correct_pose` of a problem and its skin, by handsight's own method, in steps."""
     limit = limit or Budget()
-    if skin is not None and problem.vision is not None:
-        by_contacts = replace(problem, outside=NO_OUTSIDE, weight=None)
-        alone = yield from _solved(by_contacts, options=options, limit=limit, answer="maximum", samples=0)
-        T, information = alone.T_palm_object_maximum, alone.information
-        around = starts.along_open_directions(problem, T, information, starts.STARTS.on_skin)
-        problem = replace(problem, starts=around)
-        yield
     solved = partial(_solved, options=options, limit=limit, answer=answer, samples=samples)
     estimate = yield from solved(problem)
     if problem.weight is not None:
@@ -209,7 +204,7 @@ def problem_of(
     taxels = 0 if skin is None or skin.contacts is None else len(skin.contacts)
     weight = None if weight is None else weight.of(model)
     rows = outside_records(model, contacts, outside, skin)
-    return Problem(model, contacts, prior, rows, weight, depth, taxels), skin
+    return Problem(model, contacts, prior, rows, weight, depth, taxels, skin is not None), skin
 
 
 def _solved(
@@ -243,9 +238,16 @@ def _solved(
 
 
 def _searched(
-    problem: Problem, options: TwoPhase, limit: Budget, answer: str, samples: int
+    problem: Problem, options: TwoPhase, limit: Budget, answer: str, samples: int, first: int = DRAWS.first
 ) -> Steps[PoseEstimate]:
-    """Returns the answer to a problem, from one start where that is enough, else from many."""
+    """Returns the answer to a problem, from one start where that is enough, else from many; on a tactile array the mean
+    of draws, of which `first` are from what the contacts leave open."""
+    drawn = None
+    if problem.on_skin and len(problem.outside) and not problem.blind:
+        by_contacts = replace(problem, outside=NO_OUTSIDE, weight=None, on_skin=False)
+        alone = yield from _searched(by_contacts, options, limit, "maximum", 0)
+        drawn = yield from draw(problem, alone.T_palm_object_maximum, alone.information, limit, first)
+        problem = replace(problem, starts=drawn[0])
     if is_registered(problem.contacts):
         if options is USUAL and not samples:
             return register(problem, limit)
@@ -259,11 +261,22 @@ def _searched(
             yield
             return after_draws(problem, estimate, answer)
     found = yield from outliers.solve_robustly(problem, options, limit)
-    rows = summarize(problem, found, mean=kind)
+    averaged = drawn is not None and answer != "maximum" and bool(found.used.all())
+    rows = summarize(problem, found, mean=0 if averaged else kind)
     yield
     if limit.cut_short:
         rows["converged"] = False
-    estimate = with_means(problem, rows, found.used, answer)
+    estimate = with_means(
+        problem, rows[:1] if averaged else rows, found.used, "maximum" if averaged else answer
+    )
+    if drawn is not None and averaged:
+        _, T, C = drawn
+        known = known_information(problem.model, T, C)
+        complete = C if estimate.answer["complete"] else None
+        estimate = estimate.with_gaussian(T, complete, known, solve.residuals(problem, T))
+        if not estimate.consistent and first < DRAWS.again and not limit.spent():
+            other = yield from _searched(problem, options, limit, answer, samples, DRAWS.again)
+            return other if other.answer["chi2"] < estimate.answer["chi2"] else estimate
     for i in estimate.outliers:
         wrong = conflicts.excluded(problem, estimate, f"contact {i}", float(found.falls[i]))
         estimate = replace(estimate, conflicts=(*estimate.conflicts, wrong))

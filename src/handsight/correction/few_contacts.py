@@ -37,36 +37,38 @@ class DrawOptions(NamedTuple):
 
 DRAWS = DrawOptions()
 FREEDOM, DIMENSIONS = 4, 6
-"""Of Student's t: tails that are heavier than the posterior's keep the weights of draws bounded."""
+"""Of Student's t: tails that are heavier than the posterior's keep the weights of draws bounded. And of a pose."""
 LOG_T = float(np.log(24.0) - 3 * np.log(4 * np.pi)) + 3 * float(np.log(2 * np.pi))
 """Log of what normalises that t, Γ(5) / (Γ(2) (4π)³), over what normalises a Gaussian."""
 
 
 class Mixture(NamedTuple):
-    """A `Mixture` of Student's t distributions of a pose's coordinates."""
+    """A `Mixture` of Student's t distributions of d of a pose's coordinates."""
 
     centers: Array
-    """(k, 6) [m]."""
+    """(k, d) [m]."""
     roots: Array
-    """(k, 6, 6) Cholesky factors of their scales."""
+    """(k, d, d) roots of their scales."""
     shares: Array
     """(k,) that sum to one."""
 
     def draws(self, standard: Array) -> Array:
-        """Returns draws (n, 6) out of those of the standard t (n, 6)."""
+        """Returns draws (n, d) out of those of the standard t (n, d), the centers' shares of them one after another."""
         counts = (self.shares * len(standard)).astype(int)
         counts[np.argmax(self.shares)] += len(standard) - counts.sum()
         of = np.repeat(np.arange(len(counts)), counts)
         return np.asarray(self.centers[of] + np.einsum("nij,nj->ni", self.roots[of], standard))
 
     def density(self, x: Array) -> Array:
-        """Returns the density (n,) at coordinates (n, 6), up to a constant factor."""
-        inverse = np.linalg.inv(self.roots)
+        """Returns the density (n,) at coordinates (n, d), up to a constant factor."""
+        inverse, d = np.linalg.inv(self.roots), x.shape[1]
         shifts = np.einsum("kij,kj->ki", inverse, self.centers).ravel()
-        y = (x @ inverse.reshape(-1, DIMENSIONS).T - shifts).reshape(len(x), -1, DIMENSIONS)
+        y = x @ inverse.reshape(-1, d).T
+        y -= shifts
+        y = y.reshape(len(x), len(self.centers), d)
         square = 1 + np.einsum("nki,nki->nk", y, y) / FREEDOM
-        heights = self.shares / np.prod(np.einsum("kii->ki", self.roots), axis=1)
-        return np.asarray((square**-5) @ heights)  # the power is half of freedom and dimensions
+        heights = self.shares / np.linalg.det(self.roots)
+        return np.asarray(square ** (-0.5 * (FREEDOM + d)) @ heights)
 
 
 @lru_cache(maxsize=1)

@@ -117,14 +117,14 @@ def _merged(problem: Problem, rows: Records, answer: str) -> Records:
         C += (offsets - middle).T @ ((offsets - middle) * shares[:, None])
         row["T_palm_object"], row["covariance"] = se3.moved(T, middle), C
         row["log_weight"] += np.log1p(share.sum())
-        row["information"] = _known_information(model, row["T_palm_object"], C)
+        row["information"] = known_information(model, row["T_palm_object"], C)
     return taken(merged, np.argsort(-merged["log_weight"], kind="stable"))
 
 
-def _known_information(model: ObjectModel, T: Array, covariance: Array) -> Array:
+def known_information(model: ObjectModel, T: Array, covariance: Array) -> Array:
     """Returns the inverse of a covariance (6, 6), zero along the declared symmetry axes."""
     scale = np.repeat([1.0, 1 / model.radius], 3)
-    known = _across(tangents(model.symmetries, T), model.radius)
+    known = across_axes(tangents(model.symmetries, T), model.radius)
     metres = known @ (covariance / scale[:, None] / scale) @ known.T
     # Of the correlations, as variances may differ by a factor that is beyond rounding; positive definite in any case.
     deviations = np.sqrt(metres.diagonal())
@@ -145,7 +145,7 @@ def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, sampl
     """
     T_mode, radius = estimate.T_palm_object, problem.model.radius
     axes = tangents(problem.model.symmetries, T_mode)
-    metres, basis = modes.in_metres(estimate.information, radius), _across(axes, radius)
+    metres, basis = modes.in_metres(estimate.information, radius), across_axes(axes, radius)
     values, vectors = np.linalg.eigh(basis @ metres @ basis.T)
     length = 1 / np.sqrt(np.maximum(values, 1 / radius**2))
     scale = np.repeat([1.0, 1 / radius], 3)
@@ -158,12 +158,12 @@ def mean_by_sampling(problem: Problem, estimate: PoseEstimate, used: Mask, sampl
     return estimate.with_gaussian(
         T,
         None if len(axes) else spread,
-        _known_information(problem.model, T, spread),
+        known_information(problem.model, T, spread),
         solve.residuals(problem, T),
     )
 
 
-def _across(axes: Array, radius: float) -> Array:
+def across_axes(axes: Array, radius: float) -> Array:
     """Returns (k, 6) orthonormal directions (δp, radius δθ) across the symmetry axes (n, 6)."""
     if not len(axes):
         return np.eye(6)

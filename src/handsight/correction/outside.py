@@ -15,7 +15,7 @@ from handsight._kernels.evidence.outside_term import load_points
 from handsight._kernels.records import OUTSIDE
 from handsight.checks import Array, Indices
 from handsight.contact import Contacts
-from handsight.contact.taxels import SIGMA_CLEARANCE, SkinTouch
+from handsight.contact.taxels import SkinTouch
 from handsight.correction.problem import check_number
 from handsight.correction.skin import SkinEvidence
 from handsight.errors import InvalidInput
@@ -90,7 +90,7 @@ class Outside:
     def of_skin(cls, touch: SkinTouch, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None) -> Outside:
         """Returns the untouched taxels of an array. Deprecated: `SkinEvidence.of` has the pressed taxels as well."""
         skin = SkinEvidence.of(touch, T_palm_frame, by_error)
-        return cls(skin.untouched_palm, sigmas=SIGMA_CLEARANCE, skin=skin.sigmas)
+        return cls(skin.untouched_palm, sigmas=skin.sigma_untouched, skin=skin.sigmas)
 
     def joined(self, other: Outside) -> Outside:
         """Returns the points and planes of both; points that have no sigmas get NaN, so each must have its own."""
@@ -188,9 +188,9 @@ def outside_records(
                 rows[name][:n] = values
         if given.links is not None and (given.links[1:] < given.links[:-1]).any():
             rows[:n] = rows[np.argsort(given.links, kind="stable")]
-    if m:
+    if m and skin is not None:
         taxels = rows[n : n + m]
-        taxels["point"], taxels["sigma"] = untouched, SIGMA_CLEARANCE
+        taxels["point"], taxels["sigma"] = untouched, skin.sigma_untouched
         taxels["link"] = np.arange(m) + (rows["link"][:n].max() + 1 if n else 0)
     for i, plane in enumerate(planes, n + m):
         row = rows[i]

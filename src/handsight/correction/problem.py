@@ -82,6 +82,8 @@ class Problem:
     depth: DepthPoints | None = None
     taxels: int = 0
     """How many of the contacts, the last ones, are pressed taxels of tactile arrays."""
+    on_skin: bool = False
+    """Whether taxels of tactile arrays are among the evidence."""
     starts: Array | None = None
     """(K, 4, 4) poses to descend from on the fine field; None: draws from the prior, in two phases."""
     doubted: bool = False

@@ -21,8 +21,7 @@ class SkinEvidence:
 
     A pressed taxel is a contact, an untouched one a point outside the object. All taxels of an array share the error of
     its position, which is added to the covariance of the answer. A face of the object that lies on an array ends where
-    untouched taxels begin; the cost has no slope that leads there, so the search has starts of its own
-    (`starts.along_open_directions`).
+    untouched taxels begin; the cost has no slope that leads there, so the answer is the mean of draws (`open_draws`).
     """
 
     contacts: Contacts | None
@@ -32,6 +31,8 @@ class SkinEvidence:
     sigmas: Array
     """(6,) one standard deviation per axis of the arrays' common error, shift [m] and turn [rad] along the palm's
     axes."""
+    sigma_untouched: ArrayLike = 3e-4
+    """One standard deviation of each of those points along the normal [m], one for all or (m,)."""
 
     __repr__ = short_repr
 
@@ -46,6 +47,9 @@ class SkinEvidence:
             points = np.empty((0, 3))
         object.__setattr__(self, "untouched_palm", checks.position(points, "skin.untouched_palm", (None, 3)))
         object.__setattr__(self, "sigmas", checks.finite(self.sigmas, "skin.sigmas", (6,)))
+        shape = (len(self.untouched_palm),) if checks.ndim(self.sigma_untouched) else ()
+        sigma = checks.finite(self.sigma_untouched, "skin.sigma_untouched", shape)
+        object.__setattr__(self, "sigma_untouched", np.maximum(sigma, checks.MIN_SIGMA))
 
     @classmethod
     def of(cls, touch: SkinTouch, T_palm_frame: ArrayLike, by_error: ArrayLike | None = None) -> SkinEvidence:
@@ -55,13 +59,15 @@ class SkinEvidence:
         link in the palm by one standard deviation of each of j joint errors; None: the link is fixed in the palm.
         """
         contacts, untouched = touch.contacts(T_palm_frame, by_error), touch.outside(T_palm_frame)
-        return cls(contacts, untouched, touch.sigmas_common(by_error))
+        return cls(contacts, untouched, touch.sigmas_common(by_error), touch.sigma_clearance)
 
     def joined(self, other: SkinEvidence) -> SkinEvidence:
         """Returns the taxels of both; the common error is the larger one of the two, axis by axis."""
         mine, theirs = self.contacts, other.contacts
+        sigmas = [np.broadcast_to(e.sigma_untouched, len(e.untouched_palm)) for e in (self, other)]
         return SkinEvidence(
             mine.joined(theirs) if mine is not None and theirs is not None else mine or theirs,
             np.concatenate([self.untouched_palm, other.untouched_palm]),
             np.maximum(self.sigmas, other.sigmas),
+            np.concatenate(sigmas),
         )

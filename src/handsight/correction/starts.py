@@ -1,5 +1,5 @@
 """The poses at which descents start: draws from the prior; without vision, poses whose surface meets a contact; past
-points of the hand or on a tactile array, draws along what the contacts leave open.
+points of the hand, draws along what the contacts leave open.
 
 Draws are along the object's own axes, and contacts are ordered by distances, so that neither another palm frame nor
 another order of the contacts changes the starts.
@@ -16,10 +16,10 @@ from handsight._kernels.records import DESCENT, SAMPLES
 from handsight._kernels.runtime.threads import in_parts
 from handsight._kernels.solve import batch, search
 from handsight.checks import Array, Indices, Mask
-from handsight.correction import modes, solve
-from handsight.correction.estimate import PosePrior, bounded_covariance
+from handsight.correction import modes, open_draws, solve
+from handsight.correction.estimate import PosePrior
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import Budget, Problem, Records, taken
+from handsight.correction.problem import Budget, Problem, Records, Steps, taken
 from handsight.objects import ObjectModel
 
 
@@ -39,11 +39,6 @@ class StartOptions(NamedTuple):
     first_scoring: int = 3  # without vision: the outermost contacts, by which every start is scored first
     promising: int = 4  # one start in so many, of the lowest costs, is then scored by the other contacts too
     serial: int = 512  # starts whose scores are too few to be shared with another thread
-    past_outside: int = 192  # along open directions: poses that are drawn in a round, past points of the hand
-    on_skin: int = 384  # the same on a tactile array, which has one right place in what contacts leave open
-    around_rounds: int = 3  # rounds, each around the likeliest poses of the round before
-    around_kept: int = 12  # likeliest poses that are kept of a round
-    around_shrink: float = 0.3  # factor on the spread from round to round
 
 
 STARTS = StartOptions()
@@ -75,9 +70,9 @@ def _draws(number: int) -> Array:
     return draws
 
 
-def past_outside(problem: Problem, vision: PosePrior, number: int, budget: Budget) -> Array:
-    """Returns the poses (K, 4, 4) of `along_open_directions` from the minimum that contacts and vision have without
-    what is outside, found from so many starts.
+def past_outside(problem: Problem, vision: PosePrior, number: int, budget: Budget) -> Steps[Array]:
+    """Returns the likeliest poses (K, 4, 4) of draws about the minimum that contacts and vision have without what is
+    outside, found from so many starts.
 
     Points of the hand amid the object push it to the nearest side, which may be the wrong one: they stop descents from
     nearly all draws.
@@ -85,30 +80,8 @@ def past_outside(problem: Problem, vision: PosePrior, number: int, budget: Budge
     free, everyone = replace(problem, outside=NO_OUTSIDE), np.ones((1, len(problem.contacts)), dtype=bool)
     found = solve.solve(free, from_prior(vision, number)[None], everyone, budget)
     minimum = solve.summaries(free, found.minima[:1], everyone)[0]
-    T, information = minimum["T_palm_object"], minimum["information"]
-    return along_open_directions(problem, T, information, STARTS.past_outside)
-
-
-def along_open_directions(problem: Problem, T_palm_object: Array, information: Array, count: int) -> Array:
-    """Returns the poses (K, 4, 4) of lowest cost by all evidence, drawn around a minimum by the contacts alone, along
-    what these leave open: by the minimum's information (6, 6); `count` poses a round.
-
-    So a face of the object comes to lie on the right taxels of a tactile array. An untouched taxel under the face
-    pushes it away from the array, but not sideways to where it would end: along the array the cost has no slope, and a
-    descent would stay where vision was.
-    """
-    used = np.ones((1, len(problem.contacts)), dtype=bool)
-    rng = np.random.default_rng(5)
-    values, vectors = np.linalg.eigh(bounded_covariance(information))
-    root, R = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T, T_palm_object[:3, :3]
-    best = T_palm_object[None]
-    for k in range(STARTS.around_rounds):
-        around = best[np.arange(count) % len(best)]
-        steps = STARTS.around_shrink**k * (rng.normal(size=(count, 2, 3)) @ R.T).reshape(-1, 6) @ root
-        poses = np.concatenate([best, se3.moved(around, steps)])
-        cost = solve.cost(problem, poses, used)
-        best = poses[np.argsort(cost, kind="stable")[: STARTS.around_kept]]
-    return best
+    yield
+    return (yield from open_draws.draw(problem, minimum["T_palm_object"], minimum["information"], budget))[0]
 
 
 @dataclass(frozen=True)

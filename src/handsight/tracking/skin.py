@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handsight import checks, se3
-from handsight._kernels.touch.taxel_records import FAULTS, PATCH, PRESSED, UNKNOWN, WATCHED
+from handsight._kernels.touch.taxel_records import FAULTS, LOW, PATCH, PRESSED, WATCHED
 from handsight._kernels.touch.taxels import TAXELS, watch_taxels
 from handsight.checks import Array
 from handsight.contact import Contacts, Pad, SkinTouch
@@ -174,7 +174,7 @@ class SkinContacts:
             if len(touch.patches) > (given >= 0):
                 T, J = pose.placed
                 contacts, sigmas = touch.contacts(T, J, given), touch.sigmas_common(J, given)
-                more = SkinEvidence(contacts, touch.outside(T), sigmas)
+                more = SkinEvidence(contacts, touch.outside(T), sigmas, touch.sigma_clearance)
                 found = more if found is None else found.joined(more)
         return found
 
@@ -244,7 +244,7 @@ class SkinSensors:
             if self._joints[name] and (joints is None or not self._joints[name] <= joints.keys()):
                 continue
             if finger is not None and surface.kind == "taxels" and known.count < TAXELS.min_rest:
-                strongest = touch.rise[touch.states[0] != UNKNOWN, -1]  # without filled taxels
+                strongest = touch.rise[touch.states[0] > LOW, -1]  # without filled taxels
                 if not strongest.max(initial=0.0) >= SKIN.sure * surface.threshold:  # they are offsets
                     touch = surface.sensed(readings, known.baseline + touch.rise[:-1])
             touches[name] = touch, LinkPose(self._chains[name], joints, self._sigma_joint)

@@ -20,7 +20,7 @@ from handsight.contact import (
     contact_from_wrench,
     contacts_from_wrenches,
 )
-from handsight.correction import PosePrior, TwoPhase, correct_pose
+from handsight.correction import PosePrior, SkinEvidence, TwoPhase, correct_pose
 from handsight.forces.friction import Friction
 from handsight.hand import Hand
 from handsight.objects import ObjectModel
@@ -53,10 +53,11 @@ def correct_near() -> None:
 
 
 def correct_far() -> None:
-    """Corrects a box from a pose that is far off, with points of the hand and by sampling, and without a pose."""
+    """Corrects a box from a pose that is far off, with points of the hand, skin, by sampling, and without a pose."""
     model, contacts = _touched_box()
     far = PosePrior.from_sigmas(np.eye(4), 0.1, 0.5)
     correct_pose(model, contacts, vision=far, outside=[[0.1, 0, 0], [0.05, 0.05, 0]])
+    correct_pose(model, contacts, vision=far, skin=SkinEvidence(None, np.array([[0.1, 0, 0]]), np.zeros(6)))
     correct_pose(model, contacts, vision=far, samples=200)
     correct_pose(model, contacts)
     correct_pose(model, contacts, vision=far, method=TwoPhase(starts=1000, reject_outliers=False))

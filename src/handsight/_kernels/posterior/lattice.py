@@ -62,8 +62,8 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
     """Fills in a point, whose coordinates across become the best ones.
 
     The cost is that which the step across predicts: the contacts' covariances are taken as before the step. After a
-    step that changes much another one follows, and of the last one nothing that it predicts is believed; not so on a
-    lattice, whose points are near each other, nor where the cost is above `flat.most_cost`.
+    step that changes much another one follows, and of the last one nothing that it predicts is believed; not so where
+    the cost is above `flat.most_cost`.
     """
     radius, count, cost = evidence.model.radius, 0, 0.0
     point.log_weight = -np.inf
@@ -77,7 +77,7 @@ def visit(evidence: Evidence, mode: Pose, flat: Any, point: Any, u: Any) -> None
         for a in range(count):
             fall += u.values[a] * u.column[a]
             point.lateral[a] -= u.column[a]
-        if flat.count > 1 or fall < INTEGRATION.large_fall or cost - fall > flat.most_cost:
+        if fall < INTEGRATION.large_fall or cost - fall > flat.most_cost:
             cost -= fall
             break
     for i in range(len(evidence.terms)):

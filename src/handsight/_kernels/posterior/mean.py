@@ -328,6 +328,7 @@ def _integrate_mode(evidence: Evidence, mode: Pose, cost: float, others: Any, fl
     points = np.empty(INTEGRATION.max_points[min(flat.count, 2) - 1], LATTICE_POINT)
     one, cell, flat.most_cost = flat.count == 1, 0.0, np.inf
     if not one:
+        flat.most_cost = -np.inf  # one step suffices from a lattice's point to the next
         measure(near, mode, flat, cost + flat.bump_margin)
     for _ in range(INTEGRATION.max_lattices):
         others[:, 6], sums.total = 0.0, 0.0

@@ -24,6 +24,7 @@ from handsight._kernels.math.symmetry import (
 )
 from handsight._kernels.math.vec3 import Vec3, cross, dot, norm, vector
 from handsight._kernels.posterior.density import information, largest_gain, posterior_cost
+from handsight._kernels.posterior.lattice import visit
 from handsight._kernels.posterior.mean import to_mean
 from handsight._kernels.posterior.uncertainty import summarize
 from handsight._kernels.records import (
@@ -227,6 +228,20 @@ def cost_all(model: Any, nodes: Any, contacts: Any, constraints: Any, outside: A
     evidence = Evidence(model[0], nodes, terms, outside.copy(), measured, constraints[0], term, center)
     for k in range(len(descents)):
         descents[k].posterior_cost = posterior_cost(evidence, pose_of(descents[k].pose))
+
+
+@entry
+def visit_all(
+    model: Any, nodes: Any, contacts: Any, constraints: Any, outside: Any, T_mode: Any, flat: Any, points: Any
+) -> None:
+    """Fills in points (K,) LATTICE_POINT along the directions `flat` (1,) from a pose (4, 4), with the first set of
+    contacts; see `lattice.visit`."""
+    term, measured, terms = local(PRIOR_TERM), local(MEASURED), np.empty(contacts.shape[1], TERM)
+    load_evidence(model[0], contacts[0], constraints[0], terms, term, measured)
+    mode, u, given = transform_of(T_mode), local(UNCERTAINTY), constraints[0]
+    evidence = Evidence(model[0], nodes, terms, outside.copy(), measured, given, term, mode[1])
+    for k in range(len(points)):
+        visit(evidence, mode, flat[0], points[k], u)
 
 
 @entry

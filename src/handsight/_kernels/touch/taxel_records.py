@@ -40,6 +40,7 @@ WATCHED = np.dtype([
 """What one taxel has read over time."""
 FAULTS = ("", "dead", "stuck", "at full scale", "drifting")
 _, DEAD, STUCK, FULL, DRIFTING = range(5)
-UNKNOWN, PRESSED, RIM, UNTOUCHED, FAR = range(5)
-"""What a taxel says. UNKNOWN: nothing. PRESSED: a contact. RIM: touched, perhaps at its rim only. UNTOUCHED: the object
-is not here. FAR: untouched, but not beside a patch, where a curved surface is too far from the object to say more."""
+UNKNOWN, LOW, PRESSED, RIM, UNTOUCHED, FAR = range(6)
+"""What a taxel says. UNKNOWN: nothing. LOW: nothing, as it is covered: dead, or lower than touched ones to both sides.
+PRESSED: a contact. RIM: touched, perhaps at its rim only. UNTOUCHED: the object is not here. FAR: untouched, but not
+beside a patch, where a curved surface is too far from the object to say more."""

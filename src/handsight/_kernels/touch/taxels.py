@@ -12,6 +12,7 @@ from handsight._kernels.touch.taxel_records import (
     DRIFTING,
     FAR,
     FULL,
+    LOW,
     PRESSED,
     RIM,
     STUCK,
@@ -90,7 +91,7 @@ def sense_taxels(
                 strongest = max(strongest, rise[j, last])
             state[i] = PRESSED if rise[i, last] >= 0.5 * strongest else RIM
         elif state[i] == FAR:
-            # Taxels between touched ones are covered too: they are dead, or lower than the others.
+            # Taxels between touched ones are covered too.
             for axis in range(2):
                 ends = 0
                 for side in (2 * axis, 2 * axis + 1):
@@ -98,7 +99,7 @@ def sense_taxels(
                     while j < n and not touched[j] and steps < n:
                         j, steps = taxels[j].beside[side], steps + 1
                     ends += touched[j]
-                state[i] = UNKNOWN if ends == 2 else state[i]
+                state[i] = LOW if ends == 2 else state[i]
             beside = record.flat or (_sum(touched, taxels[i].wide) > 0 and not _sum(touched, near))
             state[i] = UNTOUCHED if state[i] == FAR and beside else state[i]
     return _find_patches(record, taxels, touched, rise, states, patches)
@@ -118,7 +119,7 @@ def _find_patches(record: Any, taxels: Any, touched: Any, rise: Any, states: Any
     """Returns the number of patches: connected touched taxels, dead ones between them, and all around them. What reads
     less than the threshold bears a part of the force, too. A dead taxel reads about as its neighbours do."""
     n, count, last, state, label = len(taxels), 0, rise.shape[1] - 1, states[0], states[1]
-    filled, members, known = np.zeros(n + 1, dtype=np.bool_), np.empty(n, dtype=np.int64), state != UNKNOWN
+    filled, members, known = np.zeros(n + 1, dtype=np.bool_), np.empty(n, dtype=np.int64), state > LOW
     for i in range(n):
         near, wide = taxels[i].near, taxels[i].wide
         if not known[i] and _sum(touched, near) >= max(2.0, 0.5 * _sum(known, near)):

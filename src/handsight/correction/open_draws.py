@@ -1,0 +1,125 @@
+"""Draws from a posterior along what the contacts leave open, where its highest mode says little.
+
+Under a face, a point that should be outside says that the face is too deep, not in which direction it ends; and the
+density has a step wherever an edge passes a taxel. So along an array it has no slope, but a comb of narrow modes. It is
+drawn from by adaptive importance sampling: each round is about the likeliest draws of those before, and all draws are
+weighted by the ratio of the posterior to the mixture of all rounds (Cornuet et al., Adaptive multiple importance
+sampling, 2012). Across the open directions a Gauss-Newton step leads from a draw to the best pose, and the rest counts
+as Gaussian there (`_kernels/posterior/lattice.py`).
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from handsight import se3
+from handsight._kernels.posterior.options import INTEGRATION
+from handsight._kernels.records import FLAT_DIRECTIONS, LATTICE_POINT
+from handsight._kernels.runtime.threads import in_parts
+from handsight._kernels.solve import batch
+from handsight.checks import Array
+from handsight.correction import modes
+from handsight.correction.few_contacts import FREEDOM, Mixture
+from handsight.correction.mean import across_axes
+from handsight.correction.problem import Budget, Problem, Steps
+from handsight.objects.symmetry import tangents
+
+
+class OpenDrawOptions(NamedTuple):
+    """`OpenDrawOptions` are the numbers of draws."""
+
+    first: int = 384  # from what contacts and vision leave open
+    again: int = 1536  # the same where the evidence fits at none of their modes
+    each: int = 96  # of a round
+    most: int = 1152  # besides the first ones, after which no round follows
+    centers: int = 16  # draws that a round is about
+    narrower: float = (
+        0.5  # factor on the spread about every other one, as modes are narrower than all of them
+    )
+    least: float = 24.0
+    """How many draws a round's centers count for: weights are flattened, by a power, until they do."""
+    enough: float = 80.0  # the same of draws after which no round follows
+    kept: int = 12  # likeliest draws that are starts
+
+
+DRAWS = OpenDrawOptions()
+
+
+def draw(
+    problem: Problem, T_palm_object: Array, information: Array, limit: Budget, first: int = DRAWS.first
+) -> Steps[tuple[Array, Array, Array]]:
+    """Returns the likeliest poses (k, 4, 4), and the mean (4, 4) and the covariance (6, 6) of the posterior.
+
+    It is drawn from around the pose (4, 4) and the information (6, 6) that the contacts alone lead to, along the
+    object's own axes, so that another palm frame changes nothing. `first`: the number of draws from these.
+    """
+    model, rng, T, own = problem.model, np.random.default_rng(first), T_palm_object, np.eye(6)
+    own[:3, :3] = own[3:, 3:] = T[:3, :3]
+    basis = across_axes(tangents(model.symmetries, T), model.radius) @ own
+    values, vectors = np.linalg.eigh(
+        basis @ own.T @ modes.in_metres(information, model.radius) @ own @ basis.T
+    )
+    directions, widths = vectors.T @ basis, 1 / np.sqrt(np.maximum(values, model.radius**-2))
+    wide = np.count_nonzero(widths > INTEGRATION.narrow_sigma * model.radius)
+    d, rest = int(np.clip(wide, 1, INTEGRATION.max_directions)), len(values)
+    flat, given = np.zeros(1, FLAT_DIRECTIONS), problem.arguments(np.ones((1, len(problem.contacts)), bool))
+    flat["count"], flat["count_across"], flat["stretch"], flat["most_cost"] = d, rest - d, 1.0, np.inf
+    flat["lattice"][0, :, :d], flat["across"][0, :, : rest - d] = (
+        own @ directions[:d].T,
+        own @ directions[d:].T,
+    )
+    shares, narrower = np.ones(DRAWS.centers) / DRAWS.centers, np.ones((DRAWS.centers, 1, 1))
+    narrower[1::2] = DRAWS.narrower
+    mixture, mixtures = Mixture(np.zeros((1, d)), np.diag(widths[:d])[None], np.ones(1)), list[Mixture]()
+    points, density, lateral = np.zeros(0, LATTICE_POINT), np.zeros(0), np.zeros((DRAWS.each, 6))
+    while True:
+        new = np.zeros(DRAWS.each, LATTICE_POINT)
+        standard = rng.normal(size=(len(new), 6)) @ directions[:d].T
+        standard /= np.sqrt(rng.chisquare(FREEDOM, (len(new), 1)) / FREEDOM)
+        new["index"][:, :d], new["lateral"] = mixture.draws(standard), lateral
+        in_parts(partial(batch.visit_all, *given, T, flat), (new,), DRAWS.each // 2)
+        yield
+        there = sum((m.density(new["index"][:, :d]) for m in mixtures), np.zeros(len(new)))
+        points, density, mixtures = np.append(points, new), np.append(density, there), [*mixtures, mixture]
+        x = points["index"][:, :d]
+        density += mixture.density(x)
+        flat["most_cost"] = points["cost"].min() + 2 * INTEGRATION.given_up
+        if len(points) < first and not limit.spent():
+            continue
+        logs = points["log_weight"] - np.log(density)
+        if (
+            len(points) >= first + DRAWS.most
+            or _effective(np.exp(logs - logs.max())) >= DRAWS.enough
+            or limit.spent()
+        ):
+            break
+        weights = _flattened(logs, DRAWS.least)
+        at = (np.arange(DRAWS.centers) + rng.random()) / DRAWS.centers
+        spread, plain = (np.searchsorted(np.cumsum(w), at) for w in (weights, _flattened(logs, 1.0)))
+        chosen = np.minimum(np.where(narrower[:, 0, 0] < 1, plain, spread), len(points) - 1)
+        off = x - weights @ x
+        values, vectors = np.linalg.eigh(off.T @ (off * weights[:, None]))
+        # Silverman's rule for the width of a density kernel.
+        width = (4 / ((d + 2) * DRAWS.least)) ** (1 / (d + 4))
+        root = (vectors * (width * np.sqrt(np.maximum(values, 1e-12)))) @ vectors.T
+        mixture = Mixture(x[chosen], narrower * root, shares)
+        lateral = points["lateral"][np.repeat(chosen, DRAWS.each // DRAWS.centers)]
+    weights, best = _flattened(logs, DRAWS.least), np.argsort(points["cost"], kind="stable")[: DRAWS.kept]
+    mean = weights @ points["moved"]
+    off = points["moved"] - mean
+    C = off.T @ (off * weights[:, None]) + np.einsum("k,kij", weights, points["within"])
+    return se3.moved(T, points["moved"][best]), se3.moved(T, mean), C
+
+
+def _effective(weights: Array) -> Array:
+    """Returns how many draws (...) weights (..., n) count for (Kish's effective sample size)."""
+    return np.asarray(weights.sum(axis=-1) ** 2 / (weights**2).sum(axis=-1))
+
+
+def _flattened(logs: Array, least: float) -> Array:
+    """Returns weights (n,) that sum to one: those of these logarithms (n,), to the highest power of up to 1 at which
+    so many count."""
+    weights = np.exp(np.outer(0.8 ** np.arange(30), logs - logs.max()))
+    chosen = weights[np.argmax(_effective(weights) >= least)]
+    return np.asarray(chosen / chosen.sum())
