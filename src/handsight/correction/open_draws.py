@@ -18,11 +18,12 @@ from handsight._kernels.posterior.options import INTEGRATION
 from handsight._kernels.records import FLAT_DIRECTIONS, LATTICE_POINT
 from handsight._kernels.runtime.threads import in_parts
 from handsight._kernels.solve import batch
-from handsight.checks import Array
+from handsight.checks import Array, Indices
 from handsight.correction import modes
 from handsight.correction.few_contacts import FREEDOM, Mixture
 from handsight.correction.mean import across_axes
-from handsight.correction.problem import Budget, Problem, Steps
+from handsight.correction.problem import Budget, Problem, Records, Steps
+from handsight.objects import ObjectModel
 from handsight.objects.symmetry import tangents
 
 
@@ -34,9 +35,7 @@ class OpenDrawOptions(NamedTuple):
     each: int = 96  # of a round
     most: int = 1152  # besides the first ones, after which no round follows
     centers: int = 16  # draws that a round is about
-    narrower: float = (
-        0.5  # factor on the spread about every other one, as modes are narrower than all of them
-    )
+    narrower: float = 0.5  # factor on the spread about every other one, as modes are narrower
     least: float = 24.0
     """How many draws a round's centers count for: weights are flattened, by a power, until they do."""
     enough: float = 80.0  # the same of draws after which no round follows
@@ -54,62 +53,74 @@ def draw(
     It is drawn from around the pose (4, 4) and the information (6, 6) that the contacts alone lead to, along the
     object's own axes, so that another palm frame changes nothing. `first`: the number of draws from these.
     """
-    model, rng, T, own = problem.model, np.random.default_rng(first), T_palm_object, np.eye(6)
-    own[:3, :3] = own[3:, 3:] = T[:3, :3]
-    basis = across_axes(tangents(model.symmetries, T), model.radius) @ own
-    values, vectors = np.linalg.eigh(
-        basis @ own.T @ modes.in_metres(information, model.radius) @ own @ basis.T
-    )
-    directions, widths = vectors.T @ basis, 1 / np.sqrt(np.maximum(values, model.radius**-2))
-    wide = np.count_nonzero(widths > INTEGRATION.narrow_sigma * model.radius)
-    d, rest = int(np.clip(wide, 1, INTEGRATION.max_directions)), len(values)
-    flat, given = np.zeros(1, FLAT_DIRECTIONS), problem.arguments(np.ones((1, len(problem.contacts)), bool))
-    flat["count"], flat["count_across"], flat["stretch"], flat["most_cost"] = d, rest - d, 1.0, np.inf
-    flat["lattice"][0, :, :d], flat["across"][0, :, : rest - d] = (
-        own @ directions[:d].T,
-        own @ directions[d:].T,
-    )
-    shares, narrower = np.ones(DRAWS.centers) / DRAWS.centers, np.ones((DRAWS.centers, 1, 1))
-    narrower[1::2] = DRAWS.narrower
-    mixture, mixtures = Mixture(np.zeros((1, d)), np.diag(widths[:d])[None], np.ones(1)), list[Mixture]()
+    rng, T = np.random.default_rng(first), T_palm_object
+    flat, directions, widths = _open_directions(problem.model, T, information)
+    d, given = len(directions), problem.arguments(np.ones((1, len(problem.contacts)), bool))
+    mixture, mixtures = Mixture(np.zeros((1, d)), np.diag(widths)[None], np.ones(1)), list[Mixture]()
     points, density, lateral = np.zeros(0, LATTICE_POINT), np.zeros(0), np.zeros((DRAWS.each, 6))
     while True:
         new = np.zeros(DRAWS.each, LATTICE_POINT)
-        standard = rng.normal(size=(len(new), 6)) @ directions[:d].T
+        standard = rng.normal(size=(len(new), 6)) @ directions.T
         standard /= np.sqrt(rng.chisquare(FREEDOM, (len(new), 1)) / FREEDOM)
         new["index"][:, :d], new["lateral"] = mixture.draws(standard), lateral
         in_parts(partial(batch.visit_all, *given, T, flat), (new,), DRAWS.each // 2)
         yield
         there = sum((m.density(new["index"][:, :d]) for m in mixtures), np.zeros(len(new)))
         points, density, mixtures = np.append(points, new), np.append(density, there), [*mixtures, mixture]
-        x = points["index"][:, :d]
-        density += mixture.density(x)
+        density += mixture.density(points["index"][:, :d])
         flat["most_cost"] = points["cost"].min() + 2 * INTEGRATION.given_up
-        if len(points) < first and not limit.spent():
-            continue
         logs = points["log_weight"] - np.log(density)
-        if (
-            len(points) >= first + DRAWS.most
-            or _effective(np.exp(logs - logs.max())) >= DRAWS.enough
-            or limit.spent()
-        ):
+        enough = _effective(np.exp(logs - logs.max())) >= DRAWS.enough
+        if limit.spent() or (len(points) >= first and (enough or len(points) >= first + DRAWS.most)):
             break
-        weights = _flattened(logs, DRAWS.least)
-        at = (np.arange(DRAWS.centers) + rng.random()) / DRAWS.centers
-        spread, plain = (np.searchsorted(np.cumsum(w), at) for w in (weights, _flattened(logs, 1.0)))
-        chosen = np.minimum(np.where(narrower[:, 0, 0] < 1, plain, spread), len(points) - 1)
-        off = x - weights @ x
-        values, vectors = np.linalg.eigh(off.T @ (off * weights[:, None]))
-        # Silverman's rule for the width of a density kernel.
-        width = (4 / ((d + 2) * DRAWS.least)) ** (1 / (d + 4))
-        root = (vectors * (width * np.sqrt(np.maximum(values, 1e-12)))) @ vectors.T
-        mixture = Mixture(x[chosen], narrower * root, shares)
-        lateral = points["lateral"][np.repeat(chosen, DRAWS.each // DRAWS.centers)]
+        if len(points) >= first:
+            mixture, chosen = _next_round(points["index"][:, :d], logs, rng)
+            lateral = points["lateral"][np.repeat(chosen, DRAWS.each // DRAWS.centers)]
     weights, best = _flattened(logs, DRAWS.least), np.argsort(points["cost"], kind="stable")[: DRAWS.kept]
     mean = weights @ points["moved"]
     off = points["moved"] - mean
     C = off.T @ (off * weights[:, None]) + np.einsum("k,kij", weights, points["within"])
     return se3.moved(T, points["moved"][best]), se3.moved(T, mean), C
+
+
+def _open_directions(
+    model: ObjectModel, T_palm_object: Array, information: Array
+) -> tuple[Records, Array, Array]:
+    """Returns (1,) FLAT_DIRECTIONS for `visit_all`, and those of its directions that an information (6, 6) leaves open,
+    at least one: (d, 6) along the object's own axes, and their widths (d,) [m]."""
+    own, flat = np.eye(6), np.zeros(1, FLAT_DIRECTIONS)
+    own[:3, :3] = own[3:, 3:] = T_palm_object[:3, :3]
+    basis = across_axes(tangents(model.symmetries, T_palm_object), model.radius) @ own
+    of_basis = basis @ own.T @ modes.in_metres(information, model.radius) @ own @ basis.T
+    values, vectors = np.linalg.eigh(of_basis)
+    directions, widths = vectors.T @ basis, 1 / np.sqrt(np.maximum(values, model.radius**-2))
+    wide = np.count_nonzero(widths > INTEGRATION.narrow_sigma * model.radius)
+    d, along = int(np.clip(wide, 1, INTEGRATION.max_directions)), own @ directions.T
+    flat["count"], flat["count_across"], flat["stretch"], flat["most_cost"] = d, len(values) - d, 1.0, np.inf
+    flat["lattice"][0, :, :d], flat["across"][0, :, : len(values) - d] = along[:, :d], along[:, d:]
+    return flat, directions[:d], widths[:d]
+
+
+def _next_round(x: Array, logs: Array, rng: np.random.Generator) -> tuple[Mixture, Indices]:
+    """Returns the mixture that the next round draws from, about some of the draws (n, d) so far, whose weights have
+    these logarithms (n,); and which ones these are.
+
+    Every other one is chosen by weights that are flattened, so that early rounds spread; the others, by plain weights,
+    are drawn about more closely.
+    """
+    at = (np.arange(DRAWS.centers) + rng.random()) / DRAWS.centers
+    weights, d = _flattened(logs, DRAWS.least), x.shape[1]
+    chosen, plain = (np.searchsorted(np.cumsum(w), at) for w in (weights, _flattened(logs, 1.0)))
+    chosen[1::2] = plain[1::2]
+    chosen = np.minimum(chosen, len(x) - 1)
+    off = x - weights @ x
+    values, vectors = np.linalg.eigh(off.T @ (off * weights[:, None]))
+    # Silverman's rule for the width of a density kernel.
+    width = (4 / ((d + 2) * DRAWS.least)) ** (1 / (d + 4))
+    root = (vectors * (width * np.sqrt(np.maximum(values, 1e-12)))) @ vectors.T
+    roots = np.repeat(root[None], DRAWS.centers, axis=0)
+    roots[1::2] *= DRAWS.narrower
+    return Mixture(x[chosen], roots, np.full(DRAWS.centers, 1 / DRAWS.centers)), chosen
 
 
 def _effective(weights: Array) -> Array:
