@@ -63,11 +63,17 @@ class HandInImage:
 
 
 def hand_mask(
-    camera: Camera, depth: Depth, vertices_palm: Array, faces: Indices, T_camera_palm: Array
+    camera: Camera,
+    depth: Depth,
+    vertices_palm: Array,
+    faces: Indices,
+    T_camera_palm: Array,
+    slack: float = SLACK,
 ) -> Mask:
     """Returns (h, w) whether a pixel of a depth image (h, w) [m] is the hand's.
 
-    The hand is triangles `faces` (m, 3) of vertices (k, 3) [m]. What is in front of it, as the object, is not masked.
+    The hand is triangles `faces` (m, 3) of vertices (k, 3) [m]. What is in front of it is not masked: it may be the
+    object.
     """
     drawn = camera.draw(se3.apply(T_camera_palm, vertices_palm), faces).depth
     rows, columns = np.nonzero(np.isfinite(drawn))
@@ -79,5 +85,5 @@ def hand_mask(
     far = np.where(np.isfinite(near), near, -np.inf)
     nearest = scipy.ndimage.minimum_filter(near, size=size, mode="constant", cval=np.inf)
     farthest = scipy.ndimage.maximum_filter(far, size=size, mode="constant", cval=-np.inf)
-    mask[box] = (nearest - SLACK < depth[box]) & (depth[box] < farthest + SLACK)
+    mask[box] = (nearest - slack < depth[box]) & (depth[box] < farthest + slack)
     return mask
