@@ -1,5 +1,6 @@
 """A kernel is compiled once, however the arrays lie that it is called with."""
 
+import numba
 import numpy as np
 import pytest
 from numba.core.runtime import _nrt_python, rtsys
@@ -31,7 +32,7 @@ def test_arrays_of_any_layout_are_read_and_written_without_another_compilation(l
     values.flags.writeable = not read_only
     assert doubled_into(values, out) == 3
     assert np.array_equal(out, 2 * values)
-    assert len(doubled_into.signatures) == 1
+    assert len([kinds for kinds in doubled_into.signatures if kinds[0].dtype == numba.float64]) == 1
 
 
 def test_numbers_of_another_type_are_compiled_for():

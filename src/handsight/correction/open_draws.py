@@ -46,7 +46,7 @@ DRAWS = OpenDrawOptions()
 
 
 def draw(
-    problem: Problem, T_palm_object: Array, information: Array, limit: Budget, first: int = DRAWS.first
+    problem: Problem, T_palm_object: Array, information: Array, limit: Budget, first: int
 ) -> Steps[tuple[Array, Array, Array]]:
     """Returns the likeliest poses (k, 4, 4), and the mean (4, 4) and the covariance (6, 6) of the posterior.
 
@@ -69,7 +69,8 @@ def draw(
         points, density, mixtures = np.append(points, new), np.append(density, there), [*mixtures, mixture]
         density += mixture.density(points["index"][:, :d])
         flat["most_cost"] = points["cost"].min() + 2 * INTEGRATION.given_up
-        logs = points["log_weight"] - np.log(density)
+        # Where the evidence fits nowhere, all logarithms may be -inf; then all draws count alike.
+        logs = np.maximum(points["log_weight"], -1e300) - np.log(density)
         enough = _effective(np.exp(logs - logs.max())) >= DRAWS.enough
         if limit.spent() or (len(points) >= first and (enough or len(points) >= first + DRAWS.most)):
             break

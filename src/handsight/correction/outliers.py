@@ -49,7 +49,7 @@ def solve_robustly(problem: Problem, options: TwoPhase, budget: Budget) -> Steps
     vision = problem.vision
     may_draw = vision is not None and options.starts is None and problem.starts is None
     if vision is not None and may_draw and len(problem.outside) and not budget.spent():
-        past = replace(problem, starts=(yield from starts.past_outside(problem, vision, number, budget)))
+        past = replace(problem, starts=starts.past_outside(problem, vision, number, budget))
         found = found.with_more(solve(past, first_starts(past, number)[None], everyone, budget))
         yield
         suspicious = _suspicious(problem, found)

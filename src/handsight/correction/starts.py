@@ -16,10 +16,10 @@ from handsight._kernels.records import DESCENT, SAMPLES
 from handsight._kernels.runtime.threads import in_parts
 from handsight._kernels.solve import batch, search
 from handsight.checks import Array, Indices, Mask
-from handsight.correction import modes, open_draws, solve
-from handsight.correction.estimate import PosePrior
+from handsight.correction import modes, solve
+from handsight.correction.estimate import PosePrior, bounded_covariance
 from handsight.correction.outside import NO_OUTSIDE
-from handsight.correction.problem import Budget, Problem, Records, Steps, taken
+from handsight.correction.problem import Budget, Problem, Records, taken
 from handsight.objects import ObjectModel
 
 
@@ -39,6 +39,10 @@ class StartOptions(NamedTuple):
     first_scoring: int = 3  # without vision: the outermost contacts, by which every start is scored first
     promising: int = 4  # one start in so many, of the lowest costs, is then scored by the other contacts too
     serial: int = 512  # starts whose scores are too few to be shared with another thread
+    past_outside: int = 192  # past points of the hand: poses that are drawn in a round along open directions
+    around_rounds: int = 3  # rounds, each around the likeliest poses of the round before
+    around_kept: int = 12  # likeliest poses that are kept of a round
+    around_shrink: float = 0.3  # factor on the spread from round to round
 
 
 STARTS = StartOptions()
@@ -70,9 +74,9 @@ def _draws(number: int) -> Array:
     return draws
 
 
-def past_outside(problem: Problem, vision: PosePrior, number: int, budget: Budget) -> Steps[Array]:
-    """Returns the likeliest poses (K, 4, 4) of draws about the minimum that contacts and vision have without what is
-    outside, found from so many starts.
+def past_outside(problem: Problem, vision: PosePrior, number: int, budget: Budget) -> Array:
+    """Returns poses (K, 4, 4) of low cost by all evidence, drawn around the minimum that contacts and vision have
+    without what is outside, found from so many starts, along what it leaves open.
 
     Points of the hand amid the object push it to the nearest side, which may be the wrong one: they stop descents from
     nearly all draws.
@@ -80,8 +84,16 @@ def past_outside(problem: Problem, vision: PosePrior, number: int, budget: Budge
     free, everyone = replace(problem, outside=NO_OUTSIDE), np.ones((1, len(problem.contacts)), dtype=bool)
     found = solve.solve(free, from_prior(vision, number)[None], everyone, budget)
     minimum = solve.summaries(free, found.minima[:1], everyone)[0]
-    yield
-    return (yield from open_draws.draw(problem, minimum["T_palm_object"], minimum["information"], budget))[0]
+    rng, best = np.random.default_rng(5), np.array(minimum["T_palm_object"])[None]
+    values, vectors = np.linalg.eigh(bounded_covariance(minimum["information"]))
+    root, R = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T, best[0, :3, :3]
+    for k in range(STARTS.around_rounds):
+        around = best[np.arange(STARTS.past_outside) % len(best)]
+        steps = STARTS.around_shrink**k * (rng.normal(size=(len(around), 2, 3)) @ R.T).reshape(-1, 6) @ root
+        poses = np.concatenate([best, se3.moved(around, steps)])
+        cost = solve.cost(problem, poses, everyone)
+        best = poses[np.argsort(cost, kind="stable")[: STARTS.around_kept]]
+    return np.asarray(best)
 
 
 @dataclass(frozen=True)
