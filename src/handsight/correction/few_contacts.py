@@ -36,8 +36,9 @@ class DrawOptions(NamedTuple):
 
 
 DRAWS = DrawOptions()
-FREEDOM, DIMENSIONS = 4, 6
-"""Of Student's t: tails that are heavier than the posterior's keep the weights of draws bounded. And of a pose."""
+DIMENSIONS = 6  # of a pose
+FREEDOM = 4
+"""Degrees of freedom of Student's t: tails that are heavier than the posterior's keep the weights of draws bounded."""
 LOG_T = float(np.log(24.0) - 3 * np.log(4 * np.pi)) + 3 * float(np.log(2 * np.pi))
 """Log of what normalises that t, Γ(5) / (Γ(2) (4π)³), over what normalises a Gaussian."""
 
