@@ -155,7 +155,10 @@ class Camera:
 
 
 def check_lens(value: ArrayLike, name: str) -> Array:
-    """Returns the numbers (n,) of a lens: none, plumb_bob without or with k3, or rational; raises InvalidInput."""
+    """Returns the coefficients of a lens (n,): none, plumb_bob without or with k3, or a rational polynomial.
+
+    Raises InvalidInput for another number of them, and for one beyond `MAX_LENS`.
+    """
     lens = checks.finite(value, name, (None,))
     if (np.abs(lens) > MAX_LENS).any():
         raise InvalidInput(f"{name}: expected numbers within {MAX_LENS:g}, got {checks.brief(lens)}")

@@ -261,16 +261,16 @@ def _searched(
             yield
             return after_draws(problem, estimate, answer)
     found = yield from outliers.solve_robustly(problem, options, limit)
-    averaged = drawn is not None and answer != "maximum" and bool(found.used.all())
-    rows = summarize(problem, found, mean=0 if averaged else kind)
+    averaged = drawn if answer != "maximum" and found.used.all() else None
+    rows = summarize(problem, found, mean=kind if averaged is None else 0)
     yield
     if limit.cut_short:
         rows["converged"] = False
-    estimate = with_means(
-        problem, rows[:1] if averaged else rows, found.used, "maximum" if averaged else answer
-    )
-    if drawn is not None and averaged:
-        _, T, C = drawn
+    if averaged is None:
+        estimate = with_means(problem, rows, found.used, answer)
+    else:
+        _, T, C = averaged
+        estimate = with_means(problem, rows[:1], found.used, "maximum")
         known = known_information(problem.model, T, C)
         complete = C if estimate.answer["complete"] else None
         estimate = estimate.with_gaussian(T, complete, known, solve.residuals(problem, T))

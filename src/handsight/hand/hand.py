@@ -88,6 +88,7 @@ class Hand:
         self._arm: Chains | None = None
 
     def __repr__(self) -> str:
+        """Returns its file and palm, and the numbers of fingers and joints."""
         return f"<Hand {self._name}: palm {self.palm}, {len(self.tips)} fingers, {len(self.moving)} joints>"
 
     @classmethod

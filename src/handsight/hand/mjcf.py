@@ -1,6 +1,7 @@
 """MJCF files as MuJoCo gets them: one text with all that it includes, without what kinematics does not need.
 
-MuJoCo would read any file that a text names, allocate any size that it states, and crash where it includes itself.
+MuJoCo would read any file that a text names, allocate any size that a text states, and crash for a model that includes
+itself.
 """
 
 import os

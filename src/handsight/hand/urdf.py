@@ -12,7 +12,8 @@ from handsight.errors import InvalidFile
 from handsight.hand.paths import find_file
 from handsight.hand.robot_xml import Element, Meshes, check_count, check_depth, read_mesh
 
-MIN_MASS, MIN_INERTIA = 1e-6, 1e-9  # mass [kg] and inertia [kg m²] of links without any, which MuJoCo refuses
+MIN_MASS, MIN_INERTIA = 1e-6, 1e-9
+"""Mass [kg] and inertia [kg m²] of links without any: MuJoCo refuses such links, and kinematics needs neither."""
 
 
 class Urdf:

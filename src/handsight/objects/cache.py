@@ -21,8 +21,10 @@ from handsight.objects.fields import FieldError, GridField
 from handsight.objects.geometry import Geometry, frozen
 from handsight.objects.surface import Cloud, ObjectWarning, Triangles
 
-VERSION = 10  # part of every key; raise it whenever the same shape gives another geometry
-KEPT = 200  # files of each kind that are kept; the oldest are removed
+VERSION = 10
+"""Part of every key; raise it whenever the same shape gives another geometry."""
+KEPT = 200
+"""Files of each kind that are kept; the oldest are removed."""
 _warned: set[str] = set()
 T = TypeVar("T")
 Number = TypeVar("Number", bound=np.generic)
@@ -51,15 +53,12 @@ def remembered_numbers(
     kind: str, name: str, dtype: type[Number], compute: Callable[[], NDArray[Number]]
 ) -> NDArray[Number]:
     """Returns the numbers (n,) of a `kind` kept under the key `name`, or computes and keeps them, as `remembered`."""
-    path, what = cache_folder() / f"{kind}-{name}", "appearances of objects"
-    return _remembered(
-        path,
-        name,
-        what,
-        lambda data: np.frombuffer(data, dtype).copy(),
-        lambda found: found.tobytes(),
-        compute,
-    )
+
+    def load(data: memoryview) -> NDArray[Number]:
+        return np.frombuffer(data, dtype=dtype).copy()
+
+    path = cache_folder() / f"{kind}-{name}"
+    return _remembered(path, name, "appearances of objects", load, lambda found: found.tobytes(), compute)
 
 
 def _remembered(

@@ -89,13 +89,14 @@ def resting_poses(geometry: Geometry, center_of_mass: Array | None = None) -> tu
     except QhullError:  # flat: the points are moved a little
         hull = ConvexHull(geometry.vertices, qhull_options="QJ")
     normals, corners = hull.equations[:, :3], hull.points[hull.simplices]
-    inside = corners.mean(axis=(0, 1))
-    volumes = np.abs(np.linalg.det(corners - inside))
-    center = np.asarray(inside + volumes @ (corners - inside).sum(axis=1) / (4 * volumes.sum()))
     if center_of_mass is not None:
         center = center_of_mass
     elif geometry.closed and isinstance(geometry.surface, Triangles):
         center = geometry.surface.volume_centroid
+    else:  # that of the hull
+        inside = corners.mean(axis=(0, 1))
+        volumes = np.abs(np.linalg.det(corners - inside))
+        center = np.asarray(inside + volumes @ (corners - inside).sum(axis=1) / (4 * volumes.sum()))
     corners = corners - center
     heights = np.einsum("ij,ij->i", normals, corners[:, 0])
     basin = _basins(corners, normals, heights, hull.neighbors, RESTING.barrier * geometry.diameter)

@@ -1,7 +1,8 @@
 """Images in which to find an object, and opening them: an image, a folder of them, a BOP scene, or a robot's recording.
 
-`handsight locate --help` says what is in a folder. A BOP scene, or a split with scenes in it, is as in
-https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md
+A folder has `camera.json` and depth images of 16 bits. They are either in `depth/`, with optional colour images under
+the same names in `rgb/` or `color/`; or in the folder itself, with `depth` in their names. A BOP scene, or a split with
+scenes in it, is as in https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md
 """
 
 import glob

@@ -1,5 +1,6 @@
 """The prior of a search by touch, where on a table the object may stand, and sweeps of a fingertip along lines over it:
-where one would meet an object of known pose, and what one has met."""
+where one would meet an object of known pose, and what one has met.
+"""
 
 from dataclasses import dataclass, field, replace
 
@@ -16,7 +17,8 @@ from handsight.objects.symmetry import nearest
 from handsight.rig import Table
 
 MAX_CAST_STEPS = 40
-CAST_TOLERANCE = 2e-4  # a cast ball so near to the surface has met it; no step of a cast is shorter [m]
+CAST_TOLERANCE = 2e-4
+"""A cast ball has met the surface once it is this near to it; no step of a cast is shorter [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +33,7 @@ class Sweep:
     """[m]."""
 
     def __post_init__(self) -> None:
+        """Checks the fields; raises InvalidInput."""
         object.__setattr__(self, "start_world", checks.position(self.start_world, "sweep.start_world", (3,)))
         direction = checks.unit(self.direction_world, "sweep.direction_world", (3,))
         object.__setattr__(self, "direction_world", direction)
@@ -60,6 +63,7 @@ class Touch:
     """One contact with its normal, in the world; None where the tip met nothing."""
 
     def __post_init__(self) -> None:
+        """Checks the fields; raises InvalidInput."""
         free = self.free_world
         if checks.ndim(free) == 1 and not len(free):
             free = np.zeros((0, 3))
@@ -95,8 +99,9 @@ def cast(
     """Returns how far a ball moves along s sweeps until it meets the object at n poses, the normals there, and gaps.
 
     `Ts_world_object` is (n, 4, 4), `radius` the ball's [m]. The distances (s, n) are infinite where the ball passes by
-    [m]; the object's outward normals (s, n, 3) are along the world's axes. The gaps (s, n) are the least distances
-    between ball and object [m]. Each step is as long as the ball's distance to the object (sphere tracing, Hart 1996).
+    [m]; the object's outward normals (s, n, 3) are along the world's axes. The gaps (s, n) are the least
+    distances between ball and object [m]. Each step is as long as the ball's distance
+    from the object (sphere tracing, Hart 1996).
     """
     s, n = len(sweeps), len(Ts_world_object)
     Ts_object_world = np.tile(se3.inverse(Ts_world_object), (s, 1, 1))
@@ -148,6 +153,7 @@ class Area:
     """(3, 3) the table's tilt, as measured: its axes, the normal last."""
 
     def __post_init__(self) -> None:
+        """Checks the fields; raises InvalidInput."""
         low, high = (checks.position(getattr(self, name), f"area.{name}", (2,)) for name in ("low", "high"))
         if not (low < high).all():
             raise InvalidInput(f"area: expected low below high, got {low.tolist()} and {high.tolist()}")

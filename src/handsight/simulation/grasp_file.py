@@ -14,14 +14,16 @@ from handsight.simulation.motion import Grasp
 
 
 class _GraspFile(msgspec.Struct, forbid_unknown_fields=True):
-    """A `_GraspFile` has the file's fields, in metres, radians and quaternions xyzw; the first five are for people."""
+    """A `_GraspFile` has the fields of the file: lengths in metres, angles in radians, quaternions x, y, z, w. The
+    first five are for people."""
 
     object: str
     hold: str
     succeeded: bool = msgspec.field(name="held")
     trials: int
     failures: str
-    position_palm: tuple[float, float, float]  # middle of the object's bounds when the fingers begin to close
+    position_palm: tuple[float, float, float]
+    """The middle of the object's bounds, when the fingers begin to close."""
     quaternion_xyzw_palm: tuple[float, float, float, float]  # the rotation of the object in the palm
     height: float  # of that middle above the table
     quaternion_xyzw_world: tuple[float, float, float, float]  # the rotation of the palm in the world

@@ -46,7 +46,8 @@ class ProbeOptions(NamedTuple):
     sweep_speed: float = 0.06  # of the tip in a sweep [m/s]
     travel_speed: float = 0.4  # of the tip elsewhere [m/s]
     turn_speed: float = 3.0  # of the hand as it turns [rad/s]
-    acceleration_time: float = 0.1  # until the tip has its speed [s]: a sudden start would pass for a contact
+    acceleration_time: float = 0.1
+    """How long the tip takes to reach its speed [s]: a sudden start shakes it, which would pass for a contact."""
     stop_force: float = 0.15  # at which a sweep ends [N]
     dwell: float = 0.15  # how long the hand rests at a contact [s]
     readings: int = 10  # readings whose mean is the contact's wrench
@@ -58,7 +59,8 @@ class ProbeOptions(NamedTuple):
     top_margin: float = 0.012  # of the tip's middle below the object's top [m]
     table_start: float = 0.05  # height above the expected table at which the tip starts to search for it [m]
     table_unevenness: float = 0.015
-    """Most difference of height on a table tilted by a degree [m]; a lower contact is the finger's with the edge."""
+    """Largest difference of height on a table tilted by a degree [m]. A lower contact is one of the finger's side with
+    the table's edge."""
     start_height: float = 0.5  # of the palm at first above the object's middle [m]
 
 
@@ -267,7 +269,8 @@ class TouchSearchOptions(NamedTuple):
 TOUCH_SEARCH = TouchSearchOptions()
 
 TABLE_PROBES = np.kron([[0.2], [0.32]], [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-"""(8, 2) places outside the searched square where the table is touched [m]; some may be beyond its end."""
+"""(8, 2) places outside the searched square where the table is touched [m]. Some may be beside it: the table ends near
+the object."""
 
 
 def touch_search_rig(scenario: Scenario) -> Rig:

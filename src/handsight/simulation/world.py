@@ -32,13 +32,15 @@ class PullOptions(NamedTuple):
     frequency: float = 1.5  # of a sine [1/s]
     jerk: float = 0.06  # duration of a jerk; one begins with each step [s]
     creep: float = 0.1  # factor on the speed at which a creeping pull no longer follows the object
-    min_speed: float = 0.03  # smallest draw of the slip speed at which the pull no longer follows [m/s]
+    min_speed: float = 0.03
+    """Smallest draw of the speed along the tips at which the pull no longer follows the object [m/s]."""
     max_speed: float = 0.1  # largest draw of that speed [m/s]
     flying_speed: float = 0.3  # speed of the object, in any direction, that also ends the pull [m/s]
     min_travel: float = 0.005  # smallest draw of how far the object slips before it is let go [m]
     max_travel: float = 0.02  # largest draw of that distance [m]
     normal_share: float = 0.03
-    """Variance of the pull's direction across all tips, relative to along them: it pulls along tips, not off them."""
+    """Variance of the pull's direction across all tips, relative to that along all of them: it pulls along the surfaces
+    of the tips, not off them."""
 
 
 PULL = PullOptions()
@@ -324,7 +326,8 @@ class World:
         return wrench
 
     def _velocity(self, geom: int, point: Array) -> Array:
-        """Returns velocity [m/s] of a geom's point, and its body's angular velocity [rad/s], (2, 3) in the world."""
+        """Returns velocity [m/s] of a point of a geom's body, and the body's angular velocity [rad/s], (2, 3) in the
+        world."""
         body, found = int(self.scene.model.geom_bodyid[geom]), np.zeros(6)
         kind = self._mujoco.mjtObj.mjOBJ_BODY
         self._mujoco.mj_objectVelocity(self.scene.model, self.data, kind, body, found, 0)

@@ -1,4 +1,7 @@
-"""Figures of corrections: the object before and after, contacts, and the directions that touch leaves open."""
+"""Figures of corrections: the object before and after, contacts, and the directions that touch leaves open.
+
+They need matplotlib.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path

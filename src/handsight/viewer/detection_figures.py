@@ -1,4 +1,7 @@
-"""Figures of objects found in pictures: outlines over colour or depth, the hand tinted, and residuals of the depth."""
+"""Figures of objects found in pictures: outlines over colour or depth, the hand tinted, and residuals of the depth.
+
+They need matplotlib.
+"""
 
 import textwrap
 from collections.abc import Sequence

@@ -95,7 +95,8 @@ class Curves(NamedTuple):
 
     times: Array  # (n,) ascending, since the page's origin [s]
     sigmas: Array  # (n,) of the position [mm], NaN where nothing is known
-    errors: Array | None  # (n,) of the object's middle [mm], NaN where the truth is unknown, None if always
+    errors: Array | None
+    """(n,) of the object's middle [mm], NaN where the truth is not known; None where it never is."""
     states: Sequence[State]  # n states of the track
     slips: Sequence[tuple[float, float]] = ()  # begin and end of each time that the object slipped [s]
 

@@ -65,7 +65,8 @@ def pose_covariances(
 ) -> Array:
     """Returns (k, 6, 6) of CANDIDATE (k,) by (δp [m], δθ [rad]) of the object's origin along the camera's axes.
 
-    Of DEPTH_POINT (n,) those within a candidate's bound count, with the errors of `noise`, the model and whole pixels.
+    Of DEPTH_POINT (n,) those within a candidate's bound count, with the errors of `noise`. The error of the model and
+    that of whole pixels are added.
     """
     unknown, z = (UNKNOWN[0] * model.diameter, UNKNOWN[1] * model.diameter), center_depths(model, candidates)
     errors = depth_errors(camera, noise, z, unknown, float(np.hypot(model.sigma_point, MODEL_ERROR)))
@@ -90,7 +91,8 @@ def distinct(
 def surface_distances(
     model: ObjectModel, points: Array, within: float, candidates: Candidates
 ) -> NDArray[np.float32]:
-    """Returns the distances (k, n) of points (n, 3) from the surface at CANDIDATE (k,), inf beyond `within` [m]."""
+    """Returns the distances (k, n) [m] of points (n, 3) from the surface at CANDIDATE (k,); infinity where they are not
+    `within` it [m]."""
     distances = np.empty((len(candidates), len(points)), dtype=np.float32)
     depth_term.surface_distances(*model.record[:2], points, within, candidates, distances)
     return distances

@@ -17,7 +17,8 @@ from handsight.objects.surface import Triangles
 class BoxTree:
     """A `BoxTree` is an order of items in which neighbours in space follow each other, divided into leaves."""
 
-    order: Indices  # (n,) indices of the items in that order
+    order: Indices
+    """(n,) indices of the items in that order."""
     starts: Indices
     """(leaves + 1,) the place in the order where each leaf begins, and n; the number of leaves is a power of two."""
 
@@ -59,10 +60,14 @@ def box_tree(centers: Array, most: int = 16) -> BoxTree:
 class ClosestPoints:
     """`ClosestPoints` are the points of a mesh closest to n given points."""
 
-    distance: Array  # (n,) distances from the given points [m], not signed
-    points: Array  # (n, 3) on the surface [m]
-    face: Indices  # (n,) index of the triangle that each is on
-    weights: Array  # (n, 3) barycentric; exactly 0 where the closest point is on the edge opposite a corner
+    distance: Array
+    """(n,) distances from the given points [m], not signed."""
+    points: Array
+    """(n, 3) on the surface [m]."""
+    face: Indices
+    """(n,) index of the triangle that each is on."""
+    weights: Array
+    """(n, 3) barycentric; an exact 0 where the closest point is on the edge opposite that corner."""
 
 
 class ClosestPointSearch:
@@ -85,7 +90,8 @@ class ClosestPointSearch:
         self._tree = tree.starts, boxes, frames, turned, around
 
     def closest(self, points: Array, within: float = np.inf) -> tuple[ClosestPoints, Indices]:
-        """Returns the closest surface points of the points (n, 3) nearer than `within` [m], and the indices of these.
+        """Returns the closest surface points of those points (n, 3) that are nearer than `within` [m], and the indices
+        of these.
 
         Of equally near triangles any one is returned. The search is fastest if neighbours in space follow each other.
         """
@@ -113,7 +119,8 @@ class Winding:
     ) -> None:
         """Builds the patches of a surface from `centers` (m, 3) [m] and outward `area_vectors` (m, 3) [m²].
 
-        `corners` (m, 3, 3): of triangles [m]; None for points. `tree`: over the centers; its leaves are the patches.
+        `corners` (m, 3, 3): of the triangles [m]; None for points. `tree`: over the centers, if it was built before;
+        its leaves are the patches.
         """
         tree = tree or box_tree(centers)
         starts = tree.starts

@@ -98,11 +98,13 @@ def holes_of(mesh: Triangles, rim: Mask) -> tuple[Array, Array]:
 def signed_by_winding(
     winding: Winding, holes: tuple[Array, Array], index: Indices, grid: Grid, closest: ClosestPoints
 ) -> Array:
-    """Returns signed distances (n,) [m] of a grid's nodes from a closed mesh: negative where its winding number is > ½.
+    """Returns signed distances (n,) [m] of nodes of a grid from a closed mesh: negative where its winding number is
+    above one half.
 
     `index` (n,) of the nodes; `closest`: their closest points. Two neighbouring nodes whose distances add up to more
     than the step between them have no surface between them, so they share a sign, and the winding numbers of a few
-    nodes of each connected set are enough. Near holes, where inside meets outside, each node's is computed.
+    nodes of each connected set are enough. Near holes, where inside and outside are connected, that of every node is
+    computed.
     """
 
     points = grid.nodes_at(index)

@@ -34,7 +34,8 @@ class TurnsOptions(NamedTuple):
 
 TURNS = TurnsOptions()
 PIXELS, AWAY, BEHIND = 200, 5.0, 0.02
-"""Pixels a diameter by which the object is drawn, from how far, and how little behind that a point is visible."""
+"""The object is drawn by so many pixels a diameter and from so many diameters; points that are so little behind what is
+drawn are visible [diameters]."""
 
 
 class Sides(NamedTuple):
@@ -55,7 +56,8 @@ class Appearance:
     voters: Array  # (2, 256, 3) points and normals of the pairs
     sides: Sides  # by which a pose is scored
     few_sides: Sides  # by which many poses are compared
-    turns: Array  # (t, 4, 4) motions that bring most of its surface onto itself, without its symmetries
+    turns: Array
+    """(t, 4, 4) motions of the object that bring most of its surface onto itself, without its symmetries."""
 
 
 @lru_cache(maxsize=128)  # of a library's objects, which recognition goes through again and again
@@ -134,7 +136,8 @@ def near_symmetries(model: ObjectModel) -> Array:
     """Returns (t, 4, 4) motions, without symmetries, that bring most of the surface onto itself, such as the turns of a
     mug about its axis, which only the handle shows.
 
-    Points of the surface are laid onto it from many rotations, as an image's are, then from products of those found.
+    Points of the surface are laid onto it from many rotations, as those of an image are, and then from products of
+    those motions that are found.
     """
     points, normals = model.sample(TURNS.points)
     rows, rng = np.zeros(len(points), dtype=DEPTH_POINT), np.random.default_rng(0)

@@ -41,11 +41,13 @@ class DepthTrackerOptions(NamedTuple):
     min_pixels: float = 20.0  # explained pixels that an image must have to give a pose
     min_against: float = 30.0  # pixels against a pose that an image must have to contradict it
     min_fit: float = 0.7
-    """Share of explained pixels among them and those against a pose at which an image says neither right nor wrong."""
+    """Share of explained pixels among them and those against a pose at which an image says neither that it is right nor
+    that it is wrong."""
     fit_weight: float = 6.0  # of what is above or below it in the log odds that the pose is right
     max_rms: float = 1.3  # of the distances of the explained pixels, above which it contradicts [their sigma]
     rms_weight: tuple[float, float] = (4.0, 1.5)
-    """Of what is above that, and the most that it takes from the log odds: model or noise may not be as declared."""
+    """Of what is above that, and the most that it takes from the log odds: a model, or a camera's noise, may be other
+    than they are declared."""
     most: float = 2.0  # log odds that images before add to those of one
     uncertain: float = 0.08  # shift of its surface beyond which a pose is uncertain [diameters]
     lost: float = 0.12  # and beyond which a hidden object is lost [diameters]
@@ -54,7 +56,8 @@ class DepthTrackerOptions(NamedTuple):
     search_period: float = 0.2  # between searches of the entire image [s]
     min_found: float = 0.6  # share of the expected pixels that a found object must explain
     likely: float = 0.5  # probability above which only those count of them that nothing hides
-    found_again: float = 0.85  # least probability of a lost object's first pose: it may be gone
+    found_again: float = 0.85
+    """Least probability of the first pose of an object that was lost: it may be gone."""
 
 
 DEPTH_TRACKER = DepthTrackerOptions()
@@ -94,7 +97,8 @@ class _Belief:
     stamp: float
     pose_camera_object: GaussianPose
     T_camera_palm: Array | None
-    independent: Array  # (6, 6) covariance if errors of images were independent, by which they are weighed
+    independent: Array
+    """(6, 6) covariance if the errors of images were independent, by which they are weighed."""
     T_at_rest: Array
     """(4, 4) T_camera_object if it has not moved since the last image, or only with the palm that grips it."""
     observed: float  # stamp of the last image that showed enough of it [s]
